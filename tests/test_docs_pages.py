@@ -1,5 +1,7 @@
 """The pages of the documentation: no wall of text, and the code on them runs."""
 
+import os
+import re
 import textwrap
 from pathlib import Path
 
@@ -64,3 +66,17 @@ def test_a_region_may_be_in_the_units_of_the_file(tmp_path):
     (tmp_path / "scene.toml").write_text(code("plugins.md", "toml"))
     (part,) = Scene.from_toml(tmp_path / "scene.toml").parts
     assert part.region.units == "file"
+
+
+def test_the_objects_of_the_gallery_are_credited():
+    """Where their files are: each with the author and the licence that stand there."""
+    about = Path(os.environ.get("PHY124_OBJECTS", ROOT / "../shared/objects")) / "README.md"
+    if not about.is_file():
+        pytest.skip("the real objects are not here")
+    rows = [line.split(" | ") for line in about.read_text("utf-8").splitlines()]
+    told = {row[0].strip("| "): row[1:3] for row in rows if ".splat" in row[0]}
+    page = (ROOT / "docs/gallery.md").read_text("utf-8")
+    assert len(told) == 15
+    for file, (licence, author) in told.items():
+        (line,) = re.findall(rf"^\| {Path(file).stem} \| .*$", page, re.M)
+        assert author in line and licence.lower() in line.lower()

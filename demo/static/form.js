@@ -95,6 +95,10 @@
         return h('select', { onchange: (event) => set(event.target.value) }, ...(schema.enum.includes(value) ? [] : [h('option', { selected: true }, 'custom')]),
           ...schema.enum.map((choice) => h('option', { value: choice, selected: choice === value }, choice)));
       }
+      if (schema.type === 'boolean' && optional) {
+        return h('select', { onchange: (event) => set({ yes: true, no: false }[event.target.value] ?? null) },
+          ...[['automatic', null], ['yes', true], ['no', false]].map(([word, choice]) => h('option', { selected: choice === (value ?? null) }, word)));
+      }
       if (schema.type === 'boolean') return h('input', { type: 'checkbox', checked: value, onchange: (event) => set(event.target.checked) });
       if (schema.type === 'array' && schema.items && schema.items.enum) return this.several(name, schema, value, set);
       if (schema.type === 'array' && schema.prefixItems) return this.vector(name, schema, value, set);

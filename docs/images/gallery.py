@@ -2,9 +2,13 @@
 
 A sheet shows one preset: a row for each law, and of each picture the middle and the last frame. A
 run that stops is shown with its last good frame and named on the standard output. Objects have
-fewer Gaussians than usual and the accuracy is draft. Run `python docs/images/gallery.py [PRESET]`.
+fewer Gaussians than usual and the accuracy is draft. The sheet `objects` shows real objects,
+credited in docs/gallery.md, in several scenes, a row for each object; their files are no part of
+the repository: they are read from $PHY124_OBJECTS or ../shared/objects, and the sheet stays as it
+is where they are absent. Run `python docs/images/gallery.py [PRESET or objects]`.
 """
 
+import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -13,8 +17,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from phy124 import pipeline
+from phy124.capture import capture
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.ply_file import PlyFile, Reading
 from phy124.generators.relief import relief
 from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
@@ -34,6 +40,15 @@ LAWS = (
 EASED = {"rigid": {"material.E": 1e7}}
 """Changes to a law that takes minutes with its defaults."""
 GAUSSIANS, SIZE, LABEL = 20_000, 128, 92
+OBJECTS = Path(os.environ.get("PHY124_OBJECTS", HERE.parents[2] / "shared/objects"))
+REAL = (
+    "plant", "spot", "bob", "teapot", "fish", "cat", "penguin", "boat", "boot", "hammer", "tree",
+    "sword", "koala", "wingnut", "goathead",
+)  # fmt: skip
+SCENES = ("sway", "press", "drop", "spin", "jelly", "snow", "sand", "water", "metal", "bury")
+"""What happens to them, a column each."""
+SMALL = 96
+"""Side of a picture of them [pixels]."""
 
 
 def made_of(name: str) -> Gaussians:
@@ -42,9 +57,9 @@ def made_of(name: str) -> Gaussians:
     return relief(cutout, count=GAUSSIANS)
 
 
-def shown(clip: Clip, scene: Scene) -> list[np.ndarray]:
+def shown(clip: Clip, scene: Scene, size: int = SIZE) -> list[np.ndarray]:
     """The middle frame and the last one, on a stage."""
-    view = scene.view.model_copy(update={"size": (SIZE, SIZE), "stage": "studio"})
+    view = scene.view.model_copy(update={"size": (size, size), "stage": "studio"})
     index, seen = [len(clip) // 2, len(clip) - 1], pipeline.cameras(clip, view, "front")
     stage, shine = stage_of(clip, view), shine_of(clip, view)
     frames, chosen = [clip.frame(i) for i in index], [seen[i] for i in index]
@@ -76,17 +91,40 @@ def row(preset: str, law: str, objects: list[Gaussians]) -> np.ndarray:
     return np.concatenate(cells, axis=1)
 
 
-def labelled(law: str) -> np.ndarray:
-    """A white cell that names a law."""
-    cell = Image.new("RGB", (LABEL, SIZE), "white")
-    ImageDraw.Draw(cell).text((4, SIZE // 2), law, fill="black")
+def labelled(words: str, width: int = LABEL, height: int = SIZE) -> np.ndarray:
+    """A white cell with a word on it."""
+    cell = Image.new("RGB", (width, height), "white")
+    ImageDraw.Draw(cell).text((4, height // 2 - 6), words, fill="black")
     return np.asarray(cell)
 
 
+def real(name: str) -> np.ndarray:
+    """The middle frame of a real object in each scene, with its name in front."""
+    cells = [labelled(name, height=SMALL)]
+    for preset in SCENES:
+        scene = Scene.named(preset).replaced({"accuracy": "draft"})
+        file = PlyFile(str(OBJECTS / f"{name}.splat"), Reading(up="-y"))
+        read = capture(file, scene, count=GAUSSIANS)
+        clip = Simulation(read.gaussians, read.scene).run()
+        cells.append(shown(clip, scene, SMALL)[0])
+    return np.concatenate(cells, axis=1)
+
+
+def real_objects() -> list[np.ndarray]:
+    """The rows of the sheet of real objects."""
+    heads = [labelled("", height=16), *(labelled(scene, SMALL, 16) for scene in SCENES)]
+    return [np.concatenate(heads, axis=1), *(real(name) for name in REAL)]
+
+
 def sheet(preset: str) -> str:
-    """Make the sheet of a preset; returns its name."""
-    objects = [made_of(name) for name in PICTURES]
-    rows = [row(preset, law, objects) for law in LAWS]
+    """Make the sheet of a preset, or that of real objects; returns its name."""
+    if preset == "objects" and not OBJECTS.is_dir():
+        return f"objects: left as it is, there is no {OBJECTS}"
+    if preset == "objects":
+        rows = real_objects()
+    else:
+        objects = [made_of(name) for name in PICTURES]
+        rows = [row(preset, law, objects) for law in LAWS]
     (HERE / "gallery").mkdir(exist_ok=True)
     picture = Image.fromarray(np.concatenate(rows, axis=0))
     picture.save(HERE / f"gallery/{preset}.webp", quality=80)
@@ -95,5 +133,5 @@ def sheet(preset: str) -> str:
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(2) as pool:
-        for done in pool.map(sheet, sys.argv[1:] or PRESETS):
+        for done in pool.map(sheet, sys.argv[1:] or (*PRESETS, "objects")):
             print(done, flush=True)
