@@ -65,8 +65,10 @@ def test_a_glb_keeps_the_object_of_each_gaussian(tmp_path, three_gaussians, orde
         tree["nodes"] = [{"mesh": 0}, {"mesh": 1}]
         tree["scenes"] = [{"nodes": order}]
 
-    found = read_gaussians(glb_with(tmp_path / "b.glb", several, twice)).gaussians
-    assert len(found) == 6 and found.object_id is None
+    content = read_gaussians(glb_with(tmp_path / "b.glb", several, twice))
+    assert content.gaussians.object_id is not None
+    assert content.gaussians.object_id.tolist() == [2, 0, 7] * 2
+    assert "3 Gaussians name no object" in content.notes[0]
 
 
 def test_nodes_of_a_glb_move_turn_and_scale_their_gaussians(tmp_path, rng):
@@ -116,9 +118,26 @@ SPLATS = "meshes/0/primitives/0/extensions/KHR_gaussian_splatting"
         ("nodes/0/scale", [-1, 1, 1], "mirrors"),
         ("nodes/0/children", [0], "go in a circle"),
         ("accessors/0/count", 10**9, "announces 1,000,000,000"),
-        ("accessors/2/count", 7, "reaches beyond"),
-        ("accessors/0/componentType", 5123, "malformed"),
-        ("accessors/0/sparse", {}, "sparse"),
+        ("accessors/2/count", 7, "7 values for 3 Gaussians"),
+        ("accessors/2/componentType", 5123, "not normalised"),
+        ("accessors/3/type", "MAT2", "of type MAT2"),
+        ("bufferViews/2/byteLength", 7, "shorter than its 3 values"),
+        ("accessors/0/sparse", {}, "malformed"),
+        (
+            "accessors/0/sparse",
+            {"count": 1, "indices": {"bufferView": 0, "componentType": 5126}},
+            "no whole indices",
+        ),
+        (
+            "accessors/0/sparse",
+            {"count": 1, "indices": {"bufferView": 3, "componentType": 5125}},
+            "not there",
+        ),
+        ("meshes/0/primitives/0/attributes/POSITION", -1, "no number -1"),
+        ("meshes/0/primitives/0/indices", 0, "chosen by indices"),
+        ("nodes/0/rotation", [0, 0, 0, 0], "skews"),
+        ("nodes/0/scale", [0, 0, 0], "skews"),
+        ("scene", 7, "no number 7"),
         ("buffers/0/uri", "a.bin", "in another file"),
         ("bufferViews/0/byteOffset", 1 << 60, "cut short"),
         ("meshes", 3, "malformed"),
@@ -253,3 +272,99 @@ def test_attributes_that_are_not_read_are_named(tmp_path, three_gaussians):
     content = read_as_is(glb_with(tmp_path / "a.glb", three_gaussians, change))
     assert len(content.notes) == 2
     assert "degree 4" in content.notes[0] and "_FEATURE_ID_0" in content.notes[1]
+
+
+def as_integers(path: Path, gaussians: Gaussians, name: str, raw, kind: int, change) -> Path:
+    """A GLB of which an attribute holds integers [N,W] or [N], and that is changed otherwise."""
+    write_gaussians(path, gaussians)
+    data = bytearray(path.read_bytes())
+    body = data.index(b"BIN\0") + 4
+
+    def mark(tree):
+        accessor = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"][name]]
+        accessor["componentType"] = kind
+        at = body + tree["bufferViews"][accessor["bufferView"]]["byteOffset"]
+        data[at : at + raw.nbytes] = raw.tobytes()
+        change(tree, accessor)
+
+    changed = edited(bytes(data), mark)
+    path.write_bytes(changed[: -len(data[body:])] + data[body:])
+    return path
+
+
+def test_centres_may_be_whole_steps_that_a_node_scales(tmp_path, three_gaussians):
+    steps = np.array([[-300, 0, 20], [0, 7, 0], [1000, -50, 3]], "<i2")
+
+    def scale(tree, accessor):
+        tree["nodes"][0]["scale"] = [0.001] * 3
+
+    path = as_integers(tmp_path / "a.glb", three_gaussians, "POSITION", steps, 5122, scale)
+    found = read_as_is(path).gaussians.means
+    np.testing.assert_allclose(found, steps * 1e-3, rtol=1e-6)
+
+
+@pytest.mark.parametrize("normalized", [False, True])
+def test_objects_may_be_numbered_by_integers(tmp_path, three_gaussians, normalized):
+    several = replace(three_gaussians, object_id=np.zeros(3, np.int32))
+    ids = np.array([2, 0, 7], np.uint8)
+
+    def mark(tree, accessor):
+        accessor["normalized"] = normalized
+
+    path = as_integers(tmp_path / "a.glb", several, "_OBJECT_ID", ids, 5121, mark)
+    assert read_as_is(path).gaussians.object_id.tolist() == [2, 0, 7]
+
+
+@pytest.mark.parametrize("viewed", [False, True])
+def test_sparse_values_take_the_place_of_others(tmp_path, three_gaussians, viewed):
+    def sparse(tree):
+        """The last opacity is replaced; without a view the others are 0."""
+        views, accessors = tree["bufferViews"], tree["accessors"]
+        opacity = accessors[4]
+        views.append({"buffer": 0, "byteOffset": len(body), "byteLength": 4})
+        views.append({"buffer": 0, "byteOffset": len(body) + 4, "byteLength": 4})
+        opacity["sparse"] = {
+            "count": 1,
+            "indices": {"bufferView": len(views) - 2, "componentType": 5125},
+            "values": {"bufferView": len(views) - 1},
+        }
+        if not viewed:
+            del opacity["bufferView"]
+
+    write_gaussians(tmp_path / "a.glb", three_gaussians)
+    data = (tmp_path / "a.glb").read_bytes()
+    body = data[data.index(b"BIN\0") + 4 :]
+    more = struct.pack("<If", 2, 0.125)
+    changed = edited(data, sparse)
+    at = changed.index(b"BIN\0") - 4
+    size = struct.pack("<I", len(body) + len(more))
+    (tmp_path / "a.glb").write_bytes(changed[:at] + size + changed[at + 4 :] + more)
+    found = read_as_is(tmp_path / "a.glb").gaussians.opacities
+    wanted = [*(three_gaussians.opacities[:2] if viewed else (0, 0)), 0.125]
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
+
+
+def test_a_turned_node_keeps_gaussians_without_a_rotation(tmp_path, three_gaussians):
+    still = replace(three_gaussians, quats=np.zeros((3, 4)))
+    turn = _set("nodes/0/rotation", [0, 0, 0.6, 0.8])
+    found = read_as_is(glb_with(tmp_path / "a.glb", still, turn))
+    assert found.dropped == 0
+    np.testing.assert_allclose(np.abs(found.gaussians.quats), [[0.8, 0, 0, 0.6]] * 3, atol=1e-6)
+
+
+def test_a_mirrored_length_among_many_is_no_logarithm(tmp_path, rng):
+    wanted = many(rng, 100, 0)
+    scales = wanted.scales.copy()
+    scales[7, 1] *= -1
+    write_gaussians(tmp_path / "a.glb", replace(wanted, scales=scales))
+    assert_same(read_gaussians(tmp_path / "a.glb").gaussians, wanted)
+
+
+def test_extensions_that_may_change_the_gaussians_are_named(tmp_path, three_gaussians):
+    def change(tree):
+        tree["extensionsRequired"] = ["KHR_gaussian_splatting", "KHR_x"]
+        tree["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {}}
+        tree["nodes"].append({"extensions": {"KHR_lights_punctual": {"light": 0}}})
+
+    (note,) = read_as_is(glb_with(tmp_path / "a.glb", three_gaussians, change)).notes
+    assert "KHR_x, EXT_mesh_gpu_instancing." in note

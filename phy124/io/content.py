@@ -146,11 +146,17 @@ def finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
             # A sum is finite if all are (or overflows, which is no less wrong), and much quicker.
             good &= np.isfinite(value.reshape(len(value), -1).sum(axis=1, dtype=np.float64))
     kept = {name: value[good] for name, value in raw.items()} if not good.all() else raw
-    length = np.linalg.norm(kept["quats"].astype(np.float64), axis=1, keepdims=True)
+    return Gaussians(**{**kept, "quats": unit(kept["quats"])}), int(np.count_nonzero(~good))
+
+
+def unit(quats: NDArray) -> NDArray[np.float32]:
+    """Quaternions [N,4] of length 1; those of length 0 become the identity."""
+    length = np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
     zero = length[:, 0] < 1e-12
-    unit = (kept["quats"] / np.where(length > 0, length, 1)).astype(np.float32)
-    unit[zero] = 1, 0, 0, 0
-    return Gaussians(**{**kept, "quats": unit}), int(np.count_nonzero(~good))
+    with np.errstate(invalid="ignore"):  # of what is infinite
+        found = (quats / np.where(length > 0, length, 1)).astype(np.float32)
+    found[zero] = 1, 0, 0, 0
+    return found
 
 
 def content_of(

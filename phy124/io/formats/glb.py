@@ -23,7 +23,6 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,23 +42,24 @@ from phy124.io.content import (
     check_count,
     content_of,
     refusal,
+    unit,
     whole_file,
 )
+from phy124.io.formats.glb_accessors import KIND, Scene, is_fractions, item, values
 from phy124.io.formats.glb_scales import kind_of_scales
 from phy124.io.precision import step_of
 
-KIND = "GLB"
 MAGIC = b"glTF"
 EXTENSION = "KHR_gaussian_splatting"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<II")
 LONGEST = 1 << 20
 """Largest description (JSON) that is read [bytes]; that of one object has 4,000."""
-TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
 """Relative difference up to which the scales of a node's axes count as one."""
+EXTENSIONS = (EXTENSION, "KHR_mesh_quantization")
+"""Extensions of glTF that are read."""
 MAX_NODES = 2000
 OBJECT = "_OBJECT_ID"
 """An attribute of an application's own, which other readers pass over."""
@@ -75,15 +75,6 @@ READ = {
 """Attributes that are read, and the colours for readers without the extension."""
 
 
-@dataclass(frozen=True)
-class Scene:
-    """The two chunks of a file."""
-
-    path: Path
-    tree: dict[str, Any]
-    body: memoryview
-
-
 class Primitive(NamedTuple):
     """Gaussians of the scene."""
 
@@ -93,6 +84,8 @@ class Primitive(NamedTuple):
     """What the extension says of them."""
     matrix: NDArray[np.float64]
     """Where their node places them [4,4]."""
+    gaussians: int
+    """Number of Gaussians."""
 
 
 def read(path: Path) -> Content:
@@ -108,15 +101,16 @@ def read(path: Path) -> Content:
         logs, notes = _kind_of_scales(scene, primitives)
         parts = [_moved(scene, _columns(scene, one, logs), one.matrix) for one in primitives]
         step = max(part.pop("step") for part in parts)
-        known = [name for name in parts[0] if all(name in part for part in parts)]
-        raw = {name: np.concatenate([part[name] for part in _alike(parts)]) for name in known}
-        axes = _axes(scene)
+        raw = {name: np.concatenate([part[name] for part in _alike(parts)]) for name in parts[0]}
+        if not any(OBJECT in one.attributes for one in primitives):
+            del raw["object_id"]
+        axes, notes = _axes(scene), [*notes, *_passed_over(scene, primitives)]
     except InputError:
         raise
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
-        limit = f"its description is malformed ({type(error).__name__}: {str(error)[:80]})."
+        kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
+        limit = f"its description is malformed ({kind}{str(error)[:80]})."
         raise refusal(KIND, path, limit, "Export it again.") from error
-    notes += _passed_over(primitives)
     return content_of(KIND, path, raw, axes, notes=notes, step=step)
 
 
@@ -229,16 +223,17 @@ def _axes(scene: Scene) -> tuple[str, str]:
 
 def _primitives(scene: Scene) -> list[Primitive]:
     """All Gaussians of the scene."""
-    tree, total, found = scene.tree, 0, []
+    total, found = 0, []
     for mesh, matrix in list(_placed(scene)):  # a circle is found before anything is read
-        for primitive in tree["meshes"][mesh]["primitives"]:
+        for primitive in item(scene, "meshes", mesh)["primitives"]:
             told = primitive.get("extensions", {}).get(EXTENSION)
             if told is not None:
-                _check_kind(scene, told)
-                total += int(tree["accessors"][primitive["attributes"]["POSITION"]]["count"])
+                _check_kind(scene, primitive, told)
+                count = int(item(scene, "accessors", primitive["attributes"]["POSITION"])["count"])
+                total += count
                 # Several nodes may show one mesh, so a small file can describe a large scene.
                 check_count(KIND, scene.path, total, 60, len(scene.body))
-                found.append(Primitive(primitive["attributes"], told, matrix))
+                found.append(Primitive(primitive["attributes"], told, matrix, count))
     if not total:
         limit = f"it holds no Gaussians: no mesh has {EXTENSION}."
         raise refusal(KIND, scene.path, limit, "Give a GLB of Gaussians, not of a mesh.")
@@ -255,28 +250,37 @@ def _kind_of_scales(scene: Scene, primitives: list[Primitive]) -> tuple[bool, li
     return kind_of_scales(generator, pairs)
 
 
-def _passed_over(primitives: list[Primitive]) -> list[str]:
-    """Sentences about attributes that are not read."""
+def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
+    """Sentences about attributes and extensions that are not read."""
     names = dict.fromkeys(name for one in primitives for name in one.attributes)
     fourth = f"{EXTENSION}:SH_DEGREE_4"
     others = [name for name in names if name not in READ and not name.startswith(fourth)]
     degree = [DEGREE_4] if any(name.startswith(fourth) for name in names) else []
-    return [*degree, *passed_over(others)]
+    return [*degree, *passed_over(others), *_extensions(scene)]
+
+
+def _extensions(scene: Scene) -> list[str]:
+    """A sentence that names extensions which may change the Gaussians and are not read."""
+    wanted = dict.fromkeys(map(str, scene.tree.get("extensionsRequired", [])))
+    for node in scene.tree.get("nodes", []):
+        wanted |= dict.fromkeys(node.get("extensions", {}) if "mesh" in node else [])
+    unread = ", ".join(name[:60] for name in wanted if name not in EXTENSIONS)
+    return [f"Extensions that are not read may change it: {unread[:300]}."] if unread else []
 
 
 def _placed(scene: Scene) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Each mesh of the scene that is shown, with the matrix [4,4] of its node."""
     tree, here = scene.tree, np.eye(4)
-    nodes = tree.get("nodes", [])
-    roots = tree["scenes"][tree.get("scene", 0)].get("nodes", []) if "scenes" in tree else []
-    waiting = [(root, here) for root in roots or range(len(nodes))]
+    shown = item(scene, "scenes", tree.get("scene", 0)) if "scenes" in tree else {}
+    roots = shown.get("nodes", [])
+    waiting = [(root, here) for root in roots or range(len(tree.get("nodes", [])))]
     for _ in range(MAX_NODES):
         if not waiting:
             return
         if len(waiting) > MAX_NODES:
             break
         index, above = waiting.pop()
-        node = nodes[index]
+        node = item(scene, "nodes", index)
         matrix = above @ _matrix(node)
         waiting += [(child, matrix) for child in node.get("children", [])] if roots else []
         if "mesh" in node:
@@ -290,14 +294,18 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    turn = rotation_matrices(np.array([[w, x, y, z]]))[0]
+    with np.errstate(all="ignore"):  # What is no rotation becomes NaN and is refused.
+        turn = rotation_matrices(np.array([[w, x, y, z]]))[0]
     matrix[:3, :3] = turn * np.array(node.get("scale", (1, 1, 1)), np.float64)
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
     return matrix
 
 
-def _check_kind(scene: Scene, told: dict[str, Any]) -> None:
+def _check_kind(scene: Scene, primitive: dict[str, Any], told: dict[str, Any]) -> None:
     """Refuse Gaussians of a kind that is not read."""
+    if "indices" in primitive:
+        limit = "its Gaussians are chosen by indices, which are not read."
+        raise refusal(KIND, scene.path, limit, "Export it without indices.")
     if told.get("extensions"):
         limit = f"its Gaussians are compressed by {', '.join(told['extensions'])}, a draft."
         raise refusal(KIND, scene.path, limit, "Export it without compression.")
@@ -310,52 +318,30 @@ def _values(scene: Scene, primitive: Primitive, name: str, width: int) -> NDArra
     """The values of an attribute [N,width]."""
     if name not in primitive.attributes:
         raise refusal(KIND, scene.path, f"its Gaussians have no {name}.", "Export it again.")
-    return _accessed(scene, primitive.attributes[name], width)
+    index = primitive.attributes[name]
+    # Centres may be whole numbers of a step, which a node scales (KHR_mesh_quantization).
+    whole = name == OBJECT or (name == "POSITION" and not is_fractions(scene, index))
+    return values(scene, index, width, primitive.gaussians, as_they_are=whole)
 
 
 def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArray[np.float32]]:
     """Columns of one primitive by the names of `Gaussians`."""
-    values = partial(_values, scene, primitive)
-    scales = values(f"{EXTENSION}:SCALE", 3)
+    of = partial(_values, scene, primitive)
+    scales = of(f"{EXTENSION}:SCALE", 3)
     with np.errstate(over="ignore"):
-        scales = np.exp(scales) if logs else scales
+        scales = np.exp(scales) if logs else np.abs(scales)
     names = [name for name in _names(LARGEST_SH) if name in primitive.attributes]
     whole = max(k for k in (1, 4, 9, 16) if names[:k] == _names(k) or k == 1)
-    sh = np.stack([values(name, 3) for name in _names(whole)], axis=1)
-    found = {"object_id": values(OBJECT, 1)[:, 0]} if OBJECT in primitive.attributes else {}
-    return found | {
-        "means": values("POSITION", 3),
-        "quats": np.roll(values(f"{EXTENSION}:ROTATION", 4), 1, axis=1),
+    sh = np.stack([of(name, 3) for name in _names(whole)], axis=1)
+    named = OBJECT in primitive.attributes
+    return {
+        "means": of("POSITION", 3),
+        "quats": unit(np.roll(of(f"{EXTENSION}:ROTATION", 4), 1, axis=1)),
         "scales": scales,
-        "opacities": values(f"{EXTENSION}:OPACITY", 1)[:, 0],
+        "opacities": of(f"{EXTENSION}:OPACITY", 1)[:, 0],
         "sh": _displayed(sh) if primitive.told.get("colorSpace") == LINEAR else sh,
+        "object_id": of(OBJECT, 1)[:, 0] if named else np.full(len(sh), np.nan, np.float32),
     }
-
-
-def _accessed(scene: Scene, index: int, width: int) -> NDArray[np.float32]:
-    """The values of an accessor [N,width]."""
-    accessor = scene.tree["accessors"][index]
-    kind, count = TYPES[accessor["componentType"]], int(accessor["count"])
-    if WIDTHS[accessor["type"]] != width or "sparse" in accessor or count < 1:
-        raise ValueError(f"accessor {index} is empty, sparse or of another type")
-    view = scene.tree["bufferViews"][accessor["bufferView"]]
-    if view.get("buffer", 0) != 0 or "uri" in scene.tree["buffers"][0]:
-        raise ValueError(f"accessor {index} is in another file")
-    dtype = np.dtype(kind)
-    offset, first = int(view.get("byteOffset", 0)), int(accessor.get("byteOffset", 0))
-    stride = int(view.get("byteStride", dtype.itemsize * width))
-    end = first + stride * (count - 1) + dtype.itemsize * width
-    if min(offset, first) < 0 or stride < dtype.itemsize * width or end > int(view["byteLength"]):
-        raise ValueError(f"accessor {index} reaches beyond its values")
-    if offset + end > len(scene.body):
-        raise refusal(KIND, scene.path, "it is cut short: some of its values are missing.")
-    shape, strides = (count, width), (stride, dtype.itemsize)
-    raw = np.ndarray(shape, dtype, scene.body, offset + first, strides)
-    if dtype.kind == "f":
-        return raw.astype(np.float32)
-    if not accessor.get("normalized", False):
-        raise ValueError(f"accessor {index} holds integers that are not normalised")
-    return np.maximum(raw / np.float32(np.iinfo(dtype).max), -1).astype(np.float32)
 
 
 def _displayed(sh: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -375,7 +361,7 @@ def _moved(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> di
         return {**raw, "step": step}
     sizes = np.linalg.norm(matrix[:3, :3], axis=0)
     size = float(sizes.mean())
-    turn = matrix[:3, :3] / size
+    turn = matrix[:3, :3] / (size or 1.0)
     if not np.allclose(turn @ turn.T, np.eye(3), atol=EVEN) or np.linalg.det(turn) < 0:
         limit = "a node scales its Gaussians unevenly, skews or mirrors them, which is not read."
         raise refusal(KIND, scene.path, limit, "Apply the node's transform and export it again.")

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 PLAYCANVAS = re.compile(r"splat-transform (\d+)\.(\d+)")
 LENGTHS_SINCE = (2, 7)
 """Version of splat-transform that first wrote lengths."""
+FEW = 0.01
+"""Share of scales up to which negative ones tell nothing: a mirrored length is no logarithm."""
 NEIGHBOURS = 4
 SOME = 2000
 """Gaussians that are looked at."""
@@ -39,7 +41,8 @@ def kind_of_scales(
         generator: The program that wrote the file, as the file names it.
         parts: Scales [N,3] and centres [N,3] of each of its primitives.
     """
-    if any((scales < 0).any() for scales, _ in parts):
+    negative = sum(np.count_nonzero(scales < 0) for scales, _ in parts)
+    if negative > FEW * sum(scales.size for scales, _ in parts):
         return True, []
     if found := PLAYCANVAS.match(generator):
         logs = (int(found[1]), int(found[2])) < LENGTHS_SINCE
