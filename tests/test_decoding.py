@@ -3,6 +3,7 @@
 import itertools
 import struct
 import warnings
+import zlib
 
 import numpy as np
 import pytest
@@ -279,6 +280,35 @@ def test_much_text_in_a_png_does_not_matter():
     text = PngImagePlugin.PngInfo()
     text.add_itxt("XML:com.adobe.xmp", "a" * 3_000_000, zip=True)
     np.testing.assert_array_equal(colours(file_of(quarters(), "PNG", pnginfo=text)), turned(1))
+
+
+def png_with(kind: bytes, content: bytes, checksum: int | None = None) -> bytes:
+    """A PNG with one more chunk before its pixels; its checksum is right unless it is given."""
+    data = file_of(quarters(), "PNG")
+    right = zlib.crc32(kind + content) if checksum is None else checksum
+    head, tail = struct.pack(">I", len(content)), struct.pack(">I", right)
+    return data[:33] + head + kind + content + tail + data[33:]
+
+
+@pytest.mark.parametrize(
+    "chunk",
+    [
+        (b"tEXt", b"Comment\0cut", 0),
+        (b"zTXt", b"Comment\0\0" + zlib.compress(bytes(80_000_000)), None),
+        (b"iTXt", b"", None),
+        (b"pHYs", b"\0", None),
+        (b"eXIf", exif_of([]), 0),
+        (b"iCCP", b"name\0\0no profile", 0),
+    ],
+    ids=["checksum", "bomb", "empty", "short", "EXIF", "profile"],
+)
+def test_damage_around_the_pixels_of_a_png_changes_nothing(chunk):
+    np.testing.assert_array_equal(colours(png_with(*chunk)), turned(1))
+
+
+def test_a_png_whose_transparency_is_damaged_is_refused():
+    with pytest.raises(Unusable, match="broken"):
+        decoded(png_with(b"tRNS", bytes(6), 0), Purpose(FORMATS, 1), 64)
 
 
 def test_grey_levels_as_floats_go_from_0_to_1():

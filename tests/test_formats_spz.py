@@ -115,6 +115,18 @@ def test_without_the_flag_nothing_is_taken_for_an_extension(tmp_path, rng):
     assert (content.axes, content.notes) == (("y", "z"), ())
 
 
+@pytest.mark.parametrize("later", [b"", b"any bytes after it"])
+def test_a_file_that_a_browser_has_unpacked_is_read(tmp_path, rng, later):
+    data = spz.encode(many(rng, 30, 1))
+    (tmp_path / "packed.spz").write_bytes(data)
+    (tmp_path / "unpacked.spz").write_bytes(zlib.decompress(data, 31) + later)
+    wanted, found = (
+        read_as_is(tmp_path / f"{name}.spz").gaussians for name in ("packed", "unpacked")
+    )
+    np.testing.assert_array_equal(found.means, wanted.means)
+    np.testing.assert_array_equal(found.sh, wanted.sh)
+
+
 def test_version_1_has_its_centres_in_half_precision(tmp_path, rng):
     wanted = many(rng, 30, 1)
     quats = wanted.quats * np.where(wanted.quats[:, :1] < 0, -1, 1)

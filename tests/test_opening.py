@@ -1,6 +1,8 @@
 """Why a file cannot be opened: each command says what it met and which file to give instead."""
 
+import gzip
 import os
+import zipfile
 
 import pytest
 
@@ -108,3 +110,33 @@ def test_a_pipe_is_no_file(tmp_path):
 def test_a_file_has_no_obstacle(tmp_path):
     (tmp_path / "a").touch()
     assert obstacle(tmp_path / "a") is None
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, ["cutout", "{}"], ["generate", "{}"]])
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", "`git lfs pull`"),
+        (b"<!DOCTYPE html><html>404</html>", "web page"),
+        (b"<html><body>Sign in", "web page"),
+    ],
+)
+def test_what_was_saved_in_place_of_a_file_is_named(tmp_path, capsys, command, data, words):
+    path = tmp_path / "it"
+    path.write_bytes(data)
+    status = main([text.replace("{}", str(path)) for text in command])
+    assert status == 2 and words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["it.ply", "it.ply.gz"])
+def test_a_file_packed_by_gzip_is_called_that(tmp_path, capsys, name):
+    (tmp_path / name).write_bytes(gzip.compress(b"ply\nformat ascii 1.0\n"))
+    assert main(["convert", str(tmp_path / name), str(tmp_path / "out.ply")]) == 2
+    assert "packed by gzip" in capsys.readouterr().err
+
+
+def test_a_zip_archive_of_no_sog_is_called_that(tmp_path, capsys):
+    with zipfile.ZipFile(tmp_path / "it.zip", "w") as archive:
+        archive.writestr("point_cloud.ply", b"ply\n")
+    assert main(["convert", str(tmp_path / "it.zip"), str(tmp_path / "out.ply")]) == 2
+    assert "a zip archive, but of no SOG" in capsys.readouterr().err

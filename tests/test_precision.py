@@ -219,3 +219,9 @@ def test_no_error_is_promised_for_a_file_that_is_too_coarse(tmp_path, kind):
     assert read.about["capture"]["coarse"] == (kind == "f4")
     report = {"capture": read.about["capture"]}
     assert (promise(Scene.named("drop"), report).error is None) == (kind == "f4")
+
+
+def test_a_single_gaussian_is_not_called_coarse(tmp_path, three_gaussians):
+    one = three_gaussians.select(np.array([1]))
+    write_gaussians(tmp_path / "a.ply", one)
+    assert read_as_is(tmp_path / "a.ply").remarks() == []

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from PIL import Image, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
 
-from phy124.imaging import heic, tiff
+from phy124.imaging import heic, png, tiff
 from phy124.imaging.header import KINDS, SEGMENT, Size, kind_of, size_of
 from phy124.imaging.profile import in_srgb
 
@@ -167,6 +167,8 @@ def _opened(data: bytes, formats: tuple[str, ...]) -> Image.Image:
         # Not by Image.open, which looks at the further pictures that phones append.
         _check_scans(data)
         return JpegImageFile(io.BytesIO(data))
+    if kind == "PNG":
+        data = png.plain(data)
     if "TIFF" in formats and data[:4] in tiff.BEGINNINGS:
         return tiff.opened(data)
     others = [name for name in formats if name not in KINDS]

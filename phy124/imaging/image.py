@@ -19,7 +19,7 @@ from phy124.errors import InputError
 from phy124.imaging import heic
 from phy124.imaging.decoding import COPY, Purpose, Unusable, check_size, decoded, unidentified
 from phy124.imaging.header import Size, kind_of, size_of
-from phy124.io.opening import obstacle
+from phy124.io.opening import obstacle, stand_in
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
 
@@ -203,10 +203,17 @@ def _content(path: Path) -> bytes:
                 _check_bytes(status.st_size)
             data = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # a path may have a zero byte
-        limit, remedy = obstacle(path) or (f"it cannot be read ({error}).", "Copy it again.")
-        raise Unusable(limit[0].upper() + limit[1:], remedy) from None
+        words = obstacle(path) or (f"it cannot be read ({error}).", "Copy it again.")
+        raise _refusal(*words) from None
     _check_bytes(len(data))
+    if words := stand_in(data):
+        raise _refusal(*words)
     return data
+
+
+def _refusal(limit: str, remedy: str) -> Unusable:
+    """What is wrong with a file; `limit` starts with a lower-case letter."""
+    return Unusable(limit[0].upper() + limit[1:], remedy)
 
 
 def _check_bytes(size: int) -> None:

@@ -70,7 +70,7 @@ def check_names(path: Path, header: Header) -> None:
     missing += [] if names >= set(RGB) else [name for name in DC if name not in names]
     missing += ["scale_1"] if "scale_2" in names and "scale_1" not in names else []
     if missing:
-        limit = f"the properties {', '.join(missing)} are missing."
+        limit = f"it has no {', '.join(missing)}."
         raise refusal(path, limit, STANDARD)
 
 

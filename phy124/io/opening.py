@@ -24,6 +24,21 @@ IN_FOLDERS = {
 """A file in a folder -> what the folder is, and what to do."""
 RECORDING = b"\x89MCAP"
 """First bytes of a recording of messages, as the bridge makes them."""
+PAGE = (
+    "it is a web page, not the file itself.",
+    "Download it again, from the link to the file itself.",
+)
+STAND_INS = {
+    b"version https://git-lfs": (
+        "it is a pointer of Git LFS, not the file itself.",
+        "Run `git lfs pull` in its repository.",
+    ),
+    b"<!doctype html": PAGE,
+    b"<html": PAGE,
+}
+"""First bytes, in lower case, of what is often saved in place of a file."""
+HEAD = max(map(len, STAND_INS))
+"""Number of bytes that tell it [bytes]."""
 
 
 def obstacle(path: PathLike) -> tuple[str, str] | None:
@@ -38,14 +53,20 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
         if path.name == NOT_ALONE:
             return _of_folder(path.parent)
         with open(path, "rb") as file:
-            recorded = file.read(len(RECORDING)) == RECORDING
-            return _about(path, *RECORDED) if recorded else None
+            head = file.read(HEAD)
+        return _about(path, *RECORDED) if head.startswith(RECORDING) else stand_in(head)
     except (FileNotFoundError, NotADirectoryError, ValueError):  # a path may have a zero byte
         return "there is no such file.", "Check the path."
     except PermissionError as error:
         return f"it may not be read ({error.strerror}).", "Ask its owner, or change its mode."
     except OSError as error:
         return f"it cannot be opened ({error.strerror}).", "Check the path and the disk."
+
+
+def stand_in(head: bytes) -> tuple[str, str] | None:
+    """What was saved in place of a file, by its first bytes, and what to do; None if it is not."""
+    head = head[:HEAD].lower()
+    return next((words for sign, words in STAND_INS.items() if head.startswith(sign)), None)
 
 
 def _of_folder(path: Path) -> tuple[str, str]:

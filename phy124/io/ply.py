@@ -137,10 +137,12 @@ def _rows(path: Path, header: Header) -> NDArray[Any]:
         raise refusal(path, limit, "Reduce it in a splat editor, for example SuperSplat.")
     if header.ascii:
         return _read_ascii(path, header)
-    available = (path.stat().st_size - header.start) // header.row.itemsize
-    if available < header.count:
-        raise _cut_short(path, max(available, 0), header.count)
-    return np.fromfile(path, header.row, header.count, offset=header.start)
+    available = max(path.stat().st_size - header.start, 0) // header.row.itemsize
+    count = min(available, header.count)  # No memory is taken for what is not there.
+    rows = np.fromfile(path, header.row, count, offset=header.start)
+    if len(rows) < header.count:
+        raise _cut_short(path, len(rows), header.count)
+    return rows
 
 
 def _read_ascii(path: Path, header: Header) -> NDArray[Any]:

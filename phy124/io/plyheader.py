@@ -23,6 +23,8 @@ TYPES = {
 }  # fmt: skip
 """Names of the number types, old and new."""
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+MOST_DIGITS = 30
+"""Digits of the largest number of rows that is looked at."""
 LINE_ENDS = rb"\r\n|\n|\r"
 """Where bytes of a header are split. In text, other characters end lines and words, too."""
 SPLATS = "Read it as what it is: `phy124 convert`, `phy124 simulate` and the others take it."
@@ -89,7 +91,7 @@ def read_header(path: Path) -> Header:
         before, wanted = elements[:vertex], elements[vertex]
         after = takewhile(lambda e: e.properties and not e.has_list, elements[vertex + 1 :])
         found = _placed([*before, wanted, *after], ORDERS[encoding], start)
-    except (KeyError, IndexError, ValueError) as error:
+    except (IndexError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise refusal(path, f"its header is malformed ({error}).", "Export it again.") from error
@@ -138,12 +140,14 @@ def _elements(words: list[list[str]]) -> list[_Element]:
     elements: list[_Element] = []
     for line in words:
         if line[0] == "element":
+            if not (line[2].isascii() and line[2].isdigit() and len(line[2]) <= MOST_DIGITS):
+                raise ValueError(f"element {line[1][:40]} counts {line[2][:40]} rows")
             elements.append(_Element(line[1], int(line[2])))
-            if elements[-1].count < 0:
-                raise ValueError(f"element {line[1]} has a negative count")
         elif line[0] == "property" and line[1] == "list":
             elements[-1].has_list = True
         elif line[0] == "property":
+            if line[1] not in TYPES:
+                raise ValueError(f"unknown type {line[1][:40]}")
             elements[-1].properties.append((line[2], TYPES[line[1]]))
         else:
             raise ValueError(f"unknown word {line[0][:40]}")

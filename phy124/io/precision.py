@@ -65,7 +65,7 @@ def too_coarse(means: NDArray, step: float) -> str | None:
         step: Distance of neighbouring values in the file.
     """
     extent = _middle(means)[1]
-    if not step or extent >= COARSE * step:
+    if not step or extent >= COARSE * step or len(means) < 2:
         return None
     across = max(round(extent / step), 1)
     return (

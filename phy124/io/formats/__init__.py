@@ -152,6 +152,8 @@ OTHER_ENDINGS = {".usda": "usd", ".usd": "usd"}
 WRITTEN = tuple(name for name, f in FORMATS.items() if f.written)
 MAGIC = {b"ply\n": "ply", b"ply\r": "ply", b"glTF": "glb", b"PK\x03\x04": "sog"}
 """First bytes of a file -> its format."""
+GZIP = b"\x1f\x8b\x08"
+"""First bytes of what gzip packs."""
 HEAD = 4096
 """Bytes that are looked at to recognise a file."""
 
@@ -277,6 +279,9 @@ def recognised(path: Path) -> Format:
     name = MAGIC.get(head[:4])
     if name == "ply" and compressed_ply.is_compressed(read_header(path)):
         return FORMATS["compressed-ply"]
+    if head.startswith(GZIP):
+        limit = "It is packed by gzip, and no SPZ."
+        raise InputError("file", path, limit, "Unpack it with gunzip, and give what is in it.")
     if name is None and path.suffix.lower() in ENDINGS:
         # Broken, or without a mark: its own reader says what is wrong.
         name = next(known for known, f in FORMATS.items() if f.suffix == path.suffix.lower())

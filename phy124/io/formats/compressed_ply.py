@@ -81,9 +81,11 @@ def _elements(path: Path, header: Header) -> list[Element]:
 
 
 def _rows(path: Path, element: Element, size: int) -> NDArray[Any]:
-    if element.start + element.count * element.row.itemsize > size:
+    there = element.start + element.count * element.row.itemsize <= size
+    rows = np.fromfile(path, element.row, element.count if there else 0, offset=element.start)
+    if len(rows) < element.count:  # It may also change while it is read.
         raise refusal(KIND, path, f"it is cut short: its element {element.name} is not all there.")
-    return np.fromfile(path, element.row, element.count, offset=element.start)
+    return rows
 
 
 def _check(path: Path, header: Header, rows: dict[str, NDArray[Any]]) -> None:

@@ -153,6 +153,9 @@ def _zipped(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> byt
 def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
     """A member of the archive, if it is no larger than `most`."""
     known = {info.filename.rpartition("/")[2]: info for info in archive.infolist()}
+    if name == META and name not in known:
+        limit = "it is a zip archive, but of no SOG: it has no meta.json."
+        raise refusal(KIND, path, limit, "Unpack it, and give a file in it.")
     if name not in known:
         raise refusal(KIND, path, f"it has no {name[:80]}.", "Export it again.")
     with archive.open(known[name]) as file:

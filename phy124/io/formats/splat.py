@@ -39,7 +39,7 @@ def read(path: Path) -> Content:
         limit = f"its {size:,} bytes are no multiple of {ROW.itemsize}: it is cut short or foreign."
         raise refusal("splat", path, limit)
     check_count("splat", path, count, ROW.itemsize, size)
-    rows = np.fromfile(path, ROW, count)
+    rows = np.fromfile(path, ROW)
     colour = rows["colour"].astype(np.float32) / 255
     raw = {
         "means": rows["centre"].copy(),

@@ -52,6 +52,8 @@ from phy124.io.formats.spz_extensions import read_extensions
 KIND = "SPZ"
 MAGIC = b"NGSP"
 GZIP = b"\x1f\x8b"
+FOURTH = struct.pack("<I", 4)
+"""What stands after the magic in a file of version 4."""
 HEADER = struct.Struct("<4sIIBBBB")
 MORE = struct.Struct("<I12x")
 ENTRY = struct.Struct("<QQ")
@@ -99,7 +101,8 @@ def read(path: Path) -> Content:
         InputError: If the file is missing, cut short, damaged or of another version.
     """
     data = whole_file(KIND, path)
-    head, body, records = _gunzipped(path, data) if data[:2] == GZIP else _streams(path, data)
+    in_streams = data[:4] == MAGIC and data[4:8] == FOURTH
+    head, body, records = _streams(path, data) if in_streams else _whole(path, data)
     n, at = head.gaussians, np.cumsum([0, *head.sizes])
     sections = [body[a:b].reshape(n, -1) for a, b in pairwise(at)]
     centres, opacity, colour, scale, rotation, *rest = sections
@@ -155,8 +158,11 @@ def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
     raw["sh"] *= mirror_signs(raw["sh"].shape[1]).astype(np.float32)[:, None]
 
 
-def _gunzipped(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
+def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
     """Header, sections and extensions of versions 1 to 3."""
+    if data[:4] == MAGIC:
+        # Browsers unpack what a server calls packed by gzip.
+        data = _gzipped(data, level=0)
     packer = zlib.decompressobj(31)
     try:
         first = packer.decompress(data, HEADER.size)
@@ -305,6 +311,6 @@ def _harmonics(rest: NDArray) -> NDArray[np.uint8]:
     return ((values + step // 2) // step * step).clip(0, 255).astype(np.uint8)
 
 
-def _gzipped(data: bytes) -> bytes:
-    packer = zlib.compressobj(GZIP_LEVEL, wbits=31)
+def _gzipped(data: bytes, level: int = GZIP_LEVEL) -> bytes:
+    packer = zlib.compressobj(level, wbits=31)
     return packer.compress(data) + packer.flush()
