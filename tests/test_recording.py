@@ -1,6 +1,7 @@
 """What is computed stays, whatever ends a run: a kill, an error, a full disk, a missing encoder."""
 
 import errno
+import importlib
 import json
 import os
 import shutil
@@ -269,6 +270,27 @@ def test_a_missing_package_is_refused_before_work(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="this needs the package usd-core"):
         pipeline.simulate(ball(300), scene, tmp_path / "out")
     assert names(tmp_path) == set()
+
+
+@pytest.mark.parametrize("command", ["render", "compare"])
+def test_finished_sides_stay_if_a_later_one_fails(tmp_path, monkeypatch, capsys, command):
+    def write(path, frames, *, fps):
+        if path.name == "left.mp4":
+            raise OSError(errno.EIO, "no disk")
+        return written(path, frames, fps=fps)
+
+    pipeline.simulate(ball(300), SCENE, tmp_path / "a", films=False)
+    module = importlib.import_module(
+        {"render": "phy124.rendering.film", "compare": "phy124.commands.compare"}[command]
+    )
+    written = module.write_mp4
+    monkeypatch.setattr(module, "write_mp4", write)
+    clip, out = str(tmp_path / "a/clip.safetensors"), tmp_path / "out"
+    given = [clip] if command == "render" else [clip, clip]
+    options = ["--views", "front", "left", "--size", "32", "--device", "cpu", "--out", str(out)]
+    assert main([command, *given, *options]) == 1
+    assert f"kept in {out}: front.mp4" in capsys.readouterr().err
+    assert names(out) == {"front.mp4"}
 
 
 @contextmanager

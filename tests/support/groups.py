@@ -38,4 +38,4 @@ def within(group: Path, *command: object) -> subprocess.CompletedProcess:
     """Run Python in a group."""
     enter = f'echo $$ > {group}/cgroup.procs && exec "$0" "$@"'
     whole = ["sh", "-c", enter, sys.executable, *map(str, command)]
-    return subprocess.run(whole, check=False, capture_output=True, text=True)
+    return subprocess.run(whole, check=False, capture_output=True, text=True, timeout=300)
