@@ -294,7 +294,7 @@ def test_levels_that_are_done_survive_an_interrupt():
         Study(ball(300), scene, **options).run()
 
 
-def test_study_on_the_command_line(tmp_path, capsys):
+def test_study_on_the_command_line(tmp_path, capsys, monkeypatch):
     (tmp_path / "s.toml").write_text(
         'accuracy = {cells = 8}\ntime = {frames = 2}\nview = {size = 32, views = ["front"]}\n'
     )
@@ -306,7 +306,17 @@ def test_study_on_the_command_line(tmp_path, capsys):
         "--out",
         str(tmp_path / "o"),
     ]
+    seen = []
+    plain = study_of.Study.__post_init__
+
+    def looked(self):
+        seen.append(self.scene)
+        plain(self)
+
+    monkeypatch.setattr(study_of.Study, "__post_init__", looked)
+    arguments += ["--set", "material.E=3e4", "--set", "time.frames=3"]
     assert main([*arguments, "--device", "cpu"]) == 0
+    assert seen[0].material.E == 3e4 and seen[0].time.frames == 3
     text = capsys.readouterr().out
     assert "fewer than three levels" in text
     made = {path.name for path in (tmp_path / "o").iterdir()}

@@ -70,3 +70,13 @@ def test_a_stiffness_that_repeats_within_a_frame_is_noted():
         [n for n in one.report()["notes"] if "stiffness_profile" in n] for one in (quick, slow)
     ]
     assert len(found[0]) == 1 and not found[1]
+
+
+@pytest.mark.parametrize("cfl", [0.75, 0.9])
+def test_a_larger_cfl_that_only_shortens_substeps_is_noted(cfl):
+    thick = {"material.damping": 2e4, "accuracy": {"cells": 8, "cfl": cfl}, "time.frames": 2}
+    one = run(**thick, **{"object.lift": 0.0})
+    one.run()
+    assert set(one.solver.clock.limiters) == {"viscous"}
+    found = [note for note in one.report()["notes"] if "accuracy.cfl = 0.75" in note]
+    assert len(found) == (cfl > 0.75)

@@ -264,7 +264,7 @@ def test_an_exception_between_two_barriers_ends_the_other_threads(reports, threa
 
     run = Simulation(ball(800), SCENE, threads=threads)
     before = len(solving())
-    team = run.solver._team
+    team = run.solver.team
     hand_over, calls = team._hand_over, 0
 
     def interrupted(task):

@@ -22,7 +22,7 @@ from phy124.io.formats import is_file_of_gaussians
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress
 from phy124.runtime.device import pick_device
-from phy124.scene import Scene
+from phy124.scene import Scene, assignments
 from phy124.weights.store import looking_in
 
 KEPT = "the results are those of the settings that were run"
@@ -42,6 +42,8 @@ class ShowAccuracy:
     """Cells across the object to study, from coarse to fine."""
     out: Path | None = None
     """Folder of accuracy.json, .html and .png; default out/accuracy-SCENE."""
+    set: tuple[str, ...] = ()
+    """Any value of the scene, as KEY=VALUE: material.E=2e4, boundaries.0.friction=0.1."""
     making: Annotated[PictureOptions, tyro.conf.arg(name="")] = field(
         default_factory=PictureOptions
     )
@@ -61,7 +63,7 @@ class ShowAccuracy:
             raise InputError(
                 "scene", "none", "there is nothing to study.", "Name a preset, or add --verify."
             )
-        return self._study(Scene.named(self.scene))
+        return self._study(Scene.named(self.scene).replaced(assignments(self.set)))
 
     def _verify(self) -> int:
         from phy124.accuracy.verify import verify

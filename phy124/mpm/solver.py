@@ -104,7 +104,7 @@ class Solver:
         """How bodies touch, and what they give each other."""
         self.free = FreeBodies(model, free)
         self._stray = wp.zeros(1, dtype=int, device=model.device)
-        self._team = Team[int](count, self._run_member)
+        self.team = Team[int](count, self._run_member)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
         on_device = usable(model.device) if graph is None else graph
         self.on_device = on_device and model.bodies == 1 and not free
@@ -280,8 +280,8 @@ class Solver:
 
     def _run(self, phase: int) -> None:
         """Run a phase; threads wait for each other before it."""
-        if self._team.alive:
-            timed(self.timings, "wait", lambda: self._team.put(phase))
+        if self.team.alive:
+            timed(self.timings, "wait", lambda: self.team.put(phase))
             self.workers[0].run(phase)
         else:
             for worker in self.workers:
@@ -289,8 +289,8 @@ class Solver:
 
     def _join(self) -> None:
         """Wait until the other threads have finished their parts."""
-        if self._team.alive:
-            timed(self.timings, "wait", self._team.join)
+        if self.team.alive:
+            timed(self.timings, "wait", self.team.join)
 
     def _run_member(self, member: int, phase: int) -> None:
         """Run a phase in one of the other threads."""
@@ -308,7 +308,7 @@ class Solver:
             return
         # This loads every kernel.
         self._measure_if_due()
-        with self._team.running():
+        with self.team.running():
             yield
 
     def _run_graph(self, until: float) -> bool:
@@ -389,10 +389,10 @@ class Solver:
         Raises:
             Unstable: A particle is no longer finite.
         """
-        if self._team.alive:
-            self._team.put(MEASURE)
+        if self.team.alive:
+            self.team.put(MEASURE)
             self.workers[0].measure()
-            self._team.join()
+            self.team.join()
         else:
             for worker in self.workers:
                 worker.measure()

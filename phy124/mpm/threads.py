@@ -41,6 +41,8 @@ class Team(Generic[Task]):
         self._queue: list[Task | None] = []
         self._errors: list[BaseException | None] = []
         """What each member's last task raised."""
+        self.seconds = [0.0] * size
+        """Processor time that each member but the first has used [s]."""
 
     @property
     def alive(self) -> bool:
@@ -92,7 +94,9 @@ class Team(Generic[Task]):
 
     def _follow(self, barrier: Barrier, member: int) -> None:
         """One of the other threads: runs tasks as they come until the barrier is abandoned."""
+        before = self.seconds[member]
         for count in itertools.count():
+            self.seconds[member] = before + time.thread_time()
             if not barrier.wait(member):
                 return
             task = self._queue[count]

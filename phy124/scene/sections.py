@@ -91,7 +91,8 @@ class Timing(Section):
         default=7200.0,
         ge=1e-3,
         le=1e8,
-        description="Longest time of a simulation [s]; one predicted to take longer is refused.",
+        description="Longest time of a simulation [s]; one predicted to take longer is refused, "
+        "and it stops at twice that, in processor time of its busiest thread.",
     )
 
     @model_validator(mode="before")

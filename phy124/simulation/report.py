@@ -8,6 +8,7 @@ from phy124.effects import Effects
 from phy124.io.clip import Clip
 from phy124.limits import stiffest_part
 from phy124.monitor.wrenches import pair_names, summary
+from phy124.mpm.timestep import CFL, beside_elastic
 from phy124.simulation import bodies, buried, softening
 
 Run = Any
@@ -109,10 +110,23 @@ def _substep(run: Run) -> dict[str, Any]:
     }
 
 
+def _too_bold(run: Run) -> list[str]:
+    """A sentence if a large fraction of the elastic limit only shortened the substeps."""
+    clock = run.solver.clock
+    cfl, taken = run.scene.resolution.fraction, sum(clock.limiters.values())
+    if cfl <= CFL or 2 * clock.limiters.get("viscous", 0) <= taken:
+        return []
+    gain = beside_elastic(CFL) / max(beside_elastic(cfl), 1e-9)
+    return [
+        "Viscosity limits the substeps, the more the nearer they may come to the elastic limit: "
+        f"with accuracy.cfl = {CFL:g} instead of {cfl:g} they would be {gain:.2g} times as long."
+    ]
+
+
 def _notes(run: Run) -> list[str]:
     """What the user should know about the materials and about how the run went."""
     notes = [note for section in run.scene.materials for note in section.notes()]
     stiff = stiffest_part(run.scene)
     coarse = bodies.notes(run.scene) + buried.notes(run.scene.boundaries, run.solver.model)
-    coarse += softening.notes(run.scene)
+    coarse += softening.notes(run.scene) + _too_bold(run)
     return notes + coarse + ([stiff] if stiff else []) + run.watchdog.notes() + run.remarks

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -42,6 +41,7 @@ from phy124.simulation.ordering import axis_of, ordered
 from phy124.simulation.report import counted, report_of
 from phy124.simulation.softening import Softening
 from phy124.simulation.solver import acting, judged_as, solver_of
+from phy124.simulation.spent import Spent
 from phy124.simulation.stopped import Stopped
 
 
@@ -126,6 +126,7 @@ class Simulation:
                 self.particles, self.materials, stiffness, scene, device, threads, external,
                 self.contacts, self.wrenches, self.dissipation, free,
             )  # fmt: skip
+            self.spent = Spent(self.solver.team, device)
             self.softening = Softening(self.solver, external, self.particles.material)
             self.watchdog = Watchdog(
                 self.solver, external, balance=scene.checks.balance, dissipation=self.dissipation
@@ -259,6 +260,7 @@ class Simulation:
         return {
             "count": self.count,
             "retried": list(self.retried),
+            "spent": self.spent.before,
             "rejected": self.solver.rejection.rejected,
             "solver": self.solver.snapshot(),
             "softening": self.softening.factor,
@@ -273,6 +275,7 @@ class Simulation:
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to the state at which a snapshot was taken."""
         self.count, self.retried = snapshot["count"], list(snapshot["retried"])
+        self.spent.before = snapshot.get("spent", 0.0)
         self.solver.rejection.rejected = snapshot["rejected"]
         self.softening.restore(snapshot.get("softening", 1.0))
         self.solver.restore(snapshot["solver"])
@@ -312,7 +315,7 @@ class Simulation:
     def _advance(self, index: int, until: float) -> None:
         """Take substeps up to a frame's time; after a failure, once more with half the substep."""
         before = self.solver.clock.substeps
-        with self.watch.stage("simulate"):
+        with self.watch.stage("simulate"), self.spent.counting():
             self.softening.follow(self.scene.softness((index - 1) / self.scene.time.fps))
             problem = self._try(index, until)
             if problem is not None:
@@ -374,13 +377,12 @@ class Simulation:
     def _follower(self, index: int, closely: bool) -> Callable[[], None]:
         """A function to call after each substep: it reports, checks, and ends a run out of time."""
         report, watch = self._reporter(index), self.watchdog.follow(closely)
-        budget, start = self.scene.time.budget, self.watch.seconds.get("simulate", 0.0)
-        begun = time.perf_counter()
+        budget = self.scene.time.budget
 
         def after() -> None:
             watch()
             self.sleep.look()
-            spent = start + time.perf_counter() - begun
+            spent = self.spent.total()
             if spent > 2 * budget:
                 raise Stopped(
                     f"frame {index} was reached in {spent:.0f} s, twice time.budget: "
