@@ -307,6 +307,9 @@ def _carriers_of(
     weights = np.zeros((len(gaussians), count), np.float32)
     for ours, theirs in by_object(gaussians, particles):
         index, weight = carriers(gaussians.means[ours], particles.x[theirs])
+        if len(theirs) < CARRIERS:
+            # What so few do says nothing about places far from them: the nearest carries alone.
+            index, weight = index[:, :1], np.ones_like(weight[:, :1])
         few = index.shape[1]  # A tiny object may have fewer: the rest weigh nothing.
         neighbours[ours, :few], weights[ours, :few] = theirs[index], weight
     return neighbours, weights

@@ -13,6 +13,8 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions, rotation_matrices
 from phy124.harmonics import sh_basis
 from phy124.particles import Particles, make_particles
+from phy124.scene import Scene
+from phy124.simulation import Simulation
 from support.shapes import lattice
 
 IDENTITY = np.eye(3)
@@ -380,3 +382,17 @@ def test_a_flattened_needle_stays_finite(gaussians):
     F = np.diag([1e4, 1e-9, 0.0])
     held = moved(gaussians, F, Deformer(gaussians, holds=limit))
     assert np.isfinite(held.scales).all() and np.isfinite(held.quats).all()
+
+
+@pytest.mark.parametrize("apart", [(0.0, 0.0, 1.0), (0.3, 0.2, 1.0)])
+def test_gaussians_of_a_cloud_of_two_stay_with_their_particles(apart):
+    """One particle turns and stretches as it likes; the other is sixteen cells away."""
+    x = np.array([(0.0, 0, 0), apart], np.float32)
+    scales, grey = np.full((2, 3), 0.02), np.full((2, 3), 0.5)
+    quats = np.tile((1.0, 0, 0, 0), (2, 1))
+    two = Gaussians.from_rgb(x, quats, scales, np.full(2, 0.9), grey)
+    scene = Scene.named("drop").replaced({"accuracy": "draft", "time.frames": 24})
+    run = Simulation(two, scene)
+    clip = run.run()
+    assert clip.means[..., 2].min() > -0.3 * scene.dx
+    assert len(run.particles) == 2
