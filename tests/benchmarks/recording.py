@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 from phy124 import pipeline
+from phy124.gaussians import Gaussians
 from phy124.io import locks
 from phy124.runtime.startup import start
 from phy124.scene import Scene
@@ -23,7 +24,7 @@ SCENES = {
 }
 
 
-def seconds(gaussians: object, scene: Scene, *, kept: bool) -> tuple[float, float]:
+def seconds(gaussians: Gaussians, scene: Scene, *, kept: bool) -> tuple[float, float]:
     """Seconds of the clock and of the processor that a run without films takes."""
     usual, locks.AVAILABLE = locks.AVAILABLE, kept and locks.AVAILABLE
     try:

@@ -1,0 +1,223 @@
+"""What is there if a run cannot end as it should: no room, no encoder, a film that fails."""
+
+import errno
+import importlib
+import json
+import os
+import shutil
+import sys
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from phy124 import pipeline
+from phy124.__main__ import main
+from phy124.errors import Cancelled, Incomplete, InputError
+from phy124.failures import failure
+from phy124.io.clip import Clip
+from phy124.io.growing import Growing
+from phy124.io.ply import write_ply
+from phy124.pipeline import making, recording
+from support.disks import small
+from support.runs import RESULTS, SCENE, names
+from support.shapes import ball
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="no locks, so nothing is recorded")
+
+
+@pytest.fixture
+def every_frame(monkeypatch):
+    """The state is written after every frame."""
+    monkeypatch.setattr(recording, "COST", 1e9)
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch) -> Path:
+    """The folder for temporary files."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+@contextmanager
+def full(monkeypatch, *folders: Path):
+    """Within this context no clip can be written below some folders."""
+
+    def refuse(path) -> None:
+        if any(Path(path).is_relative_to(folder) for folder in folders):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def like(path, *arguments, **options):
+        refuse(path)
+        return begin(path, *arguments, **options)
+
+    def save(clip, path) -> None:
+        refuse(path)
+        saved(clip, path)
+
+    begin, saved = Growing.like, Clip.save
+    with monkeypatch.context() as patch:
+        patch.setattr(Growing, "like", like)
+        patch.setattr(Clip, "save", save)
+        yield
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), ValueError("a plugin")])
+def test_what_is_computed_stays_if_filming_fails(tmp_path, monkeypatch, error, capsys):
+    def fail(clip, view, folder, **options):
+        (folder / "front.mp4").touch()
+        raise error
+
+    write_ply(tmp_path / "ball.ply", ball(300))
+    pipeline.simulate(ball(300), SCENE.replaced({"view.views": ["left"]}), tmp_path / "out")
+    command = ["simulate", str(tmp_path / "ball.ply"), "--out", str(tmp_path / "out")]
+    command += ["--frames", "2", "--accuracy", "draft", "--views", "front", "--size", "32"]
+    with monkeypatch.context() as patch:
+        patch.setattr(making, "film", fail)
+        assert main(command) == 1
+    said = capsys.readouterr().err
+    assert f"phy124 render {tmp_path / 'out/clip.safetensors'}" in said and "front.mp4" in said
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report == Clip.load(tmp_path / "out/clip.safetensors").report
+    assert set(report["files"]) == RESULTS
+    assert {name for name in names(tmp_path / "out") if not name.startswith("pause")} == RESULTS
+    assert main([*command, "--resume"]) == 0
+    assert (tmp_path / "out/front.mp4").stat().st_size and names(tmp_path / "out") == RESULTS
+
+
+@pytest.mark.parametrize("resumes", [False, True])
+def test_a_missing_encoder_is_refused_before_work(tmp_path, monkeypatch, capsys, resumes):
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "simulate" and done == 3:
+            raise Cancelled
+
+    if resumes:
+        pipeline.simulate(ball(300), SCENE, tmp_path, progress=stop, keep=True)
+    else:
+        write_ply(tmp_path / "ball.ply", ball(300))
+    before = names(tmp_path)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nonexistent")
+    with pytest.raises(InputError, match="the video encoder, ffmpeg, does not work here"):
+        if resumes:
+            pipeline.go_on(tmp_path)
+        else:
+            pipeline.simulate(ball(300), SCENE, tmp_path / "out")
+    assert names(tmp_path) == before
+    assert main(["doctor"]) == 1
+    assert "ffmpeg, does not work here" in capsys.readouterr().out
+
+
+def test_an_encoder_whose_program_is_gone_is_refused(tmp_path, monkeypatch):
+    """As imageio-ffmpeg says it where its wheel holds no program."""
+
+    def missing() -> str:
+        raise RuntimeError("No ffmpeg exe could be found. Install ffmpeg on your system.\nOr so.")
+
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", missing)
+    with pytest.raises(InputError, match=r"does not work here \(No ffmpeg exe could be found"):
+        pipeline.simulate(ball(300), SCENE, tmp_path / "out")
+    assert names(tmp_path) == set()
+
+
+def test_a_missing_package_is_refused_before_work(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    scene = SCENE.replaced({"view.formats": ["mp4", "usd"]})
+    with pytest.raises(InputError, match="this needs the package usd-core"):
+        pipeline.simulate(ball(300), scene, tmp_path / "out")
+    assert names(tmp_path) == set()
+
+
+@pytest.mark.parametrize("command", ["render", "compare"])
+def test_finished_sides_stay_if_a_later_one_fails(tmp_path, monkeypatch, capsys, command):
+    def write(path, frames, *, fps):
+        if path.name == "left.mp4":
+            raise OSError(errno.EIO, "no disk")
+        return written(path, frames, fps=fps)
+
+    pipeline.simulate(ball(300), SCENE, tmp_path / "a", films=False)
+    module = importlib.import_module(
+        {"render": "phy124.rendering.film", "compare": "phy124.commands.compare"}[command]
+    )
+    written = module.write_mp4
+    monkeypatch.setattr(module, "write_mp4", write)
+    clip, out = str(tmp_path / "a/clip.safetensors"), tmp_path / "out"
+    given = [clip] if command == "render" else [clip, clip]
+    options = ["--views", "front", "left", "--size", "32", "--device", "cpu", "--out", str(out)]
+    assert main([command, *given, *options]) == 1
+    assert f"kept in {out}: front.mp4" in capsys.readouterr().err
+    assert names(out) == {"front.mp4"}
+
+
+@pytest.mark.filterwarnings("ignore:frames are kept in memory only")
+@pytest.mark.parametrize("done", [3, None], ids=["interrupted", "whole"])
+def test_results_go_where_there_is_room(tmp_path, monkeypatch, temporary, done):
+    def stop(stage: str, now: int, total: int) -> None:
+        if (stage, now) == ("simulate", done):
+            raise Cancelled
+
+    with full(monkeypatch, tmp_path / "out"), pytest.raises(Incomplete) as told:
+        pipeline.simulate(ball(300), SCENE, tmp_path / "out", progress=stop, keep=True)
+    (kept,) = temporary.iterdir()
+    assert failure(told.value).status == (130 if done else 1)
+    assert f"phy124 render {kept / 'clip.safetensors'}" in str(told.value)
+    assert len(Clip.load(kept / "clip.safetensors")) == (done or 6)
+    assert not (tmp_path / "out").exists()
+    if done:
+        assert f"--out {kept} --resume" in str(told.value)
+        assert pipeline.go_on(kept, SCENE).report["complete"]
+        assert names(kept) == RESULTS
+
+
+@pytest.mark.filterwarnings("ignore:frames are kept in memory only")
+def test_it_is_said_if_nothing_can_be_kept(tmp_path, monkeypatch, temporary):
+    with (
+        full(monkeypatch, tmp_path),
+        pytest.raises(Incomplete, match="nothing could be kept"),
+    ):
+        pipeline.simulate(ball(300), SCENE, tmp_path / "out", keep=True)
+    assert list(temporary.iterdir()) == [] and not (tmp_path / "out").exists()
+
+
+@pytest.mark.filterwarnings("ignore:the results are forecast to take")
+@pytest.mark.filterwarnings("ignore:the state of the run cannot be written")
+def test_a_disk_too_small_for_everything_gets_the_clip(tmp_path, temporary, every_frame):
+    with small(tmp_path / "disk", "300k") as disk:
+        with pytest.raises(Incomplete, match=r"kept in .*: clip\.safetensors"):
+            pipeline.simulate(ball(900), SCENE, disk / "out", keep=True)
+        kept = {name for name in names(disk / "out") if not name.startswith("pause")}
+        assert {"clip.safetensors", "report.json", "scene.toml"} <= kept < RESULTS
+        assert len(Clip.load(disk / "out/clip.safetensors")) == 6
+        assert set(json.loads((disk / "out/report.json").read_text())["files"]) == kept
+
+
+def test_too_little_room_is_said_before_work(tmp_path, monkeypatch):
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "simulate":
+            raise Cancelled
+
+    usage = shutil.disk_usage(tmp_path)._replace(free=307_000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    with (
+        pytest.warns(UserWarning, match=r"forecast to take .*, and .* has room for 307.0 kB"),
+        pytest.raises(Cancelled),
+    ):
+        pipeline.simulate(ball(900), SCENE, tmp_path / "out", progress=stop)
+
+
+@pytest.mark.filterwarnings("ignore:the results are forecast to take")
+@pytest.mark.filterwarnings("ignore:frames are kept in memory only")
+def test_an_interruption_while_the_disk_is_full_keeps_the_frames(tmp_path, temporary):
+    def stop(stage: str, done: int, total: int) -> None:
+        if (stage, done) == ("simulate", 5):
+            raise Cancelled
+
+    with small(tmp_path / "disk", "100k") as disk:
+        with pytest.raises(Incomplete) as told:
+            pipeline.simulate(ball(900), SCENE, disk / "out", progress=stop, keep=True)
+        assert names(disk) == set()
+    (kept,) = temporary.iterdir()
+    assert failure(told.value).status == 130 and str(kept) in str(told.value)
+    assert len(Clip.load(kept / "clip.safetensors")) == 5
