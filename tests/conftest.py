@@ -25,6 +25,7 @@ from phy124.runtime.headers import has_headers
 
 ROOT = Path(__file__).parents[1]
 GOLDEN = Path(os.environ.get("PHY124_GOLDEN", ROOT / "../shared/golden"))
+OBJECTS = Path(os.environ.get("PHY124_OBJECTS", ROOT / "../shared/objects"))
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -53,6 +54,14 @@ def each_module_is_compiled_once(tmp_path_factory) -> None:
             return compile_module(module, *arguments, **options)
 
     wp.Module._compile = alone
+
+
+@pytest.fixture(scope="session")
+def real_objects() -> Path:
+    """Folder of real objects as Gaussians, with their licences; skips where it is absent."""
+    if not OBJECTS.is_dir():
+        pytest.skip(f"no real objects in {OBJECTS}; PHY124_OBJECTS names their folder")
+    return OBJECTS
 
 
 @pytest.fixture(scope="session")

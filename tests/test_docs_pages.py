@@ -1,6 +1,5 @@
 """The pages of the documentation: no wall of text, and the code on them runs."""
 
-import os
 import re
 import textwrap
 from pathlib import Path
@@ -68,12 +67,10 @@ def test_a_region_may_be_in_the_units_of_the_file(tmp_path):
     assert part.region.units == "file"
 
 
-def test_the_objects_of_the_gallery_are_credited():
-    """Where their files are: each with the author and the licence that stand there."""
-    about = Path(os.environ.get("PHY124_OBJECTS", ROOT / "../shared/objects")) / "README.md"
-    if not about.is_file():
-        pytest.skip("the real objects are not here")
-    rows = [line.split(" | ") for line in about.read_text("utf-8").splitlines()]
+def test_the_objects_of_the_gallery_are_credited(real_objects):
+    """Each with the author and the licence that stand beside the files."""
+    about = (real_objects / "README.md").read_text("utf-8")
+    rows = [line.split(" | ") for line in about.splitlines()]
     told = {row[0].strip("| "): row[1:3] for row in rows if ".splat" in row[0]}
     page = (ROOT / "docs/gallery.md").read_text("utf-8")
     assert len(told) == 15

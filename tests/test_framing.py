@@ -6,10 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from phy124.capture import capture
 from phy124.commands.options import ViewOptions
+from phy124.generators.ply_file import PlyFile, Reading
 from phy124.rendering.framing import cameras, departures, framing
 from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM
-from phy124.scene import View
+from phy124.scene import Scene, View
+from phy124.simulation import Simulation
 from support.clips import AWAY, flight
 
 
@@ -196,3 +199,15 @@ def test_following_is_asked_for_or_refused_by_options():
     assert ViewOptions().changes() == {}
     assert ViewOptions(follow=True).changes() == {"view.follow": True}
     assert ViewOptions(no_follow=True).changes() == {"view.follow": False}
+
+
+@pytest.mark.parametrize("name", ["plant", "hammer"])
+def test_real_objects_that_sway_fill_the_picture(real_objects, name):
+    """A capture by phone of a houseplant, and a thin thing seen from its end."""
+    scene = Scene.named("sway").replaced({"accuracy": "draft", "time.frames": 12})
+    file = PlyFile(str(real_objects / f"{name}.splat"), Reading(up="-y"))
+    read = capture(file, scene, count=4000)
+    assert not read.notes
+    clip = Simulation(read.gaussians, read.scene).run()
+    low, high = extents(clip, scene.view)
+    assert 0.85 < (high - low).max() < 1.02, "a few of its Gaussians may be outside"
