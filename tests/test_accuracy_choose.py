@@ -242,5 +242,6 @@ def test_gaps_are_in_the_unit_of_the_goal(quick):
     b = type(a)(means, a.quats, a.scales, a.opacities, a.sh, a.times, scene=a.scene)
     assert choose._gap(Goal.error("1%"), b, a, quick) == pytest.approx(0.01, rel=1e-3)
     assert choose._gap(Goal.error("1m"), b, a, quick) == pytest.approx(0.01, rel=1e-3)
+    quick = quick.replaced({"view.fit": False})
     seen = choose._gap(Goal.error("1px"), b, a, quick)
     assert seen == pytest.approx(0.01 * 64 / (2 * np.tan(np.radians(24.55)) * 1.9), rel=0.1)

@@ -20,6 +20,7 @@ from phy124.cost import Work, count_substeps
 from phy124.errors import InputError
 from phy124.forces import AnyForce
 from phy124.materials import AnyMaterial
+from phy124.rendering.nearest import ROOM
 from phy124.runtime.installation import install_command
 from phy124.scene import Scene, preset_names
 from phy124.scene.files import files_named
@@ -235,7 +236,7 @@ def test_stops_are_those_of_the_scene_and_follow_what_was_measured():
     assert [stop.name for stop in stops] == ["draft", "standard", "fine"]
     assert stops[0].seconds == forecaster(scene).seconds
     assert sorted(stop.seconds for stop in stops) == [stop.seconds for stop in stops]
-    assert stops[0].pixels == pytest.approx(stops[0].error * 295, rel=0.01)
+    assert stops[0].pixels == pytest.approx(stops[0].error * 512 / ROOM)
     twice = forecaster.stops(scene, seconds=2 * stops[0].seconds)
     assert [b.seconds / a.seconds for a, b in zip(stops, twice, strict=True)] == [2, 2, 2]
     table = stops_table(stops, scene.accuracy)
