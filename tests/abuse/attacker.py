@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from support.served import TIMEOUT, Server
+from support.websocket import WebSocket
 
 BOUNDARY = "boundary"
 
@@ -20,6 +21,7 @@ class Attacker:
 
     def __init__(self, server: Server, *, cookie: bool = True, address: str = "") -> None:
         self.server = server
+        self.address = address
         self.session = secrets.token_hex(6)
         self.cookie = f"phy124={secrets.token_urlsafe(24)}" if cookie else ""
         self._always = {"Cookie": self.cookie} if cookie else {}
@@ -87,6 +89,13 @@ class Attacker:
         shown = self.press("progress", "finished", [], job=run)
         assert told[-1]["state"] == "done" and any(shown), told[-1]
         return told
+
+    def hold(self, scene: Any) -> WebSocket:
+        """Touch the object of the picture that was chosen."""
+        ticket = self.press("begin-touch", "click", [None, scene, None])[0]["ticket"]
+        origin = f"Origin: http://127.0.0.1:{self.server.port}"
+        cookie = f"Cookie: {self.cookie}"
+        return WebSocket(self.server.port, f"/phy124/touch/{ticket}", cookie, origin)
 
     def followed(self, job: str) -> dict[str, Any]:
         """The last word on a piece of work."""

@@ -41,6 +41,18 @@ class Server:
         ]
         return sum(name.startswith(("work", "render")) for name in names)
 
+    def children(self) -> list[str]:
+        """Programs of all processes that it has started and that go on."""
+        listed = Path(f"/proc/{self.process.pid}/task").glob("*/children")
+        found = [pid for path in listed for pid in path.read_text().split()]
+        return [Path(f"/proc/{pid}/comm").read_text().strip() for pid in found]
+
+    def files(self) -> list[Path]:
+        """Files of visitors; not those that nobody has claimed yet, which are kept for a while."""
+        visitors = self.folder / "visitors"
+        found = (path for path in visitors.rglob("*") if path.parent.name != "arrivals")
+        return [path for path in found if path.is_file()]
+
     def peak_memory(self) -> int:
         """Largest resident size so far, bytes."""
         return self._status("VmHWM")

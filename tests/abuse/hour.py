@@ -1,0 +1,279 @@
+"""A hostile hour: half of the visitors only want a run, the others want everything.
+
+    python tests/abuse/hour.py --seconds 3600 --visitors 200
+
+At its end every honest visitor had a run, memory and disk are within their limits and flat, and no
+process and no file of anybody is left. It prints how long /health took.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median, quantiles
+
+if __name__ == "__main__":
+    sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
+
+from attacker import Attacker
+
+from demo.room import size_of
+from phy124.scene import Scene
+from support.hostile import bomb, png_claiming
+from support.served import ROOT, Server, serving
+
+DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
+SETTINGS = {
+    "gaussians": 2000, "max_upload_mb": 2, "max_visitor_mb": 30, "max_total_mb": 300,
+    "max_seconds": 120, "grace_minutes": 0.5, "max_per_address": 16,
+}  # fmt: skip
+MEMORY, GROWTH, SHORT = 1500e6, 100e6, 600.0
+"""Memory of the server, and its growth [bytes], which is not judged in a short time [s]."""
+ADDRESSES = 10
+"""From which the hostile ones come; each honest visitor has an address to itself."""
+FOREIGN = {"Origin": "https://evil.example"}
+
+
+def scene(**changes: object) -> dict:
+    """A small scene, as the page sends it."""
+    few = {"view.views": ["front"], "view.size": 64, "accuracy": "draft", "time.frames": 6}
+    return Scene.named("press").replaced({**few, **changes}).data()
+
+
+@dataclass
+class Record:
+    """What was seen of the server."""
+
+    health: list[float] = field(default_factory=list)
+    memory: list[int] = field(default_factory=list)
+    disk: list[int] = field(default_factory=list)
+    answers: Counter[str] = field(default_factory=Counter)
+    """How often each attack was tried."""
+    tries: list[int] = field(default_factory=list)
+    """Of each honest visitor: how often until the run was there."""
+
+    def lines(self) -> list[str]:
+        """In sentences."""
+        late = quantiles(self.health, n=20)[-1] if len(self.health) > 1 else 0.0
+        answers = f"{len(self.health)} answers of /health"
+        return [
+            f"{answers}, p95 {late:.2f} s, longest {max(self.health):.2f} s",
+            f"{len(self.tries)} honest visitors with a run, tries at most {max(self.tries)}",
+            _course("memory", self.memory),
+            _course("disk", self.disk),
+            f"attacks: {dict(self.answers)}",
+        ]
+
+
+def _course(name: str, values: list[int]) -> str:
+    most, second, last = (
+        f"{v / 1e6:.0f}" for v in (max(values), _part(values, 1), _part(values, 3))
+    )
+    return f"{name} at most {most} MB, second quarter {second}, last {last}"
+
+
+def _part(values: list[int], quarter: int) -> float:
+    """Median of a quarter of them, of which the first is 0."""
+    size = max(len(values) // 4, 1)
+    return median(values[quarter * size : (quarter + 1) * size] or values[-1:])
+
+
+# ---- the honest ---------------------------------------------------------------------------------
+
+
+def honest(server: Server, number: int, start: float, record: Record) -> None:
+    """Come at some time, and try until the result is there."""
+    time.sleep(start)
+    visitor = Attacker(server, address=f"10.1.{number // 250}.{number % 250}")
+    for attempt in range(1, 1000):
+        status, text = visitor.upload(DUCK)
+        if status == 200 and _had_a_run(visitor, json.loads(text)[0]):
+            record.tries.append(attempt)
+            return
+        time.sleep(2)
+    raise AssertionError(f"no run in {attempt} tries:\n{server.said()}")
+
+
+def _had_a_run(visitor: Attacker, path: str) -> bool:
+    shown = visitor.press("picture", "choose", [], upload=path)[0]
+    if not shown.get("job") or visitor.followed(shown["job"])["state"] != "done":
+        return False
+    visitor.press("picture", "cut", [None, None], job=shown["job"])
+    run = visitor.press("go", "click", [None, scene(), None])[0]
+    if not run.get("job"):
+        return False  # the queue is full
+    told = visitor.followed(run["job"])
+    assert told["state"] == "done", told
+    return any(visitor.press("progress", "finished", [], job=run["job"]))
+
+
+# ---- the others ---------------------------------------------------------------------------------
+
+
+def _forces(one: Attacker) -> None:
+    one.press("scene", "change", [None, {"forces": [{"kind": "uniform"}] * 800}, None])
+
+
+def _numbers(one: Attacker) -> None:
+    one.post("/gradio_api/run/predict", {"fn_index": 0, "data": [1] * 500_000})
+
+
+def _streams(one: Attacker) -> None:
+    with ExitStack() as stack:
+        for number in range(40):
+            head = f"GET /gradio_api/heartbeat/{number} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+            stack.enter_context(one.slow_socket(head.encode()))
+        time.sleep(3)
+
+
+def _slow(one: Attacker) -> None:
+    with ExitStack() as stack:
+        for _ in range(40):
+            stack.enter_context(one.slow_socket())
+        time.sleep(3)
+
+
+def _exports(one: Attacker) -> None:
+    path = {"path": one.uploaded(DUCK)}
+    one.generate(path, formats=["html", "ply", "glb"], frames=24, compose=True)
+
+
+def _newcomers(one: Attacker) -> None:
+    for _ in range(20):
+        Attacker(one.server, address=one.address).upload(b"1")
+
+
+def _nobody(one: Attacker) -> None:
+    for _ in range(20):
+        Attacker(one.server, cookie=False, address=one.address).upload(DUCK)
+
+
+def _foreign(one: Attacker) -> None:
+    for address in ("run/predict", "upload", "queue/join"):
+        assert one.send("POST", f"/gradio_api/{address}", b"{}", FOREIGN)[0] == 403
+
+
+def _runs(one: Attacker) -> None:
+    """As many as may wait, and gone."""
+    if _cut(one):
+        for seed in range(5):
+            one.press("go", "click", [None, scene(seed=seed, **{"time.frames": 24}), None])
+
+
+def _touch(one: Attacker) -> None:
+    """Ask for it and never come; or come and vanish."""
+    if _cut(one):
+        one.press("begin-touch", "click", [None, scene(), None])
+        if random.random() < 0.3:
+            one.hold(scene()).close()
+
+
+def _pictures(one: Attacker) -> None:
+    for data in (bomb(16_000), png_claiming(30_000, 30_000), DUCK[:9000], b"x" * 99):
+        one.choose(one.uploaded(data))
+
+
+def _strokes(one: Attacker) -> None:
+    stroke = {"keep": True, "width": 0.1, "points": [[0.5, 0.5]] * 2000}
+    shown = {"picture": {"path": one.uploaded(DUCK)}}
+    one.press("picture", "correct", [shown, None], strokes=[stroke] * 200)
+
+
+def _cut(one: Attacker) -> bool:
+    job = one.press("picture", "choose", [], upload=one.uploaded(DUCK))[0].get("job")
+    if job and one.followed(job)["state"] == "done":
+        one.press("picture", "cut", [None, None], job=job)
+    return bool(job)
+
+
+ATTACKS: list[Callable[[Attacker], None]] = [
+    _forces, _numbers, _streams, _slow, _exports, _newcomers, _nobody, _foreign, _runs, _touch,
+    _pictures, _strokes,
+]  # fmt: skip
+
+
+def hostile(server: Server, number: int, over: threading.Event, record: Record) -> None:
+    """Attack in one way after the other, with a new cookie each time, until it is over."""
+    choice = random.Random(number)
+    while not over.is_set():
+        attack = choice.choice(ATTACKS)
+        # What is refused, or answered by a lost connection, is as it should be.
+        with suppress(OSError, AssertionError, ValueError, LookupError, TypeError, AttributeError):
+            attack(Attacker(server, address=f"10.2.0.{number % ADDRESSES}"))
+        record.answers[attack.__name__] += 1
+        over.wait(choice.uniform(0, 2))
+
+
+# ---- all together -------------------------------------------------------------------------------
+
+
+def watch(server: Server, over: threading.Event, record: Record) -> None:
+    """Look at the server every half second."""
+    while not over.is_set():
+        start = time.monotonic()
+        assert server.health()["status"] == "ok"
+        record.health.append(time.monotonic() - start)
+        record.memory.append(server.memory())
+        record.disk.append(size_of(server.folder))
+        over.wait(0.5)
+
+
+def attack(server: Server, seconds: float, visitors: int) -> Record:
+    """Let half of so many visitors attack for so long, while the others come for a run each."""
+    record, over = Record(), threading.Event()
+    count, chance = visitors // 2, random.Random(0)
+    with ThreadPoolExecutor(2 * count + 1) as pool:
+        watching = pool.submit(watch, server, over, record)
+        hostiles = [pool.submit(hostile, server, n, over, record) for n in range(count)]
+        starts = [chance.uniform(0, 0.8 * seconds) for _ in range(count)]
+        honests = [pool.submit(honest, server, n, at, record) for n, at in enumerate(starts)]
+        over.wait(seconds)
+        wait(honests)
+        over.set()
+        for each in (*honests, *hostiles, watching):
+            each.result()
+    return record
+
+
+def check(server: Server, record: Record, seconds: float, visitors: int) -> None:
+    """Assert all but times: every honest visitor was served, limits held, nothing is left."""
+    assert len(record.tries) == visitors // 2
+    assert max(record.memory) < MEMORY
+    assert max(record.disk) < 1e6 * SETTINGS["max_total_mb"]
+    if seconds > SHORT:
+        assert _part(record.memory, 3) - _part(record.memory, 1) < GROWTH
+        assert _part(record.disk, 3) < 2 * _part(record.disk, 1)
+    server.until_idle()
+    server.until(lambda: server.health()["visitors"] == 0, "everybody's leaving")
+    server.until(lambda: not server.files(), "an end of all files")
+    server.until(lambda: server.threads() == 0, "an end of all threads")
+    server.until(lambda: not server.children(), "an end of all processes")
+
+
+def main() -> None:
+    """Serve, attack and print what was seen."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=3600.0)
+    parser.add_argument("--visitors", type=int, default=200)
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        with serving(Path(folder), **SETTINGS) as server:
+            record = attack(server, asked.seconds, asked.visitors)
+            sys.stdout.write("\n".join([*record.lines(), ""]))
+            check(server, record, asked.seconds, asked.visitors)
+        assert [path.name for path in server.folder.iterdir()] == ["lock"]
+
+
+if __name__ == "__main__":
+    main()
