@@ -14,6 +14,9 @@ DRAIN = 1 << 28
 """Largest part of a refused request that is read before the connection is closed [bytes]."""
 VALUES, DEEPEST = 50_000, 40
 """Largest number of values in the JSON of one request, and how deep they may be nested."""
+HELD, SMALL = 128_000_000, 64_000
+"""Memory for bodies that have not arrived whole yet; those that are small are received all the
+same [bytes]."""
 ODD = "This request cannot be read: it has too many values, or too many within each other."
 
 
@@ -35,6 +38,8 @@ class BodyLimit:
             other: The same for all other requests.
         """
         self.app, self.uploads, self.most, self.other = app, uploads, most, other
+        self._held = 0
+        """Size of all bodies that have not arrived whole yet [bytes]."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer 413 or 400, or pass the request on."""
@@ -48,12 +53,29 @@ class BodyLimit:
             return await _too_large(said)(scope, receive, send)
         if upload or scope["method"] in ("GET", "HEAD"):
             return await self.app(scope, _counted(receive, most), send)
-        body = await _whole(_counted(receive, most))
+        body = await self._whole(_counted(receive, most))
         if body is None:
             return await _too_large(said)(scope, receive, send)
         if not is_plain(body):
             return await PlainTextResponse(ODD, 400)(scope, receive, send)
         await self.app(scope, _again(body, receive), send)
+
+    async def _whole(self, receive: Receive) -> bytes | None:
+        """The body of a request; None if it is too large, or does not arrive whole."""
+        body, more = bytearray(), True
+        try:
+            while more:
+                message = await receive()
+                part = message.get("body", b"")
+                body += part
+                self._held += len(part)
+                full = self._held > HELD and len(body) > SMALL
+                if message["type"] == "http.disconnect" or full:
+                    return None
+                more = message.get("more_body", False)
+            return bytes(body)
+        finally:
+            self._held -= len(body)
 
 
 def is_plain(body: bytes) -> bool:
@@ -86,18 +108,6 @@ def _counted(receive: Receive, most: int) -> Receive:
         return message if read <= most else {"type": "http.disconnect"}
 
     return counted
-
-
-async def _whole(receive: Receive) -> bytes | None:
-    """The body of a request; None if it is too large, or the connection is lost before its end."""
-    parts, more = [], True
-    while more:
-        message = await receive()
-        if message["type"] == "http.disconnect":
-            return None
-        parts.append(message.get("body", b""))
-        more = message.get("more_body", False)
-    return b"".join(parts)
 
 
 def _again(body: bytes, receive: Receive) -> Receive:

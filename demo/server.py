@@ -33,7 +33,7 @@ from .proxies import reach_itself
 from .streams import Streams
 from .touch import socket_route
 from .touch.orders import LARGEST
-from .turns import Turns
+from .turns import RECEIVED, RECEIVED_EACH, UPLOADS, Turns
 from .uploads import ADDRESS, upload_route
 
 if TYPE_CHECKING:
@@ -215,6 +215,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
                     most=(most + SLACK, f"{settings.file_too_large} {SMALLER}"),
                 ),
                 Middleware(Turns),
+                Middleware(Turns, at=UPLOADS, together=RECEIVED, each=RECEIVED_EACH),
             ],
             "routes": routes(studio),
         },

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import anyio
@@ -21,10 +21,14 @@ from .identity import address_of
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send
 
-COMPUTES = re.compile(r"/gradio_api/(?:run|api|call|queue|upload)\b")
+COMPUTES = re.compile(r"/gradio_api/(?:run|api|call|queue)\b")
 """Addresses of requests that may cost more than 0.2 s of a core, if they are posted to."""
 TOGETHER, EACH = 4, 2
-"""Requests that are answered at the same time, and those of one address among them."""
+"""Such requests that are answered at the same time, and those of one address among them."""
+UPLOADS = re.compile(r"/gradio_api/upload\b")
+"""Addresses of requests that lie on the disk until they are complete, however slowly they come."""
+RECEIVED, RECEIVED_EACH = 64, 8
+"""The same numbers of uploads."""
 PRESENT = 64
 """Requests of one address that are answered or wait; more are refused."""
 LONGEST = 60.0
@@ -36,22 +40,33 @@ TOO_MANY = "Too many requests of your address are waiting here. Try again in a m
 class _Address:
     """The requests of one address."""
 
+    turns: anyio.Semaphore
     present: int = 0
-    turns: anyio.Semaphore = field(default_factory=lambda: anyio.Semaphore(EACH))
 
 
 class Turns:
-    """Has requests that compute wait for their turn; those of one address wait for each other."""
+    """Has requests wait for their turn; those of one address wait for each other as well."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-        self._turns = anyio.Semaphore(TOGETHER)
+    def __init__(
+        self, app: ASGIApp, at: re.Pattern[str] = COMPUTES, together: int = TOGETHER,
+        each: int = EACH,
+    ) -> None:  # fmt: skip
+        """Stand in front of an application.
+
+        Args:
+            app: The application.
+            at: Addresses of the requests; others are passed on at once.
+            together: Number of requests that are passed on at the same time.
+            each: Number of those of one address.
+        """
+        self.app, self.at, self.each = app, at, each
+        self._turns = anyio.Semaphore(together)
         self._addresses: dict[str, _Address] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on when its turn has come, or answer 429."""
         posted = scope["type"] == "http" and scope["method"] == "POST"
-        if not posted or not COMPUTES.match(scope["path"]):
+        if not posted or not self.at.match(scope["path"]):
             return await self.app(scope, receive, send)
         async with self._turn(address_of(HTTPConnection(scope))) as has_come:
             answer = (
@@ -62,7 +77,7 @@ class Turns:
     @asynccontextmanager
     async def _turn(self, name: str) -> AsyncIterator[bool]:
         """Wait for a turn of an address; yields whether it has come."""
-        address = self._addresses.setdefault(name, _Address())
+        address = self._addresses.setdefault(name, _Address(anyio.Semaphore(self.each)))
         if address.present >= PRESENT:
             yield False
             return

@@ -132,6 +132,8 @@ class Visitor:
 
     def _oldest(self) -> Iterator[Path]:
         """What may be removed, in that order."""
+        if not self.busy:
+            yield self.folder / "live"
         yield from sorted((self.folder / "exports").glob("*/*"), key=changed)
         for stage in ("fits", "films", "clips", "gaussians"):
             yield from reversed(newest_first(self.folder / stage)[1:])

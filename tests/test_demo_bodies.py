@@ -7,6 +7,7 @@ import json
 
 import pytest
 
+from demo import bodies
 from demo.bodies import DEEPEST, VALUES, BodyLimit, is_plain
 
 
@@ -53,6 +54,46 @@ def _status(*parts: bytes, method: str = "POST", path: str = "/gradio_api/run/pr
     scope = {"type": "http", "method": method, "path": path, "headers": []}
     asyncio.run(BodyLimit(page, "/upload", (90, "large"), (60, "large"))(scope, receive, send))
     return sent[0]["status"]
+
+
+def test_bodies_that_trickle_in_have_only_so_much_memory(monkeypatch):
+    monkeypatch.setattr(bodies, "HELD", 100)
+    monkeypatch.setattr(bodies, "SMALL", 10)
+
+    async def visit() -> list[int]:
+        more, answers = asyncio.Event(), []
+
+        async def page(scope, receive, send):
+            answers.append(200)
+
+        async def send(message):
+            answers.append(message.get("status", 0)) if "status" in message else None
+
+        limit = BodyLimit(page, "/upload", (90, "large"), (90, "large"))
+
+        def ask(size: int) -> asyncio.Task:
+            parts = [bytes(size).replace(b"\0", b" "), b""]
+
+            async def receive():
+                if len(parts) == 1:
+                    await more.wait()
+                body = parts.pop(0)
+                return {"type": "http.request", "body": body, "more_body": bool(parts)}
+
+            scope = {"type": "http", "method": "POST", "path": "/", "headers": []}
+            return asyncio.create_task(limit(scope, receive, send))
+
+        asked = []
+        for size in (80, 30, 10, 5):
+            asked.append(ask(size))
+            await asyncio.sleep(0)
+        await asked[1]
+        more.set()
+        await asyncio.gather(*asked)
+        assert limit._held == 0
+        return answers
+
+    assert asyncio.run(visit()) == [413, 200, 200, 200]
 
 
 def test_bodies_reach_the_page_whole_or_not_at_all():

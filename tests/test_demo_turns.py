@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from demo import turns
-from demo.turns import EACH, PRESENT, TOGETHER, Turns
+from demo.turns import EACH, PRESENT, RECEIVED, RECEIVED_EACH, TOGETHER, UPLOADS, Turns
 
 
 class Page:
@@ -51,6 +51,22 @@ def test_a_few_are_answered_at_once_and_fewer_of_one_address():
         page.let_go.set()
         await asyncio.gather(*asked)
         assert len(page.going) == 38 and page.door._addresses == {} and not page.refused
+
+    asyncio.run(visit())
+
+
+def test_uploads_that_trickle_in_keep_nobody_from_computing():
+    async def visit():
+        page = Page()
+        page.door = Turns(Turns(page._answer, UPLOADS, RECEIVED, RECEIVED_EACH))
+        asked = [page.ask("10.0.0.1", "/gradio_api/upload") for _ in range(RECEIVED_EACH + 5)]
+        await _settled()
+        assert len(page.going) == RECEIVED_EACH
+        asked.append(page.ask("10.0.0.1"))
+        await _settled()
+        assert len(page.going) == RECEIVED_EACH + 1
+        page.let_go.set()
+        await asyncio.gather(*asked)
 
     asyncio.run(visit())
 

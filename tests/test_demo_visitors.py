@@ -190,10 +190,14 @@ def test_room_is_made_by_older_exports_of_the_same_visitor(tmp_path):
     visitors = Visitors(tmp_path, Room(each=1000, all=3000))
     mine, other = visitors.get("a"), visitors.get("b")
     theirs = _export(other, "0", 900, age=99)
+    shown = mine.folder / "live" / "0.pack"
+    shown.parent.mkdir()
+    shown.write_bytes(bytes(50))
     old, new, kept = (_export(mine, str(n), 300, age=n) for n in (3, 2, 9))
     with visitors.writing(mine, 350, {kept}):
         assert visitors.used == 300 + 300 + 350
     assert [path.exists() for path in (old, new, kept, theirs)] == [False, True, True, True]
+    assert not shown.exists(), "what was shown of a run that is over"
     assert visitors.used == mine.measure() + other.used
 
 
