@@ -12,7 +12,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.ply_file import PlyFile
+from phy124.generators.ply_file import PlyFile, normalised
 from phy124.io import ply
 from phy124.io.dialect import likely_axes
 from phy124.io.files import replacing, staged
@@ -75,8 +75,9 @@ def _opened(path: Path, out: Path, count: int) -> GaussianFile:
     if len(kept) < len(found.gaussians):
         there = f"The file has {len(found.gaussians):,} Gaussians; fewer and larger ones cover"
         notes.append(f"{there} the same here, where {count:,} are the most.")
+    few = normalised(thinned(kept, ENOUGH), path.name)
     with staged(out) as folder:
-        _draw(kept, folder)
+        _draw(few, folder)
         with replacing(folder / "gaussians.ply") as temporary:
             temporary.write_bytes(ply.encode(kept))
     axes = likely_axes(path, found.axes)
@@ -88,10 +89,9 @@ def _opened(path: Path, out: Path, count: int) -> GaussianFile:
 
 def _draw(gaussians: Gaussians, folder: Path) -> None:
     """Draw all ways up and all fronts of each."""
-    # Not on a GPU, which a run may be using.
-    renderer, few = Renderer(device="cpu"), thinned(gaussians, ENOUGH)
+    renderer = Renderer(device="cpu")  # Not on a GPU, which a run may be using.
     for up in candidates(None):
         for reading in candidates(up.up):
             assert reading.up is not None and reading.front is not None
-            picture = Image.fromarray(drawn(renderer, few, reading, SIZE))
+            picture = Image.fromarray(drawn(renderer, gaussians, reading, SIZE))
             picture.save(folder / way(reading.up, reading.front), "WEBP", quality=85)

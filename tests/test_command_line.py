@@ -42,6 +42,7 @@ from support.shapes import ball
         ("accuracy press --levels 0", "levels = 0: it must be a whole number from"),
         ("accuracy press --levels", "levels = none: there is nothing to study."),
         ("generate x.ply", "`phy124 generate` takes a picture. Use `phy124 simulate x.ply`."),
+        ("cutout x.ply", "`phy124 cutout` takes a picture. Use `phy124 simulate x.ply`."),
         ("simulate photo.png", "takes a file of Gaussians. Use `phy124 generate photo.png`."),
         ("simulate clip.safetensors", "Use `phy124 render clip.safetensors` or"),
         ("render photo.JPG", "Use `phy124 generate photo.JPG`."),

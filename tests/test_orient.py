@@ -57,3 +57,12 @@ def test_of_a_known_way_up_the_fronts_are_drawn(file, tmp_path):
 def test_refusals(file, capsys, options, limit):
     assert main(["orient", str(file), *options]) == 2
     assert limit in capsys.readouterr().err
+
+
+def test_a_file_of_one_point_is_named_in_the_refusal(tmp_path, capsys):
+    point = Gaussians.from_rgb(
+        np.zeros((1, 3)), np.eye(4)[:1], np.full((1, 3), 0.1), np.ones(1), np.ones((1, 3))
+    )
+    write_ply(tmp_path / "point.ply", point)
+    assert main(["orient", str(tmp_path / "point.ply"), "--device", "cpu"]) == 2
+    assert f"file = {tmp_path / 'point.ply'}: All its Gaussians" in capsys.readouterr().err

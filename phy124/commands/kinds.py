@@ -44,6 +44,7 @@ HEAD = 4096
 """Bytes that are looked at."""
 TAKES = {
     "generate": ("image", "a picture"),
+    "cutout": ("image", "a picture"),
     "simulate": ("file", "a file of Gaussians"),
     "orient": ("file", "a file of Gaussians"),
     "convert": ("file", "a file of Gaussians"),

@@ -32,10 +32,11 @@ def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
     """Enough of a file's Gaussians for pictures, in the axes of the file, and notes on the file.
 
     Raises:
-        InputError: As `PlyFile.open`.
+        InputError: As `PlyFile.open`, or if all centres lie in one point.
     """
     opened = PlyFile(path, UNTURNED).open()
-    return thinned(opened.gaussians, ENOUGH, seed=0), opened.notes
+    few = thinned(opened.gaussians, ENOUGH, seed=0)
+    return normalised(few, path), opened.notes
 
 
 def drawn(
@@ -45,7 +46,7 @@ def drawn(
 
     Args:
         renderer: Draws it.
-        gaussians: The object in the axes of its file.
+        gaussians: The object in the axes of its file, of any size.
         reading: Which of these axes point up and to the front.
         size: Side of the picture [pixels].
 
