@@ -50,6 +50,20 @@ def test_who_may_have_written_it(tmp_path, rng, names, options, dialect):
     assert (found and found[0]) == dialect
 
 
+def test_the_end_of_a_file_is_looked_at_too(tmp_path, rng):
+    """The first of 30,000 rows lie in a small cube, the last ones far away."""
+    path = layout(tmp_path / "a.ply", LGM, rng, reach=1.0)
+    head, rows = path.read_bytes().split(b"end_header\n")
+    near = np.tile(np.frombuffer(rows, "<f4").reshape(200, -1), (150, 1))
+    far = near.copy()
+    far[-8000:, :3] *= 30
+    head = head.replace(b"vertex 200", b"vertex 30000") + b"end_header\n"
+    path.write_bytes(head + near.tobytes())
+    assert likely_dialect(path) is not None
+    path.write_bytes(head + far.tobytes())
+    assert likely_dialect(path) is None
+
+
 def test_what_phy124_writes_is_read_as_it_is(tmp_path):
     write_ply(tmp_path / "a.ply", ball(100))
     assert likely_dialect(tmp_path / "a.ply") is None

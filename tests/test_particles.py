@@ -249,6 +249,18 @@ def test_faint_floaters_are_no_part_of_the_object(rng):
     assert clean(joined([good, *opaque]))[1].stray == 0, "what shows is a part of it"
 
 
+def test_a_wide_sky_does_not_make_strays_of_the_object(rng):
+    """Its Gaussians are as large as the object, and show ten thousand times as much."""
+    ways = rng.normal(size=(4000, 3))
+    ways *= 30 / np.linalg.norm(ways, axis=1, keepdims=True)
+    quats = np.tile([1.0, 0, 0, 0], (4000, 1))
+    around = Gaussians.from_rgb(
+        ways, quats, np.ones((4000, 3)), np.full(4000, 0.95), np.ones((4000, 3))
+    )
+    kept, cleaning = clean(joined([ball(12_000, rng), around]))
+    assert (cleaning.stray, len(kept)) == (0, 16_000)
+
+
 def test_clean_counts_what_it_drops_and_repairs(rng):
     good = ball(3000, rng)
     means, quats, scales = good.means.copy(), good.quats.copy(), good.scales.copy()

@@ -19,12 +19,17 @@ def dots(places, size: float) -> Gaussians:
     return Gaussians.from_rgb(places, quats, scales, np.full(count, 0.9), np.ones((count, 3)))
 
 
-def sky(rng, *, count=4000, radius=20.0) -> Gaussians:
+def sky(rng, *, count=4000, radius=20.0, size=0.5) -> Gaussians:
     ways = rng.normal(size=(count, 3))
     ways *= (
         radius * (1 + 0.03 * rng.normal(size=(count, 1))) / np.linalg.norm(ways, axis=1)[:, None]
     )
-    return dots(ways, 0.5)
+    return dots(ways, size)
+
+
+def wide_sky(rng) -> Gaussians:
+    """A sky that covers all directions."""
+    return sky(rng, radius=30.0, size=1.0)
 
 
 def haze(rng, *, count=3000) -> Gaussians:
@@ -40,7 +45,12 @@ def test_nothing_is_said_of_an_object_alone(stretched, rng):
 
 
 @pytest.mark.parametrize(
-    ("around", "words"), [(sky, "lie around all others like a sky"), (haze, "of what is seen lies")]
+    ("around", "words"),
+    [
+        (sky, "lie around all others like a sky"),
+        (wide_sky, "lie around all others like a sky"),
+        (haze, "of what is seen lies"),
+    ],
 )
 def test_the_place_around_an_object_is_said_with_a_crop(around, words, rng, tmp_path):
     place = joined([ball(12_000), around(rng)])

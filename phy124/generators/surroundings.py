@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
-from phy124.particles import clean
+from phy124.particles import clean, shown
 
 SAMPLE = 100_000
 """Number of Gaussians, evenly picked, that represent all of them."""
@@ -20,8 +20,6 @@ MOST = 0.8
 """Fraction of what is seen that is the object, if it lies in a small part of the box."""
 SMALL = 0.3
 """Largest side of that part relative to the box's, where all may be one object."""
-WIDE = 16.0
-"""Area from which a Gaussian counts no more, in usual areas: a few large ones are a background."""
 AROUND = 1.25
 """Size of the recommended box relative to that part."""
 TAIL = 1e-3
@@ -50,7 +48,7 @@ def surroundings(
         return []
     some, _ = clean(gaussians.select(visible[:: 1 + len(visible) // SAMPLE]))
     means = some.means.astype(np.float64)
-    found = _sky(means) or _place(means, some.cover)
+    found = _sky(means) or _place(means, shown(some))
     if found is None:
         return []
     corners = np.array(found.box) + origin
@@ -88,14 +86,14 @@ def _sky(means: NDArray[np.float64]) -> _Around | None:
     return _Around(words, (low - grown, high + grown))
 
 
-def _place(means: NDArray[np.float64], cover: NDArray) -> _Around | None:
+def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
     """What is said if most of what is seen lies in a small part of the box.
 
     Args:
         means: Centres [N,3].
-        cover: How much each shows [N].
+        seen: How much each shows [N].
     """
-    low, high = _part(means, np.minimum(cover, WIDE * np.median(cover)))
+    low, high = _part(means, seen)
     whole = np.ptp(np.quantile(means, [TAIL, 1 - TAIL], axis=0), axis=0).max()
     side = float((high - low).max())
     if not 0 < side < SMALL * whole:

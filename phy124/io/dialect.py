@@ -19,8 +19,8 @@ from phy124.io.formats import recognised
 from phy124.io.ply import VERTICAL
 from phy124.io.plyheader import Header, read_header
 
-ENOUGH = 10_000
-"""Rows that are looked at."""
+ENOUGH, BLOCKS = 10_000, 20
+"""Number of rows that are looked at, and of the places all over the file where they are read."""
 LGM = (
     "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
     "rot_0", "rot_1", "rot_2", "rot_3",
@@ -84,7 +84,7 @@ def likely_dialect(path: Path) -> tuple[str, str] | None:
     names = header.row.names or ()
     if _signed(header) or header.ascii or "f_rest_0" in names or not set(LGM) <= set(names):
         return None
-    rows = np.fromfile(path, header.row, min(header.count, ENOUGH), offset=header.start)
+    rows = _some_rows(path, header)
     reach, unit = _reach(rows), _unit(rows)
     if names == LGM and unit and reach <= 1.01:
         return "lgm", "LGM: no normals, unit quaternions, all within a cube of side 2"
@@ -94,6 +94,14 @@ def likely_dialect(path: Path) -> tuple[str, str] | None:
     if not unit:
         return "sam3d", f"SAM 3D Objects: quaternions of any length, {within}"
     return "triposplat", f"TripoSplat (or of TRELLIS, which faces -z): {within}"
+
+
+def _some_rows(path: Path, header: Header) -> NDArray:
+    """Rows from all over the file, as a structured array; some twice if there are few."""
+    each = min(header.count, ENOUGH // BLOCKS)
+    firsts = np.linspace(0, header.count - each, BLOCKS).astype(int).tolist()
+    places = [header.start + first * header.row.itemsize for first in firsts]
+    return np.concatenate([np.fromfile(path, header.row, each, offset=at) for at in places])
 
 
 def _reach(rows: NDArray) -> float:

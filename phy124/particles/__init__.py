@@ -7,7 +7,7 @@ far apart. `particles` is the paper's form (Phy124, arXiv 2409.07179): every Gau
 particle, and the closed interior is filled with more (as PhysGaussian, arXiv 2311.12198, does).
 """
 
-from phy124.particles.cleaning import Cleaning, bounds, clean, sizing, to_size
+from phy124.particles.cleaning import Cleaning, bounds, clean, shown, sizing, to_size
 from phy124.particles.seeding import BINDINGS, Particles, fill, in_box, make_particles
 from phy124.particles.solid import Solid, solid
 
@@ -21,6 +21,7 @@ __all__ = [
     "fill",
     "in_box",
     "make_particles",
+    "shown",
     "sizing",
     "solid",
     "to_size",

@@ -12,7 +12,7 @@ The rules, in this order:
    longest axis): dropped;
 5. stray (in a group separated from the rest by more than about `GAP` of the longest side, or the
    usual distance of neighbours if that is larger, that contains under `STRAY` of all, or of what is
-   seen: opacity times area): dropped.
+   seen, as `shown` weighs it): dropped.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ THINNEST = 1e-6
 GIGANTIC = 0.5
 STRAY = 1e-3
 GAP = 0.05
+WIDE = 16.0
+"""Area from which a Gaussian shows no more, in usual areas."""
 VISIBLE = 0.1
 """Opacity from which a Gaussian counts as part of the surface."""
 
@@ -111,6 +113,15 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
         survivors=survivors,
         **repairs,
     )
+
+
+def shown(gaussians: Gaussians) -> NDArray[np.float32]:
+    """How much each shows [N], m^2: opacity times area, which of large ones counts only in part.
+
+    Those are a background, such as a sky, beside whose area an object is nothing.
+    """
+    cover = gaussians.cover
+    return np.minimum(cover, WIDE * np.median(cover))
 
 
 def bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -212,7 +223,7 @@ def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     groups, count = scipy.ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
     group = groups.ravel()[flat]
     members = np.bincount(group, minlength=count + 1)
-    seen = np.bincount(group, gaussians.cover, minlength=count + 1)
+    seen = np.bincount(group, shown(gaussians), minlength=count + 1)
     stray = (members < STRAY * len(gaussians)) | (seen < STRAY * seen.sum())
     return stray[group]
 
