@@ -265,7 +265,7 @@ def test_particles_per_axis_follow_from_the_materials():
     assert elastic.particles_per_axis == 2
     assert sand.particles_per_axis == 1.5
     assert sand.replaced({"parts": [part]}).particles_per_axis == 2
-    assert sand.replaced({"accuracy": "fine"}).particles_per_axis == 2
+    assert sand.replaced({"accuracy": "fine"}).particles_per_axis == 1.5
     assert sand.replaced({"accuracy.particles_per_axis": 1}).particles_per_axis == 1
     assert sand.spacing == sand.dx / 1.5
 

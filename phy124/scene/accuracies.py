@@ -89,9 +89,9 @@ NAMED = {
         "transfers lose per step does not depend on it",
     ),
     "fine": (
-        Accuracy(cells=48, particles_per_axis=2.0, precision="float64"),
-        "what shall be right: cells a third as wide, at least two particles per cell and axis so "
-        "that they are used, and double precision so that rounding is no question",
+        Accuracy(cells=48, precision="float64"),
+        "what shall be right: cells a third as wide, and double precision so that rounding is no "
+        "question",
     ),
 }
 """The named accuracies and what each is good for (measured in docs/results/accuracy.md).
