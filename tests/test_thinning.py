@@ -1,5 +1,7 @@
 """Fewer Gaussians that cover what all of them covered."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,3 +55,14 @@ def test_a_generator_that_can_be_told_makes_so_many_itself():
 def test_unreasonable_numbers_are_refused(count):
     with pytest.raises(InputError, match=r"it must be from 100 to 5,000,000\. Write 20000"):
         check_count(count)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e34])
+def test_a_giant_leaves_no_hole_where_the_others_were(size):
+    g = ball(4000)
+    scales = g.scales.copy()
+    scales[7] = size
+    some, wanted = thinned(replace(g, scales=scales), 1000), thinned(g, 1000)
+    assert len(some) > 900
+    usual = some.scales.max(axis=1) < 1
+    assert np.median(some.scales[usual]) == pytest.approx(np.median(wanted.scales), rel=0.1)

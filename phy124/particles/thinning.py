@@ -14,6 +14,8 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 
 FEWEST, MOST = 100, 5_000_000
+GIANT = 1e4
+"""Area, in usual areas, beyond which a Gaussian is one of a background or an error."""
 BITS = 16
 """Bits per coordinate along the space-filling curve."""
 
@@ -41,17 +43,22 @@ def thinned(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussi
     """At most `count` of the Gaussians, enlarged so that they cover the same area.
 
     They are spread evenly: every n-th along a space-filling curve, large and opaque ones more
-    often. Equal seeds keep the same Gaussians.
+    often; giants beyond `GIANT` count no more and do not enlarge the others. Equal seeds keep the
+    same Gaussians.
     """
     if count is None or len(gaussians) <= count:
         return gaussians
-    weight = (gaussians.opacities * np.sqrt(_areas(gaussians))).astype(np.float64) + 1e-30
+    areas = _areas(gaussians)
+    largest = GIANT * np.median(areas)
+    weight = gaussians.opacities * np.sqrt(np.minimum(areas, largest)) + 1e-30
     along = np.argsort(_morton(gaussians.means), kind="stable")
     ends = np.cumsum(weight[along])
     steps = (np.arange(count) + np.random.default_rng(seed).random()) / count * ends[-1]
-    kept = gaussians.select(np.unique(along[np.searchsorted(ends, steps)]))
-    covered, left = (float((g.opacities * _areas(g)).sum()) for g in (gaussians, kept))
+    chosen = np.unique(along[np.searchsorted(ends, steps)])
+    cover = np.where(areas <= largest, gaussians.opacities * areas, 0)
+    covered, left = float(cover.sum()), float(cover[chosen].sum())
     growth = np.sqrt(covered / left) if left > 0 else 1.0
+    kept = gaussians.select(chosen)
     return replace(kept, scales=kept.scales * growth)
 
 
@@ -66,6 +73,6 @@ def _morton(points: NDArray[np.float32]) -> NDArray[np.int64]:
     return code
 
 
-def _areas(gaussians: Gaussians) -> NDArray[np.float32]:
+def _areas(gaussians: Gaussians) -> NDArray[np.float64]:
     """Product of the two larger standard deviations [N], m^2."""
-    return np.sort(gaussians.scales, axis=1)[:, 1:].prod(axis=1)
+    return np.sort(gaussians.scales, axis=1)[:, 1:].prod(axis=1, dtype=np.float64)
