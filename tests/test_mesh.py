@@ -96,7 +96,8 @@ def corners(values, faces="3 0 1 2"):
         ("a.fbx", b"x", "no kind of mesh that is read"),
         ("a.glb", b"", "0 bytes"),
         ("a.glb", b"glTF" + bytes(40), "cannot be read as a mesh"),
-        ("a.stl", bytes(80) + struct.pack("<I", 4_000_000_000), "no triangles|cannot be read"),
+        ("a.stl", bytes(80) + struct.pack("<I", 4_000_000_000), "0 of 4,000,000,000"),
+        ("a.stl", bytes(80) + struct.pack("<I", 3) + bytes(120), "cut short: 2 of 3 triangles"),
         ("a.ply", corners([]).replace(b"vertex 0", b"vertex 99999999999"), "no area|cannot be"),
         ("a.ply", corners(["0 0 0", "1 0 0", "nan 1 0"]), "NaN or infinite"),
         ("a.ply", corners(["0 0 0", "1 0 0", "0 1 0"], "3 0 1 9"), "cannot|not in the file"),
@@ -204,3 +205,14 @@ def test_a_mesh_whose_numbers_are_too_coarse_is_noted(tmp_path):
     one.vertices += EARTH
     with pytest.warns(UserWarning, match="steps of 0.5, about 4 across"):
         mesh(saved(tmp_path / "far.stl", one), RED)
+
+
+@pytest.mark.parametrize(
+    ("kind", "ending"), [("stl", "obj"), ("stl_ascii", "obj"), ("glb", "ply"), ("ply", "stl")]
+)
+def test_the_content_of_a_mesh_tells_its_kind(tmp_path, kind, ending):
+    box = trimesh.creation.box((1, 0.6, 0.3))
+    right, wrong = tmp_path / f"a.{kind[:3]}", tmp_path / f"b.{ending}"
+    box.export(right, file_type=kind)
+    wrong.write_bytes(right.read_bytes())
+    np.testing.assert_array_equal(mesh(wrong, RED).means, mesh(right, RED).means)

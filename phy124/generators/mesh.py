@@ -21,7 +21,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.shapes import covered
 from phy124.io.axes import orientation, turned
-from phy124.io.content import Y_UP
+from phy124.io.content import AGAIN, Y_UP
 from phy124.io.opening import obstacle
 from phy124.io.precision import step_of, too_coarse
 from phy124.runtime import isolated
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
 """Kinds of files that are read, and their usual directions up and to the front."""
+STL_HEAD, STL_ROW = 84, 50
+"""Bytes of a binary STL before its triangles, the last four of which count them, and of each."""
 LARGEST = 200_000_000
 """Bytes of a file; larger ones are refused before they are read."""
 MOST_TRIANGLES = 2_000_000
@@ -58,8 +60,8 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
     Raises:
         InputError: It cannot be read, is too large, or has no triangles to speak of.
     """
-    kind = path.suffix.lower().removeprefix(".")
-    _refuse(path, kind)
+    _refuse(path)
+    kind = _kind(path)
     try:
         drawn, coarse = isolated.run(_read, str(path), kind, seed, deadline=TIME)
     except isolated.Unfinished as error:
@@ -76,13 +78,35 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
     return turned(made, orientation(*UPRIGHT[kind]))
 
 
-def _refuse(path: Path, kind: str) -> None:
+def _kind(path: Path) -> str:
+    """The kind of a file, by its first bytes if they tell, else by its ending.
+
+    Raises:
+        InputError: It is an STL that is cut short.
+    """
+    with open(path, "rb") as file:
+        head = file.read(STL_HEAD)
+    if head[:4] == b"glTF":
+        return "glb"
+    if head[:4] in (b"ply\n", b"ply\r"):
+        return "ply"
+    stated, there = int.from_bytes(head[80:], "little"), path.stat().st_size - STL_HEAD
+    if head[:6].lower() == b"solid " or there == STL_ROW * stated:
+        return "stl"
+    kind = path.suffix.lower().removeprefix(".")
+    if kind == "stl" and b"\0" in head and there < STL_ROW * stated:  # Texts have no zeros.
+        limit = f"it is cut short: {max(there, 0) // STL_ROW:,} of {stated:,} triangles are there."
+        raise _unusable(path, limit, AGAIN)
+    return kind
+
+
+def _refuse(path: Path) -> None:
     """Make sure that there is a file of meshes, and what reads it.
 
     Raises:
         InputError: There is not.
     """
-    if kind not in UPRIGHT:
+    if path.suffix.lower().removeprefix(".") not in UPRIGHT:
         known = ", ".join(f".{name}" for name in UPRIGHT)
         raise _unusable(path, "it is no kind of mesh that is read.", f"Give one of {known}.")
     if hindrance := obstacle(path):
