@@ -69,7 +69,7 @@ class Content(NamedTuple):
         Args:
             chosen: Those of the Gaussians that are used; None: all.
         """
-        blurred = self.blurred(chosen or self.gaussians)
+        blurred = self.blurred(self.gaussians if chosen is None else chosen)
         return [*self.notes, *([blurred] if blurred else [])]
 
     def blurred(self, chosen: Gaussians) -> str | None:

@@ -36,8 +36,6 @@ VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
 MIP = ("SplatRenderMode: mip", "antialiased 1")
 """How Brush and Postshot say that a file was trained with Mip-Splatting's filter."""
 NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
-
-
 NO_NUMBER = re.compile(rb"[-+]?(nan\([^)]*\)|1\.#\w+)", re.IGNORECASE)
 """How programs on Windows write what is no number: -nan(ind), 1.#QNAN, -1.#INF00."""
 

@@ -65,8 +65,6 @@ OBJECT = "_OBJECT_ID"
 """An attribute of an application's own, which other readers pass over."""
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
 """Programs that turn a PLY upright by half a turn about z."""
-
-
 READ = {
     "POSITION", "COLOR_0", OBJECT,
     *(f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")),

@@ -152,9 +152,8 @@ def begins(data: bytes) -> bool:
 def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
     """Mirror columns along x, from a left-handed system to a right-handed one."""
     raw["means"] *= np.array([-1, 1, 1], np.float32)
-    raw["quats"] *= np.array(
-        [1, 1, -1, -1], np.float32
-    )  # the axis of a turn is mirrored the other way
+    # A mirror turns round the other way whatever turns about an axis in it.
+    raw["quats"] *= np.array([1, 1, -1, -1], np.float32)
     raw["sh"] *= mirror_signs(raw["sh"].shape[1]).astype(np.float32)[:, None]
 
 
