@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from phy124.forces import Gravity, ParticleForce, SetVelocity
+from phy124.gaussians import Gaussians
 from phy124.materials import NeoHookean
 from phy124.mpm.clock import MEASURE_EVERY
+from phy124.scene import Scene
+from phy124.simulation import Simulation
 from support.shapes import block
 from support.solvers import make_solver
 
@@ -63,6 +66,22 @@ def test_measuring_is_rarer_only_where_nothing_moves_far_between():
     s.advance(1e-4)
     assert MEASURE_EVERY <= s.rejection.interval(s.clock) < 40
     assert math.isfinite(s.clock.stable().dt)
+
+
+def test_snow_that_stiffens_at_an_impact_stays_whole_however_rarely_it_is_measured():
+    rng = np.random.default_rng(0)
+    handle = rng.uniform((-0.5, -0.03, 0), (0.5, 0.03, 0.06), (800, 3))
+    head = rng.uniform((0.35, -0.18, 0), (0.5, 0.18, 0.06), (400, 3))
+    means = np.concatenate([handle, head])
+    quats, scales = np.tile([1.0, 0, 0, 0], (1200, 1)), np.full((1200, 3), 0.012)
+    hammer = Gaussians.from_rgb(means, quats, scales, np.full(1200, 0.9), np.full((1200, 3), 0.5))
+    scene = Scene.named("snow").replaced({"accuracy": "draft", "time.frames": 16})
+    often, rarely = (
+        Simulation(hammer, scene.replaced({"checks.measure": every}), threads=1).run()
+        for every in (1, 16)
+    )
+    extents = [np.ptp(clip.means[-1], axis=0) for clip in (often, rarely)]
+    np.testing.assert_allclose(*extents, atol=0.02)
 
 
 def test_a_push_that_begins_with_a_frame_shortens_the_interval_at_once():

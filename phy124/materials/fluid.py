@@ -54,6 +54,11 @@ class Fluid(Material):
         default=0.0, ge=0, le=1e5, description="Dynamic viscosity [Pa s]: water 1e-3, honey 5."
     )
 
+    @property
+    def calm_strain(self) -> float:
+        """Its stiffness goes by J^-(1 + gamma), and ln J is up to sqrt(3) times the strain."""
+        return 0.3 / (1 + self.gamma)
+
     def theta(self) -> tuple[float, ...]:
         """(K, gamma, eta, zeta, K', 1 / relaxation time), the last three zero: undamped sound."""
         return self.bulk_modulus, self.gamma, self.viscosity, 0.0, 0.0, 0.0

@@ -94,6 +94,11 @@ class Snow(Elastic):
             )
         return self
 
+    @property
+    def calm_strain(self) -> float:
+        """Packing by a strain e stiffens it by exp(hardening e)."""
+        return min(super().calm_strain, 0.5 / max(self.hardening, 1.0))
+
     def theta(self) -> tuple[float, ...]:
         """(mu, lambda, smallest stretch, largest stretch, hardening)."""
         return *self.lame, 1 - self.compression, 1 + self.extension, self.hardening

@@ -36,6 +36,9 @@ class Clock:
         self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
         """The values that limit substeps, as measured last; and their maxima over the substeps
         since the host looked last, which are several if the device takes them alone."""
+        self.strain_rate = 0.0
+        """The largest |C| of late [1/s]; a vibration may just be at its turning point, where it is
+        zero."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
         """Substeps between two measurements at present, and substeps since the last one."""
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
@@ -83,6 +86,7 @@ class Clock:
             "substeps": self.substeps,
             "since_measured": self.since_measured,
             "interval": self.interval,
+            "strain_rate": self.strain_rate,
             "extremes": list(self.extremes),
             "limiters": dict(self.limiters),
             "needed": dict(self.needed),
@@ -93,5 +97,6 @@ class Clock:
         self.time, self.last_dt = snapshot["time"], snapshot["last_dt"]
         self.substeps, self.since_measured = snapshot["substeps"], snapshot["since_measured"]
         self.interval = snapshot.get("interval", MEASURE_EVERY)
+        self.strain_rate = snapshot.get("strain_rate", 0.0)
         self.extremes = self.recent = Extremes(*snapshot["extremes"])
         self.limiters, self.needed = dict(snapshot["limiters"]), dict(snapshot["needed"])

@@ -24,12 +24,6 @@ from phy124.mpm.state import State
 from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
 from phy124.tracks import Tracks
 
-CALM_CELLS, CALM_STRAIN = 1.0, 0.25
-"""Largest travel [cells] and strain between two measurements if their interval is lengthened.
-
-A stretch by a quarter makes an elastic law 1.6 times as stiff; three quarters of the elastic limit
-stay stable up to 1.8 times.
-"""
 TRIES = 100
 """Largest number of tries; each is at most half as long as the one before."""
 FIRST = 4
@@ -62,6 +56,7 @@ class StepRejection:
         self._pushed = [state.v, state.C] if pushes else []
         self._fastest = wp.zeros(1, dtype=model.real, device=model.device)
         self._pushes = pushes
+        self._calm_strain = min(material.calm_strain for material in model.materials)
         self.begin(-math.inf, math.inf)
         self._pushy = any(stage.sudden for stage in pushes)
         self.rejected = 0
@@ -100,10 +95,10 @@ class StepRejection:
         if every <= MEASURE_EVERY or not extremes.stiffness > 0:
             return min(every, MEASURE_EVERY)
         speed, pulled = max(extremes.speed, self.wall), math.sqrt(self.acceleration)
+        # A wall or another body strains the next cell by as much of a cell as it is met by.
+        calm = self._calm_strain
         each = clock.stable().dt * max(
-            speed / (CALM_CELLS * dx),
-            extremes.gradient / CALM_STRAIN,
-            pulled / math.sqrt(2 * CALM_CELLS * dx),
+            speed / (calm * dx), clock.strain_rate / calm, pulled / math.sqrt(2 * calm * dx)
         )
         return every if each * every <= 1 else max(MEASURE_EVERY, int(1 / each))
 

@@ -34,6 +34,7 @@ from phy124.mpm.stage import Accumulator, Attachable
 from phy124.mpm.state import State
 from phy124.mpm.substep import Gathered, Recorder
 from phy124.mpm.threads import Team
+from phy124.mpm.timestep import MEMORY
 from phy124.mpm.workers import GATHER, Timings, lone_worker, timed, usable_workers
 from phy124.tracks import Tracks
 
@@ -339,6 +340,7 @@ class Solver:
         measured = Maxima.of(found.max(axis=0))
         self.clock.extremes = measured.extremes.after(self.clock.extremes, self.free.fastest())
         self.clock.recent = self.clock.extremes
+        self.clock.strain_rate = max(self.clock.extremes.gradient, MEMORY * self.clock.strain_rate)
         changed = fit_all(self.grids, corners, anew=self.outliers.changed)
         changed |= self._fit_slabs(found, changed)
         if changed:

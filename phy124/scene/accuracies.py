@@ -18,6 +18,7 @@ class Accuracy(Section):
         default=None,
         ge=1,
         le=4,
+        examples=[2.0],
         description="Particles per cell and axis inside the object; absent: as many as its "
         "materials need, 2 for elastic ones and liquids, 1.5 for plastic and granular ones.",
     )

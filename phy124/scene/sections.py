@@ -125,8 +125,7 @@ class Checks(Section):
         ge=1,
         le=32,
         description="Substeps between two measurements of what limits them; above 4 only while "
-        "nothing moves by a cell or is strained by a quarter in between. Rarer costs less and sees "
-        "stiffening later.",
+        "nothing can be strained, by a wall or otherwise, until it is much stiffer.",
     )
     balance: bool = Field(
         default=True,
