@@ -15,6 +15,7 @@ from phy124.runtime.address_space import refuse_narrow
 from phy124.runtime.installation import install_command
 from phy124.runtime.streams import steady_streams
 
+from .heap import share_heap
 from .settings import PREFIX, Settings
 
 
@@ -44,6 +45,7 @@ def serve(settings: Settings) -> None:
     if find_spec("gradio") is None:
         limit = "The page needs the package gradio, which is not installed."
         raise InputError("page", "gradio", limit, f"Run `{install_command('demo')}`.")
+    share_heap()
     from .folder import own_folder
     from .server import check_address, end_on_signals, launch, prepare
 

@@ -20,10 +20,8 @@ between, bytes."""
 
 
 @pytest.fixture
-def server(tmp_path, monkeypatch):
+def server(tmp_path):
     pytest.importorskip("gradio", reason="the extra demo is not installed")
-    # glibc opens another heap of 20 MB whenever threads meet in it, which depends on the load.
-    monkeypatch.setenv("MALLOC_ARENA_MAX", "1")
     with serving(tmp_path, gaussians=4000) as running:
         yield running
 

@@ -10,6 +10,7 @@ import json
 import socket
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -97,9 +98,9 @@ def test_uploads_that_belong_to_nobody_stay_few(server):
 def test_thousands_of_forces_are_counted_and_no_more(attacker):
     scene = {"forces": [{"kind": "uniform"}] * 800}
     with ThreadPoolExecutor(30) as pool:
-        asked = [pool.submit(attacker.press, "scene", "change", [None, scene, None])] * 30
-        for answer in asked:
-            assert "allows at most 16" in answer.result(TIMEOUT)[0]
+        change = partial(attacker.press, "scene", "change", [None, scene, None])
+        for asked in [pool.submit(change) for _ in range(30)]:
+            assert "allows at most 16" in asked.result(TIMEOUT)[0]
     path = {"path": attacker.uploaded(DUCK)}
     changes = {"forces": [{"kind": "uniform"}] * 10_000}
     assert "longer than" in attacker.generate(path, changes=changes)

@@ -1,0 +1,42 @@
+"""The heaps of the server's process."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+
+import pytest
+
+from demo.heap import CHOSEN
+
+COUNT = """
+import ctypes, sys, threading
+from demo.heap import share_heap
+share_heap()
+libc = ctypes.CDLL(None)
+libc.malloc.restype, libc.fopen.restype = ctypes.c_void_p, ctypes.c_void_p
+together = threading.Barrier(4)
+def allocate():
+    together.wait()
+    libc.malloc(ctypes.c_size_t(100_000))
+    together.wait()
+threads = [threading.Thread(target=allocate) for _ in range(4)]
+for thread in threads: thread.start()
+for thread in threads: thread.join()
+out = libc.fopen(sys.argv[1].encode(), b"w")
+libc.malloc_info(0, ctypes.c_void_p(out))
+libc.fclose(ctypes.c_void_p(out))
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the heaps of glibc")
+@pytest.mark.parametrize("chosen", ["", "4"])
+def test_threads_share_a_heap_unless_another_number_is_chosen(tmp_path, chosen):
+    told = tmp_path / "heaps.xml"
+    environment = {name: value for name, value in os.environ.items() if name != CHOSEN}
+    environment |= {CHOSEN: chosen} if chosen else {}
+    subprocess.run([sys.executable, "-c", COUNT, told], env=environment, check=True)
+    heaps = told.read_text().count("<heap nr=")
+    assert heaps > 1 if chosen else heaps == 1
