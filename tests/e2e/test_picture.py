@@ -18,11 +18,23 @@ NATURAL = """async (which) => {
     return [img.naturalWidth, img.naturalHeight];
 }"""
 
+UNMARKED = """() => [...document.querySelectorAll('summary')].filter((summary) => {
+    const { display, cursor } = getComputedStyle(summary);
+    return display !== 'list-item' || cursor !== 'pointer';
+}).map((summary) => summary.textContent)"""
+
 
 def test_before_a_picture_is_chosen_the_page_asks_for_one(browser, server):
     page = Visit(browser, server).page
     page.wait_for_selector(".photo-hint", timeout=LONG)
     assert not page.get_by_alt_text("Your picture").is_visible()
+
+
+def test_whatever_opens_shows_that_it_does(browser, server):
+    visit = Visit(browser, server)
+    visit.upload()
+    assert visit.page.evaluate(UNMARKED) == []
+    assert visit.page.locator("footer .divider:visible").count() == 0, "nothing follows it"
 
 
 def test_after_a_refused_picture_nothing_older_is_generated(browser, server, tmp_path):
