@@ -158,7 +158,7 @@ def _of(format: Format) -> Export:
 EXPORTS = {
     "html": Export(
         "Player, one file", "Opens in any browser, offline", "player.html", _html,
-        empty=400_000, still=28.0, moving=8.0,
+        empty=1_310_000, still=28.0, moving=8.0,
     ),
     "ply": Export(
         "PLY sequence", "Opens in SuperSplat, brush, Unity", "phy124-ply.zip", _ply,

@@ -30,6 +30,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.imaging.grabcut import hinted
 from phy124.io.clip import Clip, shape_of
+from phy124.io.export.html import LICENCE, SCRIPTS, STYLE, VIEWER
 from phy124.io.formats import FORMATS, WRITTEN, read_gaussians
 from phy124.scene import Scene
 from support.quantisation import many
@@ -80,6 +81,11 @@ def test_the_size_that_is_told_is_about_that_of_the_file(export, done, rng, kind
     size = export(kind).stat().st_size
     # Random Gaussians compress less than an object's.
     assert size / 3 < EXPORTS[kind].about(4, 5000) < 2 * size
+
+
+def test_the_size_of_a_player_counts_its_scripts():
+    scripts = sum((VIEWER / name).stat().st_size for name in (*SCRIPTS, STYLE, LICENCE))
+    assert EXPORTS["html"].empty == pytest.approx(scripts, rel=0.05)
 
 
 def test_the_player_is_made(export, done):

@@ -72,6 +72,10 @@ class Attacker:
         answer = json.loads(text)
         return answer["data"] if status == 200 else answer
 
+    def is_known(self) -> bool:
+        """What an open page asks every few seconds, which is a sign of life: is all still here?"""
+        return json.loads(self.get("/phy124/here")[1])["known"]
+
     def choose(self, path: Any) -> str:
         """Have a picture cut out; what came of it, in words."""
         shown = self.press("picture", "choose", [], upload=path)[0]

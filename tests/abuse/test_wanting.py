@@ -81,7 +81,7 @@ def test_newcomers_leave_the_picture_of_who_is_there(server):
     for _ in range(75):
         newcomer = Attacker(server, address="10.0.0.2")
         assert newcomer.upload(b"1")[0] in (200, 503)
-    assert json.loads(visitor.get("/phy124/here")[1])["known"] is True
+        assert visitor.is_known()
     assert Path(path).exists() and server.health()["visitors"] <= VISITORS
 
 

@@ -35,7 +35,7 @@ def test_a_video_goes_back_to_the_softness_of_the_next_run(browser, server, tmp_
     page.locator(".fit-go").click()
     page.wait_for_selector(".fit-clock", timeout=LONG)
     page.locator(".fit-cancel").click()
-    page.get_by_text("Stopped. Nothing was changed.").wait_for(timeout=LONG)
+    page.locator(".fit-status", has_text="Stopped. Nothing was changed.").wait_for(timeout=LONG)
     page.locator(".fit-go").click()
     page.wait_for_selector(".fit-clock", timeout=LONG)
     # Who reloads the page finds the fit going on.
