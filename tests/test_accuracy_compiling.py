@@ -8,6 +8,7 @@ from warp._src.context import Module
 
 from phy124.accuracy.compiling import seconds_to_compile
 from phy124.runtime.compiling import is_compiled
+from phy124.runtime.kernel_cache import compiled_file
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.kernels import kernels
@@ -61,8 +62,9 @@ def test_what_the_cache_does_not_have_takes_time(monkeypatch, tmp_path):
         monkeypatch.setattr(kernel.module, "execs", {})
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     assert not any(is_compiled(kernel) for kernel in missing)
-    made = tmp_path / missing[0].module.get_module_identifier(1)
-    made.mkdir()
+    made = compiled_file(missing[0], "cpu")
+    assert made is not None
+    made.parent.mkdir()
     assert not is_compiled(missing[0])
     assert seconds_to_compile(scene, "cuda:0") == 0
     longest = max(kernel.seconds for kernel in missing)
@@ -70,6 +72,7 @@ def test_what_the_cache_does_not_have_takes_time(monkeypatch, tmp_path):
     assert seconds_to_compile(scene) == longest, "no module is compiled by two cores"
     monkeypatch.setattr("phy124.accuracy.compiling.cores", lambda: 1)
     before = seconds_to_compile(scene)
-    (made / "any.cpu.o").touch()
+    for file in (made, made.with_suffix(".meta")):
+        file.touch()
     assert is_compiled(missing[0])
     assert seconds_to_compile(scene) < before

@@ -54,18 +54,16 @@ class Render:
         out = self.out or self.clip.parent
         refuse_missing_writers(view)
         if self.compose is not None:
+            from phy124.pipeline.composing import compose, photograph_of
+
             refuse_missing_encoder()
+            photograph = photograph_of(self.compose, self.clip.parent)
         with Bars(quiet=self.json, keeps=True) as bars, staged(out, keeps=True) as folder:
             with suppress(Cancelled):
                 device = pick_device(self.device)
                 film(clip, view, folder, device=device, threads=self.threads, progress=bars)
                 if self.compose is not None:
-                    from phy124.pipeline.composing import into_photograph
-
-                    into_photograph(
-                        clip, view, self.compose, self.clip.parent, folder,
-                        device=device, progress=bars,
-                    )  # fmt: skip
+                    compose(clip, view, photograph, folder, device=device, progress=bars)
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
             if bars.cancelled and not files:
                 raise Cancelled

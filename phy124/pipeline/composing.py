@@ -17,6 +17,24 @@ CUTOUT = "cutout.png"
 """Name of the file beside a clip that says where in the photograph the object is."""
 
 
+def photograph_of(picture: str | os.PathLike[str], beside: Path) -> Photograph:
+    """The photograph that a clip was made from, with the place of the object in it.
+
+    Args:
+        picture: The photograph.
+        beside: The folder of the clip's run, where its cut-out is.
+
+    Raises:
+        InputError: The photograph or its cut-out cannot be opened, or there is no cut-out.
+    """
+    opened = open_image(picture, field="compose")
+    if not (beside / CUTOUT).is_file():
+        limit = f"{beside} has no {CUTOUT}, which says where the object was."
+        remedy = "Compose a clip that `phy124 generate` made, in its folder."
+        raise InputError("compose", picture, limit, remedy)
+    return Photograph.of(opened, open_image(beside / CUTOUT, field="compose"))
+
+
 def into_photograph(
     clip: Clip,
     view: View,
@@ -42,12 +60,7 @@ def into_photograph(
         The file, and how well its first picture matches the photograph, see `compose`.
 
     Raises:
-        InputError: The photograph cannot be opened, or there is no cut-out of it.
+        InputError: As `photograph_of`.
     """
-    opened = open_image(picture, field="compose")
-    if not (beside / CUTOUT).is_file():
-        limit = f"{beside} has no {CUTOUT}, which says where the object was."
-        remedy = "Compose a clip that `phy124 generate` made, in its folder."
-        raise InputError("compose", picture, limit, remedy)
-    photograph = Photograph.of(opened, open_image(beside / CUTOUT, field="compose"))
+    photograph = photograph_of(picture, beside)
     return compose(clip, view, photograph, folder, device=device, progress=progress)
