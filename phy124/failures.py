@@ -22,6 +22,8 @@ OURS = (OWN, "phy124_demo", "phy124_bridge", "demo", "bridge", "__main__")
 LONGEST = 300
 """Largest number of characters of a library's message that a sentence repeats."""
 DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
+SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
+"""The machine runs short of something, which is no fault of the file's name."""
 MEMORY_WORDS = (
     "out of memory", "failed to allocate", "unable to allocate", "insufficient memory",
     "cannot allocate memory", "can't start new thread", "failed to map segment", "bad_alloc",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -79,6 +80,7 @@ def save(
         "about": about or {},
         "spent": {"stages": run.watch.seconds, "total": run.watch.total},
     }
+    facts["checksum"] = _checksum(tensors)
     metadata = {"format": FORMAT, **{name: json.dumps(fact) for name, fact in facts.items()}}
     with replacing(path) as temporary:
         save_tensors(tensors, temporary, metadata)
@@ -240,7 +242,7 @@ def _turn_last(run: Simulation) -> None:
 
 def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]:
     """The facts and the arrays of a file."""
-    remedy = "Give a file written by phy124.resume.save."
+    remedy = "Give a file that a stopped run left, or run without --resume."
     if hindrance := obstacle(path):
         raise InputError("paused run", path, hindrance[0], remedy)
     try:
@@ -256,4 +258,15 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
         raise InputError("paused run", path, limit, "Run it anew, without --resume.")
     if found != FORMAT:
         raise InputError("paused run", path, "it is not a paused run.", remedy)
-    return {name: json.loads(text) for name, text in metadata.items()}, arrays
+    facts = {name: json.loads(text) for name, text in metadata.items()}
+    if tensors and facts.get("checksum") not in (None, _checksum(arrays)):
+        raise InputError("paused run", path, "it was changed or damaged.", remedy)
+    return facts, arrays
+
+
+def _checksum(tensors: Tensors) -> int:
+    """CRC-32 of all arrays in the order of their names; older files have none."""
+    total = 0
+    for name in sorted(tensors):
+        total = zlib.crc32(np.ascontiguousarray(tensors[name]).data, total)
+    return total

@@ -13,11 +13,12 @@ from phy124.accuracy.convergence import Convergence
 from phy124.accuracy.difference import difference
 from phy124.accuracy.promises import Promise
 from phy124.accuracy.study import Report, Row, Study, error_on, kept_promises, recommend
+from phy124.commands.accuracy import KEPT
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
-from phy124.simulation import Stopped
+from phy124.simulation import Simulation, Stopped
 from support.shapes import ball
 
 LEVELS = (8, 12, 16)
@@ -292,6 +293,30 @@ def test_levels_that_are_done_survive_an_interrupt():
     told.clear()
     with pytest.raises(Cancelled):
         Study(ball(300), scene, **options).run()
+
+
+@pytest.mark.parametrize("late", ["setting", "comparison"])
+def test_levels_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys, late):
+    """Memory runs out on the second level, or when the levels are compared."""
+
+    def fail(*_: object, **options: object) -> object:
+        raise MemoryError
+
+    def prepare(gaussians, scene, **options):
+        if late == "setting" and scene.accuracy.cells == 8:
+            fail()
+        return Simulation(gaussians, scene, **options)
+
+    monkeypatch.setattr(study_of, "Simulation", prepare)
+    if late == "comparison":
+        monkeypatch.setattr(study_of, "difference", fail)
+    command = ["accuracy", "drop", "--levels", "6", "8", "--set", "time.frames=2", "--json"]
+    assert main([*command, "--device", "cpu", "--out", str(tmp_path / "o")]) == 1
+    said = capsys.readouterr()
+    assert "there is not enough memory" in said.err and KEPT in said.err
+    for kept in (json.loads(said.out), json.loads((tmp_path / "o/accuracy.json").read_text())):
+        assert kept["interrupted"] and kept["rows"][0]["name"] == "D/6"
+    assert "there is not enough memory" in " ".join(kept["skipped"])
 
 
 def test_study_on_the_command_line(tmp_path, capsys, monkeypatch):

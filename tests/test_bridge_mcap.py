@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 from bridge.layout import points
 from bridge.options import Options
 from bridge.sinks.mcap import McapSink
-from phy124.errors import InputError
+from phy124.errors import Incomplete, InputError
 from support.clips import random_clip
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
@@ -241,7 +241,8 @@ import resource, signal, sys
 sys.path[:0] = [{root!r}, {tests!r}]
 from support.clips import random_clip
 from bridge.sinks.mcap import McapSink
-from phy124.errors import InputError
+from phy124.errors import Incomplete
+from phy124.failures import failure
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 clip = random_clip(frames=40, count=1000)
@@ -249,9 +250,9 @@ try:
     with McapSink({path!r}) as sink:
         for frame in clip.frames():
             sink.write(frame)
-except InputError as error:
+except Incomplete as error:
     print(sink.frames)
-    print(error)
+    print(failure(error).status, failure(error))
 """
 
 
@@ -269,9 +270,9 @@ def test_disk_full_keeps_what_was_written(tmp_path):
     )
     safe, message = run.stdout.splitlines()
     assert int(safe) == 1_000_000 // 60_400
-    assert "Writing stopped (File too large)" in message
+    assert message.startswith("1 the disk is full ([Errno 27] File too large)")
     assert f"{safe} frames are safe" in message
-    assert f"Make room and run `python -m bridge recover {path}`" in message
+    assert f"`python -m bridge recover {path}` makes them a recording" in message
     assert recover(path).frames == int(safe)
     assert len(list(clouds(path))) == int(safe)
 
@@ -281,7 +282,7 @@ def test_full_disk_at_the_start(tmp_path, monkeypatch):
     if not Path("/dev/full").exists():
         pytest.skip("this system has no /dev/full")
     (tmp_path / "one.mcap.part").symlink_to("/dev/full")
-    with pytest.raises(InputError, match=r"No space left on device.*0 frames are safe"):
+    with pytest.raises(Incomplete, match="0 frames are safe"):
         McapSink(tmp_path / "one.mcap", overwrite=True).__enter__()
 
 

@@ -1,11 +1,14 @@
 """Experiments of the literature: their theories, what is made of three grids, how they are run."""
 
+import errno
 import json
 import math
 
 import numpy as np
 import pytest
 
+from phy124.__main__ import main
+from phy124.commands import validate
 from phy124.commands.validate import Validate
 from phy124.errors import Cancelled, InputError
 from phy124.experiments import (
@@ -187,6 +190,25 @@ def test_progress_stops_the_runs(monkeypatch):
     monkeypatch.setattr(running_module, "named", lambda name: made())
     with pytest.raises(Cancelled):
         list(outcomes([made()], jobs=1, progress=stop))
+
+
+def test_experiments_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys):
+    """A process of the second is killed."""
+
+    def one(*_: object, **options: object):
+        yield result(first)
+        raise OSError(errno.EIO, "a process was killed")
+
+    first = made(name="hertz")
+    monkeypatch.setattr(validate, "outcomes", one)
+    monkeypatch.setattr(validate, "EXPERIMENTS", [first, made(name="second")])
+    monkeypatch.setattr(page_module, "save_plot", lambda outcome, path: path.touch())
+    assert main(["validate", "--json", "--out", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr()
+    assert "a process was killed; 1 experiments were made" in said.err
+    (row,) = json.loads((tmp_path / "out/experiments.json").read_text())
+    assert json.loads(said.out) == {"good": False, "experiments": [row]}
+    assert (tmp_path / "out/experiments.md").is_file()
 
 
 def both() -> list[Outcome]:

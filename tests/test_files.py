@@ -1,10 +1,13 @@
 """Output files appear whole or not at all."""
 
+import errno
 import os
 
 import pytest
 
 from phy124.errors import InputError
+from phy124.failures import failure
+from phy124.io import files
 from phy124.io.files import replacing, staged, writable
 
 
@@ -65,3 +68,24 @@ def test_a_folder_is_writable_if_the_nearest_that_exists_is(tmp_path):
         tmp_path.chmod(0o500)
         assert not writable(tmp_path / "a")
         tmp_path.chmod(0o700)
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EMFILE])
+def test_a_machine_that_runs_short_is_no_bad_name(tmp_path, monkeypatch, code):
+    """A disk without room for one more file, and too many open files."""
+
+    def refuse(*_: object, **options: object) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(files, "beginning", refuse)
+    monkeypatch.setattr(files.tempfile, "mkdtemp", refuse)
+    for writes in (replacing(tmp_path / "a.json"), staged(tmp_path / "new")):
+        with pytest.raises(OSError, match=f"Errno {code}") as refused, writes:
+            pytest.fail("it began")
+        assert failure(refused.value).status == 1
+    assert names(tmp_path) == []
+
+
+def test_a_folder_with_too_long_a_name_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"out = .*name too long"), staged(tmp_path / ("n" * 300)):
+        pytest.fail("it began")

@@ -1,5 +1,7 @@
 """A clip's file that is written frame by frame is the file that is written at once."""
 
+import errno
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -98,3 +100,13 @@ def test_arrays_that_only_look_consecutive_are_copied():
     whole = np.arange(12.0).reshape(4, 3)
     assert np.array_equal(joined([whole[0], whole[2]]), whole[[0, 2]])
     assert np.shares_memory(joined([whole[1], whole[2]]), whole)
+
+
+def test_a_file_that_has_no_room_does_not_stay(tmp_path, monkeypatch):
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EFBIG, "File too large")
+
+    monkeypatch.setattr(os, "ftruncate", refuse)
+    with pytest.raises(OSError, match="too large"):
+        grown(tmp_path / "frames")
+    assert not (tmp_path / "frames").exists()

@@ -17,7 +17,9 @@ import pytest
 from phy124 import pipeline
 from phy124 import selftest as stress
 from phy124.__main__ import main
+from phy124.accuracy import verify as verifying
 from phy124.accuracy.choose import Goal
+from phy124.accuracy.verify import Verdict
 from phy124.commands.bars import Bars
 from phy124.deform import THREADS
 from phy124.errors import Cancelled, InputError
@@ -307,6 +309,24 @@ def test_stress_tells_of_the_cases_it_has_run(monkeypatch, capsys):
     said = capsys.readouterr()
     assert said.out.count("a case") == 2
     assert "stopped; 2 of" in said.err
+
+
+def test_checks_that_were_made_are_shown_if_a_later_one_fails(monkeypatch, capsys):
+    def rows(*, long):
+        yield stress.Row("a case", "-", "-", "pass")
+        raise MemoryError
+
+    def verdicts():
+        yield Verdict("ball", "speed", 0.0, 1.0)
+        raise MemoryError
+
+    monkeypatch.setattr(stress, "run", rows)
+    monkeypatch.setattr(verifying, "verify", verdicts)
+    for command, seen in ((["stress"], "a case"), (["accuracy", "--verify"], "ball")):
+        assert main(command) == 1
+        said = capsys.readouterr()
+        assert seen in said.out and "all as expected" not in said.out
+        assert "there is not enough memory" in said.err and "; 1 " in said.err
 
 
 def test_render_and_compare_keep_the_sides_that_are_finished(tmp_path, monkeypatch, capsys):

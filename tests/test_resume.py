@@ -142,3 +142,14 @@ def test_refusals(tmp_path):
     Simulation(ball(800), Scene.named("push_right").replaced(SCENE)).run().save(tmp_path / "clip")
     with pytest.raises(InputError, match="it is not a paused run"):
         resume.load(tmp_path / "clip")
+
+
+def test_a_damaged_pause_is_refused(tmp_path):
+    """One byte of an array is another."""
+    path = tmp_path / "run"
+    resume.save(Simulation(ball(200), Scene.named("press").replaced(SCENE)), path)
+    whole = bytearray(path.read_bytes())
+    whole[-1] ^= 1
+    path.write_bytes(whole)
+    with pytest.raises(InputError, match=r"it was changed or damaged.*without --resume"):
+        resume.load(path)

@@ -12,6 +12,7 @@ from PIL import Image
 
 from phy124.camera import Camera
 from phy124.errors import InputError
+from phy124.failures import Kind, failure
 from phy124.gaussians import Frame
 from phy124.io import video
 from phy124.io.video import write_animation, write_mp4
@@ -167,8 +168,9 @@ def test_an_encoder_that_stands_still_is_ended(tmp_path, monkeypatch, processes)
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_full_disk_is_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "ENCODER", ("-f", "rawvideo", "/dev/full", *video.ENCODER))
-    with pytest.raises(InputError, match="No space left"):
+    with pytest.raises(OSError, match="No space left") as full:
         write_mp4(tmp_path / "a.mp4", [plain((9, 9, 9))] * 5, fps=24)
+    assert (failure(full.value).kind, failure(full.value).status) == (Kind.DISK, 1)
 
 
 @pytest.mark.parametrize(("suffix", "unit"), [(".gif", 10), (".webp", 1)])

@@ -14,7 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from phy124.errors import InputError
+from phy124.errors import Incomplete, InputError
+from phy124.failures import SHORT_CODES
 from phy124.gaussians import Frame
 from phy124.io.destinations import put
 from phy124.io.files import sweep_parts, writable
@@ -107,12 +108,14 @@ class McapSink:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self._stream: IO[bytes] = open(self.file, "wb")
         except OSError as error:
+            if error.errno in SHORT_CODES:
+                raise
             limit = f"It cannot be written there ({error.strerror})."
             raise InputError("recording", self.path, limit, "Choose another folder.") from error
         try:
             self._start()
         except OSError as error:
-            raise self._failure(error) from error
+            raise self._failure() from error
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -122,7 +125,7 @@ class McapSink:
         try:
             self._finish()
         except OSError as error:
-            failure = self._failure(error)
+            failure = self._failure()
             if kind is None:
                 raise failure from error
             # Another error came first, and that is the one to raise.
@@ -132,21 +135,21 @@ class McapSink:
         """Append one frame.
 
         Raises:
-            InputError: The disk is full or gone.
+            Incomplete: The disk is full or gone; what was written is kept.
         """
         try:
             for message in self._encoder.encode(frame):
                 self._add(message)
             self._writer.flush()
         except OSError as error:
-            raise self._failure(error) from error
+            raise self._failure() from error
         self.frames += 1
 
     def send(self, message: Message) -> None:
         """Append a message of a topic that was announced; it is safe with the next frame.
 
         Raises:
-            InputError: The disk is full or gone.
+            Incomplete: The disk is full or gone; what was written is kept.
         """
         topic = self._topics.get(message.topic.name)
         if topic is None:
@@ -154,7 +157,7 @@ class McapSink:
         try:
             self._add(message._replace(topic=topic))
         except OSError as error:
-            raise self._failure(error) from error
+            raise self._failure() from error
 
     def _put_aside(self) -> None:
         """Keep the older recording under another name until the new one is complete."""
@@ -212,18 +215,17 @@ class McapSink:
             bag.write_metadata(self.path, self.file.name, self._counts)
             self._older.unlink(missing_ok=True)
 
-    def _failure(self, error: OSError) -> InputError:
+    def _failure(self) -> Incomplete:
         """Close the file with the data that the system has accepted; returns the error to raise."""
         try:
             self._stream.close()
         except OSError:
             # Closing flushes once more and fails again, but the file is closed then.
             assert self._stream.closed
-        limit = f"Writing stopped ({error.strerror}); {self.frames} frames are safe in {self.file}."
+        kept = f"{self.frames} frames are safe in {self.file}"
         if not self._single and self._older.exists():
-            limit += f" The older recording is {self._older}."
-        remedy = f"Make room and run `{PROGRAM} recover {self.path}`."
-        return InputError("recording", self.path, limit, remedy)
+            kept += f", and the older recording in {self._older}"
+        return Incomplete(f"{kept}. `{PROGRAM} recover {self.path}` makes them a recording")
 
 
 def require_mcap() -> None:

@@ -19,7 +19,8 @@ from phy124.accuracy.convergence import TRUSTED, Convergence, distances, richard
 from phy124.accuracy.difference import Difference, difference
 from phy124.accuracy.forecast import QUIET, Forecaster, pixels_per_size
 from phy124.accuracy.promises import kept, promise, torn
-from phy124.errors import Cancelled, InputError
+from phy124.errors import InputError
+from phy124.failures import failure, is_stop
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.monitor.diagnostics import Diagnostics, diagnose
@@ -95,7 +96,7 @@ class Report:
     promises: dict[str, str]
     """Preset -> whether its promise holds in this scene, in words."""
     interrupted: bool = False
-    """Whether it was cancelled before all settings had been run."""
+    """Whether Ctrl-C or an error ended it before all settings had been run."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -125,7 +126,9 @@ class Study:
     told: Callable[[Row], None] = lambda row: None
     """Called with each setting as soon as it is finished, before errors are known."""
     keep: bool = False
-    """Whether finished settings are evaluated when `progress` cancels."""
+    """Whether finished settings are evaluated when `progress` cancels or a later one fails."""
+    ended: Exception | None = field(default=None, init=False)
+    """What ended it before all was done, if `keep` has kept the rest."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
     _forecaster: Forecaster = field(init=False, repr=False)
 
@@ -144,18 +147,33 @@ class Study:
                 row, reason = self._row(name, scene, still)
             except Stopped as stop:
                 row, reason = None, f"{name} is left out: {stop}"
-            except Cancelled:
+            except Exception as problem:
                 if not (self.keep and rows):
                     raise
-                skipped += [f"{late} was not run: interrupted." for late, _ in plan[number:]]
-                return replace(self._judged(rows, tuple(skipped)), interrupted=True)
+                self.ended = problem
+                why = "interrupted." if is_stop(problem) else str(failure(problem))
+                skipped += [f"{late} was not run: {why}" for late, _ in plan[number:]]
+                break
             if reason:
                 skipped.append(reason)
             if row:
                 rows.append(row)
                 self.told(row)
-        self.progress("study", len(plan), len(plan))
-        return self._judged(rows, tuple(skipped))
+        else:
+            self.progress("study", len(plan), len(plan))
+        report = self._kept(rows, tuple(skipped))
+        return replace(report, interrupted=self.ended is not None)
+
+    def _kept(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
+        """The report of finished settings, without errors if they cannot be compared."""
+        try:
+            return self._judged(rows, skipped)
+        except Exception as problem:
+            if not (self.keep and rows):
+                raise
+            self.ended = problem
+            why = "the settings were not compared"
+            return self._unjudged(rows, (*skipped, f"{why}: {failure(problem)}"), why)
 
     def _still(self, number: int, count: int, stage: str = "study", *steps: int) -> None:
         """Report progress in the middle of a setting."""
@@ -245,8 +263,7 @@ class Study:
             why = (
                 "on every level the grid may tear the material" if torn else "no level could be run"
             )
-            none, judged = Convergence(None, why_not=why), tuple(rows)
-            return Report(judged, skipped, none, size, why, kept_promises(self.scene, judged, none))
+            return self._unjudged(rows, skipped, why)
         names = [row.name for row in levels]
         clips = [self.clips[name] for name in names]
         apart = distances([clip.means for clip in clips]) / size
@@ -261,6 +278,12 @@ class Study:
             recommend(judged, found),
             kept_promises(self.scene, judged, found),
         )
+
+    def _unjudged(self, rows: list[Row], skipped: tuple[str, ...], why: str) -> Report:
+        """The rows without errors, and why they have none."""
+        none, size = Convergence(None, why_not=why), self.scene.object.size
+        promises = kept_promises(self.scene, tuple(rows), none)
+        return Report(tuple(rows), skipped, none, size, why, promises)
 
     def _compared(
         self, row: Row, levels: list[Clip], found: Convergence, known: dict[str, float]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +13,7 @@ from phy124.commands.bars import Bars
 from phy124.commands.cutout import doubt
 from phy124.commands.options import Device
 from phy124.commands.picture import PictureOptions, told
-from phy124.errors import Cancelled, InputError
+from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.effort import Effort
 from phy124.imaging.cutout import Cutout
@@ -69,7 +68,7 @@ class ShowAccuracy:
         from phy124.accuracy.verify import verify
 
         rows = []
-        with Bars(quiet=True, keeps=True) as bars, suppress(Cancelled):
+        with Bars(quiet=True, keeps=True) as bars, bars.keeping():
             for verdict in verify():
                 rows.append({**verdict.__dict__, "passed": verdict.passed})
                 if not self.json:
@@ -77,8 +76,8 @@ class ShowAccuracy:
                 bars("verify", len(rows), len(rows))
         good = all(row["passed"] for row in rows)
         if self.json:
-            print(json.dumps({"passed": good and not bars.cancelled, "checks": rows}))
-        elif not bars.cancelled:
+            print(json.dumps({"passed": good and bars.ended is None, "checks": rows}))
+        elif bars.ended is None:
             print("all as expected" if good else "NOT as expected: see the lines marked FAIL")
         return bars.status(f"{len(rows)} checks were made") or (0 if good else 1)
 
@@ -94,6 +93,7 @@ class ShowAccuracy:
             gaussians, scene, crop = self._object(scene, device, bars)
             study = Study(gaussians, scene, device, levels, crop, progress=bars, keep=True)
             report = study.run()
+            bars.ended = study.ended
             bars.close()
             write_whole(folder / "accuracy.json", json.dumps(report.data(), indent=1))
             save_page(report, folder / "accuracy.html", title=f"{name}: accuracy and time")

@@ -11,7 +11,8 @@ from types import FrameType
 
 from tqdm import tqdm
 
-from phy124.errors import Cancelled
+from phy124.errors import Cancelled, Incomplete
+from phy124.failures import failure
 from phy124.runtime.signals import handled, interrupt
 
 _silent: ContextVar[bool] = ContextVar("_silent", default=False)
@@ -56,6 +57,8 @@ class Bars:
         self.interrupted = False
         self.cancelled = False
         """Whether Ctrl-C has ended the work or a part of it."""
+        self.ended: Exception | None = None
+        """What ended the work before it was done, Ctrl-C included."""
         self._stage, self._said, self._next_line = "", "", 0.0
         self._signals = handled(self._remember)
 
@@ -74,7 +77,8 @@ class Bars:
             self.close()
             if self.keeps:
                 self._say("interrupted: results so far will be kept; Ctrl-C again quits at once")
-            raise Cancelled
+            self.ended = Cancelled()
+            raise self.ended
         if self.quiet:
             return
         stage = TITLES.get(stage, stage)
@@ -89,12 +93,26 @@ class Bars:
             self.bar.close()
             self.bar = None
 
+    @contextmanager
+    def keeping(self) -> Iterator[None]:
+        """Within this context an error or Ctrl-C ends the work; what is finished can be saved then.
+
+        `status` then says what it was.
+        """
+        try:
+            yield
+        except Exception as problem:
+            self.ended = problem
+
     def status(self, kept: str) -> int:
         """The exit status of a command that keeps its finished results; `kept` says which."""
-        if not self.cancelled:
+        if self.ended is None:
             return 0
-        self._say(f"phy124: stopped; {kept}")
-        return 130
+        incomplete = Incomplete(kept)
+        incomplete.__cause__ = self.ended
+        why = failure(incomplete)
+        self._say(f"phy124: {why}")
+        return why.status
 
     def _draw(self, stage: str, done: int, total: int) -> None:
         if self.bar is None or self.bar.desc.removesuffix(": ") != stage:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +13,6 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.commands.options import CameraOptions, Device
-from phy124.errors import Cancelled
 from phy124.io.clip import Clip
 from phy124.io.files import staged, write_whole
 from phy124.io.video import Picture, refuse_missing_encoder, write_mp4
@@ -52,7 +50,7 @@ class Compare:
         refuse_missing_encoder()
         seen = []
         with Bars(quiet=self.json, keeps=True) as bars, staged(out, keeps=True) as folder:
-            with suppress(Cancelled):
+            with bars.keeping():
                 for side in view.sides:
                     seen.append(_filmed(a, b, view, side, folder, device, bars))
             found = compare(a, b, tuple(seen))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
 from dataclasses import dataclass
 
 from phy124 import selftest as stress
 from phy124.commands.bars import Bars
-from phy124.errors import Cancelled
 
 
 @dataclass(frozen=True)
@@ -23,7 +21,7 @@ class Stress:
     def run(self) -> int:
         """Print the table; returns status 1 if a case fails."""
         total, rows = len(stress.CASES) * len(stress.settings()), []
-        with Bars(quiet=self.json, keeps=True) as bars, suppress(Cancelled):
+        with Bars(quiet=self.json, keeps=True) as bars, bars.keeping():
             for row in stress.run(long=self.all):
                 rows.append(row)
                 bars("stress", len(rows), total)

@@ -13,7 +13,7 @@ from pathlib import Path
 import tyro
 
 from phy124.commands.bars import Bars
-from phy124.errors import Cancelled, InputError
+from phy124.errors import InputError
 from phy124.experiments import EXPERIMENTS, Experiment, Outcome, named
 from phy124.experiments.page import data, details, save_page, summary
 from phy124.experiments.plots import refuse_missing_plots
@@ -65,7 +65,7 @@ class Validate:
 
     def _validate(self, chosen: Sequence[Experiment]) -> int:
         done: list[Outcome] = []
-        with Bars(quiet=self.json, keeps=True) as bars, suppress(Cancelled):
+        with Bars(quiet=self.json, keeps=True) as bars, bars.keeping():
             for outcome in outcomes(chosen, jobs=self.jobs or cores(), progress=bars):
                 done.append(outcome)
                 if not self.json:
@@ -74,10 +74,9 @@ class Validate:
         good = len(done) == len(chosen) and all(outcome.good for outcome in done)
         if self.json:
             print(json.dumps({"good": good, "experiments": [data(each) for each in done]}))
-        elif not bars.cancelled:
+        elif bars.ended is None:
             print(_summary(done))
-        if not bars.cancelled:
-            self._write(done)
+        self._write(done, whole=bars.ended is None)
         return bars.status(f"{len(done)} experiments were made") or (0 if good else 1)
 
     def _chosen(self) -> Sequence[Experiment]:
@@ -117,10 +116,11 @@ class Validate:
             with staged(self.out):
                 pass
 
-    def _write(self, done: Sequence[Outcome]) -> None:
-        if self.docs:
+    def _write(self, done: Sequence[Outcome], *, whole: bool) -> None:
+        """Write what was asked for; the page of a clone only if no experiment is missing."""
+        if self.docs and whole:
             save_page(done, *DOCS, machine=_machine())
-        if self.out is not None:
+        if self.out is not None and done:
             with staged(self.out, keeps=True) as folder:
                 rows = [data(each) for each in done]
                 write_whole(folder / "experiments.json", json.dumps(rows, indent=1))

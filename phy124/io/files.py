@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from phy124.errors import Incomplete, InputError
+from phy124.failures import SHORT_CODES
 from phy124.io.destinations import PARTS, beginning, put, real
 from phy124.io.locks import lock, locked, unlock
 
@@ -31,6 +32,7 @@ def staged(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
 
     Raises:
         InputError: If `out` cannot be a folder.
+        OSError: If there is no room.
         Incomplete: Something failed, and `keeps` has kept some files.
     """
     out, missing = Path(out), []
@@ -44,7 +46,9 @@ def staged(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
             held = lock(folder)
     except OSError as error:
         _remove_empty(missing)
-        why = "it is a file" if out.is_file() else f"it cannot be written ({error.strerror})"
+        if error.errno in SHORT_CODES:
+            raise
+        why = "it is a file" if os.path.isfile(out) else f"it cannot be written ({error.strerror})"
         raise InputError("out", out, f"{why}.", "Choose another folder.") from None
     try:
         yield folder
@@ -124,11 +128,14 @@ def replacing(path: PathLike) -> Iterator[Path]:
 
     Raises:
         InputError: If the folder is missing or the file cannot be written.
+        OSError: If there is no room.
     """
     path = Path(path)
     try:
         temporary = beginning(path)
     except OSError as error:
+        if error.errno in SHORT_CODES:
+            raise
         raise InputError(
             "output",
             path,

@@ -69,7 +69,14 @@ class Growing:
             os.close(self._file)
             limit = "another process is computing this very run."
             raise InputError("resume", path.parent, limit, "Wait for its end, or end it.")
-        os.ftruncate(self._file, self._end)
+        try:
+            os.ftruncate(self._file, self._end)
+        except OSError:
+            if os.fstat(self._file).st_size == 0:
+                path.unlink()
+            os.close(self._file)
+            locks.unlock(self._held)
+            raise
         self.arrays = {
             name: np.asarray(np.memmap(path, CODES[one.code], "r", one.offset, one.shape))
             for name, one in self.tensors.items()

@@ -8,6 +8,7 @@ file.
 
 from __future__ import annotations
 
+import errno
 import itertools
 import os
 import subprocess
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
+from phy124.failures import DISK_WORDS
 from phy124.io.files import replacing
 
 Picture = NDArray[np.uint8]
@@ -244,7 +246,11 @@ def _pipe(encoder: subprocess.Popen[bytes]) -> IO[bytes]:
     return encoder.stdin
 
 
-def _unfinished(path: object, sent: int, message: str) -> InputError:
+def _unfinished(path: object, sent: int, message: str) -> Exception:
+    """What the encoder's last words mean."""
+    if any(words in message.lower() for words in DISK_WORDS):
+        return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    message = " ".join(message.split())
     return InputError(
         "output",
         path,

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from phy124.errors import InputError
+from phy124.failures import SHORT_CODES
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.io.destinations import real
@@ -105,6 +106,8 @@ def _new_folder(path: Path) -> Iterator[Path]:
             raise FileExistsError(0, "it exists and is not empty")
         scratch = tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent)
     except OSError as error:
+        if error.errno in SHORT_CODES:
+            raise
         raise InputError(
             "output",
             path,
