@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
+
+DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
+SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
+"""The machine runs short of something, which is no fault of the file's name."""
+DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 
 
 class Remedy(NamedTuple):

@@ -14,22 +14,18 @@ from dataclasses import dataclass
 from enum import Enum
 from types import TracebackType
 
-from phy124.errors import Cancelled, Incomplete, InputError
+from phy124.errors import DISK_CODES, DISK_WORDS, Cancelled, Incomplete, InputError
 
 OWN = "phy124"
 OURS = (OWN, "phy124_demo", "phy124_bridge", "demo", "bridge", "__main__")
 """Packages of this project, by every name that they are imported under."""
 LONGEST = 300
 """Largest number of characters of a library's message that a sentence repeats."""
-DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
-SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
-"""The machine runs short of something, which is no fault of the file's name."""
 MEMORY_WORDS = (
     "out of memory", "failed to allocate", "unable to allocate", "insufficient memory",
     "cannot allocate memory", "can't start new thread", "failed to map segment", "bad_alloc",
 )  # fmt: skip
 """How libraries that have no MemoryError of their own say that memory has run out."""
-DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 NAMES = {"PIL": "Pillow", "warp": "Warp", "cv2": "OpenCV", "safetensors_rust": "safetensors"}
 """Import name of a library -> the name users know, where they differ."""
 

@@ -196,7 +196,7 @@ def test_an_older_recording_outlives_a_new_one_that_fails(tmp_path, monkeypatch)
         sink = McapSink(path, overwrite=True)
         with (
             monkeypatch.context() as patch,
-            pytest.raises(InputError, match=r"The older recording is .*bag_0\.mcap\.old"),
+            pytest.raises(Incomplete, match=r"the older recording in .*bag_0\.mcap\.old"),
             sink,
         ):
             patch.setattr(sink, "_add", lambda _: (_ for _ in ()).throw(OSError(28, "full")))

@@ -14,8 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from phy124.errors import Incomplete, InputError
-from phy124.failures import SHORT_CODES
+from phy124.errors import SHORT_CODES, Incomplete, InputError
 from phy124.gaussians import Frame
 from phy124.io.destinations import put
 from phy124.io.files import sweep_parts, writable

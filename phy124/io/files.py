@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from phy124.errors import Incomplete, InputError
-from phy124.failures import SHORT_CODES
+from phy124.errors import SHORT_CODES, Incomplete, InputError
 from phy124.io.destinations import PARTS, beginning, put, real
 from phy124.io.locks import lock, locked, unlock
 

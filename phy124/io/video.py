@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124.errors import InputError
-from phy124.failures import DISK_WORDS
+from phy124.errors import DISK_WORDS, InputError
 from phy124.io.files import replacing
 
 Picture = NDArray[np.uint8]

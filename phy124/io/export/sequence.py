@@ -14,8 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from phy124.errors import InputError
-from phy124.failures import SHORT_CODES
+from phy124.errors import SHORT_CODES, InputError
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.io.destinations import real
