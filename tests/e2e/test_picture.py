@@ -37,6 +37,18 @@ def test_whatever_opens_shows_that_it_does(browser, server):
     assert visit.page.locator("footer .divider:visible").count() == 0, "nothing follows it"
 
 
+def test_nothing_touches_beside_a_picture_on_a_phone(browser, server):
+    visit = Visit(browser, server, viewport={"width": 390, "height": 844})
+    visit.upload()
+    boxes = {
+        name: visit.page.locator(name).first.bounding_box()
+        for name in ("#photo", "#picture .picture-status", "#photo .another", "#photo .camera")
+    }
+    photo, status, another, camera = boxes.values()
+    assert status["y"] - (photo["y"] + photo["height"]) > 4
+    assert camera["x"] - (another["x"] + another["width"]) > 4
+
+
 def test_after_a_refused_picture_nothing_older_is_generated(browser, server, tmp_path):
     visit = Visit(browser, server)
     visit.upload()
