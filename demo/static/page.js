@@ -180,7 +180,7 @@
     async show(url, invented) {
       if (url === this.url && !this.growing) return;
       Object.assign(this, { url, invented });
-      const pose = this.player && this.growing ? { ...this.player.pose } : null;
+      const stance = this.player && this.growing ? this.player.stance : null;
       this.growing = null;
       if (!url) { this.clear(); return this.element.replaceChildren(welcome()); }
       const bytes = await read(url);
@@ -190,14 +190,14 @@
       this.element.replaceChildren(h('div', { class: 'viewer-row' }, host),
         ...(invented ? [h('p', { class: 'invented' }, 'The front is your picture; the back is invented from the outline.')] : []));
       if (!bytes) { host.textContent = 'The result is no longer on the server. Generate it again.'; return; }
-      this.player = await this.mount(host, bytes, pose);
+      this.player = await this.mount(host, bytes, stance);
       this.element.player = this.player;
       this.element.scrollIntoView({ block: 'nearest', behavior: calm() ? 'auto' : 'smooth' });
     }
 
-    async mount(host, bytes, pose) {
+    async mount(host, bytes, stance) {
       const player = await Phy124Player.mount(host, bytes);
-      if (player && pose) player.take(pose);
+      if (player && stance) player.stand(stance);
       return player;
     }
 
@@ -224,12 +224,12 @@
       if (!bytes || this.growing !== growing) return;
       if (growing.drawn) { await this.player?.extend(bytes); return; }
       growing.drawn = true;
-      const pose = this.player ? { ...this.player.pose } : null;
+      const stance = this.player?.stance;
       this.clear();
       const host = h('div', { class: 'viewer-host growing' });
       this.element.replaceChildren(h('div', { class: 'viewer-row' }, host));
       this.player = await Phy124Player.mount(host, bytes, { growing: true });
-      if (this.player && pose) this.player.take(pose);
+      if (this.player && stance) this.player.stand(stance);
     }
 
     /** The run failed: the previous result is shown again. */

@@ -122,3 +122,21 @@ def test_clips_of_half_a_second_play_slowly_to_and_fro(browser, tmp_path, rng):
     with _opened(browser, tmp_path / "long.html", _frames(rng, 2.0)) as page:
         assert page.locator(".phy-speed").input_value() == "1"
         assert page.locator(".phy-way").input_value() == "loop"
+
+
+def test_another_clip_is_seen_whole_from_the_same_side(browser, tmp_path, rng):
+    """A turned view is kept; where its object is and how large is the other clip's."""
+    with _opened(browser, tmp_path / "player.html", _frames(rng, 0.1)) as page:
+        pose = page.evaluate("""() => {
+            player.home();
+            player.turn(20, 5);
+            const { azimuth, elevation } = player.pose, stance = player.stance;
+            const view = { target: [3, 0, 1], radius: 4 * player.pack.view.radius };
+            Object.assign(player.pack.view, view);
+            player.stand(stance);
+            const { target, radius } = player.pose;
+            return [player.pose.azimuth - azimuth, player.pose.elevation - elevation,
+                ...target, radius / view.radius];
+        }""")
+    assert pose[:5] == [0, 0, 3, 0, 1]
+    assert pose[5] == pytest.approx(1, abs=0.01)

@@ -273,6 +273,15 @@ globalThis.Phy124Player = (() => {
     /** How much further away a picture higher than wide must be seen from: the field of view is vertical. */
     get narrow() { const [width, height] = this.pixels; return Math.max(1, height / width); }
 
+    /** From where a visitor looks, in terms of the clip's first view: another clip's object is elsewhere and larger. */
+    get stance() {
+      const { azimuth, elevation, radius } = this.pose;
+      return { azimuth, elevation, zoom: radius / this.pack.view.radius };
+    }
+
+    /** Look as a visitor looked at another clip. */
+    stand({ azimuth, elevation, zoom }) { this.take({ azimuth, elevation, radius: this.pack.view.radius * zoom }); }
+
     /** Look from a pose: that of another player, say. */
     take(pose) {
       this.pose = { ...this.pack.view, ...pose };
