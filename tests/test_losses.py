@@ -227,3 +227,26 @@ def test_an_interruption_while_the_disk_is_full_keeps_the_frames(tmp_path, tempo
     (kept,) = temporary.iterdir()
     assert failure(told.value).status == 130 and str(kept) in str(told.value)
     assert len(Clip.load(kept / "clip.safetensors")) == 5
+
+
+def test_a_folder_that_became_read_only_hides_no_sentence(tmp_path, every_frame, temporary):
+    """The pause cannot be removed; where the results are must be said all the same."""
+    with pytest.MonkeyPatch.context() as patch:
+
+        def each(run, frame) -> None:
+            if frame.index == SCENE.time.frames - 1:
+                patch.setattr(Path, "unlink", refuse)
+                patch.setattr(os, "link", refuse)
+                patch.setattr(Clip, "save", only_in_temporary)
+
+        def refuse(*_, **__) -> None:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+        saved = Clip.save
+
+        def only_in_temporary(clip, path) -> None:
+            saved(clip, path) if Path(path).is_relative_to(temporary) else refuse()
+
+        with pytest.raises(Incomplete, match=r"is kept in .*phy124-kept-"):
+            pipeline.simulate(ball(300), SCENE, tmp_path / "out", each=each)
+    assert list(temporary.glob("phy124-kept-*/clip.safetensors"))

@@ -6,7 +6,7 @@ import json
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -21,6 +21,9 @@ from phy124.rendering.framing import framing
 from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, assignments, together
+
+if TYPE_CHECKING:
+    from phy124.rendering.compose import Photograph
 
 
 @dataclass(frozen=True)
@@ -53,16 +56,14 @@ class Render:
         view = Scene.from_data(clip.scene, str(self.clip)).replaced(together(changes, others)).view
         out = self.out or self.clip.parent
         refuse_missing_writers(view)
-        if self.compose is not None:
-            from phy124.pipeline.composing import compose, photograph_of
-
-            refuse_missing_encoder()
-            photograph = photograph_of(self.compose, self.clip.parent)
+        photograph = self._photograph()
         with Bars(quiet=self.json, keeps=True) as bars, staged(out, keeps=True) as folder:
             with suppress(Cancelled):
                 device = pick_device(self.device)
                 film(clip, view, folder, device=device, threads=self.threads, progress=bars)
-                if self.compose is not None:
+                if photograph is not None:
+                    from phy124.rendering.compose import compose
+
                     compose(clip, view, photograph, folder, device=device, progress=bars)
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
             if bars.cancelled and not files:
@@ -74,3 +75,12 @@ class Render:
         else:
             print("\n".join([*files, *(f"note: {note}" for note in notes)]))
         return bars.status("the files named are complete, the others were not made")
+
+    def _photograph(self) -> Photograph | None:
+        """The photograph to compose, opened before any film is drawn; None without one."""
+        if self.compose is None:
+            return None
+        from phy124.pipeline.composing import photograph_of
+
+        refuse_missing_encoder()
+        return photograph_of(self.compose, self.clip.parent)

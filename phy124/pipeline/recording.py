@@ -128,9 +128,10 @@ class Recording:
             self.frames.state(clip)
 
     def discard(self) -> None:
-        """Remove the pause, and the frames with it."""
+        """Remove the pause, and the frames with it; in a folder that became read-only both stay."""
         if self.out is not None:
-            self.path.unlink(missing_ok=True)
+            with suppress(OSError):
+                self.path.unlink(missing_ok=True)
         self.close()
 
     def close(self) -> None:
