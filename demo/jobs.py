@@ -374,17 +374,18 @@ class Studio:
 
     def _run(self, visitor: Visitor, order: Order, job: Job) -> None:
         order.cut(Deadline(self.settings.max_cut_seconds, job.check))
-        load, events = self.forecaster.load(), self.work(order)
+        load, events, done = self.forecaster.load(), self.work(order), None
         with self.visitors.writing(visitor, bytes_to_write(order), made_by(order)):
             try:
                 for event in events:
-                    job.tell(event)
+                    done = event if isinstance(event, Done) else job.tell(event)
             finally:
                 close_now(events)
                 visitor.trim(self.visitors.room)
-        done = job.progress.result
-        if isinstance(done, Done) and "simulate" not in job.progress.reused:
-            self.forecaster.learn(done.report, order.scene, load)
+        if done is not None:
+            job.tell(done)  # not before its room is free: whoever hears of it may ask for files
+            if "simulate" not in job.progress.reused:
+                self.forecaster.learn(done.report, order.scene, load)
 
     def warm_up(self) -> None:
         """Load all kernels and measure this machine with small runs; started in a thread."""

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from demo.settings import Settings
 from demo.source import Cutout
 from demo.strokes import Stroke, place_of
 from demo.visitors import UNFINISHED, Visitors
-from demo.work import Order
+from demo.work import Done, Order
 from phy124.errors import InputError
 from phy124.imaging import cutout, heic
 from phy124.runtime import isolated
@@ -184,6 +185,29 @@ def test_a_full_queue_of_runs_takes_cut_outs_all_the_same(tmp_path):
     assert _cut(studio, "c").wait(60)
     over.set()
     until(lambda: studio.runs.running == 0)
+    studio.visitors.close()
+
+
+def test_a_run_is_done_when_its_room_is_no_longer_promised(tmp_path, monkeypatch):
+    done = Done(tmp_path, tmp_path, tmp_path)
+    studio = Studio(Settings(), Visitors(tmp_path / "files"))
+    monkeypatch.setattr(studio.forecaster, "learn", lambda *_: None)
+    monkeypatch.setattr(Done, "report", {})
+    usual, over = studio.visitors.writing, []
+
+    @contextmanager
+    def writing(*given: Any) -> Iterator[None]:
+        with usual(*given):
+            yield
+        over.append(job.over)
+
+    cut = _cut(studio, "a")
+    assert cut.wait(60)
+    monkeypatch.setattr(studio, "work", lambda _: iter([done]))
+    monkeypatch.setattr(studio.visitors, "writing", writing)
+    job = studio.run("a", cut.progress.result, Scene.named("press").data())
+    assert job.wait(60) and job.progress.result is done
+    assert over == [False]
     studio.visitors.close()
 
 
