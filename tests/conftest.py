@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+import tempfile
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A background job of a shell ignores Ctrl-C, and so would all that the tests send it to.
@@ -100,6 +101,21 @@ def three_gaussians() -> Gaussians:
     scales = np.array([[0.1, 0.05, 0.02], [0.08, 0.08, 0.01], [0.03, 0.06, 0.09]])
     means = np.array([[0, 0, 0], [0.2, 0.1, 0.3], [-0.1, 0.2, -0.2]])
     return Gaussians.from_rgb(means, quats, scales, np.array([0.9, 0.5, 0.7]), np.eye(3))
+
+
+@pytest.fixture
+def every_frame(monkeypatch):
+    """A run writes the state from which it can go on after every frame."""
+    monkeypatch.setattr("phy124.pipeline.recording.COST", 1e9)
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch) -> Path:
+    """The folder for temporary files."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import sys
-import tempfile
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,27 +18,12 @@ from phy124.failures import failure
 from phy124.io.clip import Clip
 from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
-from phy124.pipeline import making, recording
+from phy124.pipeline import making
 from support.disks import small
 from support.runs import RESULTS, SCENE, names
 from support.shapes import ball
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no locks, so nothing is recorded")
-
-
-@pytest.fixture
-def every_frame(monkeypatch):
-    """The state is written after every frame."""
-    monkeypatch.setattr(recording, "COST", 1e9)
-
-
-@pytest.fixture
-def temporary(tmp_path, monkeypatch) -> Path:
-    """The folder for temporary files."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    return folder
 
 
 @contextmanager

@@ -5,7 +5,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -22,21 +21,6 @@ from support.shapes import ball
 from support.waiting import until
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no locks, so nothing is recorded")
-
-
-@pytest.fixture
-def every_frame(monkeypatch):
-    """The state is written after every frame."""
-    monkeypatch.setattr(recording, "COST", 1e9)
-
-
-@pytest.fixture
-def temporary(tmp_path, monkeypatch) -> Path:
-    """The folder for temporary files."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    return folder
 
 
 def copied_at(frame_number: int, out: Path, copy: Path):
