@@ -34,7 +34,7 @@ def test_any_result_has_an_error_by_its_distances():
 @pytest.mark.parametrize(
     ("scatter", "count", "most"), [(0.05, 3, 1.4), (0.3, 3, 2.0), (0.1, 4, 1.1), (0.3, 4, 1.5)]
 )
-def test_what_scatters_from_grid_to_grid_is_not_taken_for_a_low_order(scatter, count, most):
+def test_scatter_between_grids_is_no_low_order(scatter, count, most):
     """The error of the finest level is estimated well, or too high, over many seeds."""
     rng, h, ratios = np.random.default_rng(1), H[:count], []
     for _ in range(40):

@@ -55,7 +55,7 @@ def test_substeps_are_predicted(name):
     assert predicted.caveat is None
 
 
-def test_an_undeformed_object_needs_substeps_in_proportion_to_its_cells():
+def test_substeps_are_proportional_to_cells():
     pilot = fly(OBJECT, scene("push_right"))
     counts = {cells: pilot.substeps(cells)[0] for cells in (12, 24, 48)}
     each = counts[48] / 4

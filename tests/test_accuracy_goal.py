@@ -29,7 +29,7 @@ def test_a_time_must_be_positive_and_finite(seconds):
         Goal.time(seconds)
 
 
-def test_units_are_those_of_the_scene_and_values_are_said_in_them():
+def test_goal_values_have_the_units_of_the_scene():
     scene = Scene.named("drop").replaced({"object.size": 2.0})
     assert UNIT["metres"](scene) == 2.0 and UNIT["fraction"](scene) == 1.0
     assert UNIT["pixels"](scene) > 100

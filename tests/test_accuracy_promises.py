@@ -99,7 +99,7 @@ def test_violence_sees_all_that_makes_a_scene_violent(preset, changes, why):
     assert said.error is None and why in said.sentence
 
 
-def test_a_longer_scene_is_promised_what_was_measured_of_its_beginning():
+def test_longer_scene_is_promised_its_measured_beginning():
     press = Scene.named("press").replaced({"accuracy": "draft"})
     brief, longer = (promise(press.replaced({"time.frames": n})) for n in (14, 48))
     assert brief.seconds is None and "in the first" not in brief.sentence

@@ -63,7 +63,7 @@ def test_a_smaller_substep_and_more_digits_buy_nothing(study):
     assert rows["float64 at D/16"].error == pytest.approx(level, rel=0.1)
 
 
-def test_energy_is_lost_not_gained_and_momentum_has_no_number_in_contact(study):
+def test_study_loses_energy_and_omits_momentum_in_contact(study):
     for row in study[1].rows:
         assert -0.02 < row.energy_lost < 1
         assert row.angular_momentum_lost is None

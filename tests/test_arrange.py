@@ -33,13 +33,13 @@ def test_a_solid_is_before_among_or_behind_what_is_in_the_box(solid, counts):
     assert arranged([solid], CAMERA, BOX).counts == counts
 
 
-def test_a_plate_may_be_pressed_into_the_box_a_little_and_a_block_may_not():
+def test_plate_may_enter_the_box_and_a_block_may_not():
     assert arranged([pane(0.24)], CAMERA, BOX).counts == [1, 0, 0]
     assert arranged([pane(0.23)], CAMERA, BOX).counts == [0, 1, 0]
     assert arranged([pane(0.39, thick=0.2)], CAMERA, BOX).counts == [0, 1, 0]
 
 
-def test_solids_come_in_the_order_of_their_ranks_and_else_as_given():
+def test_solids_are_sorted_by_rank():
     places = (-0.5, 0.1, 0.7, -0.9, 0.5, 0.0)
     found = arranged([pane(x) for x in places], CAMERA, BOX)
     assert found.counts == [2, 2, 2]

@@ -139,7 +139,7 @@ def test_slip_keeps_the_tangential_velocity_and_sticky_does_not():
 
 
 @pytest.mark.parametrize(("slope", "mu"), [(0.3, 0.5), (0.5, 0.3), (0.4, 0.0)])
-def test_a_block_on_an_incline_slides_only_if_it_is_steeper_than_mu(slope, mu):
+def test_block_slides_only_on_inclines_steeper_than_mu(slope, mu):
     """Gravity is tilted: a = g (sin - mu cos), or nothing where mu exceeds the slope."""
     angle = np.arctan(slope)
     g = 9.81 * np.array([np.sin(angle), 0, -np.cos(angle)])
@@ -172,7 +172,7 @@ def test_an_incline_across_the_grid_does_the_same(slope, mu):
     assert slide(s, along) == pytest.approx(expected, abs=0.25 * free)
 
 
-def test_a_press_moves_what_it_touches_and_a_wall_moves_along_its_path():
+def test_press_moves_particles_and_wall_follows_its_path():
     press = Press(depth=0.3, down=0.2, hold=0.1, up=0.2, friction=0.0)
     s = solver(block(), Ground(), press, forces=[])
     s.advance(0.25)
@@ -287,7 +287,7 @@ def stages(*walls) -> list[str]:
     return [name for phase in s.workers[0].phases for name, _ in phase if name not in known]
 
 
-def test_each_boundary_launches_its_number_and_an_absent_one_nothing():
+def test_each_boundary_launches_its_kernels():
     assert stages() == []
     assert stages(Ground()) == ["ground"]
     assert stages(Ground(), Press()) == ["ground", "press"]

@@ -68,7 +68,7 @@ def test_everything_is_written_when_the_disk_keeps_up(tmp_path, caplog):
     assert not caplog.text
 
 
-def test_a_failing_disk_does_not_stop_playback_but_is_raised_at_the_end(caplog):
+def test_failing_disk_is_raised_after_playback(caplog):
     broken = GatedSink(ValueError("disk gone"))
     broken.gate.set()
     with pytest.raises(ValueError, match="disk gone"), Background(broken) as background:

@@ -152,7 +152,7 @@ def test_a_viewer_in_another_process_steers_a_run():
     assert run.remarks.count in (7, 8)
 
 
-def test_ten_thousand_messages_at_once_are_left_out_with_one_sentence():
+def test_ten_thousand_messages_are_skipped_with_one_line():
     refused, heard, jobs = [], [], []
     offered = Controls(node="live", heard={PUSH: heard.append}, refused=refused.append)
     clients = Clients(offered, jobs.append)

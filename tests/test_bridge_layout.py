@@ -53,7 +53,7 @@ def test_small_profile_is_read_within_its_bounds(extent):
     assert np.abs(colours[:, 3] - gaussians.opacities).max() <= 1 / 510 + 1e-6
 
 
-def test_small_profile_of_one_point_of_none_and_of_what_is_no_number():
+def test_small_profile_of_one_no_and_non_finite_points():
     one = random_clip(count=1).frame(0)
     places, _ = documented_reader()(SimpleNamespace(**cloud(one, "small", {})))
     np.testing.assert_allclose(places, one.gaussians.means, rtol=1e-6)
@@ -81,7 +81,7 @@ def test_full_profile_is_the_clip_to_the_last_bit():
             np.testing.assert_array_equal(bits(table[name]), bits(column))
 
 
-def test_full_profile_of_several_objects_says_which_one_each_gaussian_is_of():
+def test_full_profile_names_the_object_of_each_gaussian():
     frame = random_clip(count=5).frame(1)
     ids = np.array([0, 2, 1, 1, 3], np.int32)
     several = replace(frame, gaussians=replace(frame.gaussians, object_id=ids))

@@ -35,7 +35,7 @@ def test_commands_arrive_from_another_thread():
     assert first[1] != threading.get_ident()
 
 
-def test_waiting_ends_with_a_command_or_raises_what_ended_the_listening():
+def test_wait_returns_a_command_or_raises_the_error():
     listener = Listener(Asked(KeyboardInterrupt()), lambda text: None)
     with pytest.raises(KeyboardInterrupt), listener:
         while True:

@@ -180,7 +180,7 @@ class Asked:
         self.states.append((playback.paused, playback.finished, playback.speed))
 
 
-def test_a_subscriber_sees_each_frame_before_the_next_is_computed():
+def test_subscriber_gets_a_frame_before_the_next_one():
     sink, before = Asked(), []
 
     def simulated():

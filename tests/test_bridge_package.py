@@ -60,7 +60,7 @@ def test_package_xml_is_what_rep_149_asks_for():
     assert package.get_build_type() == "ament_python"
 
 
-def test_package_xml_names_all_of_ros_that_is_used_and_nothing_noble_lacks():
+def test_package_xml_names_all_ros_dependencies():
     package = parse_package(str(BRIDGE / "package.xml"))
     depends = {each.name: each for each in package.exec_depends}
     files = [

@@ -53,7 +53,7 @@ def values(status) -> dict[str, str]:
     return {pair.key: pair.value for pair in status.values}
 
 
-def test_every_change_is_told_at_once_with_all_that_playback_knows():
+def test_each_change_publishes_the_playback_status():
     seen = Seen()
     assert seen.reports.wait() == float("inf")
     seen.reports.change(Playback(paused=True))
@@ -65,7 +65,7 @@ def test_every_change_is_told_at_once_with_all_that_playback_knows():
     assert seen.of("status")[-1].message == "finished"
 
 
-def test_diagnostics_come_once_a_second_with_the_factor_of_real_time():
+def test_diagnostics_give_the_real_time_factor_each_second():
     seen = Seen()
     seen.reports.change(Playback())
     assert len(seen.of("diagnostics")) == 1 and seen.reports.wait() == pytest.approx(1)
@@ -79,7 +79,7 @@ def test_diagnostics_come_once_a_second_with_the_factor_of_real_time():
     assert values(status)["subscribers"] == "2" and status.level == 0
 
 
-def test_new_lost_frames_warn_once_and_a_second_node_of_the_name_is_logged_once(caplog):
+def test_lost_frames_and_duplicate_nodes_warn_once(caplog):
     seen = Seen()
     seen.reports.change(Playback())
     levels = []

@@ -5,7 +5,7 @@ import logging
 from bridge.ros_log import logged_by
 
 
-def test_each_level_keeps_its_severity_and_all_handlers_come_back(ros):
+def test_log_levels_keep_severity_and_handlers_return(ros):
     from rclpy.node import Node
 
     node, root = Node("player", namespace="phy124"), logging.getLogger()

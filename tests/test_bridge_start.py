@@ -160,7 +160,7 @@ def test_ctrl_c_before_the_handler_stands(monkeypatch, capsys):
         assert capsys.readouterr().err == "bridge: stopped\n"
 
 
-def test_while_importing_an_interrupt_that_python_raises_is_quiet(capsys):
+def test_interrupt_during_import_is_quiet(capsys):
     with pytest.raises(SystemExit) as ended, importing(7, "over\n"):
         raise KeyboardInterrupt
     assert (ended.value.code, capsys.readouterr().err) == (7, "over\n")

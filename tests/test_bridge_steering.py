@@ -265,7 +265,7 @@ def test_transforms_lead_from_any_frame_of_the_tree():
         tree.hear(transform("map", "one more", (0, 0, 0)))
 
 
-def test_the_wrench_on_a_wall_is_about_the_frame_at_the_centre_of_mass():
+def test_wall_wrench_is_about_the_centre_of_mass():
     run = steered(changes={"object.lift": 0.0})
     for _ in range(4):
         run.advance()
@@ -287,7 +287,7 @@ BOX = {"name": "box", "shape": "box", "size": 1.2, "sides": [1, 1, 0.4]}
 TWO = {"object.on": "box", "object.lift": 0.0, "objects": [BOX]}
 
 
-def test_topics_and_frames_name_the_object_in_a_run_and_in_its_bag(tmp_path, monkeypatch):
+def test_topics_and_frames_name_the_object(tmp_path, monkeypatch):
     monkeypatch.setattr("phy124.generators.shapes.COUNT", 1000)
     run = steered(changes=TWO)
     published = [topic for topic in controls(run, "", action=False).published if topic != FACTOR]
@@ -331,7 +331,7 @@ def test_topics_and_frames_name_the_object_in_a_run_and_in_its_bag(tmp_path, mon
     assert all(cloud.fields[-1].name == "object_id" for cloud in clouds)
 
 
-def test_the_command_steers_the_object_of_a_clip_and_keeps_the_session(tmp_path, capsys):
+def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys):
     clip, session = tmp_path / "clip.safetensors", tmp_path / "session.toml"
     own = scene(**{"time.frames": 2})
     Simulation(ball(400), own, threads=1).run().save(clip)
@@ -357,7 +357,7 @@ def test_the_command_steers_the_object_of_a_clip_and_keeps_the_session(tmp_path,
     assert main(["live", str(tmp_path / "nothing.png")]) == 2
 
 
-def test_doctor_says_what_is_lacking_without_the_standard_interfaces(monkeypatch):
+def test_doctor_names_missing_standard_interfaces(monkeypatch):
     monkeypatch.setattr(info, "missing", lambda outlet: None)
     monkeypatch.setenv("ROS_DISTRO", "kilted")
     (line,) = [line for line in info.diagnose() if line.startswith("simulation_interfaces: ")]

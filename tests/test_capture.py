@@ -261,7 +261,7 @@ OPTIONS = [
 ]
 
 
-def test_an_interrupted_capture_goes_on_with_the_same_command_only(tmp_path, capsys):
+def test_interrupted_capture_resumes_with_the_same_command(tmp_path, capsys):
     """Its floor is found again, the same to the bit; without --floor it would be another run."""
 
     def cancel(stage: str, done: int, total: int) -> None:

@@ -47,7 +47,7 @@ def test_frames_give_back_the_gaussians(clip):
     assert np.array_equal(frames[2].gaussians.means, clip.means[2])
 
 
-def test_velocities_come_from_the_frames_beside_if_none_were_kept(clip):
+def test_velocities_are_differences_of_neighbouring_frames(clip):
     assert np.array_equal(clip.frame(1, velocities=True).velocities, clip.velocities[1])
     bare = dataclasses.replace(clip, velocities=None)
     assert bare.frame(1).velocities is None

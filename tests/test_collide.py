@@ -164,7 +164,7 @@ def touched(
     ],
     ids=lambda wall: wall.kind,
 )
-def test_what_a_wall_does_does_not_depend_on_the_order_of_the_nodes(wall, rng):
+def test_wall_is_independent_of_node_order(wall, rng):
     before = nodes_of_a_body(rng)
     at_once = touched(wall, before)
     order = np.indices((SIZE,) * 3).reshape(3, -1).T

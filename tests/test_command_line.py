@@ -159,7 +159,7 @@ def test_no_command_is_a_wish_for_help(capsys):
     assert all(name in printed for name in (*COMMANDS, "--quiet", "--verbose", "--version"))
 
 
-def test_commands_are_listed_with_the_first_sentence_of_their_classes():
+def test_command_list_shows_first_sentences_of_classes():
     for name, listed in outline().items():
         assert inspect.cleandoc(listed.__doc__) == inspect.getdoc(COMMANDS[name])
 

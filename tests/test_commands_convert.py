@@ -102,7 +102,7 @@ def test_exports_that_cannot_be_are_refused(clip, capsys, monkeypatch, words, se
     assert [p.name for p in clip.parent.iterdir()] == [clip.name]
 
 
-def test_files_are_converted_upright_with_what_they_say_of_themselves(tmp_path, capsys, rng):
+def test_convert_keeps_up_axis_and_metadata(tmp_path, capsys, rng):
     wanted = many(rng, 30, 2)
     write_gaussians(tmp_path / "a.spz", wanted, antialiased=True)
     told(capsys, "convert", tmp_path / "a.spz", tmp_path / "b.ply")

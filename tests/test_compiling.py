@@ -58,7 +58,7 @@ def empty_cache(monkeypatch, tmp_path):
         headers_folder().symlink_to(headers)
 
 
-def test_what_is_missing_is_compiled_with_progress_and_the_rest_without(empty_cache):
+def test_only_missing_modules_compile_with_progress(empty_cache):
     told, made = [], [small("first"), small("second")]
     assert not any(map(is_compiled, made))
     assert compile_missing(made, progress=lambda *step: told.append(step)) == 2
@@ -118,7 +118,7 @@ def test_all_threads_share_the_headers_of_earlier_runs(empty_cache):
     assert found == {str(headers_folder())}
 
 
-def test_headers_that_cannot_be_kept_are_made_where_warp_makes_them(monkeypatch):
+def test_uncached_headers_are_made_where_warp_makes_them(monkeypatch):
     wp.init()
     monkeypatch.setattr(wp.config, "kernel_cache_dir", "/dev/null/none")
     assert "wp_pch_" in wp._src.context.runtime.get_clang_pch_dir()
@@ -134,7 +134,7 @@ def test_without_headers_the_first_module_is_compiled_alone(monkeypatch):
 
 
 @pytest.mark.slow
-def test_two_processes_that_compile_the_same_do_not_disturb_each_other(tmp_path):
+def test_two_processes_compile_the_same_module(tmp_path):
     program = tmp_path / "small.py"
     program.write_text(SMALL)
     place = {"WARP_CACHE_PATH": str(tmp_path / "cache"), "PYTHONPATH": str(Path.cwd())}

@@ -76,7 +76,7 @@ def test_an_end_drawn_straight_does_not_make_the_object_smaller():
     assert matched(made, camera, photograph).psnr > 33
 
 
-def test_colours_come_closer_to_the_photograph_where_they_are_seen():
+def test_seen_colours_approach_the_photograph():
     true = Camera((2.0, 0.0, 0.5), (0.0, 0.0, 0.5), *SIZE, 40.0)
     photograph = photographed(patched(), true)
     sh = patched().sh.copy()

@@ -111,7 +111,7 @@ def test_a_search_can_be_called_off():
         foreground(disc()[0], deadline=Deadline(beat=beat))
 
 
-def test_the_full_u2net_comes_before_the_small_one_where_its_weights_are(monkeypatch):
+def test_full_u2net_precedes_the_small_one(monkeypatch):
     assert list(METHODS) == ["alpha", "u2net", "u2netp", "grabcut"]
     picture, mask = disc()
     way = Method(lambda _: True, lambda *_: 255 * mask.astype(np.uint8))
@@ -365,7 +365,7 @@ def test_an_animation_that_begins_empty_says_so(tmp_path):
         cut_out(path)
 
 
-def test_an_unsure_network_is_told_and_a_person_cropped_at_three_edges_is_not(monkeypatch):
+def test_unsure_network_warns_and_cropped_person_does_not(monkeypatch):
     """Grey clothes before a dark wall, at the bottom left and right edges; the legs are a guess."""
     y, x = np.mgrid[:100, :100]
     person = (abs(x - 50) < 20) | ((abs(y - 70) < 12) & (y > 20))

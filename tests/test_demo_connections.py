@@ -33,7 +33,7 @@ def _connection(connections: set, due: float | None = None) -> Patient:
     return made
 
 
-def test_of_too_many_connections_the_one_waited_for_longest_is_closed():
+def test_excess_connections_close_the_longest_idle():
     connections: set[Patient] = set()
     _, slow, new = (_connection(connections, due) for due in (None, 3.0, 20.0))
     new._make_room()
@@ -50,7 +50,7 @@ def test_if_none_is_waited_for_the_newest_is_closed():
     assert [each for each in connections if each.transport.aborted] == [new]
 
 
-def test_a_connection_that_is_kept_for_a_next_request_is_closed_too():
+def test_excess_connections_close_kept_alive_ones():
     connections: set[Patient] = set()
     _connection(connections)
     kept, new = _connection(connections), _connection(connections, 20.0)
@@ -59,7 +59,7 @@ def test_a_connection_that_is_kept_for_a_next_request_is_closed_too():
     assert [each for each in connections if each.transport.aborted] == [kept]
 
 
-def test_an_answer_that_nobody_reads_is_given_up_and_one_that_is_read_is_not():
+def test_unread_answer_is_aborted_and_read_one_is_not():
     made = _connection(set())
     made.pause_writing()
     assert made.loop.due == [(STALLED, made.transport.abort)]
@@ -67,7 +67,7 @@ def test_an_answer_that_nobody_reads_is_given_up_and_one_that_is_read_is_not():
     assert made.loop.due == [] and made.stalled is None
 
 
-def test_a_connection_that_has_become_a_socket_is_not_closed_for_its_missing_body():
+def test_websocket_is_not_closed_for_a_missing_body():
     """The body of its request, which is none, is never read."""
     became = SimpleNamespace(get_protocol=lambda: None)
     state = SimpleNamespace(their_state="SEND_BODY")

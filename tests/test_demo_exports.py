@@ -106,9 +106,7 @@ def test_a_recording_is_made_by_the_bridge(export, done):
 
 
 @pytest.mark.parametrize("name", [name for name in WRITTEN if name != "ply"])
-def test_every_format_that_is_written_is_offered_with_its_size_and_what_opens_it(
-    export, done, name, results
-):
+def test_each_format_is_offered_with_size_and_program(export, done, name, results):
     offer = EXPORTS[name]
     assert offer.hint == f"Opens in {FORMATS[name].opens_in}" and offer.available()
     path = export(name)
@@ -173,7 +171,7 @@ def test_a_half_written_file_is_removed(export, done, monkeypatch):
     assert not done.exports.exists()
 
 
-def test_exports_are_counted_before_they_are_written_and_older_ones_go(done, visitors, monkeypatch):
+def test_exports_count_before_writing_and_evict_older(done, visitors, monkeypatch):
     me, made, sizes = visitors.get(ME), [], []
 
     def write(_: Done, path) -> None:
@@ -248,7 +246,7 @@ def test_a_picture_without_an_object_can_be_rescued_by_the_brush(tmp_path):
     assert alpha[20, 20] == 255 and alpha[2, 2] == 0 and 250 < (alpha > 0).sum() < 420
 
 
-def test_a_stroke_is_a_hint_that_follows_the_edge_of_what_it_marks(tmp_path):
+def test_stroke_is_a_hint_that_follows_edges(tmp_path):
     """A small stroke on a square that the cut-out missed brings in all of the square near it."""
     rng = np.random.default_rng(0)
     rgb = rng.integers(200, 215, (200, 200, 3)).astype(np.uint8)
@@ -277,7 +275,7 @@ def _report() -> dict:
     }  # fmt: skip
 
 
-def test_the_report_says_what_was_promised_spent_left_out_and_how_stable_it_was():
+def test_report_shows_promise_time_effects_and_stability():
     text = as_html(_report(), Scene.named("press").data(), predicted=4.0)
     promised = f"at most {promise(Scene.named('press')).error:.1%} of the object&#x27;s size"
     for said in (promised, "4.0 s", "3.0 s", "0.700", "2.00 m/s", "colliders", "p2g"):

@@ -109,7 +109,7 @@ def sent(studio: Studio, name: str, data: bytes = b"\0\0\0\x20ftypisom", ending=
     return str(studio.visitors.store(name, data, ending))
 
 
-def test_a_video_is_decoded_in_a_process_as_far_as_the_scene_goes(tmp_path):
+def test_video_is_decoded_up_to_the_length_of_the_scene(tmp_path):
     seen = opened(filmed(tmp_path / "a.mp4"), tmp_path / "out", 0.3, 0.5, LONG)
     # At half speed it shows 48 pictures per second of what was filmed.
     assert seen == Seen(tmp_path / "out", fps=48.0, count=12, whole=12)
@@ -178,7 +178,7 @@ def test_a_fit_is_forecast_and_asked_for_as_declared(studio):
     assert few < many
 
 
-def test_a_visitor_has_one_fit_and_cancelling_it_stops_the_search(studio):
+def test_visitor_has_one_fit_and_may_cancel_it(studio):
     search = Search()
     done, video = prepared(studio, search)
     job = studio.fits.begin("a", done, video, {})
@@ -205,7 +205,7 @@ def prepared_other(studio: Studio) -> tuple[Done, str]:
     return result_of(studio.visitors.get("b")), sent(studio, "b")
 
 
-def test_a_fit_that_was_stopped_goes_on_where_it_was_and_goes_with_its_visitor(studio):
+def test_stopped_fit_resumes_and_leaves_with_its_visitor(studio):
     search = Search()
     done, video = prepared(studio, search)
     first = studio.fits.begin("a", done, video, {"seconds": 30})

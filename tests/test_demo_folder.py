@@ -64,7 +64,7 @@ def other(tmp_path):
     process.communicate()
 
 
-def test_what_a_killed_page_left_is_swept_by_the_next_and_a_living_one_is_let_be(tmp_path, other):
+def test_folder_of_a_killed_page_is_swept_and_live_one_kept(tmp_path, other):
     with own_folder():
         assert len(list(tmp_path.glob(f"{PREFIX}*/photograph.png"))) == 1
     os.kill(other.pid, signal.SIGKILL)
@@ -82,7 +82,7 @@ def test_links_are_not_followed_when_sweeping(tmp_path):
         assert (tmp_path / "precious" / "letter").exists()
 
 
-def test_a_folder_of_ones_own_is_emptied_but_not_one_with_other_files(tmp_path):
+def test_named_folder_is_emptied_unless_it_has_other_files(tmp_path):
     with own_folder(str(tmp_path / "a")) as root:
         (root / "left").write_text("x")
         with (

@@ -74,7 +74,7 @@ def test_what_of_a_file_is_passed_over_is_among_its_notes(studio):
     assert file.notes[0] == "Columns that are not known are passed over: metallic."
 
 
-def test_a_file_is_reduced_drawn_in_24_ways_and_moved_as_the_one_that_is_chosen(studio):
+def test_file_is_thinned_drawn_in_24_poses_and_simulated(studio):
     file = read(studio, of())
     assert (file.format, file.axes[:3]) == ("3DGS PLY", ("-y", "x", False))
     assert file.count <= 1000 and "The file has 1,200 Gaussians; fewer" in file.notes[0]
@@ -147,7 +147,7 @@ def test_a_file_that_takes_too_much_is_refused(tmp_path, monkeypatch, broken, li
         gaussian_files.opened(tmp_path / "a.ply", tmp_path, 1000, SOON)
 
 
-def test_a_file_is_known_by_its_content_and_has_limits_of_its_own(studio):
+def test_file_type_follows_content_and_has_limits(studio):
     assert studio.take("a", sent(studio, of(), ".png")).kind == "read"
     with pytest.raises(InputError, match=r"larger than the 0\.5 MB"):
         studio.take("a", sent(studio, of(10 * ROWS)))

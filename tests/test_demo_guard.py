@@ -88,7 +88,7 @@ def test_a_page_gets_a_nonce_even_if_a_script_is_cut_in_two():
     assert answer["content-length"] == str(len(answer["body"]))
 
 
-def test_whoever_has_no_name_yet_gets_one_that_scripts_cannot_read():
+def test_new_visitor_gets_an_http_only_cookie():
     given = _answer()["set-cookie"]
     assert given.startswith("phy124=") and "HttpOnly" in given and "SameSite=Lax" in given
     assert "set-cookie" not in _answer(cookie=b"phy124=abc")

@@ -29,6 +29,6 @@ def test_names_that_are_not_ours_are_none(name):
     assert cookie_of(request(name)) is None
 
 
-def test_two_programs_without_cookie_and_session_are_two_visitors():
+def test_programs_without_cookies_are_separate_visitors():
     assert visitor_of(request()) != visitor_of(request())
     assert cookie_of(None) is None

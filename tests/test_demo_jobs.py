@@ -64,7 +64,7 @@ def _cut(studio: Studio, name: str) -> Job:
 
 
 @pytest.mark.parametrize("ending", ["leave", "stop"])
-def test_a_search_that_hangs_stops_nobody_else_and_ends_with_its_visitor(studio, stuck, ending):
+def test_hanging_cutout_blocks_no_one_and_ends_with_its_visitor(studio, stuck, ending):
     assert not studio.busy
     hung = _cut(studio, "a")
     assert stuck.wait(60) and studio.busy
@@ -96,7 +96,7 @@ def test_a_picture_that_was_refused_is_not_generated_from(studio):
         studio.run("a", None, Scene.named("press").data())
 
 
-def test_a_picture_that_is_gone_is_not_called_one_that_was_never_chosen(studio):
+def test_deleted_picture_has_its_own_message(studio):
     gone = Cutout(str(studio.visitors.get("a").folder / "gone.png"), "")
     for name in ("a", "somebody the page has forgotten"):
         with pytest.raises(InputError, match="no longer kept here"):
@@ -211,7 +211,7 @@ def test_a_run_is_done_when_its_room_is_no_longer_promised(tmp_path, monkeypatch
     studio.visitors.close()
 
 
-def test_a_doubtful_cut_out_is_told_once_and_not_after_a_correction(studio, tmp_path, monkeypatch):
+def test_doubtful_cutout_warns_once(studio, tmp_path, monkeypatch):
     table = np.zeros((60, 80), np.uint8)
     table[20:] = 255
     way = cutout.Method(lambda _: True, lambda *_: table)
@@ -237,7 +237,7 @@ def test_a_doubtful_cut_out_is_told_once_and_not_after_a_correction(studio, tmp_
     assert told == "" and how["method"] == "brush"
 
 
-def test_a_click_picks_another_object_and_the_brush_goes_on_from_it(studio, tmp_path, monkeypatch):
+def test_click_picks_an_object_that_the_brush_corrects(studio, tmp_path, monkeypatch):
     found = np.zeros((60, 90), np.uint8)
     found[10:50, 5:45] = found[30:50, 60:80] = 255
     way = cutout.Method(lambda _: True, lambda *_: found, "a test")

@@ -103,7 +103,7 @@ def test_other_views_are_cut_out_once_and_reach_the_generator(studio):
     assert given["side"].getchannel("A").tobytes() == Image.open(DUCK).getchannel("A").tobytes()
 
 
-def test_the_page_cuts_it_out_where_a_run_finds_it_and_shows_it_as_no_first_picture(studio):
+def test_extra_picture_is_cut_out_and_is_no_first_picture(studio):
     side = _sent(studio)
     job = studio.cut("a", side, kind="view")
     assert job.wait(60)
@@ -121,7 +121,7 @@ def test_a_view_without_an_object_is_named(studio, tmp_path):
     assert refused.value.field == "back"
 
 
-def test_gaussians_are_made_anew_exactly_when_something_else_is_told(studio):
+def test_gaussians_are_remade_only_for_new_inputs(studio):
     side, visitor = _sent(studio), studio.visitors.get("a")
     same = studio.visitors.store("a", DUCK.read_bytes(), ".png")
     scene, duck = Scene.named("press"), Cutout(str(DUCK), str(DUCK))

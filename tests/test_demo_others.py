@@ -65,7 +65,7 @@ def test_a_further_object_is_made_of_its_own_picture(studio):
     assert cropped(order.scene, order.others).objects[0].crop[1] > 0
 
 
-def test_without_a_picture_it_is_a_copy_and_nothing_is_made_of_it(studio):
+def test_object_without_picture_is_a_copy(studio):
     studio.visitors.get("a")
     plain = _order(studio, _collide())
     assert plain.others == () and made_already(plain)["pictures"] == 1
@@ -157,7 +157,7 @@ def test_the_report_says_what_each_object_is():
 
 
 @pytest.mark.slow
-def test_a_hand_takes_one_object_and_the_clip_of_it_takes_the_same(studio):
+def test_grab_and_its_clip_take_the_same_object(studio):
     picture = _sent(studio, TEDDY.read_bytes())
     data = Scene.named("stack").replaced({"objects.1.picture": picture}).data()
     order, said = _order(studio, data), []

@@ -38,7 +38,7 @@ def test_a_run_measured_at_the_start_is_forecast_as_it_was(learned):
     assert costs == pytest.approx(wanted)
 
 
-def test_a_small_run_at_a_slow_moment_does_not_explain_the_usual_one():
+def test_slow_small_run_leaves_the_usual_rate():
     made = Learned()
     little = _report(TINY, simulate=100.0, render=20.0, encode=20.0)
     much = _report(USUAL, generate=0.8, simulate=1.0, deform=0.2, render=0.4, encode=0.4)
@@ -48,14 +48,14 @@ def test_a_small_run_at_a_slow_moment_does_not_explain_the_usual_one():
     assert made.now.particle > 0 and made.now.pixel > 0
 
 
-def test_tiny_runs_do_not_make_the_page_believe_that_everything_is_slow(learned):
+def test_tiny_runs_leave_the_rates(learned):
     before = learned.now
     for _ in range(10):
         learned.learn(_report(TINY, simulate=0.5, render=0.2, encode=0.5), TINY)
     assert learned.now == before
 
 
-def test_one_outlier_is_forgotten_and_many_move_the_rates_within_bounds(learned):
+def test_outliers_move_rates_within_bounds(learned):
     before = learned.now
     slow = _report(USUAL, simulate=1000.0, deform=50.0, render=300.0, encode=1.0)
     learned.learn(slow, USUAL)

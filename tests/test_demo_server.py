@@ -68,7 +68,7 @@ def test_the_page_names_no_other_machine(server):
     assert hosts <= {server.url.removeprefix("http://")}
 
 
-def test_a_program_sends_a_file_of_gaussians_and_says_which_way_is_up(client, tmp_path):
+def test_api_takes_gaussians_with_an_up_axis(client, tmp_path):
     file = tmp_path / "ball.ply"
     file.write_bytes(ply.encode(turned(ball(300), orientation("y", "z").T)))
     _, report = generate(client, file, known={"up": "y"})

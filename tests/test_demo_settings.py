@@ -128,7 +128,7 @@ def test_values_beyond_the_pages_limits_are_refused(changes, field):
         {"parts": [{"x": 1}] * 300}, {"pairs": [None] * 300},
     ],
 )  # fmt: skip
-def test_what_a_scene_lists_is_counted_before_anything_is_made_of_it(change, monkeypatch):
+def test_lists_of_a_scene_are_counted_first(change, monkeypatch):
     monkeypatch.setattr(Scene, "from_data", lambda *_: pytest.fail("it was read"))
     with pytest.raises(InputError, match="allows at most"):
         scene_of(change, Settings())
@@ -169,7 +169,7 @@ def test_a_mask_may_be_a_picture_that_the_visitor_has_sent(tmp_path):
         scene_of(data, Settings(max_upload_mb=1e-6), tmp_path)
 
 
-def test_every_field_that_names_a_file_has_the_type_that_is_refused():
+def test_fields_that_name_files_are_refused_by_type():
     """A new one is refused without anybody thinking of it; text may not stand for a path."""
     import re
 
@@ -181,7 +181,7 @@ def test_every_field_that_names_a_file_has_the_type_that_is_refused():
                 assert text.get("format") == "path" or not named, f"{name}.{field}"
 
 
-def test_fractions_of_frames_are_refused_though_a_slider_would_send_them():
+def test_fractions_of_frames_are_refused():
     data = Scene.named("press").data()
     data["time"]["frames"] = 3.5
     with pytest.raises(InputError, match="frames"):
@@ -230,7 +230,7 @@ def test_a_page_that_is_not_warmed_up_is_ready_at_once(tmp_path):
     assert vars(studio.forecaster.rates) == written
 
 
-def test_stops_are_those_of_the_scene_and_follow_what_was_measured():
+def test_accuracy_levels_follow_measurements_of_the_scene():
     forecaster, scene = Estimator(), Scene.named("press").replaced({"accuracy": "draft"})
     stops = forecaster.stops(scene)
     assert [stop.name for stop in stops] == ["draft", "standard", "fine"]
@@ -253,7 +253,7 @@ def test_what_was_not_measured_is_not_promised():
     assert stops_table(Estimator().stops(scene), scene.accuracy).count("error not measured") == 3
 
 
-def test_what_is_there_already_takes_no_time_and_others_take_theirs(monkeypatch):
+def test_estimate_skips_finished_stages(monkeypatch):
     scene, forecaster = Scene.named("press"), Estimator()
     whole = forecaster(scene).seconds
     made = forecaster(scene, generated=True).seconds
@@ -322,7 +322,7 @@ def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):
     assert forecast.substeps > 0 and forecast.particles >= 3
 
 
-def test_the_page_shows_every_preset_on_the_stage_and_offers_no_transparent_one():
+def test_page_shows_each_preset_on_the_stage():
     offer = catalogue(Settings())
     assert {card["scene"]["view"]["stage"] for card in offer["presets"]} == {"studio"}
     assert offer["schema"]["$defs"]["View"]["properties"]["stage"]["enum"] == ["plain", "studio"]

@@ -45,7 +45,7 @@ def test_the_error_is_told_for_the_chosen_grid():
     assert "no grid this coarse was measured" in found.promise(8).sentence
 
 
-def test_nothing_is_promised_where_a_grid_is_torn_or_none_come_closer():
+def test_torn_or_diverging_grids_promise_nothing():
     torn = _found(0.08, 0.06, None, torn=24)
     assert all(torn.promise(cells).error is None for cells in (12, 16, 24, 32))
     assert "on D/24 the grid may tear the material" in torn.promise(16).sentence
@@ -125,7 +125,7 @@ def visit(tmp_path):
     return studio, cut.progress.result, scene.data()
 
 
-def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit, handlers):
+def test_study_is_offered_where_nothing_was_measured(visit, handlers):
     studio, cutout, data = visit
 
     def shown(data):
@@ -149,9 +149,7 @@ def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit, ha
     assert "error not measured" not in after
 
 
-def test_the_report_of_a_run_tells_what_was_measured_on_its_scene_later(
-    visit, handlers, monkeypatch
-):
+def test_report_includes_a_later_study(visit, handlers, monkeypatch):
     import gradio as gr
 
     for module in (handlers.results, handlers.event):
@@ -177,7 +175,7 @@ def test_the_report_of_a_run_tells_what_was_measured_on_its_scene_later(
     assert "Error measured</td><td>about 6.0%" in handlers.results.report_of(studio, again)
 
 
-def test_kernels_to_compile_are_predicted_and_no_probe_compiles_them(visit, monkeypatch):
+def test_missing_kernels_are_forecast_and_not_probed(visit, monkeypatch):
     studio, cutout, data = visit
     job = studio.run("a", cutout, data)
     assert job.wait(300) and job.progress.state == "done", job.progress.message

@@ -106,7 +106,7 @@ def test_a_run_ends_when_its_time_is_up(page, settings, sentence):
         assert texts[-1] == sentence.format(*settings.values())
 
 
-def test_what_is_no_order_is_refused_and_thousands_of_orders_do_no_harm(page):
+def test_invalid_and_thousands_of_orders_do_no_harm(page):
     table, client = page()
     with touched(client, table) as socket:
         assert said(socket) == "ready"
@@ -222,7 +222,7 @@ def bound(sent: bytes, splats: int, nodes: int) -> dict[str, np.ndarray]:
     return found
 
 
-def test_gaussians_bound_in_the_browser_are_where_the_engine_has_them(live):
+def test_browser_binding_matches_the_engine(live):
     made = Lattice(live)
     arrays = bound(made.binding(), len(made.gaussians), len(made.nodes))
     live.push((0, 300, 100), torque=(100, 0, 0), seconds=0.1)
@@ -330,7 +330,7 @@ def test_a_saved_session_is_a_scene_no_longer_than_a_run_may_be(player):
     assert run.live.count == 1
 
 
-def test_a_session_may_be_longer_than_a_run_while_there_is_room_and_time():
+def test_session_may_be_longer_than_a_run():
     page = Settings()
     assert limits_of(page, 50_000).max_frames == 250, "half of 1000 MB at 2 MB per frame"
     assert limits_of(page, 100).max_frames == 432, "18 s, a tenth of the longest run"

@@ -71,7 +71,7 @@ def test_uploads_that_trickle_in_keep_nobody_from_computing():
     asyncio.run(visit())
 
 
-def test_more_than_may_wait_are_refused_and_so_is_who_waits_too_long(monkeypatch):
+def test_full_queue_and_long_waits_are_refused(monkeypatch):
     async def visit():
         page = Page()
         asked = [page.ask("10.0.0.1") for _ in range(PRESENT + 3)]

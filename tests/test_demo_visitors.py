@@ -50,7 +50,7 @@ def test_removing_a_visitor_removes_pictures_and_results(visitors, tmp_path):
     visitors.remove("a")
 
 
-def test_removing_while_work_goes_on_asks_it_to_stop_and_leaves_nothing(visitors, tmp_path):
+def test_removing_a_busy_visitor_stops_its_work(visitors, tmp_path):
     visitor = visitors.get("a")
     job = Job("run", visitor.new_stop_file())
     job.progress.begin()
@@ -283,7 +283,7 @@ def test_the_newest_result_stays_however_large(visitors):
     assert [path.name for path in (visitor.folder / "clips").iterdir()] == ["0"]
 
 
-def test_only_a_few_jobs_are_remembered_and_none_that_goes_on_is_forgotten(visitors):
+def test_only_finished_jobs_are_forgotten(visitors):
     visitor = visitors.get("a")
     going = Job("run", Path("stop"))
     visitor.remember(going)

@@ -221,7 +221,7 @@ def test_motion_is_reported_per_frame(order):
     assert motion["min_J"] == pytest.approx([1, 1, 1], abs=1e-4)
 
 
-def test_it_is_filmed_in_its_photograph_once_and_nothing_else_is_made_again(order, monkeypatch):
+def test_composed_film_is_made_once_and_nothing_else(order, monkeypatch):
     from phy124.rendering.compose import colours
 
     monkeypatch.setattr(colours, "ROUNDS", 1)

@@ -23,7 +23,7 @@ def test_looking_for_a_device_starts_warp_quietly(monkeypatch):
     assert pick_device("auto") in ("cpu", "cuda:0") and len(started) == 2
 
 
-def test_a_device_that_is_not_there_is_refused_with_those_that_are():
+def test_missing_device_is_refused_with_the_available():
     with pytest.raises(InputError, match=r"no such device.*cpu"):
         pick_device("cuda:17")
 
@@ -31,7 +31,7 @@ def test_a_device_that_is_not_there_is_refused_with_those_that_are():
 OLD = Driver((12, 2), (13, 0))
 
 
-def test_a_driver_that_is_too_old_is_named_with_the_one_that_is_needed(monkeypatch):
+def test_old_driver_is_named_with_the_needed_one(monkeypatch):
     monkeypatch.setattr(wp, "is_cuda_available", lambda: False)
     monkeypatch.setattr("phy124.runtime.device.driver", lambda: OLD)
     words = r"CUDA 12\.2, and this Warp needs 13\.0.*updated to release 580"

@@ -97,7 +97,7 @@ def test_a_file_is_asked_which_way_up_it_is(tmp_path, rng, comment, up, said):
     assert likely_axes(path, opened.axes)[:3] == (up, FRONTS[up], said)
 
 
-def test_a_likely_program_is_a_guess_and_a_format_with_axes_is_none(tmp_path, rng):
+def test_program_is_guessed_and_format_axes_are_known(tmp_path, rng):
     found = likely_axes(layout(tmp_path / "a.ply", LGM, rng, reach=1.0), Y_DOWN)
     assert found[:3] == ("y", "z", False) and "LGM" in (found.program or "")
     for name, said in (("a.glb", True), ("a.splat", False)):

@@ -33,7 +33,7 @@ def test_each_room_has_a_page_and_a_line_in_the_contents(pages):
         assert f"[phy124.{name}](" in pages["index"]
 
 
-def test_page_bridge_and_kernels_are_told_with_what_is_inside_them(pages):
+def test_api_pages_cover_demo_bridge_and_kernels(pages):
     assert "## demo.work.order" in pages["demo"] and "class Order" in pages["demo"]
     assert "### LiveSink" in pages["bridge"] and "## bridge.sinks.mcap" in pages["bridge"]
     assert "## phy124.kernels.splat.project" in pages["kernels"]

@@ -77,7 +77,7 @@ def test_velocities_are_computed_only_for_who_asks():
     assert full.velocities is not None and full.velocities.shape == full.means.shape
 
 
-def test_velocities_from_neighbouring_frames_are_those_of_the_run():
+def test_differenced_velocities_match_the_run():
     """Free flight: the difference over two frames is the mean velocity between them."""
     fall = {"object.lift": 5.0, "object.velocity": [1.0, 0, 2.0], "velocities": True}
     clip = Simulation(ball(300), Scene.named("drop").replaced({**QUICK, **fall})).run()
@@ -164,7 +164,7 @@ def test_less_watching_costs_less_and_moves_the_same():
 
 
 @pytest.mark.parametrize("every", [1, 32])
-def test_however_rarely_limits_are_measured_an_impact_stays_sound(every):
+def test_impact_is_sound_at_any_measuring_interval(every):
     """At twice the speed of sound: measured in time, since it is fast."""
     scene = Scene.from_data({
         "object": {"lift": 0.1, "velocity": [0, 0, -20]}, "material": {"law": "neo_hookean"},

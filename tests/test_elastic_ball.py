@@ -66,7 +66,7 @@ def test_twice_as_many_elements_agree_within_a_per_cent():
     np.testing.assert_allclose(coarse, fine, rtol=0.01)
 
 
-def test_the_law_is_that_of_the_elements_and_its_slope_its_derivative():
+def test_law_matches_elements_and_its_slope():
     fitted = law(NU, whole=False)
     found = forces((0.02, 0.1), NU, whole=False)
     np.testing.assert_allclose([fitted.force(d) for d in (0.02, 0.1)], found, rtol=0.01)

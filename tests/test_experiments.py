@@ -80,7 +80,7 @@ def test_the_elastica_is_that_of_the_tables():
     assert heavy_elastica.exact(1e-3) == pytest.approx(1e-3 / 8, rel=1e-3)
 
 
-def test_hertz_s_impact_lasts_as_long_as_in_books_and_damping_slows_it():
+def test_impact_lasts_as_hertz_says_and_damping_slows_it():
     depth = impact.SHALLOW
     lossless = impact.theory(0.0, depth, Law(0.0))
     assert lossless.restitution == pytest.approx(1.0, abs=1e-4)
@@ -144,7 +144,7 @@ def test_three_grids_give_the_value_of_none():
     assert one.inside and one.control_outside
 
 
-def test_grids_that_do_not_converge_give_the_finest_and_their_spread():
+def test_diverging_grids_give_the_finest_and_the_spread():
     one = found((4, 6, 8), QUARTER, (0.25, 0.3, 0.2), 0.5)
     assert one.order is None and one.value == 0.2 and one.error == pytest.approx(0.1)
 

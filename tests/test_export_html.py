@@ -100,7 +100,7 @@ def test_the_camera_is_an_orbit_again(clip):
     assert again.eye == pytest.approx(CAMERA.eye)
 
 
-def test_speeds_of_a_clip_without_velocities_come_from_its_positions(clip):
+def test_clip_without_velocities_takes_speeds_from_positions(clip):
     bare = Clip(**{**vars(clip), "velocities": None})
     speeds = _unpacked(pack(bare, CAMERA))[1]["speed"]
     wanted = np.linalg.norm(np.gradient(clip.means, clip.times, axis=0), axis=2)

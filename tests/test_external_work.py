@@ -63,7 +63,7 @@ def test_impulse_and_work_are_the_change_of_momentum_and_energy(force):
     assert given.work == pytest.approx(end.kinetic - start.kinetic, rel=1e-6)
 
 
-def test_the_work_of_a_force_that_sets_C_includes_the_affine_energy():
+def test_work_of_a_force_on_C_includes_affine_energy():
     spun = SetVelocity(spin=(0, 0, 2), end=1e-5)
     _, _, given, (start, end) = run([ParticleForce(f=(1e-3, 0, 0)), spun])
     assert given.work == pytest.approx(end.energy - start.energy, rel=1e-3)

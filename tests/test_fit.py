@@ -70,7 +70,7 @@ def test_intervals_hold_the_truth_in_90_of_100_seeds():
     assert np.all(held >= 90)
 
 
-def test_stiffness_and_mass_together_are_refused_before_the_search():
+def test_fit_of_stiffness_and_mass_is_refused():
     problem = Oscillator(names=("material.E", "material.damping", "material.density"),
                          truth=np.array([0.6, 0.35, 0.5]))  # fmt: skip
     with pytest.raises(InputError, match=r"material\.E, material\.density: .* the same way"):
@@ -231,7 +231,7 @@ def test_pixels_move_with_the_gaussians_in_front():
     assert np.allclose(points.predicted(clip), points.measured, atol=0.15)
 
 
-def test_points_off_the_object_and_points_that_appear_later_are_refused():
+def test_points_off_the_object_or_late_are_refused():
     _, rest = falling()
     with pytest.raises(InputError, match="away from it"):
         Points(tracked(np.full((2, 3), 5.0), np.array([0, 0.1]), ["a", "a"]), rest)

@@ -55,7 +55,7 @@ def test_two_passes_keep_what_two_round_trips_leave():
 
 
 @pytest.mark.parametrize("scheme", [Scheme(1, 0.95), Scheme(3)])
-def test_momentum_is_kept_and_a_round_trip_keeps_angular_momentum(scheme):
+def test_round_trip_keeps_linear_and_angular_momentum(scheme):
     solver = shaken(scheme)
     first, turn = diagnose(solver).momentum, angular_momentum(solver)
     solver.step(1e-9, 1e-9)
@@ -85,7 +85,7 @@ def test_a_run_continues_bit_for_bit_from_a_snapshot():
 
 
 @pytest.mark.slow
-def test_double_precision_does_the_same_and_momentum_is_kept_to_rounding():
+def test_double_precision_keeps_momentum_to_rounding():
     solver = shaken(Scheme(3), precision="float64")
     first = diagnose(solver).momentum
     solver.advance(0.02)

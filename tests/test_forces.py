@@ -181,7 +181,7 @@ def test_set_velocity_turns_and_scales_with_its_profile():
     np.testing.assert_allclose(s.state.C.numpy()[0, 1, 0], 1.5, rtol=0.05)
 
 
-def test_what_acts_on_the_whole_body_costs_no_launch_and_the_rest_one_each():
+def test_only_local_forces_launch_kernels():
     assert launches(solver(Gravity(), Acceleration(), TotalForce())) == set()
     assert launches(solver(Gravity(profile=Sine()))) == {"tracks"}
     assert launches(solver(Impulse())) == {"tracks"}

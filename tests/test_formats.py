@@ -43,7 +43,7 @@ def assert_same(found: Gaussians, wanted: Gaussians) -> None:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("name", STILL)
-def test_what_is_written_reads_back_within_the_steps_of_its_format(tmp_path, rng, name, degree):
+def test_formats_round_trip_within_their_steps(tmp_path, rng, name, degree):
     wanted, path = many(rng, 300, degree), tmp_path / f"a{FORMATS[name].suffix}"
     assert write_gaussians(path, wanted, name, antialiased=True) is FORMATS[name]
     content = read_as_is(path)

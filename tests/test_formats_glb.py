@@ -43,7 +43,7 @@ def glb_with(path: Path, gaussians: Gaussians, change) -> Path:
     return path
 
 
-def test_scales_of_a_glb_from_before_the_ratified_text_are_logarithms(tmp_path, three_gaussians):
+def test_early_glb_scales_are_logarithms(tmp_path, three_gaussians):
     logs = Gaussians(**{**vars(three_gaussians), "scales": np.log(three_gaussians.scales)})
     write_gaussians(tmp_path / "a.glb", logs)
     found = read_gaussians(tmp_path / "a.glb").gaussians

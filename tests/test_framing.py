@@ -27,7 +27,7 @@ def seen(clip, chosen, side="front") -> list[np.ndarray]:
     return [camera.project(middle[None])[0][0] for camera, middle in pairs]
 
 
-def test_a_still_camera_stays_and_a_following_one_keeps_the_middle():
+def test_still_camera_stays_and_follower_keeps_the_centre():
     clip, still, follow = flight(AWAY), view(size=256), view(size=256, follow=True)
     assert len({camera.eye for camera in cameras(clip, still, "front")}) == 1
     assert seen(clip, still)[-1][0] > 256

@@ -107,7 +107,7 @@ def test_it_slides_by_its_friction_and_rolls():
         np.testing.assert_allclose(s.free.motions()[0, :3], stopped, atol=1e-9)
 
 
-def test_on_a_slope_it_starts_to_slide_where_the_slope_passes_its_friction():
+def test_free_body_slides_on_slopes_beyond_its_friction():
     for friction, moves in ((0.4, False), (0.3, True)):
         slope = np.radians(20)
         n = (np.sin(slope), 0, np.cos(slope))
@@ -193,7 +193,7 @@ def test_at_rest_on_jelly_it_weighs_what_it_weighs(shape, density):
 
 
 @pytest.mark.slow
-def test_a_hundred_times_as_heavy_it_squeezes_the_jelly_and_stays_sound():
+def test_heavy_free_body_squeezes_jelly_soundly():
     one = BALL._replace(place=(0.01, 0.02, 0.5), density=1e5)
     s, _ = settled(one, seconds=1.0, E=1e5, precision="float32")
     assert np.isfinite(s.state.x.numpy()).all() and np.isfinite(s.free.poses()).all()
@@ -300,7 +300,7 @@ def floating(density):
 
 
 @pytest.mark.slow
-def test_it_floats_as_its_density_says_and_sinks_if_it_is_heavier():
+def test_free_body_floats_or_sinks_by_density():
     """Somewhat deeper, up to half a cell: water reaches into what floats on it."""
     found = [floating(density) for density in (300.0, 600.0)]
     for (depth, weight), density in zip(found, (300.0, 600.0), strict=True):

@@ -28,7 +28,7 @@ def test_covariances_have_squared_scales_as_eigenvalues(three_gaussians):
     assert np.allclose(values, np.sort(three_gaussians.scales.astype(float) ** 2), rtol=1e-6)
 
 
-def test_deviations_are_the_roots_of_the_diagonal_of_the_covariances(rng):
+def test_deviations_are_roots_of_the_covariance_diagonal(rng):
     quats, scales = random_quats(rng, 200).astype(np.float32), rng.random((200, 3))
     some = Gaussians.from_rgb(np.zeros((200, 3)), quats, scales, np.ones(200), np.ones((200, 3)))
     diagonal = np.einsum("nii->ni", some.covariances())

@@ -150,7 +150,7 @@ def test_lgm_tells_its_effort_and_passes_its_options_on(monkeypatch):
     )  # fmt: skip
 
 
-def test_where_memory_is_short_numbers_are_shorter_and_networks_not_kept(monkeypatch):
+def test_short_memory_uses_half_precision_and_no_cache(monkeypatch):
     torch = pytest.importorskip("torch")
     from phy124.generators import precision
 

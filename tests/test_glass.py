@@ -78,7 +78,7 @@ def dots(places) -> Gaussians:
     )  # fmt: skip
 
 
-def test_what_is_behind_glass_takes_its_colour_and_what_is_before_it_does_not():
+def test_glass_tints_only_gaussians_behind_it():
     camera, renderer = Camera.orbit(0, 0, 2.0, 65), Renderer(device="cpu")
     pane = Solid(np.array([0.5, 0, 0]), np.eye(3), np.array([0.05, 0.4, 0.4]))
     stage = StageFrame(Backdrop((0, 0, 0), (0, 0, 0)), None, (pane,))
@@ -90,7 +90,7 @@ def test_what_is_behind_glass_takes_its_colour_and_what_is_before_it_does_not():
 
 
 @pytest.mark.parametrize("blend", ["simd", "pixel"])
-def test_glass_before_all_gaussians_looks_as_glass_among_them_does(blend):
+def test_glass_in_front_matches_glass_between_gaussians(blend):
     """One out of sight, before the pane, has each Gaussian behind it tinted on its own."""
     camera, renderer = Camera.orbit(0, 0, 2.0, 65), Renderer(device="cpu", blend=blend)
     pane = Solid(np.array([0.5, 0, 0]), np.eye(3), np.array([0.05, 0.4, 0.4]))

@@ -231,7 +231,7 @@ def test_the_difference_is_the_gradient_alone_to_the_end(golden, case):
     assert_the_difference_is_the_gradient(recording, recording.data["steps"][-1])
 
 
-def test_the_originals_stvk_stress_is_not_the_derivative_of_its_energy(golden):
+def test_original_stvk_stress_is_no_energy_derivative(golden):
     """Metal at step 400: its value, ours, and the energy's derivative."""
     recording = Recording.load(golden, "c_metal_fall")
     F, theirs = recording.at("F", 400), recording.at("stress", 400)
@@ -286,7 +286,7 @@ def test_the_originals_slip_plane_is_sticky_and_ours_slips(golden):
     np.testing.assert_allclose(slippery.state.v.numpy()[:, 0].mean(), 0.5, rtol=1e-5)
 
 
-def test_gaussians_of_plastic_bodies_follow_the_total_deformation(golden):
+def test_plastic_gaussians_follow_the_total_deformation(golden):
     """The original exports the elastic F: a squashed block's Gaussians would keep their shape."""
     recording = Recording.load(golden, "c_metal_fall")
     solver = solver_of(recording)

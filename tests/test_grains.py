@@ -28,7 +28,7 @@ def grained(body, material, binding="particles"):
     return made, *with_grains(body, made, np.ones(len(body), bool), [material], SPACING)
 
 
-def test_every_particle_inside_gets_a_ball_in_the_colour_above_it(body):
+def test_inner_particles_get_balls_in_the_colour_above(body):
     made, shown, particles = grained(body, Sand())
     grains = shown.select(np.arange(len(shown)) >= len(body))
     assert len(grains) == (made.gaussian < 0).sum() > 300
@@ -101,7 +101,7 @@ def drawn_out(stretch: float, rounds: bool) -> np.ndarray:
     return deformer(np.zeros((1, 3)), F, index=0, time=0.0).gaussians.scales[0]
 
 
-def test_what_flows_becomes_a_ball_of_the_same_extent_instead_of_a_needle():
+def test_fluid_gaussians_become_balls_not_needles():
     np.testing.assert_allclose(drawn_out(1.2, True), drawn_out(1.2, False), rtol=1e-6)
     needle, round_ = drawn_out(9.0, False), drawn_out(9.0, True)
     assert needle.max() / needle.min() > 50

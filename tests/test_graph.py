@@ -70,7 +70,7 @@ def test_the_device_alone_takes_the_substeps_of_the_host(material, options):
     assert alone.timings["graph"][1] > 100, "the graph has hardly been used"
 
 
-def test_a_window_that_moves_and_violent_substeps_are_left_to_the_host():
+def test_graph_leaves_moving_windows_and_violence_to_host():
     host, alone = solvers(NeoHookean(E=3e4), v=(20, 0, 0))
     for until in FRAMES:
         host.advance(until)
@@ -124,7 +124,7 @@ def test_the_host_looks_before_the_strain_of_a_frame_grows_large(monkeypatch):
     assert looks[0] > 1.5 * looks[1]
 
 
-def test_it_sees_the_fastest_instant_of_what_the_device_did_alone():
+def test_graph_reports_the_fastest_instant():
     """A bounce is over within one visit; sleep and the watchdog must see how fast it was."""
     seen = []
     for solver in solvers(NeoHookean(E=3e4)):

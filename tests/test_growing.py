@@ -32,7 +32,7 @@ def grown(path, count=3, header=500):
     return growing, read, Clip.from_frames(read)
 
 
-def test_its_frames_take_no_memory_and_are_stacked_without_a_copy(tmp_path):
+def test_growing_frames_are_stacked_without_a_copy(tmp_path):
     growing, read, clip = grown(tmp_path / "frames")
     for frame, wanted in zip(read, frames(), strict=True):
         assert np.array_equal(frame.gaussians.means, wanted.gaussians.means)

@@ -158,7 +158,7 @@ def jpeg_of_many_scans(side, scans):
     return head + first + again * scans + b"\xff\xd9"
 
 
-def test_a_jpeg_of_endless_passes_is_refused_and_one_of_some_is_not(tmp_path):
+def test_jpeg_of_endless_passes_is_refused(tmp_path):
     """A pass takes few bytes of the file, and time over all pixels."""
     path = tmp_path / "a.jpg"
     path.write_bytes(jpeg_of_many_scans(1032, 99))
@@ -222,7 +222,7 @@ def test_colours_become_srgb_and_a_damaged_profile_is_noted(tmp_path):
     assert "colour profile cannot be used" in damaged.info["notes"][0]
 
 
-def test_a_photograph_of_several_pictures_has_the_limit_of_passes(tmp_path):
+def test_multi_picture_photograph_has_the_limit_of_passes(tmp_path):
     both = [Image.fromarray(gradient()), Image.fromarray(gradient())]
     mpo = photographs.file_of(both[0], "MPO", save_all=True, append_images=both[1:])
     bomb = jpeg_of_many_scans(1032, 300)

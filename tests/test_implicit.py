@@ -38,7 +38,7 @@ def test_a_balls_field_and_gradient_are_exact_at_pixels(ball, rng):
     np.testing.assert_allclose(gradients, -2 * away, atol=1e-11)
 
 
-def test_between_pixels_fields_are_linear_and_beyond_them_constant(rng):
+def test_fields_are_linear_inside_and_constant_beyond(rng):
     w, m = rng.normal(size=(2, 9, 12))
     points = rng.uniform(-3, 14, (1000, 3))
     values, gradients = Surface(w, m, rng.normal(size=(2, 2, 9, 12))).gradient(points)
@@ -59,7 +59,7 @@ def test_the_last_pixel_needs_no_other_beyond_it(rng):
     np.testing.assert_array_equal(values, w[:, 11])
 
 
-def test_points_land_on_the_surface_and_normals_point_away_from_the_middle(ball, rng):
+def test_points_land_on_the_surface_with_outer_normals(ball, rng):
     points = CENTRE + rng.normal(size=(2000, 3)) * 8
     landed = ball.project(points, rounds=60)
     away = landed - CENTRE
@@ -118,7 +118,7 @@ def pushed(points, normals, wanted, near):
     return moved, spacing
 
 
-def test_neighbours_that_are_too_near_move_apart_along_the_surface():
+def test_near_neighbours_move_apart_on_the_surface():
     """Two points half as far apart as wanted, on a floor; one is 0.1 above the other."""
     points = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.1]])
     up = np.tile([0.0, 0.0, 1.0], (2, 1))

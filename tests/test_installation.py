@@ -75,7 +75,7 @@ def test_every_part_has_packages(extra):
     assert packages(extra)
 
 
-def test_nothing_tells_users_to_install_from_an_index_that_does_not_have_it():
+def test_docs_install_from_no_index_without_phy124():
     files = [p for d in ("phy124", "bridge", "demo", "docs") for p in (ROOT / d).rglob("*")]
     for path in [*files, *ROOT.glob("*.md"), *ROOT.glob("*.py"), ROOT / "Makefile"]:
         if path.suffix in (".py", ".md", ".html", ".js", ".toml") or path.name == "Makefile":

@@ -57,7 +57,7 @@ def test_a_cancelled_run_leaves_nothing_unless_asked(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_cancelled_run_is_kept_as_far_as_it_came_and_goes_on_bit_for_bit(tmp_path):
+def test_cancelled_run_resumes_bit_for_bit(tmp_path):
     whole = pipeline.simulate(ball(500), SCENE, tmp_path / "whole")
     cancel = cancelling(lambda stage, done: stage == "simulate" and done == 3)
     cut = pipeline.simulate(ball(500), SCENE, tmp_path / "cut", progress=cancel, keep=True)
@@ -87,7 +87,7 @@ def test_filming_that_is_cancelled_keeps_the_finished_views(tmp_path):
     assert {path.name for path in pipeline.go_on(tmp_path).files} >= {"front.mp4", "left.mp4"}
 
 
-def test_a_second_wish_while_filming_what_there_is_loses_no_frame(tmp_path):
+def test_second_interrupt_while_filming_loses_no_frame(tmp_path):
     cancel = cancelling(
         lambda stage, done: (stage == "simulate" and done == 3) or "render" in stage
     )
@@ -224,7 +224,7 @@ def test_a_run_of_two_pictures_goes_on_with_both_bit_for_bit(tmp_path):
     assert again.report["sources"] == whole.report["sources"]
 
 
-def test_each_wish_to_end_is_told_once_and_two_at_once_end_it_at_once(capsys):
+def test_one_interrupt_is_reported_and_two_end_at_once(capsys):
     with Bars(quiet=True, keeps=True) as bars:
         bars("simulate", 0, 3)
         signal.raise_signal(signal.SIGINT)
@@ -249,7 +249,7 @@ def test_a_log_gets_lines_and_no_carriage_returns(capsys):
     assert capsys.readouterr().err == ("simulate: 1 of 3\nsimulate: 3 of 3\nrender front: 1 of 1\n")
 
 
-def test_ctrl_c_anywhere_in_a_substep_of_two_threads_does_not_hang():
+def test_ctrl_c_in_a_threaded_substep_does_not_hang():
     """The second thread waits for a barrier that the first, interrupted, never comes to."""
     barrier = Barrier(2)
     waiting = threading.Thread(target=lambda: results.append(barrier.wait(1)), daemon=True)
@@ -261,7 +261,7 @@ def test_ctrl_c_anywhere_in_a_substep_of_two_threads_does_not_hang():
 
 
 @pytest.mark.parametrize(("reports", "threads"), [(1, 2), (5, 4)])
-def test_an_exception_between_two_barriers_ends_the_other_threads(reports, threads):
+def test_exception_between_barriers_ends_all_threads(reports, threads):
     from phy124.simulation import Simulation
 
     run = Simulation(ball(800), SCENE, threads=threads)
@@ -288,7 +288,7 @@ def solving():
     return [one for one in threading.enumerate() if not one.name.startswith(THREADS)]
 
 
-def test_folders_made_for_nothing_go_again_but_not_those_of_others(tmp_path):
+def test_only_empty_folders_of_the_run_are_removed(tmp_path):
     with pytest.raises(ZeroDivisionError), staged(tmp_path / "a" / "b"):
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
@@ -370,7 +370,7 @@ with staged(sys.argv[1]) as folder:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no locks on folders")
-def test_what_a_killed_process_left_goes_at_the_next_start_and_what_is_in_use_stays(tmp_path):
+def test_leftovers_of_killed_processes_are_removed(tmp_path):
     command = [sys.executable, "-c", HOLD, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout

@@ -90,7 +90,7 @@ def test_a_module_that_warp_cannot_load_is_compiled_again(cache, monkeypatch):
         assert works(adding("unloadable"))
 
 
-def test_kernels_of_another_processor_are_not_compiled_for_this_one(cache):
+def test_kernels_of_another_processor_are_not_compiled(cache):
     assert compile_missing([adding("foreign")]) == 1
     assert is_compiled(adding("foreign"))
     file = stored(cache, ".o")
@@ -130,7 +130,7 @@ def test_of_a_compilation_that_fails_nothing_stays(cache, monkeypatch):
     assert not [*cache.glob("wp_*")]
 
 
-def test_halves_of_killed_programs_are_removed_while_nobody_compiles(cache):
+def test_partial_kernels_are_removed_between_compilations(cache):
     half = cache / "wp_phy124_test_half_1234567_p99_t1234"
     foreign = cache / "wp_of_another_program_1234567_p99_t1234"
     for folder in (half, foreign, cache / "headers_0"):

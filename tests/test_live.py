@@ -50,7 +50,7 @@ def play(run: Live) -> list:
     return frames
 
 
-def test_a_session_is_a_scene_that_gives_the_same_frames_bit_for_bit():
+def test_session_replays_as_a_scene_bit_for_bit():
     run = live()
     frames = play(run)
     read = Scene.from_data(run.session().data())
@@ -62,7 +62,7 @@ def test_a_session_is_a_scene_that_gives_the_same_frames_bit_for_bit():
     assert clip.report["complete"] and not run.notes
 
 
-def test_a_run_carries_on_only_what_still_acts_however_long_it_has_lasted():
+def test_live_run_keeps_only_acting_forces():
     inputs = Inputs(scene())
     for start in range(50):
         times = [0.0, *(np.arange(1, 24) / 24)]
@@ -245,7 +245,7 @@ def test_random_hands_never_break_it(inputs):
             assert np.isfinite(run.step().gaussians.means).all()
 
 
-def test_who_binds_the_gaussians_elsewhere_gets_the_same_motion_without_their_shapes():
+def test_external_binding_gets_motion_without_shapes():
     shaped, bare = live(), Live(thing(), scene(), threads=1, shapes=False)
     for run in (shaped, bare):
         run.step()
@@ -336,7 +336,7 @@ def test_late_frames_slow_time_down_and_never_queue_up():
     assert clock.factor == pytest.approx(0.5)
 
 
-def test_softness_changes_at_the_next_frame_and_a_session_replays_it_bit_for_bit():
+def test_softness_changes_next_frame_and_replays():
     run = live(**{"object.lift": 0.0})
     run.step()
     run.grab((0, 0, 1.0))

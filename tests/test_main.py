@@ -128,7 +128,7 @@ def test_render_makes_every_format_from_any_angle(made, tmp_path, capsys):
     assert "Choose the format webp, png or gif" in capsys.readouterr().err
 
 
-def test_a_clip_is_filmed_by_moving_cameras_with_outputs_and_slowly(made, tmp_path, capsys):
+def test_clip_is_filmed_slowly_by_moving_cameras(made, tmp_path, capsys):
     (tmp_path / "moves.toml").write_text('[[view.cameras]]\nkind = "dolly"\nname = "closer"\n')
     clip = ["render", str(made / "clip.safetensors"), "--device", "cpu", "--size", "48"]
     options = ["--cameras", str(tmp_path / "moves.toml"), "--outputs", "depth,flow", "--json"]
@@ -194,7 +194,7 @@ def test_repeated_options_add_up(made, tmp_path, capsys):
     assert scene.view.views == ("front", "left")
 
 
-def test_what_a_command_imports_is_left_out_of_later_searches_for_garbage(capsys):
+def test_command_imports_are_frozen_for_the_collector(capsys):
     before = gc.get_freeze_count()
     assert main(["scenes"]) == 0
     assert gc.get_freeze_count() > before and gc.isenabled()

@@ -65,7 +65,7 @@ def test_an_alpha_without_an_inside_leaves_colours_alone(alpha):
         np.testing.assert_array_equal(clean, rgb)
 
 
-def test_a_given_mask_is_freed_of_the_background_and_own_transparency_is_not_touched():
+def test_matting_cleans_masks_but_not_real_alpha():
     rgb, alpha = disc(softness=6.0)
     mask = Image.fromarray(np.rint(255 * alpha).astype(np.uint8))
     soft = (np.asarray(mask) > 127) & (np.asarray(mask) < 250)

@@ -56,7 +56,7 @@ def test_two_become_one_with_the_covariance_of_both():
     assert one.opacities[0] == pytest.approx(0.6 / np.sqrt(2))
 
 
-def test_those_alone_stay_as_they_are_and_nothing_is_done_without_need():
+def test_lone_gaussians_stay_unmerged():
     body = ball(300)
     assert fewer(body, 300) is body
     less = fewer(body, 299)

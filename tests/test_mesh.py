@@ -45,7 +45,7 @@ def test_a_mesh_has_its_size_colours_volume_and_stands_upright(tmp_path, kind, u
     assert solid(made, 1 / 32).volume == pytest.approx(np.pi / 6, rel=0.02)
 
 
-def test_a_mesh_turned_inside_out_is_lit_from_outside_and_takes_the_colour_given(tmp_path):
+def test_inverted_mesh_is_lit_from_outside(tmp_path):
     one = trimesh.creation.icosphere(subdivisions=2)
     one.invert()
     made = mesh(saved(tmp_path / "ball.stl", one), RED)
@@ -127,7 +127,7 @@ def test_too_large_a_mesh_is_refused(tmp_path, monkeypatch):
         mesh(tmp_path / "gone.stl", RED)
 
 
-def test_a_mesh_that_takes_too_long_and_one_without_trimesh_are_refused(tmp_path, monkeypatch):
+def test_slow_mesh_and_missing_trimesh_are_refused(tmp_path, monkeypatch):
     path = saved(tmp_path / "ball.stl", trimesh.creation.icosphere(subdivisions=1))
 
     def late(*given, deadline):

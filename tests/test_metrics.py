@@ -150,7 +150,7 @@ def test_psnr_and_ssim_equal_skimage(rng, brightness):
     assert psnr(bytes_, bytes_ / 255) == math.inf
 
 
-def test_motion_and_flicker_tell_frozen_steady_and_flickering_apart(rng):
+def test_motion_and_flicker_separate_videos(rng):
     still = np.repeat(rng.random((1, 8, 8, 3)), 5, axis=0)
     assert motion(still) == 0 and flicker(still) == 0
     ramp = np.linspace(0, 1, 5)[:, None, None, None] * np.ones((5, 8, 8, 3))
@@ -220,7 +220,7 @@ def test_evaluation_states_model_formula_and_motion(tiny_clip, rng):
     assert set(data["formulas"]) == {"cosine", "distance"}
 
 
-def test_evaluation_without_clip_says_why_and_warns_of_frozen_videos():
+def test_evaluation_without_clip_warns_of_frozen_videos():
     videos = {"front": np.zeros((6, 8, 8, 3))}
     table = evaluate(falling(), videos, missing="no weights here").table()
     assert "CLIP-T was not computed: no weights here" in table

@@ -194,7 +194,7 @@ def test_the_second_thread_ends_with_the_frame():
     assert threading.active_count() == before
 
 
-def test_a_fault_of_the_second_thread_is_raised_and_nothing_waits(monkeypatch):
+def test_fault_of_the_second_thread_is_raised(monkeypatch):
     before = threading.active_count()
     s = solver(block(16), dx=DX / 2, threads=2)
 

@@ -28,7 +28,7 @@ def broken(law, **deformations):
 
 
 @pytest.mark.parametrize("gradient", IMPOSSIBLE.values(), ids=IMPOSSIBLE.keys())
-def test_a_deformation_that_no_law_can_handle_is_reset_and_counted(gradient):
+def test_unusable_deformation_is_reset_and_counted(gradient):
     solver = broken(NeoHookean(E=1e4), p30=gradient, p12=gradient)
     solver.repair.begin(solver.clock)
     assert (solver.repair.count, solver.repair.first) == (2, 12)

@@ -34,7 +34,7 @@ def test_equal_particles_share_one_row_of_parameters():
     assert made.total_mass == pytest.approx(64e-6 * 1000, rel=1e-6)
 
 
-def test_only_plastic_laws_have_a_history_and_a_total_deformation():
+def test_only_plastic_laws_have_history_and_F_total():
     elastic, plastic = State.of(model()), State.of(model(Metal()))
     assert len(elastic.history) == len(elastic.total) == 0
     assert elastic.deformation is elastic.F
@@ -49,7 +49,7 @@ def test_a_state_returns_to_a_snapshot():
     assert (state.v.numpy() == 1).all()
 
 
-def test_a_clock_returns_to_a_snapshot_and_measures_after_violence():
+def test_clock_restores_and_measures_after_violence():
     clock = Clock(model())
     clock.since_measured = 0
     clock.finish(1e-3)

@@ -11,7 +11,7 @@ SIZES = (2, 5)
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_tasks_are_done_in_order_by_each_member_beside_the_first_thread(size):
+def test_each_member_does_its_tasks_in_order(size):
     done = []
     team = Team(size, lambda member, task: done.append((member, task, threading.get_ident())))
     with team.running():
@@ -57,7 +57,7 @@ def test_an_error_is_raised_by_the_first_thread_once(size):
         team.join()
 
 
-def test_a_thread_that_ends_itself_does_not_keep_the_others_waiting():
+def test_exiting_thread_releases_the_others():
     def end(member, task):
         raise SystemExit(f"member {member}")
 

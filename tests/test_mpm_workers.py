@@ -31,7 +31,7 @@ def particles_of(part) -> np.ndarray:
 
 
 @pytest.mark.parametrize("count", [2, 3, 7])
-def test_slabs_are_even_and_lie_one_behind_the_other_along_the_longest_axis(count):
+def test_slabs_are_even_along_the_longest_axis(count):
     s = solver(count)
     x, owned = s.model.rest, [particles_of(part) for part in s.slabs.parts]
     assert sorted(np.concatenate(owned)) == list(range(len(x)))
@@ -51,7 +51,7 @@ def test_more_workers_than_particles_leave_some_without_any():
 
 
 @pytest.mark.parametrize("count", [2, 4])
-def test_private_nodes_hold_a_slab_and_a_halo_and_never_the_same_memory(count):
+def test_private_nodes_hold_slab_and_halo(count):
     s = solver(count)
     s.step(1e-4, 1e-4)
     for part in s.slabs.parts:
@@ -86,7 +86,7 @@ def test_slabs_that_overlap_are_cut_anew():
     assert all(a.max() <= b.min() + 1.1 * DX for a, b in itertools.pairwise(ends))
 
 
-def test_slabs_that_were_cut_anew_are_part_of_what_a_run_goes_on_from():
+def test_snapshot_includes_recut_slabs():
     s, fresh = solver(4), solver(4)
     s.step(1e-4, 1e-4)
     mix(s)

@@ -56,7 +56,7 @@ def test_a_place_on_an_object_or_just_beside_it_picks_it(alpha, pick):
     assert object_at(np.zeros_like(alpha), pick) is None
 
 
-def test_an_object_that_does_not_stand_out_is_looked_for_around_the_place():
+def test_faint_object_is_sought_around_the_click():
     """What stands out in a part of this picture is the brightest object in it."""
     grey = np.zeros((200, 300), np.uint8)
     grey[40:160, 20:110], grey[120:150, 220:260] = 255, 100
@@ -84,7 +84,7 @@ def test_of_a_search_one_object_is_left_and_the_others_are_told(alpha, monkeypat
     np.testing.assert_array_equal(np.asarray(picked.picture)[..., 3], only(alpha, SMALL))
 
 
-def test_what_a_person_has_cut_out_stays_whole_unless_a_place_is_picked(alpha):
+def test_manual_cutout_is_kept_whole_without_a_click(alpha):
     own = Image.new("RGB", alpha.shape[::-1], "red")
     own.putalpha(Image.fromarray(alpha))
     for options in ({}, {"mask": Image.fromarray(alpha)}):

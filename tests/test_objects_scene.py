@@ -275,7 +275,7 @@ def test_usd_names_the_object_of_each_gaussian(run, tmp_path):
     assert list(prim.GetCustomDataByKey("objects")) == ["ball", "box", "copy"]
 
 
-def test_a_live_run_takes_hold_of_one_object_and_its_session_takes_the_same():
+def test_live_grab_and_its_session_take_the_same_object():
     live = Live(ball(300), scene(**ON_BOX), threads=1)
     (frame,) = live.frames(1)
     assert list(frame.wrenches or {}) == list(live.contacts()) == ["ground", "ball_on_box"]

@@ -31,7 +31,7 @@ def blue(tile: np.ndarray) -> np.ndarray:
     return at.mean(axis=0) / SIZE * 2 - 1
 
 
-def test_only_the_way_up_that_is_right_has_the_blue_end_at_the_top(file, tmp_path, capsys):
+def test_only_the_right_up_axis_has_blue_on_top(file, tmp_path, capsys):
     out = tmp_path / "sheet.png"
     assert main(["orient", str(file), "--out", str(out), "--device", "cpu"]) == 0
     assert capsys.readouterr().out.strip() == str(out)

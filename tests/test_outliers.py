@@ -25,7 +25,7 @@ def test_the_window_forgets_a_particle_that_flew_off():
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_who_crosses_the_edge_of_the_domain_falls_once_per_substep(rng, threads):
+def test_particles_beyond_the_domain_fall_once_per_substep(rng, threads):
     """Debris that leaves and debris that comes back: all fall as one, to rounding."""
     way = rng.normal(size=(20, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)

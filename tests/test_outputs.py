@@ -247,7 +247,7 @@ def test_a_force_is_where_it_acts():
     assert not spread(np.ones((1, 3), np.float32), outside, camera, 0.1).any()
 
 
-def test_a_clip_without_forces_is_refused_before_anything_is_made(tmp_path, clip):
+def test_clip_without_forces_is_refused_first(tmp_path, clip):
     with pytest.raises(InputError, match=r"kept no forces.*Simulate it again with --outputs force"):
         film(clip, view(outputs=["alpha", "force"], formats=["png"]), tmp_path, device="cpu")
     assert not list(tmp_path.iterdir())

@@ -143,7 +143,7 @@ def test_fillers_are_the_regular_lattice_inside(rng):
     assert len(points) == pytest.approx(BALL / spacing**3, rel=0.03)
 
 
-def test_particles_are_every_gaussian_and_fillers_that_keep_their_distance(rng):
+def test_particles_are_gaussians_and_spaced_fillers(rng):
     gaussians = ball(4000, rng)
     particles = make_particles(
         gaussians, density=1000, spacing=0.05, binding="particles", material=2
@@ -180,7 +180,7 @@ def test_the_order_of_the_gaussians_does_not_matter(rng):
     assert np.allclose(*volume, rtol=1e-4, atol=0)
 
 
-def test_thin_parts_get_no_fillers_but_carriers_half_as_far_apart(rng):
+def test_thin_pieces_get_denser_carriers_not_fillers(rng):
     flat = (rng.random((3000, 3)) - 0.5) * [1, 1, 0]
     sheet = discs(flat, np.tile([0, 0, 1.0], (3000, 1)), 0.03)
     stem = dots(np.linspace([0, 0, -1], [0, 0, 0], 200), 0.01)
@@ -203,7 +203,7 @@ def test_what_is_three_cells_wide_has_the_lattice_alone():
     assert len(particles) < 1.05 * len(fill(box, spacing))
 
 
-def test_a_field_has_one_particle_per_lattice_cell_and_leaves_nothing_out(rng):
+def test_field_has_one_particle_per_lattice_cell(rng):
     gaussians = ball(5000, rng)
     particles = make_particles(gaussians, density=1000, spacing=0.05, binding="lattice")
     assert nearest(gaussians.means, particles.x).max() <= 0.05 + 1e-6

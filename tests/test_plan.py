@@ -22,7 +22,7 @@ def file(tmp_path):
     return tmp_path / "b.ply"
 
 
-def test_both_commands_have_the_same_options_from_one_declaration():
+def test_both_commands_share_their_options():
     for command in (Generate, Simulate):
         assert command.__dataclass_fields__["plan"].default_factory is PlanOptions
 

@@ -129,19 +129,19 @@ def test_what_they_are_they_say_themselves():
     assert any("may stay squeezed flat" in note for note in run.watchdog.notes())
 
 
-def test_a_scene_with_them_is_changed_but_not_written_without_a_name():
+def test_scene_with_unnamed_plugins_is_not_written():
     scene = own().replaced({"time.fps": 30})
     assert isinstance(scene.material, Rubber) and scene.time.fps == 30
     with pytest.raises(InputError, match=r"Rubber.* which a file cannot name\. Register it"):
         scene.to_toml()
 
 
-def test_a_part_of_ones_own_material_is_kept_when_the_scene_is_changed():
+def test_plugin_material_survives_scene_changes():
     scene = Scene(parts=(Part(gaussians=(0, 100), material=Rubber()),)).replaced(QUICK)
     assert isinstance(scene.parts[0].material, Rubber)
 
 
-def test_a_run_whose_scene_cannot_be_written_is_refused_before_it_begins(tmp_path):
+def test_run_of_an_unwritable_scene_is_refused_first(tmp_path):
     with pytest.raises(InputError, match="which a file cannot name"):
         pipeline.simulate(ball(300), own(), tmp_path / "out", progress=pytest.fail)
     assert not (tmp_path / "out").exists()
@@ -264,7 +264,7 @@ def test_the_sink_of_the_docs_sends_each_frame(monkeypatch, tmp_path):
     assert got[0]["centre"]["x"] == pytest.approx(clip.means[0, :, 0].mean(), abs=1e-6)
 
 
-def test_what_is_registered_stands_in_reference_schema_and_editor(installed):
+def test_plugins_appear_in_reference_schema_and_editor(installed):
     page, told = reference(), json.loads(schema())
     assert "## `material`: rubber\n\nA fixed corotated solid that keeps" in page
     assert "rigid, rubber, sand" in page

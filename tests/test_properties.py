@@ -95,7 +95,7 @@ def test_points_of_pixie_give_laws_by_number(tmp_path, rng):
     assert isinstance(materials[made.material[-1]], Sand)
 
 
-def test_between_voxels_values_are_trilinear_and_empty_ones_count_for_nothing(tmp_path, rng):
+def test_voxel_values_are_trilinear_without_empty_ones(tmp_path, rng):
     grid = np.stack(np.meshgrid(*[np.arange(6) / 5] * 3, indexing="ij"), axis=-1)
     linear = 1e5 * (1 + grid @ [1.0, 2.0, 3.0])
     means = np.array([[0, 0, 0], [1, 1, 1], [0.5, 0.5, 0.5]])
@@ -139,7 +139,7 @@ def test_a_uniform_file_is_the_scalar_bit_for_bit(tmp_path):
         assert (Simulation(gaussians, given).run().means == plain.means).all()
 
 
-def test_a_bar_of_layers_stretches_by_the_sum_of_their_compliances(tmp_path, monkeypatch):
+def test_layered_bar_stretches_by_its_compliances(tmp_path, monkeypatch):
     """Three layers, of E, half and a quarter of it, against the closed form of test_stiffness."""
     x = bar()
 
@@ -239,7 +239,7 @@ def test_a_file_that_is_missing_is_refused_before_any_work(tmp_path, capsys):
         assert "relief" not in said.err and not (tmp_path / "made").exists()
 
 
-def test_points_are_laid_over_the_object_without_its_surroundings(tmp_path):
+def test_points_cover_the_object_without_surroundings(tmp_path):
     x = lattice(5, 5, 9, spacing=0.125)
     floor = np.array([[-9.0, -9, 0], [9, 9, 0]])
     rows = voxels(x, youngs_modulus=np.where(x[:, 2] > 0.5, 1e6, 1e5))

@@ -27,7 +27,7 @@ def test_each_makes_its_cause_less():
     assert scene.replaced(softer.changes).material.E == 1e6 / 16
 
 
-def test_a_gentler_push_halves_speeds_forces_and_the_way_of_a_press():
+def test_gentler_push_halves_speeds_forces_and_press():
     scene = Scene.named("press").replaced({"object.velocity": (0, 2, 0)})
     (gentler,) = remedies(["push"], scene)
     changed = scene.replaced(gentler.changes)

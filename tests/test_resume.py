@@ -92,7 +92,7 @@ def test_cancelled_within_a_frame_it_goes_on_bit_for_bit(
     assert balance == pytest.approx(wanted_balance, rel=1e-6)
 
 
-def test_a_frame_tried_again_leaves_the_usual_substep_when_cancelled(tmp_path):
+def test_cancelled_retry_restores_the_substep(tmp_path):
     run = Simulation(ball(800), Scene.named("press").replaced(SCENE))
     run._failed_dt = 1.0
     usual = run.solver.clock.cfl, run.solver.clock.ceiling

@@ -47,7 +47,7 @@ def measured(before, after, real, device) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("real", REALS)
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
 @pytest.mark.parametrize("share", [0.0, 0.2, 1.0])
-def test_what_walls_give_is_summed_over_the_nodes_that_they_change(rng, real, device, share):
+def test_wall_momentum_is_summed_over_changed_nodes(rng, real, device, share):
     before = nodes(rng, SIZE)
     after = before.copy()
     after[..., :3] += rng.standard_normal((*SIZE, 3)) * (rng.random((*SIZE, 3)) < share)
@@ -64,7 +64,7 @@ def test_what_walls_give_is_summed_over_the_nodes_that_they_change(rng, real, de
 
 
 @pytest.mark.parametrize("real", REALS)
-def test_boxes_of_workers_are_merged_where_they_overlap_and_where_there_are_none(rng, real):
+def test_worker_boxes_merge_overlapping_or_empty(rng, real):
     boxes = [((0, 0, 0), (2, 3, 7)), ((1, 1, 2), (2, 3, 3)), ((1, 2, 4), (1, 1, 2))]
     wanted, pool, starts = np.zeros((*SIZE, 4)), [np.full((3, 4), 5.0)], []
     for low, extent in boxes:

@@ -167,7 +167,7 @@ def test_no_error_is_promised_and_viscous_work_is_not_split():
 
 
 @pytest.mark.slow
-def test_what_a_scene_loses_by_it_is_numerical_and_two_threads_agree():
+def test_rpic_loss_is_numerical_and_threads_agree():
     """A ball that bounces: nothing rubs, so that all that is lost more is the damping."""
     ball, lost = shape("sphere", (1, 1, 1), (0.5, 0.5, 0.5)), []
     for rate, threads in ((0, 1), (30, 1), (30, 2)):

@@ -11,7 +11,7 @@ from phy124.runtime.processes import as_done, processes
 from support.waiting import until
 
 
-def test_each_task_comes_with_its_result_and_what_is_at_work_is_stopped():
+def test_tasks_return_results_and_running_ones_stop():
     with processes(1) as pool:
         assert dict(as_done(pool, abs, [-1, -2, 3], lambda: None)) == {-1: 1, -2: 2, 3: 3}
 

@@ -23,7 +23,7 @@ NEW = {
 }
 
 
-def test_a_file_with_old_names_is_the_same_scene_and_each_gets_a_note(tmp_path):
+def test_old_names_give_the_same_scene_with_notes(tmp_path):
     (tmp_path / "old.toml").write_text(tomli_w.dumps(OLD))
     with pytest.warns(FutureWarning) as notes:
         scene = Scene.from_toml(tmp_path / "old.toml")

@@ -12,7 +12,7 @@ from phy124.runtime.signals import NAMES, handled, interrupt
 NUMBERS = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
 
 
-def test_all_of_them_call_the_handler_and_are_as_before_afterwards():
+def test_signals_call_the_handler_and_are_restored():
     before, heard = [signal.getsignal(n) for n in NUMBERS], []
     with handled(lambda number, frame: heard.append(number)):
         for number in NUMBERS:
@@ -51,7 +51,7 @@ def test_other_threads_change_nothing():
     assert seen == [before]
 
 
-def test_a_process_with_nothing_to_lose_ends_with_its_status_and_a_word():
+def test_idle_process_ends_with_status_and_message():
     code = (
         "import signal; from phy124.runtime.signals import ending, handled\n"
         "with handled(ending(130, 'bye')): signal.raise_signal(signal.SIGINT)"

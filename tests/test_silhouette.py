@@ -46,7 +46,7 @@ def test_surroundings_of_the_objects_colours_are_alike(rng):
     assert alike(np.full((120, 160, 3), 90, np.uint8), np.zeros_like(DISK)) == 0.0
 
 
-def test_what_is_half_transparent_away_from_the_outline_is_undecided():
+def test_half_transparent_interior_is_undecided():
     """A soft edge is not, in a picture of any size."""
     for factor, blur in ((1, 1.0), (8, 2.0)):
         disk = np.kron(DISK, np.ones((factor, factor))) > 0

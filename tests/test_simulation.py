@@ -110,7 +110,7 @@ def test_sway_holds_the_foot_and_moves_the_top():
     assert moved[z > 0.9].min() > 0.03
 
 
-def test_gaussians_may_ride_on_the_field_instead_of_being_particles():
+def test_gaussians_may_be_bound_to_the_field():
     """The binding changes who carries the physics, not the physics."""
     # Those on the surface meet the floor a tenth of a cell before a lattice does.
     finer = {"time.frames": 14, "accuracy": {"cells": 16}}
@@ -172,7 +172,7 @@ def test_report_has_the_documented_keys():
 
 
 @pytest.mark.parametrize("height", [0.0, 0.13])
-def test_a_node_plane_lies_three_quarters_of_a_cell_below_the_floor(height):
+def test_node_plane_is_three_quarters_below_the_floor(height):
     """Only then does the object touch the floor instead of hovering above or sinking into it."""
     boundaries = [{"kind": "ground", "height": height}]
     scene = Scene.from_data({"boundaries": boundaries, "accuracy": {"cells": 10}})
@@ -189,7 +189,7 @@ def test_nothing_visible_is_refused():
         Simulation(replace(g, opacities=g.opacities * 0), Scene())
 
 
-def test_a_run_that_keeps_nothing_gives_the_same_frames_and_no_clip(tmp_path):
+def test_streaming_run_gives_equal_frames_and_no_clip(tmp_path):
     scene = Scene.named("press").replaced(QUICK)
     kept = Simulation(ball(400), scene).run()
     s = Simulation(ball(400), scene, keep=False)

@@ -63,7 +63,7 @@ def test_a_frame_that_fails_twice_stops_and_keeps_the_good_ones(tmp_path, monkey
     assert np.isfinite(again.means).all() and not again.report["complete"]
 
 
-def test_the_first_to_lose_its_numbers_is_named_not_those_that_it_spoils(monkeypatch):
+def test_first_non_finite_particle_is_named(monkeypatch):
     """Sabotage: the strain of one particle is lost within the third frame."""
     s = run()
     step = s.solver.step
@@ -80,7 +80,7 @@ def test_the_first_to_lose_its_numbers_is_named_not_those_that_it_spoils(monkeyp
     assert "1 particles are NaN or infinite, first number 150 of law" in stopped
 
 
-def test_the_same_particle_is_named_where_a_graph_takes_the_substeps(monkeypatch):
+def test_graph_names_the_same_non_finite_particle(monkeypatch):
     """The graph loses its numbers at its next visit; the frame is repeated without it."""
     s = run()
     s.solver.on_device = True

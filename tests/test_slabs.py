@@ -64,7 +64,7 @@ def moved(threads: int, time: float = 0.012):
 
 
 @pytest.mark.parametrize("threads", COUNTS)
-def test_any_number_of_threads_does_as_one_and_the_same_each_time(threads):
+def test_any_number_of_threads_agrees_and_repeats(threads):
     one, some = moved(1), moved(threads)
     np.testing.assert_allclose(some[0], one[0], rtol=0, atol=1e-6)
     np.testing.assert_allclose(some[1], one[1], rtol=0, atol=1e-5 * np.abs(one[1]).max())
@@ -127,7 +127,7 @@ def test_rejected_substeps_are_those_of_one_thread():
     np.testing.assert_allclose(some[2], one, rtol=0, atol=1e-4)
 
 
-def test_a_broken_particle_in_any_slab_is_found_and_nothing_waits():
+def test_broken_particle_in_any_slab_is_reported():
     before, s = threading.active_count(), solver(4)
     s.advance(0.002)
     v = s.state.v.numpy()
@@ -148,7 +148,7 @@ def whole():
 
 
 @pytest.mark.parametrize("threads", [None, 3, 2, 1])
-def test_a_pause_goes_on_with_the_same_bits_or_says_that_threads_differ(tmp_path, whole, threads):
+def test_resume_is_exact_or_names_other_threads(tmp_path, whole, threads):
     run = Simulation(ball(600), Scene.named("wind").replaced(SCENE), threads=3)
     list(itertools.islice(run, 3))
     resume.save(run, tmp_path / "pause.safetensors")

@@ -84,7 +84,7 @@ def test_at_rest_it_sleeps_until_a_blow_and_nothing_differs():
     assert left_out["why"] == "time.sleep is off"
 
 
-def test_a_block_settled_on_the_floor_sleeps_within_the_tolerance():
+def test_settled_block_sleeps_within_the_tolerance():
     forces, clips = [DAMPING, GRAVITY, {**BLOW, "start": 1.25}], []
     floor = [{"kind": "ground", "contact": "sticky"}]
     for sleep in (True, False):

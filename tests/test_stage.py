@@ -40,7 +40,7 @@ def at(stage: Stage, index: int) -> StageFrame:
     return stage.at(Frame(index, 0.0, ball(500)))
 
 
-def test_plain_and_transparent_have_no_stage_unless_there_is_more_than_a_colour():
+def test_plain_and_transparent_have_no_stage():
     clip = flight([(0, 0, 0)])
     assert stage_of(clip, View()) is None
     assert stage_of(clip, View(stage="transparent", formats=("png",))) is None
@@ -60,7 +60,7 @@ def test_the_floor_is_the_highest_level_plane_that_faces_up():
     assert len(at(stage, 0).solids) == 1  # the ceiling; floors are not drawn as plates
 
 
-def test_without_a_floor_it_is_under_the_lowest_point_of_the_object_at_rest():
+def test_stage_without_floor_is_under_the_object():
     stage = staged([])
     lowest = ball(500).moved(1.0, np.array([0, 0, 0.5])).means[:, 2].min()
     assert at(stage, 2).floor.height == pytest.approx(lowest)
@@ -72,7 +72,7 @@ def test_a_floor_that_moves_is_where_it_is_in_each_frame():
     assert [at(stage, i).floor.height for i in range(3)] == pytest.approx([0, 0.1, 0.2])
 
 
-def test_a_press_is_a_plate_above_the_object_and_goes_down_with_it():
+def test_press_is_drawn_as_a_descending_plate():
     press = {"kind": "press", "depth": 0.4, "down": 0.5, "hold": 0.1, "up": 0.3}
     stage = staged([{"kind": "ground"}, press], frames=4)
     faces = []
@@ -86,7 +86,7 @@ def test_a_press_is_a_plate_above_the_object_and_goes_down_with_it():
     assert faces[2] < faces[1] < faces[0] and faces[3] > faces[2]
 
 
-def test_a_container_is_four_walls_that_meet_and_its_bottom_is_the_floor():
+def test_container_is_drawn_as_four_walls_on_the_floor():
     inside = {"lower": [-0.9, -0.8, -0.2], "upper": [0.9, 0.8, 1e9]}
     stage = staged([{"kind": "container", "inside": inside}])
     shown = at(stage, 0)
@@ -172,7 +172,7 @@ class Wind(Boundary):
     kind: Literal["gust"] = "gust"
 
 
-def test_boundaries_from_outside_are_drawn_as_far_as_they_say_what_they_are():
+def test_plugin_boundaries_are_drawn_by_their_shape():
     boundaries = (Slope(), Cushion(), Wind())
     clip = Clip.from_frames([Frame(0, 0.0, ball(500).moved(1.0, [0, 0, 0.5]))])
     scene = Scene(boundaries=boundaries).data()
@@ -279,7 +279,7 @@ def test_every_form_of_the_renderer_draws_the_same_stage(blend, distance):
     assert np.abs(image - other).max() < 1 / 255
 
 
-def test_a_renderer_that_has_drawn_other_stages_draws_as_a_new_one():
+def test_reused_renderer_draws_as_a_new_one():
     """What it keeps of a stage belongs to that stage."""
     bounded = [{"kind": "ground"}, {"kind": "press"}]
     walled = [{"kind": "container", "inside": {"lower": [-1, -1, 0], "upper": [1, 1, 1e9]}}]

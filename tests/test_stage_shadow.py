@@ -74,7 +74,7 @@ def test_the_sky_that_a_thin_disc_hides_is_its_form_factor(monkeypatch):
     assert middle == pytest.approx(0.4**2 / (0.4**2 + height**2), rel=0.05)
 
 
-def test_many_small_gaussians_cast_the_shadow_of_the_disc_that_they_fill(rng):
+def test_small_gaussians_cast_the_shadow_of_their_disc(rng):
     """Points between cells, and one of several standing for the others, make no difference."""
     n = 3 * shadow.SAMPLE
     angle, radius = rng.uniform(0, 2 * np.pi, n), 0.4 * np.sqrt(rng.uniform(0, 1, n))

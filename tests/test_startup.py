@@ -36,9 +36,7 @@ def test_what_the_user_chose_stays(fresh, monkeypatch):
     assert (wp.config.log_level, wp.config.kernel_cache_dir) == (wp.LOG_DEBUG, "/dev/null/mine")
 
 
-def test_a_home_that_cannot_be_written_gives_a_temporary_folder_and_says_so(
-    fresh, monkeypatch, tmp_path
-):
+def test_read_only_home_uses_a_temporary_folder(fresh, monkeypatch, tmp_path):
     monkeypatch.setattr(startup.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr(startup, "kernel_folder", lambda: Path("/dev/null/.cache/warp"))
     with pytest.warns(UserWarning, match="/dev/null/.cache/warp cannot be written"):
@@ -83,14 +81,14 @@ def test_folders_that_can_be_written_or_made(tmp_path):
     assert not writable(tmp_path / "file")
 
 
-def test_the_line_about_a_missing_driver_is_left_out_and_others_stay(capfd):
+def test_only_the_missing_driver_line_is_filtered(capfd):
     with startup._without_line(startup.NO_DRIVER):
         os.write(2, b"Warp CUDA warning: " + startup.NO_DRIVER + b". GPU execution will not\n")
         os.write(2, b"something else\n")
     assert capfd.readouterr().err == "something else\n"
 
 
-def test_a_command_is_silent_about_what_is_not_there_and_one_line_about_the_cache():
+def test_command_prints_one_line_about_the_cache():
     run = subprocess.run(
         [sys.executable, "-m", "phy124", "effects", "press"],
         env={k: v for k, v in os.environ.items() if k not in NAMED} | {"HOME": "/dev/null"},

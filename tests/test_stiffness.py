@@ -58,7 +58,7 @@ def length(fraction) -> float:
     return float(((s[1:] + s[:-1]) / 2 * np.diff(z)).sum())
 
 
-def test_two_halves_in_series_stretch_by_the_sum_of_their_compliances():
+def test_halves_in_series_add_their_compliances():
     fraction = np.where(bar()[:, 2] > 0.5, 0.25, 1.0)
     first, last = pulled(fraction)
     exact = 0.25 * stretch(np.array(1.0)) + 0.25 * stretch(np.array(0.25))

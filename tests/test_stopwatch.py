@@ -31,7 +31,7 @@ def test_a_stage_that_breaks_is_counted(clock):
     assert watch.seconds == {"simulate": 2.0}
 
 
-def test_only_getting_an_item_counts_and_what_gives_them_is_closed(clock):
+def test_stopwatch_counts_only_next_and_closes_iterators(clock):
     closed = []
 
     def frames():

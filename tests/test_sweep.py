@@ -384,7 +384,7 @@ def test_a_sweep_over_scenes_of_two_objects(balls, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_python_of_sweeps_md_runs_and_its_file_is_what_it_shows(tmp_path, monkeypatch, capsys):
+def test_python_of_sweeps_md_runs(tmp_path, monkeypatch, capsys):
     page = ROOT / "docs/guide/sweeps.md"
     for name in ("demo", "docs"):
         (tmp_path / name).symlink_to(ROOT / name)

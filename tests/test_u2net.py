@@ -152,7 +152,7 @@ def test_best_file_of_the_full_network_is_chosen(no_weights):
     assert u2net.weights_file() == no_weights / "u2net.onnx" and u2net.available()
 
 
-def test_auto_takes_real_alpha_then_the_full_network_then_the_small_one(no_weights, small):
+def test_auto_takes_alpha_then_full_then_small_network(no_weights, small):
     rgb = np.full((60, 80, 3), 255, np.uint8)
     rgb[15:45, 20:60] = 40, 90, 160
     plain, cut = Image.fromarray(rgb), Image.fromarray(rgb).convert("RGBA")

@@ -195,7 +195,7 @@ def test_materials_side_by_side_each_obey_their_own_law():
     assert np.abs(total[~below] - F[~below]).max() > 0.01
 
 
-def test_stiffness_from_place_to_place_is_the_same_on_two_threads():
+def test_varying_stiffness_agrees_on_two_threads():
     """Two materials of one law: each particle keeps its own row of parameters."""
     dx, places = 0.1, []
     x = lattice(12, 6, 6, spacing=dx / 2)

@@ -75,7 +75,7 @@ def test_the_balance_adds_up(world, precision):
 
 
 @pytest.mark.parametrize("way", range(8))
-def test_what_a_held_body_is_given_and_loses_again_may_be_rounded(way):
+def test_energy_of_a_held_body_may_be_rounded(way):
     """A blow of 6 kJ on a body whose velocity is set to zero: what is left is rounding."""
     p = [4000 * (0.7 if way & bit else -1.0) for bit in (1, 2, 4)]
     s, watch = followed((Impulse(p=p), SetVelocity(v=(0, 0, 0))))
@@ -124,7 +124,7 @@ def lone(**options) -> Solver:
     return make_solver(x, np.array([1e-3]), [law], dx=0.125, C=C, precision="float64", **options)
 
 
-def test_what_flows_far_within_a_frame_is_held_before_the_frame_ends():
+def test_fast_flow_is_stopped_within_a_frame():
     """A shear of 300/s for 10 ms, from an F_total that would soon overflow."""
     x = block(middle=(0, 0, 0.24))
     v, C = np.zeros_like(x), np.zeros((len(x), 3, 3))

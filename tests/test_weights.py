@@ -97,7 +97,7 @@ def hub():
     thread.join()
 
 
-def test_search_order_is_named_folder_then_environment_then_cache(tmp_path, monkeypatch):
+def test_weights_are_sought_in_folder_environment_cache(tmp_path, monkeypatch):
     snapshot = tmp_path / "hub/models--maker--toy/snapshots" / ("0" * 40)
     cached = put(snapshot / "part/model.bin")
     assert find(TOY) == cached

@@ -136,7 +136,7 @@ def test_a_pressed_ball_is_as_stiff_as_finite_elements_say(cells, pressed_ball):
 
 
 @pytest.mark.slow
-def test_on_a_fine_grid_it_is_wherever_the_plate_rests_between_the_nodes(pressed_ball):
+def test_fine_grid_wrench_is_right_between_nodes(pressed_ball):
     for depth in pressed_ball["DEPTHS"]:
         assert np.abs(pressed_ball["errors"](48, depth)).max() < 0.04
 

@@ -25,7 +25,7 @@ def test_a_lost_connection_and_a_reload_lose_nothing(browser, server):
     visit.context.close()
 
 
-def test_a_page_that_is_loaded_again_in_the_middle_of_a_run_follows_it_to_its_end(browser, server):
+def test_reloaded_page_follows_its_run(browser, server):
     visit = Visit(browser, server)
     visit.begin(frames=60)
     visit.page.reload()

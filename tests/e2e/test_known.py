@@ -10,7 +10,7 @@ pytestmark = pytest.mark.browser
 TEDDY = DUCK.with_name("teddy.png")
 
 
-def test_a_side_is_cut_out_sets_the_depth_and_goes_with_the_picture(browser, server, tmp_path):
+def test_side_picture_is_cut_out_and_sets_the_depth(browser, server, tmp_path):
     visit = Visit(browser, server)
     visit.upload()
     page, slider = visit.page, visit.page.get_by_label("Thickness, relative to the guess")

@@ -19,9 +19,7 @@ def _preset(visit: Visit, name: str) -> None:
     visit.page.wait_for_function(f"(before) => {words} !== before", arg=before, timeout=LONG)
 
 
-def test_a_second_picture_is_cut_out_runs_and_outlives_presets_and_reloads(
-    browser, server, tmp_path
-):
+def test_second_picture_outlives_presets_and_reloads(browser, server, tmp_path):
     visit = Visit(browser, server, permissions=["clipboard-read", "clipboard-write"])
     page = visit.page
     visit.upload()

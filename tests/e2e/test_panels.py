@@ -70,7 +70,7 @@ def test_a_result_is_announced(page):
     ("job", "sound", "notes"),
     [("long", "on", 2), ("long", "off", 0), ("short", "on", 0), ("stopped", "on", 0)],
 )
-def test_a_chime_is_heard_after_a_long_run_that_went_well_unless_it_is_off(page, job, sound, notes):
+def test_chime_follows_a_long_run_unless_it_is_off(page, job, sound, notes):
     page.evaluate(f"localStorage.setItem('phy124-sound', '{sound}')")
     page.evaluate(f"run('{job}')")
     assert page.evaluate("notes.length") == notes

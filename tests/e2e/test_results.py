@@ -8,7 +8,7 @@ from visit import LONG, Visit
 pytestmark = pytest.mark.browser
 
 
-def test_the_motion_streams_into_the_viewer_and_earlier_results_stay_at_hand(browser, server):
+def test_motion_streams_and_earlier_results_stay(browser, server):
     visit = Visit(browser, server)
     page = visit.page
     visit.upload()
@@ -77,7 +77,7 @@ CUT = """() => [...document.querySelectorAll('#report .report *')].filter((e) =>
 }).map((e) => e.outerHTML.slice(0, 120))"""
 
 
-def test_on_a_phone_nothing_is_too_wide_and_the_result_comes_into_view(browser, server, tmp_path):
+def test_phone_fits_the_page_and_shows_the_result(browser, server, tmp_path):
     visit = Visit(browser, server, **PHONE)
     page = visit.page
     assert page.evaluate(WIDTH) == 390

@@ -70,7 +70,7 @@ def test_a_violent_blow_is_tried_in_small_steps(gpu):
     assert clip.report["complete"] and np.isfinite(clip.means).all()
 
 
-def test_a_particle_that_is_not_finite_is_named_and_nothing_crashes(gpu):
+def test_non_finite_particle_is_named(gpu):
     run = Simulation(ball(300), scene("drop"), device=gpu)
     frames = iter(run)
     next(frames)
