@@ -3,6 +3,7 @@
 import errno
 import fcntl
 import os
+import subprocess
 import warnings
 from collections import namedtuple
 from pathlib import Path
@@ -131,12 +132,15 @@ def test_of_a_compilation_that_fails_nothing_stays(cache, monkeypatch):
 
 
 def test_partial_kernels_are_removed_between_compilations(cache):
-    half = cache / "wp_phy124_test_half_1234567_p99_t1234"
-    foreign = cache / "wp_of_another_program_1234567_p99_t1234"
+    with subprocess.Popen(["true"]) as ended:
+        ended.wait()
+    half = cache / f"wp_phy124_test_half_1234567_p{ended.pid}_t1234"
+    foreign = cache / f"wp_of_another_program_1234567_p{ended.pid}_t1234"
     for folder in (half, foreign, cache / "headers_0"):
         folder.mkdir()
     tmp = cache / "headers_0" / "builtin-da8a4af8.pch.tmp"
     tmp.touch()
+    os.utime(tmp, (0, 0))
     other = os.open(cache, os.O_RDONLY)
     fcntl.flock(other, fcntl.LOCK_SH)  # another program compiles
     kernel_cache._sweep()
@@ -144,6 +148,17 @@ def test_partial_kernels_are_removed_between_compilations(cache):
     os.close(other)
     kernel_cache._sweep()
     assert not half.exists() and not tmp.exists() and foreign.exists()
+
+
+def test_what_a_program_compiles_without_a_lock_is_not_removed(cache):
+    """A script that launches a kernel itself; without its folder the compiler would end it."""
+    half = cache / f"wp_phy124_test_half_1234567_p{os.getpid()}_t1234"
+    for folder in (half, cache / "headers_0"):
+        folder.mkdir()
+    tmp = cache / "headers_0" / "builtin-da8a4af8.pch.tmp"
+    tmp.touch()
+    kernel_cache._sweep()
+    assert half.exists() and tmp.exists()
 
 
 def test_a_user_without_a_home_leaves_no_folder_named_tilde(tmp_path, monkeypatch):

@@ -9,10 +9,12 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 import struct
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -30,6 +32,10 @@ ROOM = 8_000_000
 """Least room on the disk with which a module is compiled [bytes]; the headers take 5 MB."""
 FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
 """What a compilation leaves behind when its process ends before it."""
+PROCESS = re.compile(r"_p(\d+)_t\d+$")
+"""Number of the process in the name of such a folder."""
+OLD = 600
+"""Age from which temporary headers are left behind [s]; making them takes some seconds."""
 
 
 def keep_sound() -> None:
@@ -158,14 +164,34 @@ def _refuse_full(cache: Path) -> None:
 
 
 def _sweep() -> None:
-    """Remove halves, unless something is being compiled."""
+    """Remove halves, unless something is being compiled.
+
+    A program that launches kernels without `start` compiles without a lock, so what it may still be
+    writing stays: without its folder the compiler ends the program.
+    """
     with _locked(wait=False) as alone:
         if alone:
             cache = Path(str(wp.config.kernel_cache_dir))
-            for folder in cache.glob(FOLDERS):
+            for folder in filter(_is_abandoned, cache.glob(FOLDERS)):
                 shutil.rmtree(folder, ignore_errors=True)
             for file in cache.glob(HEADERS):
-                file.unlink(missing_ok=True)
+                with suppress(OSError):
+                    if time.time() - file.stat().st_mtime > OLD:
+                        file.unlink()
+
+
+def _is_abandoned(folder: Path) -> bool:
+    """Whether the process that made a folder has ended."""
+    number = PROCESS.search(folder.name)
+    if number is None:
+        return False
+    try:
+        os.kill(int(number[1]), 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):  # somebody else's process, or a number that no process has
+        pass
+    return False
 
 
 @contextmanager
