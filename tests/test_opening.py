@@ -81,14 +81,19 @@ def test_a_file_that_may_not_be_read_is_not_called_missing(tmp_path, monkeypatch
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="only root can become another")
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda words: words[0])
+@pytest.mark.parametrize("command", COMMANDS[1:], ids=lambda words: words[0])
 def test_without_permission_each_command_says_so(tmp_path, monkeypatch, capsys, command):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "secret").touch(mode=0o600)
     os.chmod(tmp_path, 0o777)
+    words = [word.replace("{}", "secret") for word in command]
+    # The other user may not be allowed to read the checkout: all modules are imported before, and
+    # `simulate`, which lists the presets, is left out.
+    assert main(words) == 2
+    capsys.readouterr()
     os.seteuid(65534)
     try:
-        status = main([word.replace("{}", "secret") for word in command])
+        status = main(words)
     finally:
         os.seteuid(0)
     said = capsys.readouterr().err
