@@ -23,7 +23,10 @@ STYLE = '<link rel="stylesheet" href="phy124/static/page.css">'
 QUIET: dict[str, Any] = {
     "queue": False, "show_progress": "hidden", "api_visibility": "private",
 }  # fmt: skip
-"""Options of events that answer at once."""
+"""Options of events that answer at once. Gradio drops one that comes before the last is answered."""
+EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
+"""The same for events of which none may be dropped. ("always_last" would send them without what
+they carry.)"""
 MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42" aria-hidden="true">
 <g fill="none" stroke="#0f766e" stroke-width="2.4"><ellipse cx="15" cy="27" rx="11" ry="9"/>
 <ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>
@@ -134,14 +137,14 @@ def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML, gr.HTML]:
 
 
 def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, known: Any) -> None:
-    picture.choose(handlers.chooser(studio), None, [picture, source, known], **QUIET)
-    picture.correct(handlers.corrector(studio), [picture, source], picture, **QUIET)
+    picture.choose(handlers.chooser(studio), None, [picture, source, known], **EACH)
+    picture.correct(handlers.corrector(studio), [picture, source], picture, **EACH)
     shown = [picture, source]
-    picture.cut(handlers.cut_shower(studio), shown, [*shown, known], **QUIET)
-    known.choose(handlers.view_chooser(studio), None, known, **QUIET)
-    others.choose(handlers.object_chooser(studio), None, others, **QUIET)
+    picture.cut(handlers.cut_shower(studio), shown, [*shown, known], **EACH)
+    known.choose(handlers.view_chooser(studio), None, known, **EACH)
+    others.choose(handlers.object_chooser(studio), None, others, **EACH)
     for panel in (others, known):
-        panel.view(handlers.view_shower(studio), None, panel, **QUIET)
+        panel.view(handlers.view_shower(studio), None, panel, **EACH)
 
 
 def _wire_forecast(studio: Studio, asked: list[Any], forecast: Any) -> None:
@@ -164,7 +167,7 @@ def _wire_run(
     cancel.click(handlers.stopper(studio), None, None, **QUIET)
     finish, shown = handlers.finisher(studio), [forecast, done, go, cancel, *results]
     shows = (progress.finished, results[-1].show)
-    return [show(finish, [*asked, done], shown, **QUIET) for show in shows]
+    return [show(finish, [*asked, done], shown, **EACH) for show in shows]
 
 
 def _wire_fit(studio: Studio, done: Any, fit: Any, takeaway: Any, shows: list[Any]) -> None:

@@ -15,7 +15,7 @@
 
   class PicturePanel {
     constructor(element, props, watch, trigger, offer) {
-      Object.assign(this, { element, props, trigger, offer, following: null, pending: false });
+      Object.assign(this, { element, props, trigger, offer, following: null, pending: false, next: null });
       this.status = h('p', { class: 'picture-status', role: 'status' });
       this.again = h('button', { type: 'button', class: 'quiet', hidden: true, onclick: () => this.retry() }, 'Try again');
       this.brush = new globalThis.Phy124.Brush((strokes) => this.correct({ strokes }), (pick) => this.correct({ pick }));
@@ -123,6 +123,7 @@
     }
 
     choose(what, reads = false) {
+      this.local = null;
       this.say(reads ? 'Reading the file …' : 'Cutting the object out …');
       this.ask('choose', what);
     }
@@ -134,14 +135,28 @@
     }
 
     ask(event, what) {
-      this.last = () => { this.pending = true; this.trigger(event, what); };
+      this.last = () => this.post(event, what);
       this.last();
+    }
+
+    /** Until the server has answered one question, the latest of those that follow waits. */
+    post(event, what) {
+      if (this.pending) { this.next = [event, what]; return; }
+      this.pending = true;
+      this.trigger(event, what);
+    }
+
+    /** The server has answered; whether the answer is outdated by a question that waited. */
+    answered() {
+      const { next } = this;
+      Object.assign(this, { pending: false, next: null });
+      if (next) this.post(...next);
+      return Boolean(next);
     }
 
     /** A request was answered by an error, which carries no new value. */
     fail() {
-      if (!this.pending) return;
-      this.pending = false;
+      if (!this.pending || this.answered()) return;
       this.say('The server could not do this.', true);
       this.again.hidden = false;
     }
@@ -151,7 +166,7 @@
     /** What was chosen before must not be generated from after a refusal: the server forgets it. */
     refuse(message, again = null) {
       this.restoring = false;
-      this.trigger('choose', {});
+      this.post('choose', {});
       this.local = message;
       this.say(message, true);
       if (again) { this.last = again; this.again.hidden = false; }
@@ -164,8 +179,8 @@
     }
 
     show() {
+      if (this.answered()) return;
       const value = this.props.value || {};
-      this.pending = false;
       const [photo, cut] = [value.picture?.url, value.cutout?.url];
       this.drop.classList.toggle('full', Boolean(photo));
       this.shown.hidden = !photo;

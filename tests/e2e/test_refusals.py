@@ -91,6 +91,22 @@ def test_a_request_that_fails_leaves_no_panel_waiting(visit):
     page.wait_for_selector("#cutout img[src]", timeout=LONG)
 
 
+def test_a_file_chosen_before_the_last_is_answered_is_read(visit, tmp_path):
+    page, chooser = visit.page, visit.page.locator("#photo input[type=file]")
+    held, waits = [], True
+    (tmp_path / "ball.ksplat").write_bytes(b"of another format")
+    (tmp_path / "broken.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\n")
+    page.route("**/run/predict", lambda route: held.append(route) if waits else route.continue_())
+    chooser.set_input_files(tmp_path / "ball.ksplat")
+    page.get_by_text("Save it as .ply or .spz").wait_for(timeout=LONG)
+    chooser.set_input_files(tmp_path / "broken.ply")
+    page.get_by_text("Reading the file").wait_for(timeout=LONG)
+    waits = False
+    for request in held:
+        request.continue_()
+    page.get_by_text("It is cut short within its header.").wait_for(timeout=LONG)
+
+
 def test_that_there_is_no_picture_is_said_until_there_is_one(visit):
     page = visit.page
     page.wait_for_selector(".photo-hint", timeout=LONG)
