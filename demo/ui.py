@@ -23,7 +23,7 @@ STYLE = '<link rel="stylesheet" href="phy124/static/page.css">'
 QUIET: dict[str, Any] = {
     "queue": False, "show_progress": "hidden", "api_visibility": "private",
 }  # fmt: skip
-"""Options of events that answer at once. Gradio drops one that comes before the last is answered."""
+"""Options of events that answer at once. Gradio drops an event while the last is unanswered."""
 EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
 """The same for events of which none may be dropped. ("always_last" would send them without what
 they carry.)"""
