@@ -70,22 +70,35 @@ def registered_kinds(group: str, base: type[Section]) -> dict[str, type[Section]
 
 
 @dataclass(frozen=True)
-class OpenTo:
-    """Lets a field of several kinds take kinds from outside, and adds them to its JSON schema."""
+class Kinds:
+    """The kinds of section that a field of a scene takes: those of phy124, and registered ones.
+
+    As an annotation of the field it validates registered kinds and adds them to the JSON schema.
+    """
 
     base: type[Section]
-    """Class of all kinds."""
+    """Base class of all kinds."""
     tag: str
     """The field that names the kind, "law" or "kind"."""
     group: str
-    """One of the `GROUPS`."""
-    known: Any
-    """The union of phy124's own kinds, which a plugin cannot replace."""
+    """The entry points that register kinds, one of the `GROUPS`."""
+    union: Any
+    """Union of phy124's own kinds, which a plugin cannot replace."""
 
     @cached_property
-    def own(self) -> frozenset[str]:
-        """Names of phy124's own kinds."""
-        return frozenset(kind.model_fields[self.tag].default for kind in get_args(self.known))
+    def by_name(self) -> dict[str, type[Any]]:
+        """Name -> class of phy124's own kinds, in the order of the union."""
+        return {kind.model_fields[self.tag].default: kind for kind in get_args(self.union)}
+
+    def is_foreign(self, section: Section) -> bool:
+        """Return whether the class of a section is not one of phy124's own."""
+        return type(section) not in get_args(self.union)
+
+    def has_name(self, section: Section) -> bool:
+        """Return whether a file can name the kind of a section: phy124's own, or registered."""
+        if not self.is_foreign(section):
+            return True
+        return registered(self.group, getattr(section, self.tag, "")) is type(section)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         return core_schema.no_info_wrap_validator_function(self._accept, handler(source))
@@ -93,44 +106,25 @@ class OpenTo:
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         schema = handler(core)
         for name, kind in registered_kinds(self.group, self.base).items():
-            if name not in self.own:
+            if name not in self.by_name:
                 # As an item of a list a class gets an entry under "$defs" and a reference to it.
                 items = core_schema.list_schema(kind.__pydantic_core_schema__)
-                told = handler(items)["items"]
-                schema["oneOf"].append(told)
-                schema["discriminator"]["mapping"][name] = told["$ref"]
+                item = handler(items)["items"]
+                schema["oneOf"].append(item)
+                schema["discriminator"]["mapping"][name] = item["$ref"]
         return schema
 
     def _accept(self, value: Any, usual: Callable[[Any], Any]) -> Any:
         if isinstance(value, self.base):
             return value
         name = value.get(self.tag) if isinstance(value, dict) else None
-        if not isinstance(name, str) or name in self.own:
+        if not isinstance(name, str) or name in self.by_name:
             return usual(value)
         kind = registered(self.group, name)
         if kind is None:
             return usual(value)
         if not (isinstance(kind, type) and issubclass(kind, self.base)):
-            limit = f"what is registered under this name is no subclass of {self.base.__name__}."
+            limit = f"the class registered under this name is no subclass of {self.base.__name__}."
             remedy = "Correct or remove the package that registers it."
             raise InputError(f"phy124.{self.group}", name, limit, remedy)
         return kind.model_validate(value)
-
-
-def is_foreign(section: Section, known: Any) -> bool:
-    """Whether a section is of a class from outside the union of phy124's own kinds."""
-    return type(section) not in get_args(known)
-
-
-def has_name(section: Section, tag: str, group: str, known: Any) -> bool:
-    """Whether a file can name the kind of a section: it is phy124's own, or registered.
-
-    Args:
-        section: A material, force or boundary.
-        tag: The field that names its kind, "law" or "kind".
-        group: One of the `GROUPS`.
-        known: The union of phy124's own kinds.
-    """
-    if not is_foreign(section, known):
-        return True
-    return registered(group, getattr(section, tag, "")) is type(section)

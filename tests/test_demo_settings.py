@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from typing import get_args
 
 import pytest
 from PIL import Image
@@ -15,11 +14,11 @@ from demo.jobs import Studio
 from demo.settings import Settings, table
 from demo.visitors import Visitors
 from phy124.accuracy.load import Load
-from phy124.boundaries import AnyBoundary
+from phy124.boundaries import BOUNDARIES
 from phy124.cost import Work, count_substeps
 from phy124.errors import InputError
-from phy124.forces import AnyForce
-from phy124.materials import AnyMaterial
+from phy124.forces import FORCES
+from phy124.materials import LAWS
 from phy124.rendering.nearest import ROOM
 from phy124.runtime.installation import install_command
 from phy124.scene import Scene, preset_names
@@ -87,8 +86,8 @@ def test_the_documented_table_is_the_classes_own():
 
 def test_every_law_force_and_boundary_is_offered():
     text = json.dumps(catalogue(Settings())["schema"])
-    for union in (AnyMaterial, AnyForce, AnyBoundary):
-        for section in get_args(get_args(union)[0]):
+    for kinds in (LAWS, FORCES, BOUNDARIES):
+        for section in kinds.by_name.values():
             assert f'"{section.__name__}"' in text
 
 

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, event, given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.materials.granular import PACKING
+from phy124.materials import LAWS
 from phy124.monitor.watchdog import ENERGY_GAIN
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -30,47 +32,33 @@ def vectors(length: st.SearchStrategy[float]) -> st.SearchStrategy[tuple[float, 
     return st.builds(lambda a, b, c, s: (a * s, b * s, c * s), UNITS, UNITS, UNITS, length)
 
 
-def legal(material: dict[str, Any]) -> dict[str, Any]:
-    """The same with snow that hardens no more than it may."""
-    if material["law"] == "snow":
-        most = PACKING / max(material["hardening"], 1)
-        material = {**material, "compression": min(material["compression"], 0.999 * most)}
-    return material
+def within(field: FieldInfo) -> st.SearchStrategy[float]:
+    """Numbers within a field's bounds, by decades where these are far apart, and the bounds."""
+    low, high = (
+        getattr(limit, name) for limit, name in zip(field.metadata, ("ge", "le"), strict=True)
+    )
+    if high <= 100 * max(low, 1):
+        return st.one_of(st.floats(low, high), st.sampled_from([float(low), float(high)]))
+    return decades(low, high) if low else st.one_of(st.just(0.0), decades(1e-3, high))
 
 
-ELASTIC = {
-    "E": decades(1, 1e13),
-    "nu": st.one_of(st.floats(0, 0.4999), st.sampled_from([0.0, 0.49, 0.4999])),
-    "density": decades(1, 1e5),
-}
-DAMPING = st.one_of(st.just(0.0), decades(1e-3, 1e7))
-MATERIALS: dict[str, dict[str, st.SearchStrategy[Any]]] = {
-    "neo_hookean": {**ELASTIC, "damping": DAMPING},
-    "fixed_corotated": {**ELASTIC, "damping": DAMPING},
-    "hencky": {**ELASTIC, "damping": DAMPING},
-    "rigid": {**ELASTIC, "speed": decades(1e-2, 1000), "strain": decades(1e-4, 0.1)},
-    "metal": {**ELASTIC, "yield_stress": decades(1e-3, 1e12), "hardening": decades(1e-3, 1e12)},
-    "plasticine": {**ELASTIC, "yield_stress": decades(1e-3, 1e12), "softening": st.just(0.0)},
-    "foam": {
-        **ELASTIC, "yield_stress": decades(1e-3, 1e12), "viscosity": decades(1e-3, 1e9),
-        "flow_index": st.floats(0.2, 1),
-    },
-    "sand": {**ELASTIC, "friction_angle": st.floats(1, 60)},
-    "snow": {
-        **ELASTIC, "compression": decades(1e-4, 0.5), "extension": decades(1e-4, 0.5),
-        "hardening": st.floats(0, 20),
-    },
-    "fluid": {
-        "bulk_modulus": decades(1, 1e12), "gamma": st.floats(1.05, 10),
-        "viscosity": st.one_of(st.just(0.0), decades(1e-6, 1e5)), "density": decades(1, 1e5),
-    },
-}  # fmt: skip
-MATERIAL = st.one_of(
-    [
-        st.fixed_dictionaries({"law": st.just(law), **own}).map(legal)
-        for law, own in MATERIALS.items()
-    ]
-)
+def is_valid(material: dict[str, Any]) -> bool:
+    """Return whether the law takes these values together."""
+    try:
+        LAWS.by_name[material["law"]].model_validate(material)
+    except ValidationError:
+        return False
+    return True
+
+
+def materials(law: str) -> st.SearchStrategy[dict[str, Any]]:
+    """Materials of a law with any values."""
+    fields = LAWS.by_name[law].model_fields.items()
+    values = {name: within(field) for name, field in fields if name != "law"}
+    return st.fixed_dictionaries({"law": st.just(law), **values}).filter(is_valid)
+
+
+MATERIAL = st.one_of([materials(law) for law in LAWS.by_name])
 TIMEOUT = r"^frame \d+ was reached in .*time\.budget: .*number \d+ of law .* Use "
 PROFILE = st.sampled_from(
     [

@@ -5,6 +5,7 @@ import pytest
 import warp as wp
 
 from phy124.camera import Camera
+from phy124.materials import LAWS
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene, View
@@ -20,9 +21,7 @@ EVERYTHING = {
     "every Gaussian a particle": ("drop", {"binding": "particles", "boundaries": [SPHERE]}),
     "sand with contacts": ("sand", {"contacts": True}),
     "pushed": ("wind", {"forces": [{"kind": "wind"}, {"kind": "acceleration", "region": REGION}]}),
-    **{law: ("drop", {"material": {"law": law}}) for law in (
-        "fixed_corotated", "hencky", "rigid", "metal", "plasticine", "foam", "snow", "fluid",
-    )},
+    **{law: ("drop", {"material": {"law": law}}) for law in LAWS.by_name},
     **{name: (name, {}) for name in preset_names()},
 }  # fmt: skip
 FIRST = ("drop",)

@@ -14,7 +14,7 @@ from phy124 import resume
 from phy124.boundaries import Ground, Sphere
 from phy124.errors import Cancelled, InputError
 from phy124.forces import Gravity, ParticleForce, Wind
-from phy124.materials import NeoHookean, Sand
+from phy124.materials import LAWS, NeoHookean, Sand
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Unstable
 from phy124.runtime.cores import MOST_THREADS
@@ -26,7 +26,6 @@ from support.solvers import make_solver
 
 COUNTS = (2, 3, 4, 7, 16)
 DX = 1 / 16
-LAWS = ("fixed_corotated", "hencky", "sand", "snow", "metal", "foam", "plasticine", "fluid")
 
 
 def bar(count: int = 3000):
@@ -189,7 +188,7 @@ def test_a_number_of_threads_that_cannot_be_used_is_refused(threads):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("threads", [2, 7])
-@pytest.mark.parametrize("name", [*preset_names(), *(f"drop {law}" for law in LAWS)])
+@pytest.mark.parametrize("name", [*preset_names(), *(f"drop {law}" for law in LAWS.by_name)])
 def test_every_preset_and_law_does_as_with_one_thread(name, threads):
     preset, _, law = name.partition(" ")
     changes = {"accuracy": {"cells": 10}, "time.frames": 4}

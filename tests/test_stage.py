@@ -1,13 +1,13 @@
 """The stage of a clip: where its floor, plates, walls and clamps are, and how it is drawn."""
 
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import pytest
 import warp as wp
 
-from phy124.boundaries import Boundary, HalfSpace, Wall
+from phy124.boundaries import BOUNDARIES, Boundary, HalfSpace
 from phy124.camera import Camera
 from phy124.effects import Effects
 from phy124.errors import InputError
@@ -123,17 +123,14 @@ def test_solids_and_clamps_are_drawn_as_what_they_are():
     assert len(at(stage, 2).solids) == 5  # it has let go
 
 
-EVERY = {kind.model_fields["kind"].default: kind for kind in get_args(Wall)}
-
-
-@pytest.mark.parametrize("kind", EVERY)
+@pytest.mark.parametrize("kind", BOUNDARIES.by_name)
 def test_every_kind_of_boundary_is_drawn_and_where_it_has_moved(kind):
     """Seen from above and beside: against the same picture without it."""
     moves = {"kind": "path", "times": [0, 0.5], "points": [[0, 0, 0], [0.1, 0.1, 0.2]]}
-    movable = "motion" in EVERY[kind].model_fields
+    movable = "motion" in BOUNDARIES.by_name[kind].model_fields
     stage = staged([{"kind": kind, **({"motion": moves} if movable else {})}])
     first, last = at(stage, 0), at(stage, 2)
-    if EVERY[kind].model_fields.get("height"):  # it is the floor
+    if BOUNDARIES.by_name[kind].model_fields.get("height"):  # it is the floor
         assert (first.floor.height, last.floor.height) == pytest.approx((0.0, 0.2))
     elif kind == "half_space":  # level as it is by default
         assert first.floor.height == 0.0 and last.floor.height == pytest.approx(0.2)

@@ -24,6 +24,7 @@ from phy124.generators.ply_file import PlyFile, Reading
 from phy124.generators.relief import relief
 from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
+from phy124.materials import LAWS
 from phy124.rendering.frames import render_frames
 from phy124.rendering.shine import shine_of
 from phy124.rendering.stage.build import stage_of
@@ -33,10 +34,6 @@ from phy124.simulation import Simulation
 HERE = Path(__file__).parent
 PRESETS = ("bounce", "drop", "press", "push_away", "push_right", "spin", "sway", "wind")
 PICTURES = ("duck", "teddy", "sunflower")
-LAWS = (
-    "neo_hookean", "fixed_corotated", "hencky", "rigid", "metal", "plasticine", "foam", "sand",
-    "snow", "fluid",
-)  # fmt: skip
 EASED = {"rigid": {"material.E": 1e7}}
 """Changes to a law that takes minutes with its defaults."""
 GAUSSIANS, SIZE, LABEL = 20_000, 128, 92
@@ -124,7 +121,7 @@ def sheet(preset: str) -> str:
         rows = real_objects()
     else:
         objects = [made_of(name) for name in PICTURES]
-        rows = [row(preset, law, objects) for law in LAWS]
+        rows = [row(preset, law, objects) for law in LAWS.by_name]
     (HERE / "gallery").mkdir(exist_ok=True)
     picture = Image.fromarray(np.concatenate(rows, axis=0))
     picture.save(HERE / f"gallery/{preset}.webp", quality=80)

@@ -19,14 +19,9 @@ from phy124.forces.velocity import SetVelocity
 from phy124.forces.wind import Wind
 from phy124.forces.wrench import WrenchForce
 from phy124.forces.zone import ZoneForce
-from phy124.plugins import OpenTo
+from phy124.plugins import Kinds
 
-__all__ = [
-    "Acceleration", "AnyForce", "Attraction", "Force", "Grab", "Gravity", "Impulse", "OwnForce",
-    "ParticleForce", "SetVelocity", "TotalForce", "Wind", "WrenchForce", "ZoneForce",
-]  # fmt: skip
-
-OwnForce = (
+Kind = (
     Gravity
     | Acceleration
     | TotalForce
@@ -39,8 +34,25 @@ OwnForce = (
     | Grab
     | WrenchForce
 )
-"""The forces that phy124 has."""
-AnyForce = SerializeAsAny[
-    Annotated[OwnForce, Field(discriminator="kind"), OpenTo(Force, "kind", "forces", OwnForce)]
+"""The one list of phy124's forces, from which all others are derived."""
+FORCES = Kinds(Force, "kind", "forces", Kind)
+"""`FORCES.by_name` maps the name of a force to its class."""
+AnyForce = SerializeAsAny[Annotated[Kind, Field(discriminator="kind"), FORCES]]
+"""A force of one of the `FORCES`, or of a registered kind (phy124/plugins.py)."""
+
+__all__ = [
+    "FORCES",
+    "Acceleration",
+    "AnyForce",
+    "Attraction",
+    "Force",
+    "Grab",
+    "Gravity",
+    "Impulse",
+    "ParticleForce",
+    "SetVelocity",
+    "TotalForce",
+    "Wind",
+    "WrenchForce",
+    "ZoneForce",
 ]
-"""One of them, or one from outside (phy124/plugins.py)."""

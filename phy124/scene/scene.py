@@ -17,12 +17,11 @@ import tomli_w
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from phy124.boundaries import AnyBoundary, Ground, Wall
+from phy124.boundaries import BOUNDARIES, AnyBoundary, Ground
 from phy124.bounds import LONGEST, Text
 from phy124.errors import InputError, did_you_mean
-from phy124.forces import AnyForce, Gravity, OwnForce
-from phy124.materials import AnyMaterial, Law, NeoHookean
-from phy124.plugins import has_name, is_foreign
+from phy124.forces import FORCES, AnyForce, Gravity
+from phy124.materials import LAWS, AnyMaterial, NeoHookean
 from phy124.properties import Properties
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName, check_transfer
 from phy124.scene.changes import apply
@@ -296,14 +295,15 @@ class Scene(Section):
         Raises:
             InputError: A class of the user's own has no name that a file could give.
         """
-        for tag, group, known, sections in (
-            ("law", "materials", Law, self.materials),
-            ("kind", "forces", OwnForce, self.forces),
-            ("kind", "boundaries", Wall, self.boundaries),
+        for kinds, sections in (
+            (LAWS, self.materials),
+            (FORCES, self.forces),
+            (BOUNDARIES, self.boundaries),
         ):
             for section in sections:
-                if not has_name(section, tag, group, known):
+                if not kinds.has_name(section):
                     limit = "it is a class of your own, which a file cannot name."
+                    group = kinds.group
                     remedy = f"Register it by an entry point phy124.{group}, or stay in Python."
                     raise InputError(group, type(section).__name__, limit, remedy)
 
@@ -318,16 +318,16 @@ class Scene(Section):
         """
         data = self.data()
         # Instances from outside stay as they are: plain data may not name their class.
-        if is_foreign(self.material, Law):
+        if LAWS.is_foreign(self.material):
             data["material"] = self.material
         of_objects = zip(self.objects, data.get("objects", []), strict=True)
         of_parts = zip(self.parts, data["parts"], strict=True)
         for section, plain in (*of_objects, *of_parts):
-            if is_foreign(section.material, Law):
+            if LAWS.is_foreign(section.material):
                 plain["material"] = section.material
-        for name, known in (("forces", OwnForce), ("boundaries", Wall)):
+        for name, kinds in (("forces", FORCES), ("boundaries", BOUNDARIES)):
             for index, section in enumerate(getattr(self, name)):
-                if is_foreign(section, known):
+                if kinds.is_foreign(section):
                     data[name][index] = section
         apply(data, changes)
         return Scene.from_data(data)

@@ -10,17 +10,17 @@ import sys
 import numpy as np
 
 from phy124.gaussians import Gaussians
+from phy124.materials import LAWS
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names
 from phy124.simulation import Simulation
 
-LAWS = ("fixed_corotated", "hencky", "plasticine", "foam", "fluid", "rigid")
 WALLS = [
     {"kind": "sphere", "centre": [0, 0.1, 0.1], "motion": {"kind": "swing"}},
     {"kind": "ground"},
 ]
 VARIANTS = {
-    **{f"drop {law}": ("drop", {"material.law": law}) for law in LAWS},
+    **{f"drop {law}": ("drop", {"material.law": law}) for law in LAWS.by_name},
     "press float64": ("press", {"accuracy.precision": "float64"}),
     "sway damped": ("sway", {"material.damping": 5.0}),
     **{

@@ -24,6 +24,8 @@ from phy124.accuracy.promises import length, motion_of
 from phy124.accuracy.severity import damping, poisson, violence, yielding
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.materials import LAWS
+from phy124.materials.elastic import Springy
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 
@@ -37,8 +39,8 @@ OBJECT = "duck"
 LEVELS = (12, 16, 24, 32, 48)
 SAFETY = 1.25
 """On the errors measured: other objects are not the duck."""
-SPRINGY = ("neo_hookean", "fixed_corotated", "hencky")
-FLOWING = ("metal", "plasticine", "foam", "sand", "snow", "fluid")
+SPRINGY = [law for law, kind in LAWS.by_name.items() if issubclass(kind, Springy)]
+FLOWING = [law for law, kind in LAWS.by_name.items() if kind().device_law.project]
 STAND: dict[str, Any] = {"object.lift": 0.0, "time.fps": 24.0}
 SCENES = {
     **{f"{law} {name}": (name, law, {}) for law in SPRINGY

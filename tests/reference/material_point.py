@@ -1,47 +1,29 @@
 """Drives a law over many states at once, without particles or a grid."""
 
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124 import materials
 from phy124.kernels.probe import make_probe
 from phy124.kernels.transfer import types
-from phy124.materials import (
-    AnyMaterial,
-    FixedCorotated,
-    Fluid,
-    Foam,
-    Hencky,
-    Material,
-    Metal,
-    NeoHookean,
-    Plasticine,
-    Sand,
-    Snow,
-)
+from phy124.materials import Fluid, Material, NeoHookean, Rigid
 
 REALS = {"float32": wp.float32, "float64": wp.float64}
 
 
 EYE = np.eye(3)
-KINDS: dict[str, type[Material]] = {
-    kind.model_fields["law"].default: kind for kind in get_args(get_args(AnyMaterial)[0])
-}
+KINDS: dict[str, type[Material]] = materials.LAWS.by_name
 """Every law a scene can name."""
+OPTIONS: dict[str, dict[str, float]] = {"metal": {"hardening": 1e4}, "fluid": {"viscosity": 3.0}}
+"""Values of fields that are not tested with their defaults."""
 LAWS: list[Material] = [
-    NeoHookean(),
+    *(kind(**OPTIONS.get(law, {})) for law, kind in KINDS.items() if kind is not Rigid),
     NeoHookean(damping=3.0),
-    FixedCorotated(),
-    Hencky(),
-    Metal(hardening=1e4),
-    Plasticine(),
-    Foam(),
-    Sand(),
-    Snow(),
-    Fluid(viscosity=3.0),
 ]
+"""One of each law on the device; a rigid body is a stiff neo-Hookean solid."""
 SOLIDS = [law for law in LAWS if not isinstance(law, Fluid)]
 PLASTIC = [law for law in SOLIDS if law.device_law.project is not None]
 

@@ -25,28 +25,19 @@ from phy124.kernels.splat import bin as bins
 from phy124.kernels.splat import blend, project, shadow, stage
 from phy124.kernels.splat.arrange import arrange
 from phy124.kernels.transfer import Law
-from phy124.materials import (
-    FixedCorotated,
-    Fluid,
-    Foam,
-    Hencky,
-    Metal,
-    NeoHookean,
-    Plasticine,
-    Rigid,
-    Sand,
-    Snow,
-)
+from phy124.materials import LAWS, Material
 
-MATERIALS = (
-    NeoHookean(), NeoHookean(damping=1.0), FixedCorotated(), FixedCorotated(damping=1.0),
-    Hencky(), Hencky(damping=1.0), Rigid(), Metal(), Plasticine(), Foam(), Sand(), Snow(), Fluid(),
-)  # fmt: skip
+MATERIALS: list[Material] = [
+    kind(**values)
+    for kind in LAWS.by_name.values()
+    for values in ({}, {"damping": 1.0})
+    if values.keys() <= kind.model_fields.keys()
+]
 Named = tuple[str, Any]
 
 
 def laws() -> dict[str, Law]:
-    """The thirteen, by name; a rigid body is moved by the kernels of neo-Hookean solids."""
+    """Every law by its name; a rigid body is moved by the kernels of neo-Hookean solids."""
     return {name_of(section): section.device_law for section in MATERIALS}
 
 

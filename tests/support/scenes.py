@@ -2,16 +2,17 @@
 
 from typing import Any
 
+from phy124 import forces, materials
+
 UPPER = {"lower": [-1, -1, 0.5], "upper": [1, 1, 2]}
 LAWS: dict[str, dict[str, Any]] = {
-    **{law: {"law": law} for law in (
-        "neo_hookean", "fixed_corotated", "hencky", "rigid",
-        "metal", "plasticine", "foam", "sand", "snow", "fluid",
-    )},
-    **{f"damped {law}": {"law": law, "damping": 10.0} for law in (
-        "neo_hookean", "fixed_corotated", "hencky",
-    )},
-}  # fmt: skip
+    **{law: {"law": law} for law in materials.LAWS.by_name},
+    **{
+        f"damped {law}": {"law": law, "damping": 10.0}
+        for law, kind in materials.LAWS.by_name.items()
+        if "damping" in kind.model_fields
+    },
+}
 SWING = {"kind": "swing", "amplitude": [0.05, 0.02, 0.05], "frequency": 20.0}
 SOLIDS: dict[str, dict[str, Any]] = {
     "ground": {"kind": "ground"},
@@ -32,19 +33,21 @@ OTHER_SOLIDS: dict[str, dict[str, Any]] = {
     "foot that lets go": {"kind": "foot", "end": 0.004},
     "held in one direction": {"kind": "held", "upper": [10, 10, 0.3], "contact": "slip"},
 }
+OPTIONS: dict[str, dict[str, Any]] = {
+    "acceleration": {"a": [0, 3, 0]},
+    "force": {"f": [0, 1, 0], "region": UPPER},
+    "impulse": {"p": [0, 0.1, 0], "region": UPPER},
+    "particle_force": {"f": [0, 1e-4, 0]},
+    "zone": {"place": UPPER},
+    "wind": {"v": [3, 0, 0]},
+    "set_velocity": {"v": [0, 0, 1], "region": UPPER, "end": 0.005},
+    "grab": {"point": [0.2, 0, 0.6], "times": [0, 0.01], "targets": [[0, 0, 0], [0.05, 0, 0.05]]},
+    "wrench": {"torque": [0, 0, 0.5]},
+}
 FORCES: dict[str, dict[str, Any]] = {
-    "acceleration": {"kind": "acceleration", "a": [0, 3, 0]},
-    "varying acceleration": {"kind": "acceleration", "a": [0, 3, 0],
-                             "profile": {"kind": "sine", "frequency": 30.0}},
+    **{kind: {"kind": kind, **OPTIONS.get(kind, {})} for kind in forces.FORCES.by_name},
+    "varying acceleration": {
+        "kind": "acceleration", "a": [0, 3, 0], "profile": {"kind": "sine", "frequency": 30.0},
+    },
     "acceleration of a region": {"kind": "acceleration", "a": [0, 3, 0], "region": UPPER},
-    "force": {"kind": "force", "f": [0, 1, 0], "region": UPPER},
-    "impulse": {"kind": "impulse", "p": [0, 0.1, 0], "region": UPPER},
-    "particle_force": {"kind": "particle_force", "f": [0, 1e-4, 0]},
-    "zone": {"kind": "zone", "place": UPPER},
-    "wind": {"kind": "wind", "v": [3, 0, 0]},
-    "attraction": {"kind": "attraction"},
-    "set_velocity": {"kind": "set_velocity", "v": [0, 0, 1], "region": UPPER, "end": 0.005},
-    "grab": {"kind": "grab", "point": [0.2, 0, 0.6], "times": [0.0, 0.01],
-             "targets": [[0, 0, 0], [0.05, 0, 0.05]]},
-    "wrench": {"kind": "wrench", "torque": [0.0, 0.0, 0.5]},
 }  # fmt: skip

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.boundaries import Boundary, Wall
+from phy124.boundaries import BOUNDARIES, Boundary
 from phy124.gaussians import Array, Frame
 from phy124.io.clip import Clip
 from phy124.plugins import registered
@@ -119,12 +119,11 @@ def _boundaries(clip: Clip) -> Sequence[Boundary]:
     Of those from outside these are known: registered ones, and those of a class that this program
     has defined.
     """
-    own = {kind.model_fields["kind"].default for kind in get_args(Wall)}
     defined = {kind.model_fields["kind"].default: kind for kind in _kinds(Boundary)}
     known: list[Any] = []
     for told in clip.scene.get("boundaries", []):
         kind = told.get("kind")
-        if kind in own or registered("boundaries", kind) is not None:
+        if kind in BOUNDARIES.by_name or registered("boundaries", kind) is not None:
             known.append(told)
         elif kind in defined:
             known.append(defined[kind].model_validate(told))
