@@ -1,7 +1,7 @@
 """Kernels as a GPU runs them: no two threads of a launch race, and their order does not matter.
 
 The slow tests compile every kernel a second time, with notes of what it reads and writes
-(tests/support/concurrency), and take some minutes.
+(tests/races), and take some minutes.
 """
 
 import ast
@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from support.concurrency.conflicts import conflicts
-from support.concurrency.parts import by_parts
-from support.concurrency.record import ATOMIC, ENTRY, READ, WRITE, unusable
+from races.conflicts import conflicts
+from races.parts import by_parts
+from races.record import ATOMIC, ENTRY, READ, WRITE, unusable
 from support.pages import ROOT
 
 GROUPS = ("laws", "walls", "forces", "monitors", "pictures", "presets")
@@ -50,7 +50,7 @@ needs_memory = pytest.mark.skipif(unusable() is not None, reason=str(unusable())
 
 def asked(what: str, group: str, cache: Path) -> dict[str, Any]:
     """What a process of its own finds, whose kernels are not those of this one."""
-    command = [sys.executable, "-m", "support.concurrency", what, group, str(cache)]
+    command = [sys.executable, "-m", "races", what, group, str(cache)]
     paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
     environment = {**os.environ, "PYTHONPATH": paths}
     done = subprocess.run(

@@ -27,7 +27,7 @@ from phy124.fit.apart import Blind
 from phy124.io.video import write_mp4
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
-from support.falling import falling
+from support.clips import falling
 from support.waiting import until
 
 SIDE = 32

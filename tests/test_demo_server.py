@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import io
 import json
+import urllib.error
+import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -17,10 +19,11 @@ from phy124.io.axes import orientation, turned
 from phy124.io.clip import Clip
 from support.hostile import bomb
 from support.pages import blocks
-from support.programs import DUCK, FEW, client_of, generate, get, post
-from support.served import ROOT, Server, serving
+from support.served import ROOT, TIMEOUT, Server, serving
 from support.shapes import ball
 
+DUCK = ROOT / "demo" / "examples" / "duck.png"
+FEW = {"view.views": ["front"], "view.size": 64}
 GIGABYTE = 1 << 30
 WAITING, LEAVING = 2, 4
 # gradio_client leaves sockets of its streams to the garbage collector.
@@ -28,6 +31,61 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
+
+
+def client_of(server: Server):
+    gradio_client = pytest.importorskip("gradio_client", reason="the extra demo is not installed")
+    patient = {"timeout": TIMEOUT}
+    return _Closing(
+        gradio_client.Client(
+            server.url,
+            ssl_verify=False,
+            verbose=False,
+            analytics_enabled=False,
+            httpx_kwargs=patient,
+        )
+    )
+
+
+class _Closing:
+    """A client that is closed at the end of a block: the server sees the visitor leave."""
+
+    def __init__(self, client) -> None:
+        self.client = client
+
+    def __enter__(self):
+        return self.client
+
+    def __exit__(self, *_) -> None:
+        self.client.close()
+
+
+def generate(client, picture=DUCK, known=None, **options):
+    from gradio_client import handle_file
+
+    given = {"preset": "drop", "accuracy": "draft", "frames": 2, "changes": FEW, "formats": []}
+    image = handle_file(str(picture)) if isinstance(picture, Path) else picture
+    return client.predict(
+        image, *{**given, **options}.values(), api_name="/generate", **(known or {})
+    )
+
+
+def get(url: str) -> tuple[int, bytes]:
+    try:
+        with urllib.request.urlopen(url, timeout=TIMEOUT) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read()
+
+
+def post(url: str, data: bytes) -> tuple[int, bytes]:
+    try:
+        with urllib.request.urlopen(url, data, timeout=TIMEOUT) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read()
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from phy124.fit.picture import ONLY_FITTED, ONLY_SEEN, Comparison
 from phy124.fit.silhouettes import Silhouettes
 from phy124.fit.target import Target
 from phy124.fit.video import read_film
-from support.falling import falling
+from support.clips import falling
 from support.photographs import Entry, exif_of, file_of, upright, with_segment
 from support.videos import read_video
 

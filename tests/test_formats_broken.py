@@ -20,7 +20,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.io.formats import read_gaussians, spz
-from support.damage import cut, flip
+from support.hostile import cut, flip
 from support.quantisation import many
 
 FOREIGN = Path(__file__).parent / "support" / "formats"

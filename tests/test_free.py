@@ -12,7 +12,7 @@ from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import FreeBody
 from phy124.mpm.free import STAGE
-from support.pressed_balls import elements, pressed_on_box
+from support.balls import elements, pressed_on_box
 from support.solvers import make_solver
 
 DX, G = 0.05, 9.81

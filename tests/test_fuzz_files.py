@@ -15,7 +15,7 @@ from phy124.__main__ import main
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from support.damage import cut, flip
+from support.hostile import cut, flip
 from support.shapes import ball
 
 STATUSES = {0, 1, 2, 3}

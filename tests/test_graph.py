@@ -12,7 +12,7 @@ from phy124.mpm import MEASURE_EVERY, Solver, Unstable
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.tracks import Sine
-from support.presets import OF_ONE
+from support.scenes import OF_ONE
 from support.shapes import ball
 from support.solvers import make_solver
 

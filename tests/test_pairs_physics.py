@@ -12,8 +12,7 @@ from phy124.materials import Fluid, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Pair
 from phy124.region import Region
-from support.elastic_collision import collision
-from support.pressed_balls import elements, pressed
+from support.balls import collision, elements, pressed
 from support.shapes import trimmed_ball
 from support.solvers import make_solver
 

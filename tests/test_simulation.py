@@ -9,7 +9,7 @@ from phy124.mpm import Unstable
 from phy124.mpm.timestep import CFL
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from support.presets import each_preset
+from support.scenes import each_preset
 from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 12}, "time.frames": 6}

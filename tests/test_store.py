@@ -12,7 +12,7 @@ from phy124.kernels import transfer
 from phy124.kernels.store import STORE
 from phy124.materials import NeoHookean
 
-WARP = Path(__file__).parent / "support" / "warp_threads.cpp"
+WARP = Path(__file__).parent / "races" / "warp_threads.cpp"
 
 
 def built(folder: Path, code: str) -> Path:

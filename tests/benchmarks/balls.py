@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.pressed_balls import elements, pressed, pressed_on_box
+from support.balls import elements, pressed, pressed_on_box
 
 DEPTHS = (0.02, 0.035, 0.05)
 """How far each ball is pressed at its contact [m]."""

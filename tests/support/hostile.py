@@ -1,9 +1,11 @@
-"""Pictures that would do harm, or claim to be what they are not."""
+"""Pictures that would do harm or claim to be what they are not, and damage to any file."""
 
 from __future__ import annotations
 
+import random
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 PHONE = Path(__file__).parent / "pictures" / "phone.heic"
@@ -37,3 +39,19 @@ def heic_claiming(width: int, height: int) -> bytes:
     said, data = b"ispe" + bytes(4) + struct.pack(">II", 256, 320), PHONE.read_bytes()
     assert said in data
     return data.replace(said, said[:8] + struct.pack(">II", width, height))
+
+
+Damage = Callable[[bytes, random.Random], bytes]
+
+
+def cut(data: bytes, rng: random.Random) -> bytes:
+    """The end is missing."""
+    return data[: rng.randrange(len(data))]
+
+
+def flip(data: bytes, rng: random.Random) -> bytes:
+    """A few bytes are others."""
+    damaged = bytearray(data)
+    for _ in range(rng.choice([1, 4, 64])):
+        damaged[rng.randrange(len(damaged))] = rng.randrange(256)
+    return bytes(damaged)

@@ -1,8 +1,11 @@
-"""Parts of scenes: every law, every boundary and every force, by name."""
+"""Parts of scenes by name: every law, boundary and force; and the presets."""
 
 from typing import Any
 
+import pytest
+
 from phy124 import forces, materials
+from phy124.scene import Scene, preset_names
 
 UPPER = {"lower": [-1, -1, 0.5], "upper": [1, 1, 2]}
 LAWS: dict[str, dict[str, Any]] = {
@@ -51,3 +54,14 @@ FORCES: dict[str, dict[str, Any]] = {
     },
     "acceleration of a region": {"kind": "acceleration", "a": [0, 3, 0], "region": UPPER},
 }  # fmt: skip
+OF_ONE = [name for name in preset_names() if not Scene.named(name).objects]
+"""Presets of one object."""
+USUAL = "land_on_cushion"
+"""The preset of several objects that the default tests include."""
+
+
+def each_preset() -> list:
+    """All presets; but for one, those of several objects are slow."""
+    slow = pytest.mark.slow
+    others = [name for name in preset_names() if name not in (*OF_ONE, USUAL)]
+    return [*OF_ONE, USUAL, *(pytest.param(name, marks=slow) for name in others)]

@@ -4,10 +4,10 @@ from collections import Counter, defaultdict
 from collections.abc import Callable
 from typing import Any
 
-from support.concurrency import controls, gpu_forms
-from support.concurrency.conflicts import conflicts
-from support.concurrency.record import Record
-from support.concurrency.watched import Given, install
+from races import controls, gpu_forms
+from races.conflicts import conflicts
+from races.record import Record
+from races.watched import Given, install
 
 FIRST, THEN = 3, 10
 """Launches of a kernel in a run that are looked at: the first ones, then one in so many."""
@@ -58,6 +58,6 @@ def _runs(group: str) -> dict[str, Callable[[], object]]:
     if group == "controls":
         return {name: lambda name=name: controls.run(name) for name in controls.NAMES}
     gpu_forms.choose()
-    from support.concurrency.runs import GROUPS
+    from races.runs import GROUPS
 
     return GROUPS[group]()

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from support.concurrency.record import ATOMIC, READ, WRITE
+from races.record import ATOMIC, READ, WRITE
 
 WORD = 4
 PAIRS = {

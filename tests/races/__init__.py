@@ -8,7 +8,7 @@ of one launch are never ordered on a GPU, so what they did to the same word tell
 Of a vector only the components that are used count as read (parts.py). Native snippets are seen
 where they call Warp's own functions, so the forms for vector units of CPUs are left out.
 
-`PYTHONPATH=.:tests python -m support.concurrency races walls FOLDER` runs a group of runs.py, or
+`PYTHONPATH=.:tests python -m races races walls FOLDER` runs a group of runs.py, or
 `order solids FOLDER` one of clips.py, and prints what it found as JSON; compiled kernels are kept
 in the folder. tests/test_concurrency.py does both.
 """

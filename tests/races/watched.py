@@ -14,8 +14,8 @@ from typing import Any
 import warp as wp
 from warp._src import codegen, context
 
-from support.concurrency.parts import by_parts
-from support.concurrency.record import ATOMIC, NOTE, READ, WRITE
+from races.parts import by_parts
+from races.record import ATOMIC, NOTE, READ, WRITE
 
 LOOP = "for (size_t task_index = 0; task_index < dim->size; ++task_index)\n    {\n"
 ANY_ORDER = """for (size_t turn = 0; turn < dim->size; ++turn)

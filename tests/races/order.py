@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from support.concurrency import gpu_forms
-from support.concurrency.record import Record
-from support.concurrency.watched import Given, install
+from races import gpu_forms
+from races.record import Record
+from races.watched import Given, install
 
 
 class Mixer:
@@ -33,7 +33,7 @@ def apart(group: str, cache: str, seeds: tuple[int, ...] = (1, 2)) -> dict[str, 
     mixer = Mixer()
     install(mixer, cache)
     gpu_forms.choose()
-    from support.concurrency.clips import CLIPS
+    from races.clips import CLIPS
 
     found: dict[str, list[float]] = {}
     for name, run in CLIPS[group]().items():

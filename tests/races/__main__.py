@@ -1,12 +1,12 @@
-"""`python -m support.concurrency races | order GROUP CACHE`: what was found, as JSON."""
+"""`python -m races races | order GROUP CACHE`: what was found, as JSON."""
 
 import json
 import sys
 
 import warp as wp
 
-from support.concurrency.order import apart
-from support.concurrency.races import races
+from races.launches import races
+from races.order import apart
 
 ASKED = {"races": races, "order": apart}
 
