@@ -259,18 +259,6 @@ def test_imports_stay_light():
     assert run.stdout.strip() == "[]"
 
 
-def test_phy124_knows_nothing_of_the_bridge():
-    for path in (ROOT / "phy124").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            names = []
-            if isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom) and node.level == 0:
-                names = [node.module or ""]
-            roots = {name.split(".")[0] for name in names}
-            assert not roots & {"rclpy", "mcap", "cyclonedds", "foxglove", "bridge"}, path
-
-
 @pytest.fixture(scope="session")
 def colcon(pytestconfig):
     """Colcon from PyPI alone, installed once into pytest's cache folder."""
