@@ -17,12 +17,6 @@ ROOMS = sorted(
 """Folders and files right under the three packages."""
 MANY = 4
 """Parameters from which each must be explained."""
-PRIVATE = re.compile(
-    r"\b(ledger|culprit|blame|foretell|foretold|wished|patience|greatest|pace|lanes?|ppc)\b", re.I
-)
-"""Words that this project once had for things of which the field has other names."""
-RENAMED = ROOT / "phy124/scene/renamed.py"
-"""Keeps such words, since it reads them in older scenes."""
 
 
 class Function(NamedTuple):
@@ -89,13 +83,3 @@ def test_refusals_are_told(room):
         if refuses(function):
             assert "InputError:" in function.section("Raises"), function.name
         assert "Raises InputError" not in function.docstring, f"{function.name}: a section of it"
-
-
-@pytest.mark.parametrize("room", ROOMS)
-def test_words_are_those_of_the_field(room):
-    at = ROOT / room
-    for path in [at] if at.is_file() else at.rglob("*.py"):
-        if path == RENAMED:
-            continue
-        for line in path.read_text("utf-8").splitlines():
-            assert not PRIVATE.search(line), f"{path.name}: {line}"
