@@ -171,8 +171,15 @@ def test_dry_run_says_how_long_and_makes_nothing(tmp_path, capsys, monkeypatch):
     assert main(arguments) == 0
     told = json.loads(capsys.readouterr().out)
     assert set(told["stages"]) == {
-        "image", "generate", "particles", "simulate", "deform", "render", "encode", "save",
-    }  # fmt: skip
+        "image",
+        "generate",
+        "particles",
+        "simulate",
+        "deform",
+        "render",
+        "encode",
+        "save",
+    }
     assert told["measured"] == ["particles", "generate", "image"]
     assert told["seconds"] == pytest.approx(sum(told["stages"].values()))
     assert not list(tmp_path.iterdir())

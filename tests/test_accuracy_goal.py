@@ -9,9 +9,14 @@ from phy124.scene import Scene
 
 @pytest.mark.parametrize(
     ("text", "kind", "value"),
-    [("2px", "pixels", 2), (" .5 % ", "fraction", 0.005), ("3mm", "metres", 0.003),
-     ("1.5cm", "metres", 0.015), ("0.1 m", "metres", 0.1)],
-)  # fmt: skip
+    [
+        ("2px", "pixels", 2),
+        (" .5 % ", "fraction", 0.005),
+        ("3mm", "metres", 0.003),
+        ("1.5cm", "metres", 0.015),
+        ("0.1 m", "metres", 0.1),
+    ],
+)
 def test_an_error_is_read_with_its_unit(text, kind, value):
     goal = Goal.error(text)
     assert (goal.kind, goal.value) == (kind, pytest.approx(value))
@@ -34,5 +39,7 @@ def test_goal_values_have_the_units_of_the_scene():
     assert UNIT["metres"](scene) == 2.0 and UNIT["fraction"](scene) == 1.0
     assert UNIT["pixels"](scene) > 100
     assert [said("pixels", 2.04), said("fraction", 0.012), said("metres", 0.0034)] == [
-        "2.0px", "1.2%", "3.4mm",
-    ]  # fmt: skip
+        "2.0px",
+        "1.2%",
+        "3.4mm",
+    ]

@@ -80,8 +80,11 @@ GRAB = {"kind": "grab", "targets": [[0, 0, 0.5], [0, 0, 2.0]]}
         ("push_right", {"forces": [{"kind": "acceleration", "profile": SINE}]}, "follows a sine"),
         ("sway", {"forces": [{"kind": "acceleration", "region": {}}]}, "in a region only"),
         ("press", {"boundaries": [GROUND, {"kind": "press", "down": 0.02}]}, "so violent"),
-        ("press", {"boundaries": [GROUND, {"kind": "press", "depth": 0.9, "down": 9.0, "up": 9.0}]},
-         "so violent"),
+        (
+            "press",
+            {"boundaries": [GROUND, {"kind": "press", "depth": 0.9, "down": 9.0, "up": 9.0}]},
+            "so violent",
+        ),
         ("drop", {"boundaries": [{"kind": "ground", "motion": {"kind": "swing"}}]}, "that moves"),
         ("drop", {"material.damping": 0.0}, "with so little damping"),
         ("drop", {"material.nu": 0.49}, "so nearly incompressible"),
@@ -89,7 +92,7 @@ GRAB = {"kind": "grab", "targets": [[0, 0, 0.5], [0, 0, 2.0]]}
         ("drop", {"material": {"law": "fluid", "viscosity": 50.0}}, "fluid of another viscosity"),
         ("drop", {"material": {"law": "foam", "viscosity": 1.0}}, "foam of another viscosity"),
     ],
-)  # fmt: skip
+)
 def test_violence_sees_all_that_makes_a_scene_violent(preset, changes, why):
     """Nothing is promised beyond what was measured, in whatever it is."""
     usual = Scene.named(preset).replaced({"accuracy": "fine"})
@@ -231,8 +234,10 @@ def test_no_one_else_words_a_promise():
     root = Path(promises.__file__).parents[2]
     words = ("can be promised", "Expected error", "Error promised", "error not measured")
     sources = [
-        path for part in ("phy124", "demo", "bridge")
-        for kind in ("py", "js") for path in (root / part).rglob(f"*.{kind}")
-    ]  # fmt: skip
+        path
+        for part in ("phy124", "demo", "bridge")
+        for kind in ("py", "js")
+        for path in (root / part).rglob(f"*.{kind}")
+    ]
     found = {p.name for p in sources if any(word in p.read_text("utf-8") for word in words)}
     assert found == {"promises.py"}

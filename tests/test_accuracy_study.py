@@ -36,9 +36,13 @@ def study() -> tuple[Study, Report]:
 def test_every_level_and_variation_is_run(study):
     names = [row.name for row in study[1].rows]
     assert names == [
-        "D/8", "D/12", "D/16",
-        "half the substep at D/16", "float64 at D/16", "binding particles at D/16",
-    ]  # fmt: skip
+        "D/8",
+        "D/12",
+        "D/16",
+        "half the substep at D/16",
+        "float64 at D/16",
+        "binding particles at D/16",
+    ]
     assert not study[1].skipped
 
 

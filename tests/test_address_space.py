@@ -14,8 +14,12 @@ from phy124.runtime.address_space import NEEDED, THREADS, refuse_narrow  # noqa:
 def limited(kilobytes: int, words: str, **options) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         ["bash", "-c", f"ulimit -v {kilobytes}; exec {sys.executable} {words}"],
-        check=False, capture_output=True, text=True, timeout=300, **options,
-    )  # fmt: skip
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        **options,
+    )
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems ignore the limit")

@@ -83,9 +83,15 @@ def test_a_light_body_does_not_sink_under_a_heavy_one():
     both = [NeoHookean(E=1e5, density=100.0), NeoHookean(E=1e5, density=1000.0)]
     volume = np.full(len(x), (DX / 2) ** 3)
     s = make_solver(
-        x[order], volume, both, dx=DX, material=heavy[order], boundaries=[Ground()],
-        forces=[Gravity()], origin=(0, 0, 0.25 * DX),
-    )  # fmt: skip
+        x[order],
+        volume,
+        both,
+        dx=DX,
+        material=heavy[order],
+        boundaries=[Ground()],
+        forces=[Gravity()],
+        origin=(0, 0, 0.25 * DX),
+    )
     settle(s, 0.4)
     assert abs(s.state.x.numpy()[:, 2].min() - DX / 4) < 0.2 * DX
 
@@ -180,9 +186,11 @@ def test_press_moves_particles_and_wall_follows_its_path():
     assert top == pytest.approx(0.4 - 0.3 * 0.35, abs=0.3 * DX)
     path = Path(times=(0.0, 0.2), points=((0.0, 0.0, 0.0), (0.3, 0.0, 0.0)))
     pushed = solver(
-        block(low=(0.0, 0, 0)), HalfSpace(normal=(1, 0, 0), contact="sticky", motion=path),
-        forces=[], origin=(0.25 * DX, 0, 0),
-    )  # fmt: skip
+        block(low=(0.0, 0, 0)),
+        HalfSpace(normal=(1, 0, 0), contact="sticky", motion=path),
+        forces=[],
+        origin=(0.25 * DX, 0, 0),
+    )
     settle(pushed, 0.6)
     assert pushed.state.x.numpy()[:, 0].min() - DX / 4 == pytest.approx(0.3, abs=0.5 * DX)
 
@@ -200,9 +208,17 @@ def test_a_shaking_base_carries_what_sticks_to_it():
 
 def test_a_gripper_lifts_a_block():
     gripper = Gripper(
-        axis="x", centre=(0.2, 0.2, 0.2), opening=0.6, closed=0.3, width=0.5, thick=0.4,
-        close=0.15, lift=0.2, rise=0.3, friction=2.0,
-    )  # fmt: skip
+        axis="x",
+        centre=(0.2, 0.2, 0.2),
+        opening=0.6,
+        closed=0.3,
+        width=0.5,
+        thick=0.4,
+        close=0.15,
+        lift=0.2,
+        rise=0.3,
+        friction=2.0,
+    )
     s, heights = solver(block(), Ground(), gripper, material=NeoHookean(E=1e5)), []
     for time in (0.15, 0.6, 0.75):
         s.advance(time)
@@ -241,9 +257,12 @@ def test_what_is_held_ends_where_it_should(axis, offset):
     g, E = 2.0, 2e4
     clamp = Held(lower=(-1, -1, -1), upper=tuple(np.where(along, 0.0, 1.0)))
     s = solver(
-        x, clamp, forces=[Gravity(g=tuple(g * along))], material=NeoHookean(E=E, nu=0.0),
+        x,
+        clamp,
+        forces=[Gravity(g=tuple(g * along))],
+        material=NeoHookean(E=E, nu=0.0),
         origin=tuple(offset * DX * along),
-    )  # fmt: skip
+    )
     settle(s, 1.0, rate=10.0)
     wanted = 1000 * g / E * (free * s.model.rest[:, axis] - s.model.rest[:, axis] ** 2 / 2)
     moved = (s.state.x.numpy() - s.model.rest)[:, axis]

@@ -37,9 +37,13 @@ class Seen:
     def __init__(self, **options) -> None:
         self.now, self.sent, self.audience = 1000.0, [], Audience(2, 0)
         self.reports = Reports(
-            FrameEncoder(Options(epoch=EPOCH)), self._receive, lambda: self.audience,
-            node="/phy124/player", now=lambda: self.now, **options,
-        )  # fmt: skip
+            FrameEncoder(Options(epoch=EPOCH)),
+            self._receive,
+            lambda: self.audience,
+            node="/phy124/player",
+            now=lambda: self.now,
+            **options,
+        )
 
     def _receive(self, message) -> None:
         content = JAZZY.deserialize_cdr(message.data, message.topic.type)

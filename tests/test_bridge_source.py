@@ -128,9 +128,12 @@ def test_the_listener_has_its_turns_while_a_frame_is_computed(ply):
 def test_a_doubtful_cut_out_is_said(tmp_path, monkeypatch, caplog):
     picture = Image.new("RGBA", (2, 2))
     doubtful = SimpleNamespace(
-        picture=picture, warnings=("It is in 9 pieces.",), method="u2net", data=dict,
+        picture=picture,
+        warnings=("It is in 9 pieces.",),
+        method="u2net",
+        data=dict,
         notes=("Its profile is damaged.",),
-    )  # fmt: skip
+    )
     asked = []
     monkeypatch.setattr(
         "phy124.pipeline.gaussians.cut_out", lambda *_, **given: asked.append(given) or doubtful

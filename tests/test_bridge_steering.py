@@ -171,9 +171,10 @@ BAD = {
         "above itself",
     ),
     "many frames": (
-        lambda i: [i.push(wrench((1, 0, 0), frame=f"f{n}")) for n in range(17)], "at once",
+        lambda i: [i.push(wrench((1, 0, 0), frame=f"f{n}")) for n in range(17)],
+        "at once",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")

@@ -22,13 +22,17 @@ def run(**changes) -> Simulation:
         ([{"kind": "ground", "height": 0.8}], "ground"),
         ([DOWN], "halfspace"),
         ([DOWN, UP], "halfspace"),
-        ([{"kind": "container", "inside": {"lower": [-0.1, -0.1, 0], "upper": [0.1, 0.1, 2]}}],
-         "container"),
+        (
+            [{"kind": "container", "inside": {"lower": [-0.1, -0.1, 0], "upper": [0.1, 0.1, 2]}}],
+            "container",
+        ),
         ([{"kind": "press", "top": 0.5}], "press"),
-        ([{"kind": "ground", "motion": {"kind": "path", "points": [[0, 0, 1], [0, 0, 0]]}}],
-         "ground"),
+        (
+            [{"kind": "ground", "motion": {"kind": "path", "points": [[0, 0, 1], [0, 0, 0]]}}],
+            "ground",
+        ),
     ],
-)  # fmt: skip
+)
 def test_an_object_that_starts_inside_a_wall_is_refused(walls, kind):
     with pytest.raises(InputError) as refused:
         run(boundaries=walls)
@@ -55,8 +59,15 @@ def test_a_rigid_body_faster_than_its_stiffness_is_noted():
 
 
 def test_a_solid_that_swells_is_noted():
-    metal = run(**{"material": {"law": "metal"}, "object.lift": 0.05, "time.frames": 2,
-                   "object.velocity": [0, 0, -300.0], "time.fps": 100.0})  # fmt: skip
+    metal = run(
+        **{
+            "material": {"law": "metal"},
+            "object.lift": 0.05,
+            "time.frames": 2,
+            "object.velocity": [0, 0, -300.0],
+            "time.fps": 100.0,
+        }
+    )
     metal.run()
     assert any("swelled to" in note for note in metal.report()["notes"])
     assert metal.watchdog.max_J > 2

@@ -189,9 +189,12 @@ def test_a_cylinder_turned_in_the_files_own_units(tmp_path, rng, floor):
     own = rotation_matrices(turn[None])[0]
     centre, half = place.in_file([[0, 0, 0.8]])[0] @ own, 0.35 * place.scale
     region = PartRegion(
-        lower=(centre - half).tolist(), upper=(centre + half).tolist(),
-        cylinder="y", turn=turn.tolist(), units="file",
-    )  # fmt: skip
+        lower=(centre - half).tolist(),
+        upper=(centre + half).tolist(),
+        cylinder="y",
+        turn=turn.tolist(),
+        units="file",
+    )
     part = {"material": {"law": "metal"}, "region": region.model_dump()}
     read = capture(PlyFile(path, Reading(floor=floor)), scene(**{"parts": [part]}))
     placed = read.scene.parts[0].region

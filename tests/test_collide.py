@@ -40,17 +40,25 @@ def segment_distance(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     [
         (Ground(height=0.3), lambda x: x[:, 2] - 0.3),
         (HalfSpace(point=(1, 0, 0), normal=(0, 3, 4)), lambda x: (x - [1, 0, 0]) @ [0, 0.6, 0.8]),
-        (Sphere(centre=(0.1, 0, 0), radius=0.5),
-         lambda x: np.linalg.norm(x - [0.1, 0, 0], axis=1) - 0.5),
-        (Capsule(start=(0, 0, 0), end=(0.3, 0.4, 0), radius=0.2),
-         lambda x: segment_distance(x, np.zeros(3), np.array([0.3, 0.4, 0])) - 0.2),
-        (Held(lower=(-0.5, -0.4, -0.2), upper=(0.5, 0.4, 0.6), cylinder="z"),
-         lambda x: np.maximum(np.hypot(x[:, 0], x[:, 1]) - 0.4, np.abs(x[:, 2] - 0.2) - 0.4)),
-        (Box(lower=(-0.5, -0.2, 0), upper=(0.5, 0.2, 0.9)),
-         lambda x: np.max(np.abs(x - [0, 0, 0.45]) - [0.5, 0.2, 0.45], axis=1)),
+        (
+            Sphere(centre=(0.1, 0, 0), radius=0.5),
+            lambda x: np.linalg.norm(x - [0.1, 0, 0], axis=1) - 0.5,
+        ),
+        (
+            Capsule(start=(0, 0, 0), end=(0.3, 0.4, 0), radius=0.2),
+            lambda x: segment_distance(x, np.zeros(3), np.array([0.3, 0.4, 0])) - 0.2,
+        ),
+        (
+            Held(lower=(-0.5, -0.4, -0.2), upper=(0.5, 0.4, 0.6), cylinder="z"),
+            lambda x: np.maximum(np.hypot(x[:, 0], x[:, 1]) - 0.4, np.abs(x[:, 2] - 0.2) - 0.4),
+        ),
+        (
+            Box(lower=(-0.5, -0.2, 0), upper=(0.5, 0.2, 0.9)),
+            lambda x: np.max(np.abs(x - [0, 0, 0.45]) - [0.5, 0.2, 0.45], axis=1),
+        ),
     ],
     ids=lambda value: getattr(value, "kind", ""),
-)  # fmt: skip
+)
 def test_shapes_know_their_distance_and_normal(wall, exact, rng):
     x = rng.uniform(-1, 1, (500, 3))
     geometry = wall.geometry(None)
@@ -82,9 +90,12 @@ def make_answers(response: str):
 
     @kernel(f"phy124_test_answer_{response}")
     def answers(
-        v: wp.array(dtype=wp.vec3d), wall: wp.vec3d, n: wp.vec3d, friction: wp.float64,
+        v: wp.array(dtype=wp.vec3d),
+        wall: wp.vec3d,
+        n: wp.vec3d,
+        friction: wp.float64,
         out: wp.array(dtype=wp.vec3d),
-    ):  # fmt: skip
+    ):
         out[wp.tid()] = answer(v[wp.tid()], wall, n, friction)
 
     return answers
@@ -190,9 +201,14 @@ def test_no_drop_gets_through_the_walls_of_a_bin():
     water = lattice(16, 16, 16, spacing=DX / 2, corner=(0.5, 0.5, 0.8))
     basin = Container(inside=Region(lower=tuple(low), upper=tuple(high)), friction=0.0)
     s = make_solver(
-        water, np.full(len(water), (DX / 2) ** 3), [Fluid()], dx=DX, boundaries=[basin],
-        forces=[Gravity()], origin=(0, 0, DX / 4),
-    )  # fmt: skip
+        water,
+        np.full(len(water), (DX / 2) ** 3),
+        [Fluid()],
+        dx=DX,
+        boundaries=[basin],
+        forces=[Gravity()],
+        origin=(0, 0, DX / 4),
+    )
     for time in (0.4, 0.8, 1.2, 1.6, 2.0):
         s.advance(time)
         x = s.state.x.numpy()

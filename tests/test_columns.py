@@ -94,8 +94,9 @@ def test_gaussians_of_one_scale_are_round(tmp_path):
 @pytest.mark.parametrize("ascii", [False, True])
 def test_colours_as_rgb_take_the_place_of_harmonics(tmp_path, kind, values, ascii):
     rgb = dict(zip(("red", "green", "blue"), values, strict=True))
-    found = read(tmp_path, ["f_dc_0", "f_dc_1", "f_dc_2"], **rgb, ascii=ascii,
-                 kinds=dict.fromkeys(rgb, kind))  # fmt: skip
+    found = read(
+        tmp_path, ["f_dc_0", "f_dc_1", "f_dc_2"], **rgb, ascii=ascii, kinds=dict.fromkeys(rgb, kind)
+    )
     np.testing.assert_allclose(found.gaussians.rgb[0], [1, 0, 0.2], atol=1e-6)
 
 

@@ -140,11 +140,15 @@ def test_two_processes_compile_the_same_module(tmp_path):
     place = {"WARP_CACHE_PATH": str(tmp_path / "cache"), "PYTHONPATH": str(Path.cwd())}
     started = [
         subprocess.Popen(
-            [sys.executable, program], env=place, text=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            [sys.executable, program],
+            env=place,
+            text=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
         )
         for _ in range(2)
-    ]  # fmt: skip
+    ]
     for process in started:
         assert process.stdout.readline() == "ready\n"
     for process in started:

@@ -145,9 +145,13 @@ def test_the_first_picture_is_the_photograph(tmp_path):
     still = flight([(0, 0, 0), (0, 0, 0)])
     g = patched()
     clip = Clip(
-        np.stack([g.means, g.means + np.float32([0, 0.3, 0])]), np.stack([g.quats] * 2),
-        np.stack([g.scales] * 2), g.opacities, g.sh, still.times,
-    )  # fmt: skip
+        np.stack([g.means, g.means + np.float32([0, 0.3, 0])]),
+        np.stack([g.quats] * 2),
+        np.stack([g.scales] * 2),
+        g.opacities,
+        g.sh,
+        still.times,
+    )
     path, about = compose(clip, View(), photograph, tmp_path)
     assert about["psnr"] >= about["psnr_before"] > 30
     first, last = read_video(path).astype(float)

@@ -24,12 +24,17 @@ def test_the_shares_of_all_particles_are_what_the_walls_give(threads):
     walls, x = [Ground(height=0.0), Box(upper=(0.4, 1, 0.4))], block(middle=(0, 0, 0.5))
     external, contacts = ExternalWork(), Contacts()
     solver = make_solver(
-        x, np.full(len(x), 1e-4), [NeoHookean(E=1e4)], dx=0.125,
-        v=np.tile((1.0, 0.0, -2.0), (len(x), 1)), threads=threads,
+        x,
+        np.full(len(x), 1e-4),
+        [NeoHookean(E=1e4)],
+        dx=0.125,
+        v=np.tile((1.0, 0.0, -2.0), (len(x), 1)),
+        threads=threads,
         forces=external.forces([Gravity()]),
         boundaries=external.boundaries(walls, contacts.boundaries(walls)),
-        accumulators=[external, contacts], precision="float64",
-    )  # fmt: skip
+        accumulators=[external, contacts],
+        precision="float64",
+    )
     external.open(solver.clock)
     start = solver.state.x.numpy()
     before = np.zeros(3)

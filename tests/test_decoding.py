@@ -30,8 +30,10 @@ AVIF = pytest.mark.skipif(not features.check("avif"), reason="this Pillow does n
 def pillow_as_before(monkeypatch):
     """The decoder sets Pillow's limits for its process, which here is that of all tests."""
     for where, name in (
-        (Image, "MAX_IMAGE_PIXELS"), (PngImagePlugin, "MAX_TEXT_CHUNK"), (Image.Exif, "tobytes")
-    ):  # fmt: skip
+        (Image, "MAX_IMAGE_PIXELS"),
+        (PngImagePlugin, "MAX_TEXT_CHUNK"),
+        (Image.Exif, "tobytes"),
+    ):
         monkeypatch.setattr(where, name, getattr(where, name))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of Pillow, on damage; the decoder's process shows none

@@ -36,10 +36,12 @@ def test_eight_at_a_time_are_deformed_as_one_by_one(rng, count):
         threads = -(-count // each)
         model = [
             wp.array(carrier, dtype=int),
-            wp.array(rest.quats, dtype=wp.vec4f), wp.array(rest.scales, dtype=wp.vec3f),
-            wp.array(holds, dtype=wp.float64), wp.array(limits, dtype=wp.float64),
+            wp.array(rest.quats, dtype=wp.vec4f),
+            wp.array(rest.scales, dtype=wp.vec3f),
+            wp.array(holds, dtype=wp.float64),
+            wp.array(limits, dtype=wp.float64),
             wp.array(balls, dtype=wp.bool),
-        ]  # fmt: skip
+        ]
         still = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
         out = [wp.array(still, dtype=wp.vec4f), wp.array(rest.quats, dtype=wp.vec4f)]
         out.append(wp.zeros(count, dtype=wp.vec3f))

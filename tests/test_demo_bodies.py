@@ -18,17 +18,22 @@ def _nested(depth: int, beside: str = "") -> bytes:
 @pytest.mark.parametrize(
     ("body", "plain"),
     [
-        (b"", True), (b"[1,2,{}]", True), (json.dumps(["a\\\"]"] * 9).encode(), True),
+        (b"", True),
+        (b"[1,2,{}]", True),
+        (json.dumps(['a\\"]'] * 9).encode(), True),
         (json.dumps({"url": "data:image/png;base64," + "A" * 10**6}).encode(), True),
-        (json.dumps([1] * VALUES).encode(), True), (json.dumps([1] * 2 * VALUES).encode(), False),
-        (json.dumps([{}] * VALUES).encode(), False), (b'"' * 10**7, False),
-        (_nested(DEEPEST), True), (_nested(DEEPEST + 1), False),
+        (json.dumps([1] * VALUES).encode(), True),
+        (json.dumps([1] * 2 * VALUES).encode(), False),
+        (json.dumps([{}] * VALUES).encode(), False),
+        (b'"' * 10**7, False),
+        (_nested(DEEPEST), True),
+        (_nested(DEEPEST + 1), False),
         (_nested(DEEPEST - 1, json.dumps("[" * 99)), True),
         # Brackets in texts do not count, and closing ones take nothing away.
         (b'["]]]]\\"]]",' * (DEEPEST + 1) + b"]" * (DEEPEST + 1), False),
         (json.dumps([1]).encode("utf-16"), False),
     ],
-)  # fmt: skip
+)
 def test_json_is_bounded_in_number_and_depth(body, plain):
     assert is_plain(body) is plain
 

@@ -208,9 +208,15 @@ def _stroke(keep: bool, *points: tuple[float, float], width: float = 0.2) -> Str
 
 
 def test_strokes_keep_and_remove_and_the_last_one_counts():
-    marks = np.asarray(painted([
-        _stroke(True, (0.1, 0.5), (0.9, 0.5)), _stroke(False, (0.9, 0.5)),
-    ], (100, 100)))  # fmt: skip
+    marks = np.asarray(
+        painted(
+            [
+                _stroke(True, (0.1, 0.5), (0.9, 0.5)),
+                _stroke(False, (0.9, 0.5)),
+            ],
+            (100, 100),
+        )
+    )
     assert (marks[50, 10], marks[50, 90], marks[10, 50]) == (2, 1, 0)
     portrait = np.asarray(painted([_stroke(True, (0.25, 0.9))], (50, 100)))
     assert portrait[90, 25] == 2 and portrait[50, 25] == 0
@@ -219,14 +225,16 @@ def test_strokes_keep_and_remove_and_the_last_one_counts():
 @pytest.mark.parametrize(
     "data",
     [
-        "all", [{"keep": True}], [{"keep": True, "width": 9, "points": [[0, 0]]}],
+        "all",
+        [{"keep": True}],
+        [{"keep": True, "width": 9, "points": [[0, 0]]}],
         [{"keep": True, "width": 0.1, "points": []}],
         [{"keep": True, "width": 0.1, "points": [[float("nan"), 0]]}],
         [{"keep": True, "width": 0.1, "points": [[0, 0]]}] * 201,
         [{"keep": True, "width": 0.1, "points": [[0, 0]] * 2001}],
         [{"keep": True, "width": 0.1, "points": [[0, 0]] * 2000}] * 11,
     ],
-)  # fmt: skip
+)
 def test_strokes_that_cannot_be_are_refused(data):
     with pytest.raises(InputError, match="strokes"):
         strokes_of(data)
@@ -265,14 +273,20 @@ def _report() -> dict:
     return {
         "stopped": "<script>alert(1)</script>",
         "stages": [{"name": "simulate", "seconds": 2.0}, {"name": "render", "seconds": 1.0}],
-        "seconds": 3.0, "gaussians": 10, "particles": 20, "substeps": 30, "device": "cpu",
+        "seconds": 3.0,
+        "gaussians": 10,
+        "particles": 20,
+        "substeps": 30,
+        "device": "cpu",
         "substep_stages": [{"name": "p2g", "seconds": 1.5, "launches": 30}],
         "effects": {"left_out": [{"effect": "colliders", "why": "there are none"}]},
         "motion": {
-            "time": [0, 0.1], "min_J": [1, 0.7],
-            "max_speed": [0, 2], "kinetic_energy": [0, 5],
+            "time": [0, 0.1],
+            "min_J": [1, 0.7],
+            "max_speed": [0, 2],
+            "kinetic_energy": [0, 5],
         },
-    }  # fmt: skip
+    }
 
 
 def test_report_shows_promise_time_effects_and_stability():

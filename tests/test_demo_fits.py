@@ -98,9 +98,7 @@ def studio(tmp_path, monkeypatch) -> Studio:
 
 def prepared(studio: Studio, search: Search, name: str = "a") -> tuple[Done, str]:
     """A visitor's result, and a video that was sent; searches are stood in for."""
-    studio.fits = Fits(
-        studio.visitors, studio.settings, studio.forecaster, studio._submit, search
-    )  # fmt: skip
+    studio.fits = Fits(studio.visitors, studio.settings, studio.forecaster, studio._submit, search)
     return result_of(studio.visitors.get(name)), sent(studio, name)
 
 
@@ -121,9 +119,7 @@ def test_video_is_decoded_up_to_the_length_of_the_scene(tmp_path):
 )
 def test_what_comes_after_the_scene_is_left_out(tmp_path, monkeypatch, seconds, speed, count):
     monkeypatch.setattr("demo.fits.video.resource.setrlimit", lambda *_: None)
-    monkeypatch.setattr(
-        "demo.fits.video.isolated.run", lambda work, *given, **_: work(*given)
-    )  # fmt: skip
+    monkeypatch.setattr("demo.fits.video.isolated.run", lambda work, *given, **_: work(*given))
     path = filmed(tmp_path / "a.mp4")
     assert opened(path, tmp_path / "out", seconds, speed, LONG).count == count
     with pytest.raises(InputError, match="in which the video shows 1 picture"):
@@ -261,8 +257,10 @@ def test_the_panel_shows_film_and_fit_picture_by_picture(studio, handlers):
     assert panel["found"]["material"]["E"] == Scene.named("press").data()["material"]["E"]
     assert "<polyline" in panel["found"]["figure"] and panel["found"]["film"]["size"] == 4
     assert [one["label"] for one in files["files"] if "Fit" in one["label"]] == [
-        "Fit: filmed and fitted", "Fit: report", "Fit: scene",
-    ]  # fmt: skip
+        "Fit: filmed and fitted",
+        "Fit: report",
+        "Fit: scene",
+    ]
     assert handlers.fit_offerer(studio)(done, None)["found"] == panel["found"], "after a reload"
 
 
@@ -312,6 +310,10 @@ def test_the_softness_of_a_pressed_duck_is_found(tmp_path):
     assert str(tmp_path) not in json.dumps(report)
     names = {path.name for path in job.progress.result.files}
     assert names == {
-        "comparison.html", "comparison.mp4", "comparison.png", "fit.json", "fitted.toml",
-    }  # fmt: skip
+        "comparison.html",
+        "comparison.mp4",
+        "comparison.png",
+        "fit.json",
+        "fitted.toml",
+    }
     assert export("ply", done).exists()

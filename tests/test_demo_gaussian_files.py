@@ -176,7 +176,9 @@ def test_the_forecast_is_that_of_the_file(studio):
     scene = Scene.named("press").replaced({"binding": "particles"}).data()
     file = read(studio, of())
     small = replace(file, count=file.count // 8)
-    both = [studio.forecaster(Scene.from_data(scene), gaussians=studio.count(one), generated=True)
-            for one in (file, small)]  # fmt: skip
+    both = [
+        studio.forecaster(Scene.from_data(scene), gaussians=studio.count(one), generated=True)
+        for one in (file, small)
+    ]
     assert both[0].seconds > both[1].seconds
     assert studio.forecast("a", file, scene) == both[0].sentence

@@ -14,12 +14,20 @@ NAMES = own_names("demo.example, other.example", "space.hf.space")
 @pytest.mark.parametrize(
     ("host", "ours"),
     [
-        ("localhost:7860", True), ("127.0.0.1", True), ("[::1]:7860", True), ("10.0.0.7:80", True),
-        ("demo.example", True), ("OTHER.example:443", True), ("space.hf.space", True),
-        ("evil.example", False), ("localhost.evil.example", False), ("", False),
-        ("127.0.0.1.evil.example", False), ("demo.example.evil", False),
+        ("localhost:7860", True),
+        ("127.0.0.1", True),
+        ("[::1]:7860", True),
+        ("10.0.0.7:80", True),
+        ("demo.example", True),
+        ("OTHER.example:443", True),
+        ("space.hf.space", True),
+        ("evil.example", False),
+        ("localhost.evil.example", False),
+        ("", False),
+        ("127.0.0.1.evil.example", False),
+        ("demo.example.evil", False),
     ],
-)  # fmt: skip
+)
 def test_foreign_names_are_not_answered_to(host, ours):
     assert is_own_name(host, NAMES) is ours
     assert is_own_name(host, frozenset({"*"}))
@@ -28,12 +36,15 @@ def test_foreign_names_are_not_answered_to(host, ours):
 @pytest.mark.parametrize(
     ("header", "value", "status"),
     [
-        ("x-forwarded-host", "demo.example", 200), ("x-forwarded-host", "DEMO.example:443", 200),
-        ("x-forwarded-host", "10.0.0.7:7860", 200), ("x-forwarded-host", "evil.example", 421),
+        ("x-forwarded-host", "demo.example", 200),
+        ("x-forwarded-host", "DEMO.example:443", 200),
+        ("x-forwarded-host", "10.0.0.7:7860", 200),
+        ("x-forwarded-host", "evil.example", 421),
         ("x-forwarded-host", "demo.example, evil.example", 421),
-        ("x-forwarded-host", "203.0.113.9", 421), ("x-gradio-server", "http://evil.example", 421),
+        ("x-forwarded-host", "203.0.113.9", 421),
+        ("x-gradio-server", "http://evil.example", 421),
     ],
-)  # fmt: skip
+)
 def test_a_proxy_gives_the_page_no_foreign_name(header, value, status):
     async def page(scope, receive, send):
         await send({"type": "http.response.start", "status": 200, "headers": []})
@@ -52,11 +63,13 @@ def test_a_proxy_gives_the_page_no_foreign_name(header, value, status):
 @pytest.mark.parametrize(
     ("path", "fetches"),
     [
-        ("/gradio_api/file=https://a.example", True), ("/gradio_api/file=HTTP://a", True),
-        ("/gradio_api/proxy=https://a", True), ("/gradio_api/file=//a.example/", True),
+        ("/gradio_api/file=https://a.example", True),
+        ("/gradio_api/file=HTTP://a", True),
+        ("/gradio_api/proxy=https://a", True),
+        ("/gradio_api/file=//a.example/", True),
         ("/gradio_api/file=/tmp/a.png", False),
     ],
-)  # fmt: skip
+)
 def test_addresses_that_would_be_fetched_are_known(path, fetches):
     assert bool(FETCHES.search(path)) is fetches
 
@@ -123,17 +136,22 @@ def _refused(path: str = "/gradio_api/run/predict", method: str = "POST", **head
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
-        ({}, 200), ({"origin": "https://demo.example"}, 200),
-        ({"origin": "https://demo.example:443"}, 200), ({"sec_fetch_site": "same-origin"}, 200),
+        ({}, 200),
+        ({"origin": "https://demo.example"}, 200),
+        ({"origin": "https://demo.example:443"}, 200),
+        ({"sec_fetch_site": "same-origin"}, 200),
         ({"host": "127.0.0.1:7860", "origin": "http://127.0.0.1:7860"}, 200),
         ({"host": "127.0.0.1:7860", "origin": "https://demo.example"}, 200),
         ({"host": "127.0.0.1:7860", "origin": "http://localhost:3000"}, 403),
         ({"host": "127.0.0.1:7860", "origin": "http://127.0.0.1:3000"}, 403),
-        ({"origin": "https://evil.example"}, 403), ({"origin": "null"}, 403), ({"origin": ""}, 403),
-        ({"sec_fetch_site": "cross-site"}, 403), ({"sec_fetch_site": "same-site"}, 403),
+        ({"origin": "https://evil.example"}, 403),
+        ({"origin": "null"}, 403),
+        ({"origin": ""}, 403),
+        ({"sec_fetch_site": "cross-site"}, 403),
+        ({"sec_fetch_site": "same-site"}, 403),
         ({"origin": "https://demo.example", "sec_fetch_site": "cross-site"}, 403),
     ],
-)  # fmt: skip
+)
 def test_pages_of_other_sites_change_nothing(headers, status):
     assert _refused(**headers) == status
     assert _refused("/gradio_api/upload", "OPTIONS", **headers) == status

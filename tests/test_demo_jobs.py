@@ -128,9 +128,14 @@ def test_only_pictures_that_a_visitor_has_sent_are_read(studio, tmp_path, kind):
     link = folder / "link.png"
     link.symlink_to(DUCK)
     given = {
-        "file": DUCK, "other": other, "device": "/dev/zero", "folder": folder, "link": link,
-        "missing": folder / "none.png", "odd": "\0/../..",
-    }[kind]  # fmt: skip
+        "file": DUCK,
+        "other": other,
+        "device": "/dev/zero",
+        "folder": folder,
+        "link": link,
+        "missing": folder / "none.png",
+        "odd": "\0/../..",
+    }[kind]
     with pytest.raises(InputError) as refusal:
         studio.cut("a", str(given))
     assert str(refusal.value) == "picture = unknown: This picture is not here. Choose it once more."

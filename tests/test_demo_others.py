@@ -134,9 +134,11 @@ def test_each_picture_is_forecast_and_learned_from():
     one, two = (estimator(scene, pictures=count).seconds for count in (1, 2))
     assert two - one == pytest.approx(estimator.rates.generate * estimator.load().of("generate"))
     report = {
-        "stages": [{"name": "generate", "seconds": 6.0}], "substeps": 100, "particles": 10_000,
+        "stages": [{"name": "generate", "seconds": 6.0}],
+        "substeps": 100,
+        "particles": 10_000,
         "frames": 2,
-    }  # fmt: skip
+    }
     learned = Learned()
     learned.calibrate((report, scene), (report, scene))
     several = Learned()
@@ -146,11 +148,17 @@ def test_each_picture_is_forecast_and_learned_from():
 
 def test_the_report_says_what_each_object_is():
     report = {
-        "stages": [], "notes": [], "seconds": 1.0, "gaussians": 3, "particles": 3, "substeps": 3,
-        "device": "cpu", "objects": {"<left>": {"gaussians": 1200, "mass": 3.25}},
+        "stages": [],
+        "notes": [],
+        "seconds": 1.0,
+        "gaussians": 3,
+        "particles": 3,
+        "substeps": 3,
+        "device": "cpu",
+        "objects": {"<left>": {"gaussians": 1200, "mass": 3.25}},
         "sources": {"<left>": {"cutout": {"method": "alpha"}}},
         "pairs": {"left_on_right": {"largest_force": 123.4}},
-    }  # fmt: skip
+    }
     text = as_html(report, Scene.named("collide").data(), 1.0)
     assert "&lt;left&gt;" in text and "1,200 Gaussians, 3.25 kg, cut out by" in text
     assert "left on right" in text and "at most 123 N" in text

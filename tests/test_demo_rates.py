@@ -18,9 +18,11 @@ def _report(scene: Scene, **spent: float) -> dict:
     work = Work.of(scene)
     stages = [{"name": name, "seconds": seconds} for name, seconds in spent.items()]
     return {
-        "stages": stages, "substeps": work.substeps, "frames": work.frames,
+        "stages": stages,
+        "substeps": work.substeps,
+        "frames": work.frames,
         "particles": work.particles / work.substeps,
-    }  # fmt: skip
+    }
 
 
 @pytest.fixture

@@ -93,9 +93,15 @@ def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("web")
     # Twelve seconds of grace only: the tests look at what is left behind.
     with serving(
-        folder, gaussians=1000, max_queue=WAITING, max_upload_mb=2, max_file_mb=3, max_video_mb=3,
-        grace_minutes=0.2, warm_up=False,
-    ) as running:  # fmt: skip
+        folder,
+        gaussians=1000,
+        max_queue=WAITING,
+        max_upload_mb=2,
+        max_file_mb=3,
+        max_video_mb=3,
+        grace_minutes=0.2,
+        warm_up=False,
+    ) as running:
         yield running
 
 
@@ -409,7 +415,7 @@ def _leave_in_the_middle(server: Server) -> None:
     with client_of(server) as client:
         sent = client.submit(
             handle_file(str(DUCK)), "press", "draft", 6, FEW, [], api_name="/generate"
-        )  # fmt: skip
+        )
         server.until(lambda: sent.status().code != Status.STARTING, "an answer to the request")
 
 

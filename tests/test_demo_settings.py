@@ -123,10 +123,13 @@ def test_values_beyond_the_pages_limits_are_refused(changes, field):
 @pytest.mark.parametrize(
     "change",
     [
-        {"forces": [{"kind": "?"}] * 800}, {"boundaries": [1] * 800}, {"objects": [{}] * 300},
-        {"parts": [{"x": 1}] * 300}, {"pairs": [None] * 300},
+        {"forces": [{"kind": "?"}] * 800},
+        {"boundaries": [1] * 800},
+        {"objects": [{}] * 300},
+        {"parts": [{"x": 1}] * 300},
+        {"pairs": [None] * 300},
     ],
-)  # fmt: skip
+)
 def test_lists_of_a_scene_are_counted_first(change, monkeypatch):
     monkeypatch.setattr(Scene, "from_data", lambda *_: pytest.fail("it was read"))
     with pytest.raises(InputError, match="allows at most"):
@@ -300,8 +303,12 @@ def test_kernels_that_are_not_there_take_time_and_it_is_said(monkeypatch):
 
 
 def test_rates_are_measured_less_what_others_took(monkeypatch):
-    report = {"stages": [{"name": "simulate", "seconds": 4.0}], "substeps": 100, "frames": 2,
-              "particles": 1000}  # fmt: skip
+    report = {
+        "stages": [{"name": "simulate", "seconds": 4.0}],
+        "substeps": 100,
+        "frames": 2,
+        "particles": 1000,
+    }
     scene, found = Scene.named("press"), []
     for before, after in ((1.0, 1.0), (2.0, 2.0), (3.0, 1.0)):
         looks = iter([Load(before, before), Load(after, after)] * 2)

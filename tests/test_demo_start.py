@@ -23,8 +23,11 @@ def test_a_busy_port_is_said_in_a_sentence(tmp_path):
         port = taken.getsockname()[1]
         ended = subprocess.run(
             [sys.executable, ROOT / "app.py", "--port", str(port)],
-            cwd=tmp_path, capture_output=True, text=True, check=False,
-        )  # fmt: skip
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
     assert ended.returncode == 2 and "Traceback" not in ended.stderr
     assert f"port = {port}: Another program listens there." in ended.stderr
 

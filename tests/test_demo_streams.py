@@ -36,9 +36,12 @@ class Page:
 
         headers = [(b"cookie", f"phy124={cookie * 32}".encode())] if cookie else []
         scope = {
-            "type": "http", "method": "GET", "path": "/gradio_api/heartbeat/x",
-            "headers": headers, "client": (address, 1),
-        }  # fmt: skip
+            "type": "http",
+            "method": "GET",
+            "path": "/gradio_api/heartbeat/x",
+            "headers": headers,
+            "client": (address, 1),
+        }
         task = asyncio.create_task(self.door(scope, None, send))
         while not sent:
             await asyncio.sleep(0)
@@ -57,8 +60,10 @@ def test_of_too_many_streams_of_a_cookie_the_oldest_ends():
         await page.visit("a")
         await opened[0]
         assert page.answers[0][-1] == {
-            "type": "http.response.body", "body": b"", "more_body": False
-        }  # fmt: skip
+            "type": "http.response.body",
+            "body": b"",
+            "more_body": False,
+        }
         assert page.open == EACH + 1 and not any(one.done() for one in (*opened[1:], other))
         assert set(page.statuses) == {200}
 

@@ -209,10 +209,14 @@ def live():
 def bound(sent: bytes, splats: int, nodes: int) -> dict[str, np.ndarray]:
     """The arrays of a binding, as the browser reads them."""
     kinds = [
-        ("means", "<f4", splats, 3), ("sigma", "<f4", splats, 6), ("stretch", "<f4", splats, 1),
-        ("rest", "<f4", nodes, 3), ("near", "<u2", splats, 8), ("weights", "u1", splats, 8),
+        ("means", "<f4", splats, 3),
+        ("sigma", "<f4", splats, 6),
+        ("stretch", "<f4", splats, 1),
+        ("rest", "<f4", nodes, 3),
+        ("near", "<u2", splats, 8),
+        ("weights", "u1", splats, 8),
         ("colours", "u1", splats, 4),
-    ]  # fmt: skip
+    ]
     found = {}
     for name, kind, rows, columns in kinds:
         size = rows * columns * np.dtype(kind).itemsize
@@ -253,10 +257,15 @@ def test_a_frame_stays_below_three_megabytes_a_second(live):
 def test_walls_are_where_the_scene_has_them_and_move_with_it():
     boundaries = [
         {"kind": "ground", "height": -0.1},
-        {"kind": "sphere", "centre": [0, 2, 0.3], "radius": 0.2, "friction": 0.1,
-         "motion": {"kind": "path", "points": [[0, 0, 0], [0, -1, 0]], "smooth": False}},
+        {
+            "kind": "sphere",
+            "centre": [0, 2, 0.3],
+            "radius": 0.2,
+            "friction": 0.1,
+            "motion": {"kind": "path", "points": [[0, 0, 0], [0, -1, 0]], "smooth": False},
+        },
         {"kind": "held", "lower": [-9, -9, -9], "upper": [9, 9, 0.1], "end": 0.05},
-    ]  # fmt: skip
+    ]
     rest = ball(100).means.astype(float)
     run = SimpleNamespace(scene=small(boundaries=boundaries), rest=rest, time=0.0)
     walls = Walls(run)
@@ -294,17 +303,24 @@ def test_orders_that_cannot_be_done_are_said_and_the_run_goes_on(player):
     run, line = player
     mars = [2.25e11, 0, 0]
     bad = [
-        ("grab", None), ("grab", "x"), ("grab", [float("nan"), 0, 0]), ("grab", mars),
-        ("grab", [10**400, 0, 0]), ("gravity", 1e30), ("gravity", {}), ("speed", float("nan")),
-    ]  # fmt: skip
+        ("grab", None),
+        ("grab", "x"),
+        ("grab", [float("nan"), 0, 0]),
+        ("grab", mars),
+        ("grab", [10**400, 0, 0]),
+        ("gravity", 1e30),
+        ("gravity", {}),
+        ("speed", float("nan")),
+    ]
     line.orders = [json.dumps({"do": do, "value": value, "seq": 7}) for do, value in bad]
     run.frame()
     kinds = [letter for letter, _ in line.told]
     assert kinds.count(b"t") - 2 == len(bad), "a sentence for each, after the two at the start"
     line.orders = [json.dumps({"do": "grab", "value": [0, 0, 1.0]})]
     run.frame()
-    line.orders = [json.dumps({"do": "to", "value": at, "seq": 9})
-                   for at in ([0, 0, 1.2], [1e30, 0, 0], mars)]  # fmt: skip
+    line.orders = [
+        json.dumps({"do": "to", "value": at, "seq": 9}) for at in ([0, 0, 1.2], [1e30, 0, 0], mars)
+    ]
     run.frame()
     assert "the most there is here" in line.told[-2][1].decode(), "of three targets, the last"
     assert HEAD.unpack(line.told[-1][1][: HEAD.size])[1] == 9

@@ -26,8 +26,12 @@ class Page:
 
     def ask(self, address: str, path: str = "/gradio_api/run/predict") -> asyncio.Task:
         scope = {
-            "type": "http", "method": "POST", "path": path, "headers": [], "client": (address, 1)
-        }  # fmt: skip
+            "type": "http",
+            "method": "POST",
+            "path": path,
+            "headers": [],
+            "client": (address, 1),
+        }
         return asyncio.create_task(self.door(scope, None, self._send))
 
 

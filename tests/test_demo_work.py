@@ -64,9 +64,14 @@ def test_everything_is_made(order):
     assert sum(isinstance(event, Glimpse) for event in events) == 3
     made = {path.name for path in [*done.clip.iterdir(), *done.films.iterdir()]}
     assert made == {
-        "clip.safetensors", "gaussians.ply", "scene.toml", "report.json",
-        "front.mp4", "clip.pack", "orbit.webp",
-    }  # fmt: skip
+        "clip.safetensors",
+        "gaussians.ply",
+        "scene.toml",
+        "report.json",
+        "front.mp4",
+        "clip.pack",
+        "orbit.webp",
+    }
     assert len(Clip.load(done.clip / "clip.safetensors")) == 3
     assert not order.stop.exists() and not DEVICE.locked()
 

@@ -17,9 +17,14 @@ def solver():
     v = np.zeros_like(x)
     v[half + 3] = 0, 0, 7
     made = make_solver(
-        x, np.full(len(x), 1e-4), [NeoHookean(E=1e4), Sand(E=1e4)], dx=0.125, v=v,
-        material=np.repeat([0, 1], [half, len(x) - half]), measure_every=1,
-    )  # fmt: skip
+        x,
+        np.full(len(x), 1e-4),
+        [NeoHookean(E=1e4), Sand(E=1e4)],
+        dx=0.125,
+        v=v,
+        material=np.repeat([0, 1], [half, len(x) - half]),
+        measure_every=1,
+    )
     for time in (1e-4, 2e-4):  # the second substep measures what the first has left
         made.advance(time)
     return made

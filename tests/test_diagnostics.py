@@ -18,10 +18,15 @@ def solver(rng):
     """A block of two laws, stretched and moving at random."""
     x = block(middle=(0.1, 0.2, 0.3))
     made = make_solver(
-        x, rng.uniform(1e-5, 1e-4, len(x)), [NeoHookean(E=1e4), Hencky(E=2e4)], dx=DX,
-        v=rng.normal(size=x.shape), C=rng.normal(size=(len(x), 3, 3)), precision="float64",
+        x,
+        rng.uniform(1e-5, 1e-4, len(x)),
+        [NeoHookean(E=1e4), Hencky(E=2e4)],
+        dx=DX,
+        v=rng.normal(size=x.shape),
+        C=rng.normal(size=(len(x), 3, 3)),
+        precision="float64",
         material=np.arange(len(x)) // (len(x) // 2),
-    )  # fmt: skip
+    )
     made.state.F.assign(np.eye(3) + 0.1 * rng.normal(size=(len(x), 3, 3)))
     return made
 

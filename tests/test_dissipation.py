@@ -28,9 +28,15 @@ def bar_after_a_period(damping):
     material = NeoHookean(E=E, nu=0.0, density=density, damping=damping)
     work = Dissipation()
     solver = make_solver(
-        x, np.full(len(x), dx**3 / 2), [material], dx=dx, v=v, C=C, precision="float64",
+        x,
+        np.full(len(x), dx**3 / 2),
+        [material],
+        dx=dx,
+        v=v,
+        C=C,
+        precision="float64",
         gathered=work,
-    )  # fmt: skip
+    )
     first = diagnose(solver)
     solver.advance(2 / speed)
     now = diagnose(solver)
@@ -62,9 +68,15 @@ def test_metal_loses_its_plastic_work(rng):
     C = np.tile(rate * np.diag([1.0, -0.5, -0.5]), (len(x), 1, 1))
     work = Dissipation()
     solver = make_solver(
-        x, np.full(len(x), 0.05**3), [metal], dx=0.1, v=x @ C[0].T, C=C, precision="float64",
+        x,
+        np.full(len(x), 0.05**3),
+        [metal],
+        dx=0.1,
+        v=x @ C[0].T,
+        C=C,
+        precision="float64",
         gathered=work,
-    )  # fmt: skip
+    )
     first = diagnose(solver)
     solver.advance(duration)
     now = diagnose(solver)

@@ -166,11 +166,16 @@ def test_less_watching_costs_less_and_moves_the_same():
 @pytest.mark.parametrize("every", [1, 32])
 def test_impact_is_sound_at_any_measuring_interval(every):
     """At twice the speed of sound: measured in time, since it is fast."""
-    scene = Scene.from_data({
-        "object": {"lift": 0.1, "velocity": [0, 0, -20]}, "material": {"law": "neo_hookean"},
-        "accuracy": {"cells": 8}, "time": {"frames": 4, "fps": 60},
-        "checks": {"measure": every}, "binding": "lattice",
-    })  # fmt: skip
+    scene = Scene.from_data(
+        {
+            "object": {"lift": 0.1, "velocity": [0, 0, -20]},
+            "material": {"law": "neo_hookean"},
+            "accuracy": {"cells": 8},
+            "time": {"frames": 4, "fps": 60},
+            "checks": {"measure": every},
+            "binding": "lattice",
+        }
+    )
     report = Simulation(ball(100), scene).run().report
     assert report["complete"] and not report["balance"]["inside_out"]
     assert report["balance"]["energy_gain"] < 0.01

@@ -42,11 +42,18 @@ QUARTER = Quantity.within("a quarter", 0.25, 0.02)
 def made(**changes) -> Experiment:
     """An experiment that needs no solver: its error is 1 / cells^2."""
     told = {
-        "name": "made", "title": "Made", "source": "nobody", "measured": "A number.", "band": "2 %",
-        "published": lambda: (QUARTER,), "run": lambda cells: (0.25 + cells**-2,),
-        "control": lambda cells: (0.5 + cells**-2,), "mistake": "twice as much",
-        "grids": (4, 6, 8), "across": "it",
-    }  # fmt: skip
+        "name": "made",
+        "title": "Made",
+        "source": "nobody",
+        "measured": "A number.",
+        "band": "2 %",
+        "published": lambda: (QUARTER,),
+        "run": lambda cells: (0.25 + cells**-2,),
+        "control": lambda cells: (0.5 + cells**-2,),
+        "mistake": "twice as much",
+        "grids": (4, 6, 8),
+        "across": "it",
+    }
     return Experiment(**{**told, **changes})
 
 
@@ -214,10 +221,13 @@ def test_experiments_that_are_done_survive_an_error(tmp_path, monkeypatch, capsy
 def both() -> list[Outcome]:
     """Of an experiment with rows and of one with a curve."""
     curve = made(
-        name="other", title="Other", axis="x", run=lambda n: (0.25, 0.5 + 1 / n),
+        name="other",
+        title="Other",
+        axis="x",
+        run=lambda n: (0.25, 0.5 + 1 / n),
         published=lambda: (Quantity("a", 0.25, 0.2, 0.3, 1.0), Quantity("b", 0.5, 0.4, 0.6, 2.0)),
         control=lambda n: (0.9, math.nan),
-    )  # fmt: skip
+    )
     return [result(made()), result(curve)]
 
 

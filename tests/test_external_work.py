@@ -31,10 +31,16 @@ def run(forces=(), boundaries=(), v=(0, 0, 0)):
     """A free block after some frames: solver, external work, and what that has summed."""
     x, external = block(middle=(0, 0, 0.5)), ExternalWork()
     solver = make_solver(
-        x, np.full(len(x), 1e-4), [NeoHookean(E=1e4)], dx=0.125, v=np.tile(v, (len(x), 1)),
-        forces=external.forces(forces), boundaries=external.boundaries(boundaries),
-        accumulators=[external], precision="float64",
-    )  # fmt: skip
+        x,
+        np.full(len(x), 1e-4),
+        [NeoHookean(E=1e4)],
+        dx=0.125,
+        v=np.tile(v, (len(x), 1)),
+        forces=external.forces(forces),
+        boundaries=external.boundaries(boundaries),
+        accumulators=[external],
+        precision="float64",
+    )
     start = diagnose(solver)
     external.open(solver.clock)
     for frame in range(FRAMES):

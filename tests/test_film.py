@@ -42,9 +42,7 @@ def test_all_formats_at_once(tmp_path, clip):
     names = [
         f"{side}.{end}" for end in ("mp4", "gif", "webp") for side in ("front", "azimuth-22.5")
     ]
-    assert [path.name for path in made] == [
-        *names, "front-png", "azimuth-22.5-png", "clip-ply",
-    ]  # fmt: skip
+    assert [path.name for path in made] == [*names, "front-png", "azimuth-22.5-png", "clip-ply"]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(p.name for p in made)
     assert read_video(tmp_path / "front.mp4").shape == (3, 32, 48, 3)
     for name in names[2:]:

@@ -106,8 +106,10 @@ def test_intervals_hold_the_truth_in_90_of_100_seeds():
 
 
 def test_fit_of_stiffness_and_mass_is_refused():
-    problem = Oscillator(names=("material.E", "material.damping", "material.density"),
-                         truth=np.array([0.6, 0.35, 0.5]))  # fmt: skip
+    problem = Oscillator(
+        names=("material.E", "material.damping", "material.density"),
+        truth=np.array([0.6, 0.35, 0.5]),
+    )
     with pytest.raises(InputError, match=r"material\.E, material\.density: .* the same way"):
         estimate(problem)
     assert sum(problem.calls) < 40

@@ -25,9 +25,13 @@ def declared(tmp_path, picture, scene, cells, **more):
     write_forces(tmp_path / "forces.csv", clip, seed=1)
     write_ply(tmp_path / "object.ply", static(picture, Scene(), count=2000).gaussians)
     data = {
-        "target": str(tmp_path / "points.csv"), "object": str(tmp_path / "object.ply"),
-        "scene": scene, "set": {"accuracy.cells": cells}, "seconds": 1e5, **more,
-    }  # fmt: skip
+        "target": str(tmp_path / "points.csv"),
+        "object": str(tmp_path / "object.ply"),
+        "scene": scene,
+        "set": {"accuracy.cells": cells},
+        "seconds": 1e5,
+        **more,
+    }
     return Fit.from_data(data), found.material
 
 
@@ -116,10 +120,14 @@ def test_a_motion_that_tells_a_value_gives_it_on_draft_grids(
     write_ply(tmp_path / "object.ply", box)
     (tmp_path / "scene.toml").write_text(scene.to_toml())
     asked = {
-        "target": str(tmp_path / "points.csv"), "object": str(tmp_path / "object.ply"),
-        "scene": str(tmp_path / "scene.toml"), "set": {"accuracy.cells": 24}, "grids": [12, 16],
-        "seconds": 1e5, "find": {path: f"{least}..{most}"},
-    }  # fmt: skip
+        "target": str(tmp_path / "points.csv"),
+        "object": str(tmp_path / "object.ply"),
+        "scene": str(tmp_path / "scene.toml"),
+        "set": {"accuracy.cells": 24},
+        "grids": [12, 16],
+        "seconds": 1e5,
+        "find": {path: f"{least}..{most}"},
+    }
     told = fit(Fit.from_data(asked), tmp_path / "out", workers=2).report["found"][path]
     low, high = told["interval"]
     assert told["value"] == pytest.approx(0.3, rel=0.05)

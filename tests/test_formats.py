@@ -92,10 +92,14 @@ def test_what_other_programs_wrote_is_read(file, name, axes):
 
 def test_content_tells_the_format_whatever_the_name(tmp_path):
     kinds = {
-        "splat-transform.sog": "sog", "splat-transform.glb": "glb", "gaussforge.splat": "splat",
-        "splat-transform-v4.spz": "spz", "spz-js-v2.spz": "spz", "source.ply": "ply",
+        "splat-transform.sog": "sog",
+        "splat-transform.glb": "glb",
+        "gaussforge.splat": "splat",
+        "splat-transform-v4.spz": "spz",
+        "spz-js-v2.spz": "spz",
+        "source.ply": "ply",
         "splat-transform.compressed.ply": "compressed-ply",
-    }  # fmt: skip
+    }
     for file, kind in kinds.items():
         copy = tmp_path / "copy.dat"
         copy.write_bytes((FOREIGN / file).read_bytes())
@@ -145,8 +149,9 @@ def test_tags_of_a_ply_are_read(tmp_path, three_gaussians, tag, axes, antialiase
     write_ply(path, three_gaussians)
     head, body = path.read_bytes().split(b"end_header\n", 1)
     kept = [line for line in head.split(b"\n") if not line.startswith(b"comment")]
-    path.write_bytes(b"\n".join([*kept[:2], f"comment {tag}".encode(), *kept[2:]]) +
-                     b"end_header\n" + body)  # fmt: skip
+    path.write_bytes(
+        b"\n".join([*kept[:2], f"comment {tag}".encode(), *kept[2:]]) + b"end_header\n" + body
+    )
     content = read_as_is(path)
     assert (content.axes, content.antialiased) == (axes, antialiased)
     turn = orientation(*axes) @ orientation().T
@@ -266,12 +271,19 @@ def test_the_guide_shows_every_format_as_it_is_declared():
     ][2:]
     assert rows == [
         [
-            f"`{name}`" if f.written else "-", f.title, f"`{f.suffix}`", f.holds,
-            f"to degree {f.degree}" if f.degree else "none", f.objects, ", ".join(f.axes),
-            "yes" if f.read else "", "yes" if f.written else "", f.opens_in,
+            f"`{name}`" if f.written else "-",
+            f.title,
+            f"`{f.suffix}`",
+            f.holds,
+            f"to degree {f.degree}" if f.degree else "none",
+            f.objects,
+            ", ".join(f.axes),
+            "yes" if f.read else "",
+            "yes" if f.written else "",
+            f.opens_in,
         ]
         for name, f in FORMATS.items()
-    ]  # fmt: skip
+    ]
 
 
 def test_the_python_of_the_guide_runs(tmp_path, monkeypatch, three_gaussians):

@@ -140,9 +140,11 @@ def glb_of(tree: str) -> bytes:
 def many_children() -> bytes:
     """Nodes that hold each other a thousandfold."""
     children = list(range(1000))
-    return glb_of(json.dumps({
-        "scenes": [{"nodes": children}], "nodes": [{"children": children} for _ in children],
-    }))  # fmt: skip
+    return glb_of(
+        json.dumps(
+            {"scenes": [{"nodes": children}], "nodes": [{"children": children} for _ in children]}
+        )
+    )
 
 
 BOMBS = {

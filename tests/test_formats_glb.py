@@ -226,9 +226,14 @@ def test_a_sparse_cloud_of_lengths_is_no_file_of_logarithms(tmp_path, rng, apart
 
 @pytest.mark.parametrize(
     ("generator", "logs"),
-    [("splat-transform 2.6.0", True), ("splat-transform 2.7.0", False),
-     ("splat-transform 3.2.0", False), ("splat-transform 10.0.0", False), ("phy124", False)],
-)  # fmt: skip
+    [
+        ("splat-transform 2.6.0", True),
+        ("splat-transform 2.7.0", False),
+        ("splat-transform 3.2.0", False),
+        ("splat-transform 10.0.0", False),
+        ("phy124", False),
+    ],
+)
 def test_known_programs_wrote_scales_of_one_kind(tmp_path, three_gaussians, generator, logs):
     path = glb_with(tmp_path / "a.glb", three_gaussians, _set("asset/generator", generator))
     scales = three_gaussians.scales

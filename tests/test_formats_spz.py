@@ -12,8 +12,14 @@ from phy124.io.formats import read_as_is, read_gaussians, spz
 from phy124.io.formats.spz_extensions import SYSTEMS, read_extensions
 from support.quantisation import many
 
-WAYS = {"R": (1, 0, 0), "L": (-1, 0, 0), "U": (0, 1, 0), "D": (0, -1, 0), "B": (0, 0, 1),
-        "F": (0, 0, -1)}  # fmt: skip
+WAYS = {
+    "R": (1, 0, 0),
+    "L": (-1, 0, 0),
+    "U": (0, 1, 0),
+    "D": (0, -1, 0),
+    "B": (0, 0, 1),
+    "F": (0, 0, -1),
+}
 AXES, CAMERA = 0xADBE0003, 0xADBE0002
 
 

@@ -34,9 +34,17 @@ def world(one, x, material=JELLY, *, dx=DX, precision="float64", floor=None, g=G
     options.setdefault("boundaries", walls)
     forces = [Gravity(g=(0.0, 0.0, -g))] if g else []
     return make_solver(
-        x, np.full(len(x), (dx / 2) ** 3), [material], dx=dx, precision=precision, free=[one],
-        planes=walls, forces=forces, origin=(0.0, 0.0, -0.75 * dx), **options,
-    )  # fmt: skip
+        x,
+        np.full(len(x), (dx / 2) ** 3),
+        [material],
+        dx=dx,
+        precision=precision,
+        free=[one],
+        planes=walls,
+        forces=forces,
+        origin=(0.0, 0.0, -0.75 * dx),
+        **options,
+    )
 
 
 def beside(one, *, floor=None, g=G, planes=None):
@@ -206,9 +214,13 @@ def test_what_is_mirrored_moves_as_a_mirror_shows():
     found = []
     for way in (1, -1):
         one = FreeBody(
-            "box", "box", (0.2, 0.1, 0.1), (way * 0.05, 0.0, 0.5), velocity=(way * 0.5, 0.1, -1.0),
+            "box",
+            "box",
+            (0.2, 0.1, 0.1),
+            (way * 0.05, 0.0, 0.5),
+            velocity=(way * 0.5, 0.1, -1.0),
             spin=(1.0, way * 2.0, way * 0.5),
-        )  # fmt: skip
+        )
         x = block((0.6, 0.6, 0.3))
         s = world(one, x, NeoHookean(E=5e4), floor=0.4)
         s.advance(0.5)
@@ -226,9 +238,17 @@ def test_two_bodies_that_it_meets_get_what_it_loses():
     one = BALL._replace(place=(0.02, 0.03, 0.47), velocity=(0.1, 0.2, -1.0), spin=(1.0, 2.0, 3.0))
     heavier = NeoHookean(E=1e5, density=2000)
     s = make_solver(
-        x, np.full(len(x), (DX / 2) ** 3), [JELLY, heavier], dx=DX, body=body, material=body,
-        names=["left", "right"], precision="float64", free=[one], threads=1,
-    )  # fmt: skip
+        x,
+        np.full(len(x), (DX / 2) ** 3),
+        [JELLY, heavier],
+        dx=DX,
+        body=body,
+        material=body,
+        names=["left", "right"],
+        precision="float64",
+        free=[one],
+        threads=1,
+    )
     before = whole(s)
     s.free.begin()
     s.advance(0.2)

@@ -14,10 +14,18 @@ from phy124.simulation import Simulation, props
 from support.shapes import ball
 
 FREE = {
-    "name": "box", "shape": "box", "size": 0.5, "sides": [1, 0.8, 0.6], "lift": 0.1,
-    "place": [0.0, 0.1], "on": "object", "turn": [10, 20, 30], "spin": [0, 0, 2.0],
-    "colour": "tomato", "motion": {"kind": "free", "density": 400},
-}  # fmt: skip
+    "name": "box",
+    "shape": "box",
+    "size": 0.5,
+    "sides": [1, 0.8, 0.6],
+    "lift": 0.1,
+    "place": [0.0, 0.1],
+    "on": "object",
+    "turn": [10, 20, 30],
+    "spin": [0, 0, 2.0],
+    "colour": "tomato",
+    "motion": {"kind": "free", "density": 400},
+}
 
 
 def scene(**changes) -> Scene:
@@ -79,8 +87,9 @@ def test_the_gaussians_of_a_free_solid_turn_with_it():
     np.testing.assert_allclose(whole.gaussians.means[own], turned + [1.1, 0.2, 0.3], atol=1e-6)
     np.testing.assert_allclose(
         rotation_matrices(whole.gaussians.quats[own]),
-        euler((0, 0, 90)) @ rotation_matrices(two.quats[own]), atol=1e-6,
-    )  # fmt: skip
+        euler((0, 0, 90)) @ rotation_matrices(two.quats[own]),
+        atol=1e-6,
+    )
     rates = np.stack([-2 * turned[:, 1], 2 * turned[:, 0], np.ones(80)], axis=1)
     np.testing.assert_allclose(whole.velocities[own], rates, atol=1e-5)
     assert np.array_equal(whole.gaussians.means[~own], two.means[~own])
@@ -99,9 +108,10 @@ def test_depth_is_that_below_its_surface(shape):
     one = FreeBody("one", shape, half, (1.0, 0, 0), turn=turn)
     along = np.array([[1.0, 0, 0], [1.15, 0, 0], [1.4, 0, 0], [1.0, 0, 0.3]])
     deep = {
-        "sphere": [0.2, 0.05, -0.2, -0.1], "box": [0.2, 0.05, -0.2, -0.1],
+        "sphere": [0.2, 0.05, -0.2, -0.1],
+        "box": [0.2, 0.05, -0.2, -0.1],
         "capsule": [0.1, 0.1, -0.1, -0.2],
-    }  # fmt: skip
+    }
     np.testing.assert_allclose(one.depth(along), deep[shape], atol=1e-12)
 
 

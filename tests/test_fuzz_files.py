@@ -111,10 +111,13 @@ def sound(folder: Path, name: str, status: int, printed: str) -> None:
 @pytest.mark.parametrize(
     ("name", "count"),
     [
-        ("object.ply", 24), ("scene.toml", 60), ("picture.png", 4), ("picture.jpg", 3),
+        ("object.ply", 24),
+        ("scene.toml", 60),
+        ("picture.png", 4),
+        ("picture.jpg", 3),
         ("clip.safetensors", 24),
     ],
-)  # fmt: skip
+)
 def test_broken_files_are_refused_in_a_sentence(name, count, samples, tmp_path, capsys):
     for seed in range(count):
         folder = tmp_path / str(seed)

@@ -93,10 +93,13 @@ CONTACT = {
 MOTION = st.one_of(
     st.none(),
     st.fixed_dictionaries(
-        {"kind": st.just("swing"), "amplitude": vectors(decades(1e-3, 10)),
-         "frequency": decades(0.1, 1e3)}
+        {
+            "kind": st.just("swing"),
+            "amplitude": vectors(decades(1e-3, 10)),
+            "frequency": decades(0.1, 1e3),
+        }
     ),
-)  # fmt: skip
+)
 
 
 def wall(kind: str, **own: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
@@ -158,10 +161,12 @@ def scenes(draw: st.DrawFn, precision: st.SearchStrategy[str]) -> Scene:
         "boundaries": draw(st.lists(BOUNDARY, max_size=2)),
         "binding": draw(st.sampled_from(["particles", "lattice"])),
         "accuracy": {
-            "cells": cells, "particles_per_axis": draw(st.floats(1, 2)), "cfl": cfl,
+            "cells": cells,
+            "particles_per_axis": draw(st.floats(1, 2)),
+            "cfl": cfl,
             "precision": draw(precision),
         },
-    }  # fmt: skip
+    }
     probe = Scene.from_data(data)
     speed = probe.material.wave_speed()
     count, size = draw(st.integers(2, 30)), draw(decades(1e-3, 1e3))

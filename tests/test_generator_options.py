@@ -146,8 +146,10 @@ def test_lgm_tells_its_effort_and_passes_its_options_on(monkeypatch):
     short._prepare_multiview()
     views = short.multiview
     assert (views.steps, views.sampler, str(views.unet_dtype)) == (
-        10, "dpmsolver++", "torch.float32",
-    )  # fmt: skip
+        10,
+        "dpmsolver++",
+        "torch.float32",
+    )
 
 
 def test_short_memory_uses_half_precision_and_no_cache(monkeypatch):
@@ -225,9 +227,13 @@ def test_the_work_of_the_networks_is_what_torch_counts():
         unet, vae = MultiViewUNet(Config()), encoders.vae()
         given = [(5, 4, 32, 32), (5,), (5, 77, 1024)]
         step = counted(
-            unet, *given, num_frames=5, camera=torch.empty(5, 16),
-            ip=torch.empty(5, 257, 1280), ip_img=torch.empty(1, 4, 32, 32),
-        )  # fmt: skip
+            unet,
+            *given,
+            num_frames=5,
+            camera=torch.empty(5, 16),
+            ip=torch.empty(5, 257, 1280),
+            ip_img=torch.empty(1, 4, 32, 32),
+        )
         assert sum(p.numel() for p in unet.parameters()) == PARAMETERS
         around = [
             counted(encoders.image_encoder(), (1, 3, 224, 224)),

@@ -73,9 +73,12 @@ def test_glass_is_drawn_where_its_shape_is(name):
 def dots(places) -> Gaussians:
     n = len(places)
     return Gaussians.from_rgb(
-        np.array(places, float), np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), 0.02),
-        np.full(n, 0.99), np.tile([1.0, 0.5, 0.0], (n, 1)),
-    )  # fmt: skip
+        np.array(places, float),
+        np.tile([1.0, 0, 0, 0], (n, 1)),
+        np.full((n, 3), 0.02),
+        np.full(n, 0.99),
+        np.tile([1.0, 0.5, 0.0], (n, 1)),
+    )
 
 
 def test_glass_tints_only_gaussians_behind_it():

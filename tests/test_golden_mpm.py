@@ -85,9 +85,15 @@ def solver_of(recording: Recording, **options) -> Solver:
                 end = bc["end_time"]
                 forces.append(SetVelocity(v=bc["velocity"], region=region, end=end))
     return make_solver(
-        data["x0"], data["vol"], [material_of(params)], dx=dx, v=data["v0"], forces=forces,
-        boundaries=walls, **options,
-    )  # fmt: skip
+        data["x0"],
+        data["vol"],
+        [material_of(params)],
+        dx=dx,
+        v=data["v0"],
+        forces=forces,
+        boundaries=walls,
+        **options,
+    )
 
 
 def run(solver: Solver, dt: float, steps: int) -> None:
@@ -97,8 +103,17 @@ def run(solver: Solver, dt: float, steps: int) -> None:
 
 
 QUICK = ["c_metal_fall", "f5_bounding_box_slip"]
-MORE = ["a_jelly_fall_sticky", "b_jelly_free_spin", "b4_jelly_pic", "d_sand_column",
-        "e2_plasticine", "e3_snow", "f2_velocity_set", "f_impulse", "h_fluid_zong"]  # fmt: skip
+MORE = [
+    "a_jelly_fall_sticky",
+    "b_jelly_free_spin",
+    "b4_jelly_pic",
+    "d_sand_column",
+    "e2_plasticine",
+    "e3_snow",
+    "f2_velocity_set",
+    "f_impulse",
+    "h_fluid_zong",
+]
 
 
 @pytest.mark.parametrize(
@@ -278,10 +293,13 @@ def test_the_originals_slip_plane_is_sticky_and_ours_slips(golden):
     assert original.v[:, 0].mean() < 0.3
     solver = solver_of(recording)
     slippery = make_solver(
-        recording.data["x0"], recording.data["vol"], [solver.model.materials[0]],
-        dx=solver.model.dx, v=recording.data["v0"],
+        recording.data["x0"],
+        recording.data["vol"],
+        [solver.model.materials[0]],
+        dx=solver.model.dx,
+        v=recording.data["v0"],
         boundaries=[Exact(point=recording.meta["bcs"][0]["point"], contact="slip")],
-    )  # fmt: skip
+    )
     run(slippery, recording.meta["dt"], 100)
     np.testing.assert_allclose(slippery.state.v.numpy()[:, 0].mean(), 0.5, rtol=1e-5)
 

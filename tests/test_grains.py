@@ -13,9 +13,7 @@ from phy124.simulation import Simulation
 from support.shapes import ball
 
 SPACING = 0.08
-SAND = {
-    "material.law": "sand", "accuracy": {"cells": 8}, "time.frames": 3, "object.lift": 0.1,
-}  # fmt: skip
+SAND = {"material.law": "sand", "accuracy": {"cells": 8}, "time.frames": 3, "object.lift": 0.1}
 
 
 @pytest.fixture(scope="module")
@@ -93,9 +91,12 @@ def test_grains_are_in_every_frame_and_change_no_motion(body):
 def drawn_out(stretch: float, rounds: bool) -> np.ndarray:
     """Scales of a disc that is drawn out along x, at constant volume."""
     disc = Gaussians.from_rgb(
-        np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.array([[0.04, 0.04, 0.01]]), np.ones(1),
+        np.zeros((1, 3)),
+        np.array([[1.0, 0, 0, 0]]),
+        np.array([[0.04, 0.04, 0.01]]),
+        np.ones(1),
         np.ones((1, 3)),
-    )  # fmt: skip
+    )
     F = np.diag([stretch, stretch**-0.5, stretch**-0.5])[None]
     deformer = Deformer(disc, rounds=np.array([rounds]))
     return deformer(np.zeros((1, 3)), F, index=0, time=0.0).gaussians.scales[0]

@@ -150,11 +150,18 @@ def test_particles_that_leave_the_grid_do_not_end_the_graph():
     v = np.tile([0.5, 0, -1.0], (len(x), 1))
     runs = [
         make_solver(
-            x, np.full(len(x), 1 / len(x)), [NeoHookean(E=3e4)], dx=1 / 8, v=v, threads=1,
-            graph=graph, boundaries=[Ground()], forces=[Gravity()],
+            x,
+            np.full(len(x), 1 / len(x)),
+            [NeoHookean(E=3e4)],
+            dx=1 / 8,
+            v=v,
+            threads=1,
+            graph=graph,
+            boundaries=[Ground()],
+            forces=[Gravity()],
         )
         for graph in (False, True)
-    ]  # fmt: skip
+    ]
     for solver in runs:
         for until in FRAMES[:6]:
             solver.advance(until)

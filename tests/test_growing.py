@@ -72,8 +72,12 @@ def test_frames_that_differ_in_kind_are_refused(tmp_path):
     growing, read, _ = grown(tmp_path / "frames")
     with pytest.raises(Unlike, match="frame 1 has"):
         growing.put(replace(read[1], velocities=None))
-    fewer = Gaussians(*(getattr(read[1].gaussians, n)[:9] for n in (
-        "means", "quats", "scales", "opacities", "sh")))  # fmt: skip
+    fewer = Gaussians(
+        *(
+            getattr(read[1].gaussians, n)[:9]
+            for n in ("means", "quats", "scales", "opacities", "sh")
+        )
+    )
     with pytest.raises(Unlike, match="means of frame 1"):
         growing.put(replace(read[1], gaussians=fewer, velocities=fewer.means))
 

@@ -92,11 +92,19 @@ def test_filling_between_segments_is_passed_over_once():
 @settings(max_examples=200, deadline=None)
 @given(
     st.sampled_from(
-        [b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"RIFF\0\0\0\0WEBPVP8X", b"RIFF\0\0\0\0WEBPVP8 ",
-         b"RIFF\0\0\0\0WEBPVP8L", box(b"heic"), box(b"avif") + b"ispe", b""]
+        [
+            b"\x89PNG\r\n\x1a\n",
+            b"\xff\xd8\xff",
+            b"RIFF\0\0\0\0WEBPVP8X",
+            b"RIFF\0\0\0\0WEBPVP8 ",
+            b"RIFF\0\0\0\0WEBPVP8L",
+            box(b"heic"),
+            box(b"avif") + b"ispe",
+            b"",
+        ]
     ),
     st.binary(max_size=60),
-)  # fmt: skip
+)
 def test_any_bytes_have_a_size_or_none(start, rest):
     try:
         width, height = size_of(start + rest)

@@ -15,9 +15,15 @@ from phy124.simulation.interior import Interior
 from support.shapes import ball
 
 TORN = {
-    "accuracy": {"cells": 8}, "time.frames": 6, "object.lift": 0.1, "object.spin": (0, 0, 40.0),
-    "material.E": 1e4, "forces": [], "boundaries": [], "checks.balance": False,
-}  # fmt: skip
+    "accuracy": {"cells": 8},
+    "time.frames": 6,
+    "object.lift": 0.1,
+    "object.spin": (0, 0, 40.0),
+    "material.E": 1e4,
+    "forces": [],
+    "boundaries": [],
+    "checks.balance": False,
+}
 
 
 @pytest.fixture(scope="module")

@@ -93,8 +93,12 @@ def test_second_interrupt_while_filming_loses_no_frame(tmp_path):
     )
     pipeline.simulate(ball(500), SCENE, tmp_path, progress=cancel, keep=True)
     assert {path.name for path in tmp_path.iterdir()} == {
-        "clip.safetensors", "gaussians.ply", "report.json", "scene.toml", pipeline.PAUSE,
-    }  # fmt: skip
+        "clip.safetensors",
+        "gaussians.ply",
+        "report.json",
+        "scene.toml",
+        pipeline.PAUSE,
+    }
     assert len(Clip.load(tmp_path / "clip.safetensors")) == 3
 
 
@@ -186,9 +190,12 @@ def test_sigterm_keeps_the_good_frames(tmp_path):
 def test_the_same_command_with_resume_goes_on(tmp_path, capsys):
     write_ply(tmp_path / "ball.ply", ball(800))
     changes = {
-        "accuracy": "draft", "time.frames": 6, "time.sleep": False, "view.size": 32,
+        "accuracy": "draft",
+        "time.frames": 6,
+        "time.sleep": False,
+        "view.size": 32,
         "view.views": ["front", "left"],
-    }  # fmt: skip
+    }
     scene = Scene.named("press").replaced(changes)
     cancel = cancelling(lambda stage, done: stage == "simulate" and done == 3)
     pipeline.simulate(ball(800), scene, tmp_path / "out", progress=cancel, keep=True)

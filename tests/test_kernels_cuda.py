@@ -121,9 +121,10 @@ def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
     for name in ("project", "bin", "blend", "stage", "shadow", "gather"):
         importlib.import_module(f"phy124.kernels.splat.{name}")
     modules = [
-        module for name, module in wp._src.context.user_modules.items()
+        module
+        for name, module in wp._src.context.user_modules.items()
         if name.startswith("phy124") and module.kernels and not name.endswith(CPU_ONLY)
-    ]  # fmt: skip
+    ]
     for module in modules:
         (tmp_path / module.name).mkdir()
         wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path / module.name), use_ptx=True)

@@ -284,9 +284,13 @@ def test_viscosity_limits_the_substep(stretch):
     assert Fluid().viscous_limit(dx) == np.inf
     for fraction, grows in ((1.0, False), (1.9, False), (2.1, True)):
         solver = make_solver(
-            np.array([[0.03, 0.02, 0.01]]), np.array([1e-3]), [material], dx=dx,
-            C=np.diag([0.1, -0.1, 0.0])[None], precision="float64",
-        )  # fmt: skip
+            np.array([[0.03, 0.02, 0.01]]),
+            np.array([1e-3]),
+            [material],
+            dx=dx,
+            C=np.diag([0.1, -0.1, 0.0])[None],
+            precision="float64",
+        )
         solver.state.F.fill_(wp.mat33d(*(stretch * EYE).ravel()))
         for _ in range(40):
             solver.step(fraction * limit, 1e-12)

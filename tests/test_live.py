@@ -230,12 +230,15 @@ def test_random_hands_never_break_it(inputs):
         return value(), value(), value()
 
     calls = [
-        lambda: run.grab(triple()), lambda: run.to(triple()), run.release,
+        lambda: run.grab(triple()),
+        lambda: run.to(triple()),
+        run.release,
         lambda: run.push(triple(), torque=triple(), seconds=value()),
-        lambda: run.push(triple(), at=triple()), lambda: run.gravity(triple()),
+        lambda: run.push(triple(), at=triple()),
+        lambda: run.gravity(triple()),
         lambda: run.move(int(rng.integers(-1, 3)), triple()),
         lambda: run.grab(middle(run.step()) + 0.4 * rng.normal(size=3), radius=0.5),
-    ]  # fmt: skip
+    ]
     for _ in range(inputs):
         try:
             calls[rng.integers(len(calls))]()
@@ -350,8 +353,16 @@ def test_softness_changes_next_frame_and_replays():
     assert stretched[4] > stretched[1] + 0.03 > stretched[7], "softer, then stiffer"
     session = Scene.from_data(run.session().data())
     assert [session.softness(index / 24) for index in range(9)] == [
-        1, 1, 0.2, 0.1, 0.1, 30.0, 30.0, 30.0, 30.0,
-    ]  # fmt: skip
+        1,
+        1,
+        0.2,
+        0.1,
+        0.1,
+        30.0,
+        30.0,
+        30.0,
+        30.0,
+    ]
     clip = run.clip()
     for index, frame in enumerate(frames):
         assert np.array_equal(frame.gaussians.means, clip.means[index + 1]), index

@@ -38,9 +38,17 @@ def made(tmp_path_factory) -> Path:
 
 def test_generate_makes_every_file(made):
     assert sorted(path.name for path in made.iterdir()) == [
-        "back.mp4", "clip.safetensors", "cutout.png", "front.mp4", "gaussians.ply", "left.mp4",
-        "orbit.mp4", "report.json", "right.mp4", "scene.toml",
-    ]  # fmt: skip
+        "back.mp4",
+        "clip.safetensors",
+        "cutout.png",
+        "front.mp4",
+        "gaussians.ply",
+        "left.mp4",
+        "orbit.mp4",
+        "report.json",
+        "right.mp4",
+        "scene.toml",
+    ]
 
 
 def test_videos_have_the_frames_asked_for(made):
@@ -51,9 +59,18 @@ def test_videos_have_the_frames_asked_for(made):
 def test_the_report_has_the_documented_keys(made):
     report = json.loads((made / "report.json").read_text())
     assert set(report) >= {
-        "stages", "gaussians", "particles", "grid", "substeps", "frames", "device", "versions",
-        "foreground", "generator", "effects",
-    }  # fmt: skip
+        "stages",
+        "gaussians",
+        "particles",
+        "grid",
+        "substeps",
+        "frames",
+        "device",
+        "versions",
+        "foreground",
+        "generator",
+        "effects",
+    }
     assert report["foreground"] == report["cutout"]["method"] == "alpha"
     assert report["cutout"]["pieces"] == 1 and report["cutout"]["warnings"] == []
     assert report["generator"] == "relief"
@@ -94,8 +111,9 @@ def test_render_films_again_without_simulating(made, tmp_path, capsys):
     arguments = ["render", str(made / "clip.safetensors"), "--views", "left", "--size", "32"]
     assert main([*arguments, "--out", str(tmp_path), "--json", "--device", "cpu"]) == 0
     assert json.loads(capsys.readouterr().out) == {
-        "files": [str(tmp_path / "left.mp4")], "notes": [],
-    }  # fmt: skip
+        "files": [str(tmp_path / "left.mp4")],
+        "notes": [],
+    }
     assert read_video(tmp_path / "left.mp4").shape == (3, 32, 32, 3)
 
 

@@ -203,9 +203,17 @@ def test_fluid_modulus_is_its_stiffness():
 def test_every_deformation_is_legal(material, precision):
     """Inverted, flat, a line, nothing, huge, and very anisotropic: all finite."""
     sigmas = [
-        (1, 1, -0.5), (1, 1, 0), (1, 0, 0), (0, 0, 0), (1e4, 1e4, 1e4), (1e4, 1, 1e-4),
-        (-1, -1, -1), (1e-8, 1e-8, 1e-8), (1, 1e-9, -1e-9), (3, 0.01, 0.01),
-    ]  # fmt: skip
+        (1, 1, -0.5),
+        (1, 1, 0),
+        (1, 0, 0),
+        (0, 0, 0),
+        (1e4, 1e4, 1e4),
+        (1e4, 1, 1e-4),
+        (-1, -1, -1),
+        (1e-8, 1e-8, 1e-8),
+        (1, 1e-9, -1e-9),
+        (3, 0.01, 0.01),
+    ]
     F = np.array([np.diag(s).astype(float) for s in sigmas])
     R = rotations(np.random.default_rng(3), len(F))
     for G in (F, R @ F, R @ F @ transposed(R)):

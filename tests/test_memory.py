@@ -82,7 +82,7 @@ EVERYTHING = {
     "pushed": ("wind", {"forces": [{"kind": "wind"}, {"kind": "acceleration", "region": REGION}]}),
     **{law: ("drop", {"material": {"law": law}}) for law in LAWS.by_name},
     **{name: (name, {}) for name in preset_names()},
-}  # fmt: skip
+}
 FIRST = ("drop",)
 """Those that every run of the tests looks at."""
 

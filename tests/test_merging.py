@@ -26,8 +26,10 @@ def moving(gaussians: Gaussians, frames: int = 3) -> Clip:
         (gaussians.means + way).astype(np.float32),
         np.broadcast_to(gaussians.quats, (frames, n, 4)),
         np.broadcast_to(gaussians.scales, (frames, n, 3)),
-        gaussians.opacities, gaussians.sh, np.arange(frames) / 24.0,
-    )  # fmt: skip
+        gaussians.opacities,
+        gaussians.sh,
+        np.arange(frames) / 24.0,
+    )
 
 
 @pytest.mark.parametrize("count", [1, 50, 199, 599])
@@ -47,9 +49,12 @@ def test_mass_middle_and_colour_are_kept(count):
 
 def test_two_become_one_with_the_covariance_of_both():
     pair = Gaussians.from_rgb(
-        np.array([[0, 0, 0], [0.2, 0, 0]]), np.tile([1.0, 0, 0, 0], (2, 1)), np.full((2, 3), 0.1),
-        np.full(2, 0.3), np.array([[1.0, 0, 0], [0, 0, 1.0]]),
-    )  # fmt: skip
+        np.array([[0, 0, 0], [0.2, 0, 0]]),
+        np.tile([1.0, 0, 0, 0], (2, 1)),
+        np.full((2, 3), 0.1),
+        np.full(2, 0.3),
+        np.array([[1.0, 0, 0], [0, 0, 1.0]]),
+    )
     one = merged(pair, np.zeros(2, int))
     np.testing.assert_allclose(one.covariances()[0], np.diag([0.02, 0.01, 0.01]), rtol=1e-5)
     np.testing.assert_allclose(one.rgb[0], [0.5, 0, 0.5], atol=1e-6)

@@ -141,9 +141,14 @@ def test_psnr_and_ssim_equal_skimage(rng, brightness):
     b = np.clip(a + 0.1 * brightness * rng.normal(size=a.shape), 0, 1)
     assert psnr(a, b) == pytest.approx(peak_signal_noise_ratio(a, b, data_range=1))
     wanted = structural_similarity(
-        a, b, channel_axis=2, data_range=1, gaussian_weights=True, sigma=1.5,
+        a,
+        b,
+        channel_axis=2,
+        data_range=1,
+        gaussian_weights=True,
+        sigma=1.5,
         use_sample_covariance=False,
-    )  # fmt: skip
+    )
     assert ssim(a, b) == pytest.approx(wanted, abs=1e-6)
     assert psnr(a, a) == math.inf and ssim(a, a) == pytest.approx(1)
     bytes_ = (a * 255).astype(np.uint8)

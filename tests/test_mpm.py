@@ -150,8 +150,14 @@ def test_two_threads_do_as_one(rng):
 
     def run(threads: int, alone: bool = False) -> np.ndarray:
         walls = [Ground(height=0.7), HalfSpace(point=(0, 0.3, 1), normal=(0, -1, 0))]
-        s = solver(x[np.argsort(x[:, 0])], v=v, forces=[Gravity()], boundaries=walls, dx=DX / 2,
-                   threads=threads)  # fmt: skip
+        s = solver(
+            x[np.argsort(x[:, 0])],
+            v=v,
+            forces=[Gravity()],
+            boundaries=walls,
+            dx=DX / 2,
+            threads=threads,
+        )
         if alone:
             for _ in range(40):
                 s.step(2e-3, 2e-3)

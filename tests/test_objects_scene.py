@@ -312,9 +312,13 @@ def test_what_is_held_in_its_place_is_not_taken_hold_of():
 
 
 PUSHER = {
-    "name": "pusher", "shape": "box", "size": 1.0, "sides": [0.4, 1, 1], "place": [-0.95, 0],
+    "name": "pusher",
+    "shape": "box",
+    "size": 1.0,
+    "sides": [0.4, 1, 1],
+    "place": [-0.95, 0],
     "motion": {"kind": "path", "times": [0, 0.5], "points": [[0, 0, 0], [1, 0, 0]]},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(

@@ -76,8 +76,9 @@ def test_a_file_that_may_not_be_read_is_not_called_missing(tmp_path, monkeypatch
 
     monkeypatch.setattr(opening, "open", refuse, raising=False)
     assert obstacle(path) == (
-        "it may not be read (Permission denied).", "Ask its owner, or change its mode.",
-    )  # fmt: skip
+        "it may not be read (Permission denied).",
+        "Ask its owner, or change its mode.",
+    )
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="only root can become another")

@@ -24,10 +24,15 @@ def two(apart: float, *, v: float = 0.5, precision: str = "float64", **options):
     body = np.repeat([0, 1], len(BOX))
     options.setdefault("threads", 1)
     return make_solver(
-        x, np.repeat([1, 1.1**3], len(BOX)) / 20**3, [NeoHookean(E=1e5)], dx=DX, body=body,
-        v=np.where(body == 0, v / 2, -v / 2)[:, None] * [1.0, 0.3, 0.1], precision=precision,
+        x,
+        np.repeat([1, 1.1**3], len(BOX)) / 20**3,
+        [NeoHookean(E=1e5)],
+        dx=DX,
+        body=body,
+        v=np.where(body == 0, v / 2, -v / 2)[:, None] * [1.0, 0.3, 0.1],
+        precision=precision,
         **options,
-    )  # fmt: skip
+    )
 
 
 def momentum(solver, body):
@@ -64,9 +69,13 @@ def test_a_body_that_is_held_takes_what_it_is_given(threads):
     external = ExternalWork()
     forces = external.forces([Gravity(g=(1.0, 0, -1.0)), ZoneForce()])
     s = two(
-        0.01, held=[1], threads=threads, forces=forces,
-        boundaries=external.boundaries([Ground(height=0.0)]), accumulators=[external],
-    )  # fmt: skip
+        0.01,
+        held=[1],
+        threads=threads,
+        forces=forces,
+        boundaries=external.boundaries([Ground(height=0.0)]),
+        accumulators=[external],
+    )
     dog, start = Watchdog(s, external), momentum(s, 0)
     for frame in (1, 2):
         dog.before()

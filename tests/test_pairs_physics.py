@@ -54,10 +54,13 @@ def slid(degrees, *, held=True, stiff=2e5, **contact):
     angle = np.radians(degrees)
     bodies = [box((-0.4, -0.2, 0), (0.6, 0.2, 0.2)), box((-0.3, -0.15, 0.2), (0, 0.15, 0.4))]
     s = solver(
-        bodies, [NeoHookean(E=stiff, damping=60.0)], held=[0] if held else [],
-        pairs=[Pair(0, 1, **contact)], boundaries=[] if held else [Ground(contact="sticky")],
+        bodies,
+        [NeoHookean(E=stiff, damping=60.0)],
+        held=[0] if held else [],
+        pairs=[Pair(0, 1, **contact)],
+        boundaries=[] if held else [Ground(contact="sticky")],
         forces=[Gravity(g=(9.81 * np.sin(angle), 0, -9.81 * np.cos(angle)))],
-    )  # fmt: skip
+    )
     times, speeds = np.linspace(0.2, 0.4, 9), []
     for time in times:
         s.advance(float(time))
@@ -98,10 +101,14 @@ def struck(cells, *, sticky=False, offset=(0.0, 0.0, 0.0), precision="float32", 
     x, volume = trimmed_ball(0.5, dx / 2)
     bodies = [x + [side * (0.5 + dx / 8), 0, 0] + np.array(offset) * dx for side in (-1, 1)]
     s = solver(
-        bodies, [NeoHookean(E=1e5, nu=0.3)], volume=np.tile(volume, 2), dx=dx,
+        bodies,
+        [NeoHookean(E=1e5, nu=0.3)],
+        volume=np.tile(volume, 2),
+        dx=dx,
         v=np.repeat([[V / 2, 0, 0], [-V / 2, 0, 0]], len(x), axis=0),
-        pairs=[Pair(0, 1, 0.0, sticky)], precision=precision,
-    )  # fmt: skip
+        pairs=[Pair(0, 1, 0.0, sticky)],
+        precision=precision,
+    )
     if spoil:
         spoil(s)
     for _ in range(60):
@@ -169,10 +176,14 @@ def test_two_balls_bounce_as_one_does_from_a_mirror():
     run = pair.model.particles(0)
     x, count = pair.model.rest[run], run.stop - run.start
     alone = make_solver(
-        x, np.full(count, np.pi / 6 / count), [NeoHookean(E=1e5, nu=0.3)], dx=1 / 12,
-        v=np.tile([0.3, 0, 0], (count, 1)), threads=1,
+        x,
+        np.full(count, np.pi / 6 / count),
+        [NeoHookean(E=1e5, nu=0.3)],
+        dx=1 / 12,
+        v=np.tile([0.3, 0, 0], (count, 1)),
+        threads=1,
         boundaries=[HalfSpace(normal=(-1.0, 0, 0), friction=0.0)],
-    )  # fmt: skip
+    )
     alone.advance(pair.clock.time)
     both, one = (-middle(s, 0, s.state.v)[0] / 0.3 for s in (pair, alone))
     assert both == pytest.approx(one, abs=0.03)
@@ -189,8 +200,10 @@ def afloat(density, seconds, **contact):
     s = solver(
         [water[~inside], cube],
         [Fluid(density=1000, bulk_modulus=1e5), NeoHookean(E=1e5, density=density, damping=20.0)],
-        forces=[Gravity()], boundaries=[tray], pairs=[Pair(0, 1, **contact)],
-    )  # fmt: skip
+        forces=[Gravity()],
+        boundaries=[tray],
+        pairs=[Pair(0, 1, **contact)],
+    )
     s.advance(seconds - 0.1)
     s.pairs.begin()
     s.advance(seconds)
@@ -222,9 +235,13 @@ def tower(E, **contact):
         for i in range(5)
     ]
     return solver(
-        cubes, [NeoHookean(E=E, damping=80.0)], forces=[Gravity()], boundaries=[Ground()],
-        pairs=[Pair(i, i + 1, **contact) for i in range(4)], precision="float64",
-    )  # fmt: skip
+        cubes,
+        [NeoHookean(E=E, damping=80.0)],
+        forces=[Gravity()],
+        boundaries=[Ground()],
+        pairs=[Pair(i, i + 1, **contact) for i in range(4)],
+        precision="float64",
+    )
 
 
 def seen(s, until):
@@ -289,10 +306,14 @@ def scene_of(rng, spoil=None):
         x = ball(where, radius, H) if rng.random() < 0.5 else box(where - radius, where + radius)
         bodies.append(x + rng.uniform(-0.02, 0.02, 3))
         v.append(np.tile((0.45 - where) * rng.uniform(2, 12), (len(x), 1)))
-    materials = [NeoHookean(E=10 ** rng.uniform(4, 6), density=rng.uniform(200, 4000))
-                 for _ in range(count)]  # fmt: skip
-    pairs = [Pair(i, j, rng.uniform(0, 1), bool(rng.random() < 0.2))
-             for i in range(count) for j in range(i)]  # fmt: skip
+    materials = [
+        NeoHookean(E=10 ** rng.uniform(4, 6), density=rng.uniform(200, 4000)) for _ in range(count)
+    ]
+    pairs = [
+        Pair(i, j, rng.uniform(0, 1), bool(rng.random() < 0.2))
+        for i in range(count)
+        for j in range(i)
+    ]
     s = solver(bodies, materials, v=np.vstack(v), pairs=pairs, precision="float64")
     if spoil:
         spoil(s)

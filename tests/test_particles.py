@@ -185,9 +185,11 @@ def test_thin_pieces_get_denser_carriers_not_fillers(rng):
     sheet = discs(flat, np.tile([0, 0, 1.0], (3000, 1)), 0.03)
     stem = dots(np.linspace([0, 0, -1], [0, 0, 0], 200), 0.01)
     both = Gaussians(
-        *(np.concatenate([getattr(g, f) for g in (sheet, stem)])
-          for f in ("means", "quats", "scales", "opacities", "sh"))
-    )  # fmt: skip
+        *(
+            np.concatenate([getattr(g, f) for g in (sheet, stem)])
+            for f in ("means", "quats", "scales", "opacities", "sh")
+        )
+    )
     particles = make_particles(both, density=1000, spacing=0.05, binding="lattice")
     assert (particles.gaussian == -1).all()
     assert nearest(both.means, particles.x).max() <= math.sqrt(3) * 0.025

@@ -84,8 +84,9 @@ def test_two_laws_are_two_launches_and_momentum_stays(rng):
     s.advance(0.02)
     assert np.abs((m * s.state.v.numpy()).sum(axis=0) - before).max() < 1e-6 * np.abs(m * v).sum()
     assert {name for name in s.timings if "p2g" in name} == {
-        "p2g neo_hookean", "p2g fixed_corotated",
-    }  # fmt: skip
+        "p2g neo_hookean",
+        "p2g fixed_corotated",
+    }
 
 
 def test_the_stiff_half_bends_less():

@@ -90,12 +90,17 @@ def installed(monkeypatch):
     points = EntryPoints(
         EntryPoint(name, f"test_plugins:{kind.__name__}", f"phy124.{group}")
         for name, kind, group in (
-            ("rubber", Rubber, "materials"), ("freeze", Freeze, "forces"),
-            ("table", Table, "boundaries"), ("sphere", round_thing, "generators"),
-            ("lamp", Lamp, "sinks"), ("none", Freeze, "sinks"), ("dds", Lamp, "sinks"),
-            ("clip", random_clip, "sinks"), ("gone", dict, "sinks"),
+            ("rubber", Rubber, "materials"),
+            ("freeze", Freeze, "forces"),
+            ("table", Table, "boundaries"),
+            ("sphere", round_thing, "generators"),
+            ("lamp", Lamp, "sinks"),
+            ("none", Freeze, "sinks"),
+            ("dds", Lamp, "sinks"),
+            ("clip", random_clip, "sinks"),
+            ("gone", dict, "sinks"),
         )
-    )  # fmt: skip
+    )
     register(monkeypatch, points)
     monkeypatch.setattr(EntryPoint, "load", lambda self: globals()[self.value.partition(":")[2]])
     declaration.cache_clear()

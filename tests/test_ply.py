@@ -276,7 +276,7 @@ REFUSED = {
     "rest gap": (header(GAP) + bytes(999), "it.ply", "9 f_rest"),
     "all nan": (header(count=1) + struct.pack("<f", np.nan) * 14, "it.ply", "finite values"),
     "list": (header(after=["property list uchar int i"]), "it.ply", "lists before or in"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", REFUSED)

@@ -48,8 +48,11 @@ def test_a_ply_of_doubles_far_away_keeps_every_place(tmp_path, ascii):
     there = found.gaussians.means.astype(float) + found.origin
     np.testing.assert_allclose(there - EARTH, near(), atol=2e-7)
     assert found.remarks() == []
-    np.testing.assert_allclose(read_ply(tmp_path / "a.ply", up="z", front="x").gaussians.means,
-                               near() + EARTH - found.origin, atol=2e-7)  # fmt: skip
+    np.testing.assert_allclose(
+        read_ply(tmp_path / "a.ply", up="z", front="x").gaussians.means,
+        near() + EARTH - found.origin,
+        atol=2e-7,
+    )
 
 
 @pytest.mark.parametrize(
@@ -105,8 +108,11 @@ def test_a_crop_of_a_far_file_is_in_its_own_places(tmp_path):
 
 
 def test_a_region_of_a_far_file_is_in_its_own_places(tmp_path):
-    region = {"lower": (EARTH - [0.6, 0.6, 0]).tolist(), "upper": (EARTH + 0.6).tolist(),
-              "units": "file"}  # fmt: skip
+    region = {
+        "lower": (EARTH - [0.6, 0.6, 0]).tolist(),
+        "upper": (EARTH + 0.6).tolist(),
+        "units": "file",
+    }
     scene = Scene().replaced({"parts": [{"static": True, "region": region}]})
     read = capture(PlyFile(str(far_ply(tmp_path, EARTH)), Reading(up="z", front="x")), scene)
     means = read.gaussians.means * scene.object.size

@@ -20,9 +20,14 @@ from support.solvers import make_solver
 from test_stiffness import AT, E, bar, length, pulled
 
 VOMP = [
-    ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("youngs_modulus", "<f4"),
-    ("poissons_ratio", "<f4"), ("density", "<f4"), ("segment_id", "<U32"),
-]  # fmt: skip
+    ("x", "<f4"),
+    ("y", "<f4"),
+    ("z", "<f4"),
+    ("youngs_modulus", "<f4"),
+    ("poissons_ratio", "<f4"),
+    ("density", "<f4"),
+    ("segment_id", "<U32"),
+]
 """How VoMP lays out the array voxel_data of its .npz files."""
 PIXIE = [
     ("x", "f4"), ("y", "f4"), ("z", "f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
@@ -60,9 +65,12 @@ def saved(path: Path, **arrays) -> Path:
 def particles(x: np.ndarray) -> Particles:
     count = len(x)
     return Particles(
-        x.astype(np.float32), np.ones(count), np.full(count, 1000.0),
-        np.zeros(count, np.int32), np.arange(count, dtype=np.int32),
-    )  # fmt: skip
+        x.astype(np.float32),
+        np.ones(count),
+        np.full(count, 1000.0),
+        np.zeros(count, np.int32),
+        np.arange(count, dtype=np.int32),
+    )
 
 
 def test_voxels_of_vomp_lie_where_the_object_does(tmp_path):
@@ -131,9 +139,7 @@ def test_a_uniform_file_is_the_scalar_bit_for_bit(tmp_path):
     alike = {"E": law.E, "nu": law.nu, "density": law.density, "damping": law.damping}
     per_gaussian = {name: np.full(300, value) for name, value in alike.items()}
     dense = {name: np.full((4, 4, 4), value) for name, value in alike.items()}
-    for name, arrays, sampling in (
-        ("one", per_gaussian, "nearest"), ("grid", dense, "trilinear"),
-    ):  # fmt: skip
+    for name, arrays, sampling in (("one", per_gaussian, "nearest"), ("grid", dense, "trilinear")):
         file = saved(tmp_path / f"{name}.npz", **arrays)
         given = scene.replaced({"properties": {"file": str(file), "sampling": sampling}})
         assert (Simulation(gaussians, given).run().means == plain.means).all()
@@ -146,8 +152,9 @@ def test_layered_bar_stretches_by_its_compliances(tmp_path, monkeypatch):
     def layers(z):
         return np.where(z < 0.375, 1.0, np.where(z < 0.625, 0.5, 0.25))
 
-    file = saved(tmp_path / "bar.npz", voxel_data=voxels(x, youngs_modulus=E * layers(x[:, 2]),
-                                                          density=1000))  # fmt: skip
+    file = saved(
+        tmp_path / "bar.npz", voxel_data=voxels(x, youngs_modulus=E * layers(x[:, 2]), density=1000)
+    )
     columns = Properties(file=file).columns(x, x[1:], None)
     made, materials, _ = with_properties(
         particles(x), {"E": columns["E"]}, [NeoHookean(E=E, nu=0.0)]

@@ -40,12 +40,17 @@ WITH = {
         "forces": [{"kind": "gravity"}],
         "boundaries": [{"kind": "ground"}],
         "objects": [
-            {"name": "box", "shape": "box", "sides": [0.4, 0.4, 0.2], "on": "object",
-             "motion": {"kind": "free", "density": 400}},
+            {
+                "name": "box",
+                "shape": "box",
+                "sides": [0.4, 0.4, 0.2],
+                "on": "object",
+                "motion": {"kind": "free", "density": 400},
+            },
         ],
     },
     "at rest": {"boundaries": [{"kind": "ground"}], "time.frames": 9},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("changes", WITH.values(), ids=WITH)

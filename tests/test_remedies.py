@@ -56,7 +56,9 @@ def test_a_slow_run_may_always_be_given_more_time(limiter):
 
 def test_words():
     assert [listed(words) for words in (["a"], ["a", "b"], ["a", "b", "c"])] == [
-        "a", "a or b", "a, b or c",
-    ]  # fmt: skip
+        "a",
+        "a or b",
+        "a, b or c",
+    ]
     assert advice(()) == ""
     assert advice(remedies(["softer", "cells"], Scene.named("press"))).startswith("Use material.E")

@@ -152,9 +152,12 @@ def test_single_precision_costs_less_than_80_db(name, filter, rng):
 def test_mip_pictures_are_as_bright_however_small(rng):
     """A thin wire seen from ever farther away: dilated, it becomes far too thick."""
     wire = Gaussians.from_rgb(
-        np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.array([[0.002, 0.002, 0.2]]),
-        np.array([0.9]), np.ones((1, 3)),
-    )  # fmt: skip
+        np.zeros((1, 3)),
+        np.array([[1.0, 0, 0, 0]]),
+        np.array([[0.002, 0.002, 0.2]]),
+        np.array([0.9]),
+        np.ones((1, 3)),
+    )
     shares = {}
     for filter in render.FILTERS:
         renderer = Renderer(device="cpu", filter=filter)

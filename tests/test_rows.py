@@ -57,9 +57,11 @@ def test_wall_momentum_is_summed_over_changed_nodes(rng, real, device, share):
     q, impulse = inside(after), inside(after)[..., 3:] * inside(after - before)[..., :3]
     work = (impulse * q[..., :3]).sum(axis=-1)
     wanted = [
-        *impulse.sum(axis=(0, 1, 2)), work.sum(),
-        np.linalg.norm(impulse, axis=-1).sum(), np.abs(work).sum(),
-    ]  # fmt: skip
+        *impulse.sum(axis=(0, 1, 2)),
+        work.sum(),
+        np.linalg.norm(impulse, axis=-1).sum(),
+        np.abs(work).sum(),
+    ]
     np.testing.assert_allclose(given, wanted, atol=100 * rounding)
 
 

@@ -29,9 +29,16 @@ def lone(C, precision="float64"):
     x, v = np.zeros((1, 3)), np.zeros((1, 3))
     soft = NeoHookean(E=1.0, density=1e5)
     return make_solver(
-        x, np.full(1, 1e-3), [soft], dx=0.2, v=v, C=C[None], precision=precision, cfl=0.5,
+        x,
+        np.full(1, 1e-3),
+        [soft],
+        dx=0.2,
+        v=v,
+        C=C[None],
+        precision=precision,
+        cfl=0.5,
         scheme=Scheme(rpic=RATE),
-    )  # fmt: skip
+    )
 
 
 def test_strain_dies_away_as_the_exponential_and_spin_stays(rng):
@@ -49,10 +56,16 @@ def growth(fraction):
     """How much a lone particle's vibration grows in 100 substeps, a fraction of the limit long."""
     E, density, dx, first = 1e4, 1000.0, 0.2, 1e-6
     solver = make_solver(
-        np.zeros((1, 3)), np.full(1, 1e-3), [NeoHookean(E=E, nu=0.0, density=density)], dx=dx,
-        v=np.zeros((1, 3)), C=first * np.eye(3)[None], precision="float64", cfl=0.5,
+        np.zeros((1, 3)),
+        np.full(1, 1e-3),
+        [NeoHookean(E=E, nu=0.0, density=density)],
+        dx=dx,
+        v=np.zeros((1, 3)),
+        C=first * np.eye(3)[None],
+        precision="float64",
+        cfl=0.5,
         scheme=Scheme(rpic=100.0),
-    )  # fmt: skip
+    )
     dt = fraction * beside_rpic(dx * math.sqrt(density / E))
     for _ in range(100):
         solver.step(dt, dt)
@@ -74,9 +87,16 @@ def spinning(rate, precision="float32"):
     x, turn = block(4, 0.1), np.array([[0.0, -2.0, 1.0], [2.0, 0.0, -3.0], [-1.0, 3.0, 0.0]])
     C = np.tile(turn, (len(x), 1, 1))
     return make_solver(
-        x, np.full(len(x), 0.05**3), [NeoHookean(E=2e4)], dx=0.1, v=x @ turn.T, C=C,
-        precision=precision, cfl=0.5, scheme=Scheme(rpic=rate),
-    )  # fmt: skip
+        x,
+        np.full(len(x), 0.05**3),
+        [NeoHookean(E=2e4)],
+        dx=0.1,
+        v=x @ turn.T,
+        C=C,
+        precision=precision,
+        cfl=0.5,
+        scheme=Scheme(rpic=rate),
+    )
 
 
 def test_what_turns_keeps_its_angular_momentum():
@@ -111,9 +131,16 @@ def bar_after_a_period(rate, cells=24):
     x[:, 2], v[:, 2] = z, 1e-4 * np.cos(wave * z)
     C[:, 2, 2] = -1e-4 * wave * np.sin(wave * z)
     solver = make_solver(
-        x, np.full(len(x), dx**3 / 2), [NeoHookean(E=E, nu=0.0, density=density)], dx=dx, v=v, C=C,
-        precision="float64", cfl=0.5, scheme=Scheme(rpic=rate),
-    )  # fmt: skip
+        x,
+        np.full(len(x), dx**3 / 2),
+        [NeoHookean(E=E, nu=0.0, density=density)],
+        dx=dx,
+        v=v,
+        C=C,
+        precision="float64",
+        cfl=0.5,
+        scheme=Scheme(rpic=rate),
+    )
     first = diagnose(solver).energy
     solver.advance(2 / speed)
     return 1 - diagnose(solver).energy / first

@@ -24,7 +24,7 @@ def system(root: Path, groups: str, mounts: list[str], files: Mapping[str, objec
         "proc/self/cgroup": f"{groups}\n",
         "proc/self/mountinfo": "\n".join(["1 0 8:1 / / rw - ext4 x rw", *mounts, ""]),
         **{f"sys/fs/cgroup/{name}": f"{value}\n" for name, value in files.items()},
-    }  # fmt: skip
+    }
     for name, text in written.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
@@ -32,50 +32,84 @@ def system(root: Path, groups: str, mounts: list[str], files: Mapping[str, objec
 
 
 def test_version_2_is_read_from_a_container(tmp_path):
-    root = system(tmp_path, "0::/", [V2.format(top="/")], {
-        "memory.max": 900 * MB, "memory.current": 500 * MB, "cpu.max": "150000 100000",
-        "memory.stat": f"anon {100 * MB}\ninactive_file {40 * MB}\nactive_file {10 * MB}",
-    })  # fmt: skip
+    root = system(
+        tmp_path,
+        "0::/",
+        [V2.format(top="/")],
+        {
+            "memory.max": 900 * MB,
+            "memory.current": 500 * MB,
+            "cpu.max": "150000 100000",
+            "memory.stat": f"anon {100 * MB}\ninactive_file {40 * MB}\nactive_file {10 * MB}",
+        },
+    )
     assert memory_left(root) == 450 * MB
     assert cpu_quota(root) == 1.5
 
 
 def test_version_2_without_limits_has_none(tmp_path):
-    root = system(tmp_path, "0::/user.slice", [V2.format(top="/")], {
-        "user.slice/memory.max": "max", "user.slice/memory.current": 5 * MB,
-        "user.slice/cpu.max": "max 100000", "cgroup.procs": 1,
-    })  # fmt: skip
+    root = system(
+        tmp_path,
+        "0::/user.slice",
+        [V2.format(top="/")],
+        {
+            "user.slice/memory.max": "max",
+            "user.slice/memory.current": 5 * MB,
+            "user.slice/cpu.max": "max 100000",
+            "cgroup.procs": 1,
+        },
+    )
     assert memory_left(root) == cpu_quota(root) == math.inf
 
 
 def test_a_group_above_may_be_the_narrowest(tmp_path):
-    root = system(tmp_path, "0::/job/step", [V2.format(top="/")], {
-        "job/memory.max": 300 * MB, "job/memory.current": 200 * MB, "job/cpu.max": "400000 100000",
-        "job/step/memory.max": 900 * MB, "job/step/memory.current": 200 * MB,
-        "job/step/cpu.max": "800000 100000",
-    })  # fmt: skip
+    root = system(
+        tmp_path,
+        "0::/job/step",
+        [V2.format(top="/")],
+        {
+            "job/memory.max": 300 * MB,
+            "job/memory.current": 200 * MB,
+            "job/cpu.max": "400000 100000",
+            "job/step/memory.max": 900 * MB,
+            "job/step/memory.current": 200 * MB,
+            "job/step/cpu.max": "800000 100000",
+        },
+    )
     assert (memory_left(root), cpu_quota(root)) == (100 * MB, 4.0)
 
 
 def test_version_1_is_read_beside_an_empty_version_2(tmp_path):
     mounts = [V1.format(top="/", name=name) for name in ("memory", "cpu,cpuacct")]
     unified = V2.format(top="/").replace("/sys/fs/cgroup", "/sys/fs/cgroup/unified")
-    root = system(tmp_path, "4:memory:/a\n2:cpu,cpuacct:/a\n0::/", [*mounts, unified], {
-        "memory/a/memory.limit_in_bytes": 900 * MB, "memory/a/memory.usage_in_bytes": 600 * MB,
-        "memory/a/memory.stat": f"inactive_file {MB}\ntotal_inactive_file {100 * MB}",
-        "memory/memory.limit_in_bytes": NO_LIMIT, "memory/memory.usage_in_bytes": 999 * MB,
-        "cpu,cpuacct/a/cpu.cfs_quota_us": 50000, "cpu,cpuacct/a/cpu.cfs_period_us": 100000,
-        "cpu,cpuacct/cpu.cfs_quota_us": -1, "cpu,cpuacct/cpu.cfs_period_us": 100000,
-        "unified/cgroup.procs": 1,
-    })  # fmt: skip
+    root = system(
+        tmp_path,
+        "4:memory:/a\n2:cpu,cpuacct:/a\n0::/",
+        [*mounts, unified],
+        {
+            "memory/a/memory.limit_in_bytes": 900 * MB,
+            "memory/a/memory.usage_in_bytes": 600 * MB,
+            "memory/a/memory.stat": f"inactive_file {MB}\ntotal_inactive_file {100 * MB}",
+            "memory/memory.limit_in_bytes": NO_LIMIT,
+            "memory/memory.usage_in_bytes": 999 * MB,
+            "cpu,cpuacct/a/cpu.cfs_quota_us": 50000,
+            "cpu,cpuacct/a/cpu.cfs_period_us": 100000,
+            "cpu,cpuacct/cpu.cfs_quota_us": -1,
+            "cpu,cpuacct/cpu.cfs_period_us": 100000,
+            "unified/cgroup.procs": 1,
+        },
+    )
     assert (memory_left(root), cpu_quota(root)) == (400 * MB, 0.5)
 
 
 @pytest.mark.parametrize("top", ["/docker/c0ffee", "/"], ids=["bound", "name of the host"])
 def test_a_container_with_its_host_s_names_is_understood(tmp_path, top):
-    root = system(tmp_path, "4:memory:/docker/c0ffee", [V1.format(top=top, name="memory")], {
-        "memory/memory.limit_in_bytes": 64 * MB, "memory/memory.usage_in_bytes": 4 * MB,
-    })  # fmt: skip
+    root = system(
+        tmp_path,
+        "4:memory:/docker/c0ffee",
+        [V1.format(top=top, name="memory")],
+        {"memory/memory.limit_in_bytes": 64 * MB, "memory/memory.usage_in_bytes": 4 * MB},
+    )
     assert memory_left(root) == 60 * MB
 
 

@@ -53,11 +53,17 @@ def _is_table(data: dict, key: str) -> bool:
 def test_the_walk_finds_every_section(declared):
     paths = "\n".join(leaf.path for leaf in declared)
     for one in (
-        ".material[snow].hardening", ".forces.0[wind].profile[sine].phase", ".seed",
-        ".boundaries.0[gripper].rise", ".boundaries.0[box].motion[path].points.0.2",
+        ".material[snow].hardening",
+        ".forces.0[wind].profile[sine].phase",
+        ".seed",
+        ".boundaries.0[gripper].rise",
+        ".boundaries.0[box].motion[path].points.0.2",
         ".parts.0.material[sand].E",
-        ".object.velocity.0", ".stiffness[picture].file", ".view.background.1", ".accuracy.cells",
-    ):  # fmt: skip
+        ".object.velocity.0",
+        ".stiffness[picture].file",
+        ".view.background.1",
+        ".accuracy.cells",
+    ):
         assert one in paths, one
     assert len(declared) > 500
 

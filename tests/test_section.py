@@ -16,13 +16,19 @@ BOOLEAN, NUMBER = "it must be true or false", "number"
 @pytest.mark.parametrize(
     ("field", "value", "limit"),
     [
-        ("material.E", True, NUMBER), ("time.frames", True, NUMBER), ("seed", False, NUMBER),
-        ("object.velocity", [True, 0, 0], NUMBER), ("forces.0.g", [0, 0, False], NUMBER),
-        ("view.size", True, NUMBER), ("accuracy", True, "one of draft"),
-        ("checks.energy", "yes", BOOLEAN), ("checks.energy", "true", BOOLEAN),
-        ("checks.energy", 1, BOOLEAN), ("view.shine", 0.0, BOOLEAN),
+        ("material.E", True, NUMBER),
+        ("time.frames", True, NUMBER),
+        ("seed", False, NUMBER),
+        ("object.velocity", [True, 0, 0], NUMBER),
+        ("forces.0.g", [0, 0, False], NUMBER),
+        ("view.size", True, NUMBER),
+        ("accuracy", True, "one of draft"),
+        ("checks.energy", "yes", BOOLEAN),
+        ("checks.energy", "true", BOOLEAN),
+        ("checks.energy", 1, BOOLEAN),
+        ("view.shine", 0.0, BOOLEAN),
     ],
-)  # fmt: skip
+)
 def test_a_value_of_another_type_is_refused(field, value, limit):
     with pytest.raises(InputError, match=limit) as refused:
         Scene.named("drop").replaced({field: value})

@@ -18,8 +18,12 @@ def test_pieces_are_counted_without_crumbs():
 
 @pytest.mark.parametrize("edge", ["left", "top", "right", "bottom"])
 def test_edges_that_are_reached_are_named(edge):
-    beam = {"left": (Y == 60) & (X < 80), "right": (Y == 60) & (X > 80),
-            "top": (X == 80) & (Y < 60), "bottom": (X == 80) & (Y > 60)}[edge]  # fmt: skip
+    beam = {
+        "left": (Y == 60) & (X < 80),
+        "right": (Y == 60) & (X > 80),
+        "top": (X == 80) & (Y < 60),
+        "bottom": (X == 80) & (Y > 60),
+    }[edge]
     assert touched(DISK) == ()
     assert touched(DISK | np.isin(Y, Y[beam]) & np.isin(X, X[beam])) == ()
     thick = np.zeros_like(DISK)

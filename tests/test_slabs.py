@@ -42,10 +42,18 @@ def solver(threads: int, *, materials=None, material=None, external=None, **opti
     forces, walls = [Gravity(start=0.004), Wind(v=(3, 0, 0), rate=5.0)], [Ground(height=0.3)]
     walls.append(Sphere(centre=(0.5, 0.4, 0.2), radius=0.2))
     s = make_solver(
-        x, np.full(len(x), 0.22 / len(x)), materials or [NeoHookean(E=1e4)], v=v, dx=DX,
-        material=material, forces=external.forces(forces), boundaries=external.boundaries(walls),
-        accumulators=[external], threads=threads, **options,
-    )  # fmt: skip
+        x,
+        np.full(len(x), 0.22 / len(x)),
+        materials or [NeoHookean(E=1e4)],
+        v=v,
+        dx=DX,
+        material=material,
+        forces=external.forces(forces),
+        boundaries=external.boundaries(walls),
+        accumulators=[external],
+        threads=threads,
+        **options,
+    )
     s.clock.ceiling = 1e-3
     return s
 
@@ -116,9 +124,13 @@ def test_rejected_substeps_are_those_of_one_thread():
     for threads in (1, 3):
         x, volume = bar_and_volume()
         s = make_solver(
-            x, volume, [NeoHookean(E=1e4)], dx=DX, threads=threads,
+            x,
+            volume,
+            [NeoHookean(E=1e4)],
+            dx=DX,
+            threads=threads,
             forces=[ParticleForce(f=(0, 3000.0, 0))],
-        )  # fmt: skip
+        )
         s.advance(0.004)
         found.append((s.rejection.rejected, s.clock.substeps, s.state.x.numpy()))
     (rejected, substeps, one), some = found

@@ -76,8 +76,10 @@ def test_at_rest_it_sleeps_until_a_blow_and_nothing_differs():
     assert (a.means[6] == a.means[0]).all() and (a.means[7] != a.means[0]).any()
     # Frames 1 and 2 show that it rests, 3 to 6 end before the blow.
     assert slept.sleep.report() == {
-        "since": 3, "frames": 4, "substeps": b.report["substeps"] - a.report["substeps"],
-    }  # fmt: skip
+        "since": 3,
+        "frames": 4,
+        "substeps": b.report["substeps"] - a.report["substeps"],
+    }
     sentence = f"asleep from frame 3, 4 frames, saved {slept.sleep.saved} substeps"
     assert f"sleep while all rests: {sentence}" in a.report["effects"]["ran"]
     (left_out,) = (o for o in b.report["effects"]["left_out"] if "sleep" in o["effect"])

@@ -67,9 +67,12 @@ def test_the_sky_that_a_thin_disc_hides_is_its_form_factor(monkeypatch):
     means = np.stack([x, y, np.full_like(x, height)], axis=1)[disc]
     n = len(means)
     leaf = Gaussians.from_rgb(
-        means, np.tile([1.0, 0, 0, 0], (n, 1)), np.tile([0.01, 0.01, 0.001], (n, 1)),
-        np.full(n, 0.99), np.ones((n, 3)),
-    )  # fmt: skip
+        means,
+        np.tile([1.0, 0, 0, 0], (n, 1)),
+        np.tile([0.01, 0.01, 0.001], (n, 1)),
+        np.full(n, 0.99),
+        np.ones((n, 3)),
+    )
     middle = caster.shade(leaf, 0.0)[CELLS // 2, CELLS // 2]
     assert middle == pytest.approx(0.4**2 / (0.4**2 + height**2), rel=0.05)
 

@@ -362,9 +362,11 @@ def test_the_time_left_is_told_within_a_fifth(balls, workers):
 def test_a_sweep_over_scenes_of_two_objects(balls, tmp_path):
     """The second object is one of two files, whose content is part of the key."""
     axes = {
-        "accuracy.cells": 8, "time.frames": 3, "objects.0.material.E": [5e4, 1e5],
+        "accuracy.cells": 8,
+        "time.frames": 3,
+        "objects.0.material.E": [5e4, 1e5],
         "objects.0.file": [str(balls / "a.ply"), str(balls / "b.ply")],
-    }  # fmt: skip
+    }
     sweep = declared(balls, pictures=str(balls / "a.ply"), scene="collide", set=axes)
     out = str(tmp_path / "out")
     assert run(Plan(sweep), out, workers=0).ended == {"done": 4}

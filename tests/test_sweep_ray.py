@@ -34,11 +34,13 @@ def sweep(tmp_path_factory) -> Sweep:
     for name, count in (("a", 1500), ("b", 1400)):
         write_ply(folder / f"{name}.ply", ball(count))
     spread = {"first": 1e4, "last": 1e5, "count": CLIPS // 2, "spacing": "log"}
-    return Sweep.from_data({
-        "pictures": str(folder / "*.ply"),
-        "scene": "drop",
-        "set": {"accuracy.cells": 12, "time.frames": 12, "material.E": spread},
-    })  # fmt: skip
+    return Sweep.from_data(
+        {
+            "pictures": str(folder / "*.ply"),
+            "scene": "drop",
+            "set": {"accuracy.cells": 12, "time.frames": 12, "material.E": spread},
+        }
+    )
 
 
 @pytest.fixture(scope="module")

@@ -42,10 +42,15 @@ def twin(start):
 @pytest.mark.parametrize("simd", [False, True])
 def test_solver_against_a_straightforward_program(start, twin, simd):
     solver = make_solver(
-        start, np.full(COUNT, VOLUME), [FixedCorotated(E=2e4, nu=0.3, density=200)], dx=2 / CELLS,
-        forces=[Gravity()], boundaries=[AtNodes(lower=(-9, -9, -9), upper=(9, 9, 0.52))], simd=simd,
+        start,
+        np.full(COUNT, VOLUME),
+        [FixedCorotated(E=2e4, nu=0.3, density=200)],
+        dx=2 / CELLS,
+        forces=[Gravity()],
+        boundaries=[AtNodes(lower=(-9, -9, -9), upper=(9, 9, 0.52))],
+        simd=simd,
         ceiling=DT,
-    )  # fmt: skip
+    )
     solver.advance(STEPS * DT)
     assert solver.clock.substeps == STEPS and solver.clock.limiters == {"user": STEPS}
     moved = np.linalg.norm(solver.state.x.numpy() - start, axis=1)

@@ -29,9 +29,14 @@ def channel(material: Material, width: float, height: float, dx: float, friction
     sides = Region(lower=(0.0, 0.0, -1e9), upper=(1e9, 4 * dx, 1e9))
     walls = [Container(inside=sides, contact="slip"), Ground(friction=friction)]
     return make_solver(
-        x, np.full(len(x), (dx / 2) ** 3), [material], dx=dx, boundaries=walls, forces=[Gravity()],
+        x,
+        np.full(len(x), (dx / 2) ** 3),
+        [material],
+        dx=dx,
+        boundaries=walls,
+        forces=[Gravity()],
         origin=(0.25 * dx, 0.25 * dx, 0.25 * dx),
-    )  # fmt: skip
+    )
 
 
 def front(solver: Solver) -> float:
@@ -104,9 +109,14 @@ def test_water_comes_to_its_hydrostatic_pressure():
     x = lattice(8, 8, 8, spacing=dx / 2)
     tank = Region(lower=(0.0, 0.0, 0.0), upper=(height, height, 1e4))
     s = make_solver(
-        x, np.full(len(x), (dx / 2) ** 3), [water], dx=dx, forces=[Gravity()],
-        boundaries=[Container(inside=tank, friction=0.0)], origin=(0.25 * dx,) * 3,
-    )  # fmt: skip
+        x,
+        np.full(len(x), (dx / 2) ** 3),
+        [water],
+        dx=dx,
+        forces=[Gravity()],
+        boundaries=[Container(inside=tank, friction=0.0)],
+        origin=(0.25 * dx,) * 3,
+    )
     s.advance(1.0)
     off = []
     for _ in range(6):
@@ -128,10 +138,14 @@ def sag(cells: int, height: float = 0.1, length: float = 0.5) -> float:
     x = lattice(round(2 * length / dx) + clamped, 2 * cells, 2 * cells, spacing=dx / 2)
     x[:, 0] -= clamped * dx / 2
     s = make_solver(
-        x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=E, nu=0.0)], dx=dx, forces=[Gravity()],
+        x,
+        np.full(len(x), (dx / 2) ** 3),
+        [NeoHookean(E=E, nu=0.0)],
+        dx=dx,
+        forces=[Gravity()],
         boundaries=[Held(lower=(-1, -1, -1), upper=(1e-9, 1, 1))],
         origin=(0, 0.25 * dx, 0.25 * dx),
-    )  # fmt: skip
+    )
     while s.clock.time < 0.4:
         s.advance(s.clock.time + 0.005)
         s.state.v.assign(s.state.v.numpy() * np.exp(-0.3))
@@ -161,9 +175,16 @@ def test_loose_sand_flies_apart_without_a_force():
     places = []
     for E in (1e6, 1.0):
         s = make_solver(
-            x, np.full(len(x), (dx / 2) ** 3), [Sand(E=E)], dx=dx, v=v, C=C, forces=[Gravity()],
-            precision="float64", ceiling=5e-4,
-        )  # fmt: skip
+            x,
+            np.full(len(x), (dx / 2) ** 3),
+            [Sand(E=E)],
+            dx=dx,
+            v=v,
+            C=C,
+            forces=[Gravity()],
+            precision="float64",
+            ceiling=5e-4,
+        )
         s.advance(time)
         places.append(s.state.x.numpy())
         volume = 3 * np.log(1 + k * time)
@@ -181,9 +202,15 @@ def test_materials_side_by_side_each_obey_their_own_law():
     order = np.argsort(upper, kind="stable")
     soft, sand = NeoHookean(E=2e4, density=500.0), Sand(density=2000.0)
     s = make_solver(
-        x[order], np.full(len(x), (dx / 2) ** 3), [soft, sand], dx=dx, material=upper[order],
-        boundaries=[Ground()], forces=[Gravity()], origin=(0, 0, 0.25 * dx),
-    )  # fmt: skip
+        x[order],
+        np.full(len(x), (dx / 2) ** 3),
+        [soft, sand],
+        dx=dx,
+        material=upper[order],
+        boundaries=[Ground()],
+        forces=[Gravity()],
+        origin=(0, 0, 0.25 * dx),
+    )
     s.advance(0.2)
     below = upper[order] == 0
     assert s.state.x.numpy()[below, 2].mean() > 0.4 * dx
@@ -202,9 +229,15 @@ def test_varying_stiffness_agrees_on_two_threads():
     stiff = (x[:, 0] > 0.3).astype(int)
     for threads in (1, 2):
         s = make_solver(
-            x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=5e3), NeoHookean(E=3e5)], dx=dx,
-            material=stiff, boundaries=[Ground()], forces=[Gravity()], threads=threads,
-        )  # fmt: skip
+            x,
+            np.full(len(x), (dx / 2) ** 3),
+            [NeoHookean(E=5e3), NeoHookean(E=3e5)],
+            dx=dx,
+            material=stiff,
+            boundaries=[Ground()],
+            forces=[Gravity()],
+            threads=threads,
+        )
         s.advance(0.25)
         places.append(s.state.x.numpy())
     np.testing.assert_allclose(places[0], places[1], atol=1e-5)
@@ -234,9 +267,15 @@ def test_every_law_lands_hard_without_making_energy(material, mach):
     x = lattice(8, 8, 8, spacing=dx / 2, corner=(0, 0, 0.05))
     v = np.tile([0, 0, -min(mach * sound, 60.0)], (len(x), 1))
     s = make_solver(
-        x, np.full(len(x), (dx / 2) ** 3), [material], dx=dx, v=v, boundaries=[Ground()],
-        forces=[Gravity()], origin=(0, 0, 0.25 * dx),
-    )  # fmt: skip
+        x,
+        np.full(len(x), (dx / 2) ** 3),
+        [material],
+        dx=dx,
+        v=v,
+        boundaries=[Ground()],
+        forces=[Gravity()],
+        origin=(0, 0, 0.25 * dx),
+    )
     before = energy(s, material)
     for part in range(1, 9):
         s.advance(part / 8 * 2.4 / sound)

@@ -31,10 +31,15 @@ def followed(forces=(), boundaries=(), **options) -> tuple[Solver, Watchdog]:
     """A block and its watchdog, before the first frame."""
     x, external = block(middle=(0, 0, 0.24)), ExternalWork()
     s = make_solver(
-        x, np.full(len(x), 0.375**3 / len(x)), [options.pop("material", NeoHookean(E=1e4))],
-        dx=0.125, forces=external.forces(forces), boundaries=external.boundaries(boundaries),
-        accumulators=[external], **options,
-    )  # fmt: skip
+        x,
+        np.full(len(x), 0.375**3 / len(x)),
+        [options.pop("material", NeoHookean(E=1e4))],
+        dx=0.125,
+        forces=external.forces(forces),
+        boundaries=external.boundaries(boundaries),
+        accumulators=[external],
+        **options,
+    )
     watch = Watchdog(s, external)
     s.repair.begin(s.clock)
     watch.before()
@@ -109,8 +114,13 @@ def test_the_work_of_a_force_that_swings_between_walls(threads):
 def test_two_threads_sum_the_same():
     runs = []
     for threads in (1, 2):
-        s, watch = followed((Gravity(),), (Ground(),), v=np.tile([0, 0, -2.0], (216, 1)),
-                            threads=threads, precision="float64")  # fmt: skip
+        s, watch = followed(
+            (Gravity(),),
+            (Ground(),),
+            v=np.tile([0, 0, -2.0], (216, 1)),
+            threads=threads,
+            precision="float64",
+        )
         s.advance(0.1, after=watch.follow())
         assert watch.after() is None
         runs.append(watch.external.given(s.clock, np.zeros(3)))
@@ -152,9 +162,10 @@ def test_energies_are_those_of_one_instant(cfl):
     assert max(naive) / min(naive) > 1 + cfl
 
 
-@pytest.mark.parametrize(("law", "nu", "seed", "count"), [
-    (Hencky, 0.3, 1, 40), (Hencky, 0.4999, 2, 5), (FixedCorotated, 0.3, 1, 1),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("law", "nu", "seed", "count"),
+    [(Hencky, 0.3, 1, 40), (Hencky, 0.4999, 2, 5), (FixedCorotated, 0.3, 1, 1)],
+)
 def test_a_few_particles_thrown_apart_at_mach_1_add_up(law, nu, seed, count):
     """They fly beyond the domain and back, thin out to 1:1e5, and spin: nobody is to blame."""
     rng, dx = np.random.default_rng(seed), 0.1
@@ -162,10 +173,16 @@ def test_a_few_particles_thrown_apart_at_mach_1_add_up(law, nu, seed, count):
     x = rng.uniform(-0.15, 0.15, (count, 3)) + [0, 0, 0.35]
     spin = rng.normal(size=(3, 3)) * material.wave_speed() / dx
     v = (x - x.mean(axis=0)) @ (spin - spin.T).T + [0, 0, -material.wave_speed()]
-    s = make_solver(x, np.full(count, dx**3 / 8), [material], dx=dx, v=v,
-               C=np.tile(spin - spin.T, (count, 1, 1)),
-               boundaries=external.boundaries([Ground(contact="slip")]),
-               accumulators=[external])  # fmt: skip
+    s = make_solver(
+        x,
+        np.full(count, dx**3 / 8),
+        [material],
+        dx=dx,
+        v=v,
+        C=np.tile(spin - spin.T, (count, 1, 1)),
+        boundaries=external.boundaries([Ground(contact="slip")]),
+        accumulators=[external],
+    )
     watch = Watchdog(s, external)
     while s.clock.substeps < 500:
         s.repair.begin(s.clock)
@@ -261,8 +278,10 @@ def test_rounding_of_a_stiff_body_is_no_explosion_until_it_shows():
     """Sabotage: the energy of a strain of 3e-5, in float32 after many substeps and after few."""
     v = np.tile([0, 0, 1e-6], (216, 1))
     for substeps, precision, stops in (
-        (100_000, "float32", False), (100, "float32", True), (100_000, "float64", True),
-    ):  # fmt: skip
+        (100_000, "float32", False),
+        (100, "float32", True),
+        (100_000, "float64", True),
+    ):
         s, watch = followed(v=v, precision=precision)
         energy = watch._strained(3e-5)
         kicked = math.sqrt(2 * energy / s.model.total_mass) * np.where(np.arange(216) % 2, 1, -1)
@@ -276,11 +295,18 @@ def test_rounding_of_a_stiff_body_is_no_explosion_until_it_shows():
 @pytest.mark.slow
 def test_a_stiff_body_that_turns_slowly_runs_through():
     """F grows by less than its last digit; it trembles, wherever it is."""
-    scene = Scene.named("spin").replaced({
-        "object.size": 0.05, "object.lift": 2.0, "object.spin": [0, 0, 0.5], "material.E": 7e7,
-        "accuracy": {"cells": 8, "cfl": 0.1}, "time.frames": 3, "time.fps": 24.0,
-        "binding": "lattice",
-    })  # fmt: skip
+    scene = Scene.named("spin").replaced(
+        {
+            "object.size": 0.05,
+            "object.lift": 2.0,
+            "object.spin": [0, 0, 0.5],
+            "material.E": 7e7,
+            "accuracy": {"cells": 8, "cfl": 0.1},
+            "time.frames": 3,
+            "time.fps": 24.0,
+            "binding": "lattice",
+        }
+    )
     clip = Simulation(ball(40), scene).run()
     assert clip.report["complete"]
     assert any("tremor" in note for note in clip.report["notes"])

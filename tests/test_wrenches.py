@@ -28,11 +28,16 @@ def test_they_add_up_to_the_change_of_both_momenta(threads):
     walls, x = [Ground(height=0.0), Box(upper=(0.4, 1, 0.4))], block(middle=(0, 0, 0.5))
     external, wrenches = ExternalWork(), Wrenches()
     solver = make_solver(
-        x, np.full(len(x), 1e-4), [NeoHookean(E=1e4)], dx=0.125,
-        v=np.tile((1.0, 0.3, -2.0), (len(x), 1)), threads=threads,
+        x,
+        np.full(len(x), 1e-4),
+        [NeoHookean(E=1e4)],
+        dx=0.125,
+        v=np.tile((1.0, 0.3, -2.0), (len(x), 1)),
+        threads=threads,
         boundaries=external.boundaries(walls, wrenches.boundaries(walls)),
-        accumulators=[external, wrenches], precision="float64",
-    )  # fmt: skip
+        accumulators=[external, wrenches],
+        precision="float64",
+    )
     external.open(solver.clock)
     fps, given, before = 20, np.zeros(3), diagnose(solver).angular
     for frame in range(3):

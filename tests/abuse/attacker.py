@@ -65,9 +65,11 @@ class Attacker:
     def press(self, panel: str, event: str, inputs: list[Any], **data: Any) -> Any:
         """What the page's own handler of an event answers: a list of values, or an error."""
         body = {
-            "fn_index": self._handler(panel, event), "data": inputs, "session_hash": self.session,
+            "fn_index": self._handler(panel, event),
+            "data": inputs,
+            "session_hash": self.session,
             "event_data": data,
-        }  # fmt: skip
+        }
         status, text, _ = self.post("/gradio_api/run/predict", body)
         answer = json.loads(text)
         return answer["data"] if status == 200 else answer

@@ -35,9 +35,14 @@ from support.served import ROOT, Server, serving
 
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
 SETTINGS = {
-    "gaussians": 2000, "max_upload_mb": 2, "max_visitor_mb": 30, "max_total_mb": 300,
-    "max_seconds": 120, "grace_minutes": 0.5, "max_per_address": 16,
-}  # fmt: skip
+    "gaussians": 2000,
+    "max_upload_mb": 2,
+    "max_visitor_mb": 30,
+    "max_total_mb": 300,
+    "max_seconds": 120,
+    "grace_minutes": 0.5,
+    "max_per_address": 16,
+}
 MEMORY, GROWTH, SHORT = 1500e6, 100e6, 600.0
 """Memory of the server, and its growth [bytes], which is not judged in a short time [s]."""
 ADDRESSES = 10

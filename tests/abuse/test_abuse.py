@@ -41,10 +41,18 @@ SLOW, FILES = 2000, 1024
 def server(tmp_path_factory):
     pytest.importorskip("gradio", reason="the extra demo is not installed")
     with serving(
-        tmp_path_factory.mktemp("abuse"), files=FILES, gaussians=1000, max_upload_mb=2,
-        max_file_mb=3, max_visitors=40, grace_minutes=0.3, max_cut_seconds=60, max_seconds=120,
-        max_queue=6, max_video_mb=3,
-    ) as running:  # fmt: skip
+        tmp_path_factory.mktemp("abuse"),
+        files=FILES,
+        gaussians=1000,
+        max_upload_mb=2,
+        max_file_mb=3,
+        max_visitors=40,
+        grace_minutes=0.3,
+        max_cut_seconds=60,
+        max_seconds=120,
+        max_queue=6,
+        max_video_mb=3,
+    ) as running:
         yield running
 
 
@@ -124,15 +132,22 @@ def test_no_scene_names_a_file_of_the_server(attacker, changes):
 @pytest.mark.parametrize(
     "path",
     [
-        "/gradio_api/file=/etc/passwd", "/gradio_api/file=../../../../etc/passwd",
-        "/gradio_api/file=app.py", "/phy124/static/../../pyproject.toml",
-        "/phy124/static/%2e%2e/settings.py", "/phy124/viewer/..%2f..%2fapp.py",
-        "/gradio_api/file=https://example.com/", "/gradio_api/file=http://127.0.0.1:22/",
-        "/gradio_api/file=HTTP://169.254.169.254/", "/gradio_api/proxy=https://example.com/",
-        "/gradio_api/file%3Dhttps://example.com/", "/gradio_api/file=//example.com/",
-        "/phy124/jobs/../../health/", "/gradio_api/stream/a/b/c/playlist.m3u8",
+        "/gradio_api/file=/etc/passwd",
+        "/gradio_api/file=../../../../etc/passwd",
+        "/gradio_api/file=app.py",
+        "/phy124/static/../../pyproject.toml",
+        "/phy124/static/%2e%2e/settings.py",
+        "/phy124/viewer/..%2f..%2fapp.py",
+        "/gradio_api/file=https://example.com/",
+        "/gradio_api/file=http://127.0.0.1:22/",
+        "/gradio_api/file=HTTP://169.254.169.254/",
+        "/gradio_api/proxy=https://example.com/",
+        "/gradio_api/file%3Dhttps://example.com/",
+        "/gradio_api/file=//example.com/",
+        "/phy124/jobs/../../health/",
+        "/gradio_api/stream/a/b/c/playlist.m3u8",
     ],
-)  # fmt: skip
+)
 def test_addresses_lead_to_nothing_else(attacker, path):
     status, text, _ = attacker.get(path)
     assert status >= 400, (status, text[:200])

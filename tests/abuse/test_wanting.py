@@ -29,10 +29,17 @@ EACH, ALL, VISITORS = 5, 20, 40
 def server(tmp_path_factory):
     pytest.importorskip("gradio", reason="the extra demo is not installed")
     with serving(
-        tmp_path_factory.mktemp("wanting"), files=FILES, warm_up=False, gaussians=1000,
-        max_upload_mb=2, max_visitor_mb=EACH, max_total_mb=ALL, max_visitors=VISITORS,
-        max_per_address=30, grace_minutes=0.3,
-    ) as running:  # fmt: skip
+        tmp_path_factory.mktemp("wanting"),
+        files=FILES,
+        warm_up=False,
+        gaussians=1000,
+        max_upload_mb=2,
+        max_visitor_mb=EACH,
+        max_total_mb=ALL,
+        max_visitors=VISITORS,
+        max_per_address=30,
+        grace_minutes=0.3,
+    ) as running:
         yield running
 
 
@@ -143,9 +150,12 @@ def test_streams_that_the_page_does_not_need_are_closed(attacker):
 # ---- pages of other sites -----------------------------------------------------------------------
 
 FOREIGN = [
-    {"Origin": "https://evil.example"}, {"Origin": "http://localhost:3000"}, {"Origin": "null"},
-    {"Sec-Fetch-Site": "cross-site"}, {"Sec-Fetch-Site": "same-site"},
-]  # fmt: skip
+    {"Origin": "https://evil.example"},
+    {"Origin": "http://localhost:3000"},
+    {"Origin": "null"},
+    {"Sec-Fetch-Site": "cross-site"},
+    {"Sec-Fetch-Site": "same-site"},
+]
 
 
 @pytest.mark.parametrize("sent", FOREIGN, ids=lambda sent: " ".join(*sent.items()))

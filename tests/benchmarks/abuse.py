@@ -53,11 +53,15 @@ def watched(x: Array, material: Material = JELLY, **options: Any) -> tuple[Solve
     """A solver with its watchdog, as a simulation has it."""
     external, count = ExternalWork(), options.pop("filled", len(x))
     s = make_solver(
-        x, np.full(len(x), SIZE**3 / count), [material], dx=2 * SIZE / round(count ** (1 / 3)),
+        x,
+        np.full(len(x), SIZE**3 / count),
+        [material],
+        dx=2 * SIZE / round(count ** (1 / 3)),
         forces=external.forces(options.pop("forces", ())),
         boundaries=external.boundaries(options.pop("boundaries", ())),
-        accumulators=[external], **options,
-    )  # fmt: skip
+        accumulators=[external],
+        **options,
+    )
     return s, Watchdog(s, external)
 
 
@@ -91,8 +95,9 @@ def long_substep() -> str:
     found = []
     for ceiling in (math.inf, 10 * 0.6 * 0.125 / JELLY.wave_speed()):
         x = cube()
-        s, watch = watched(x, v=np.tile([0, 0, -1.0], (len(x), 1)), boundaries=[Ground()],
-                           ceiling=ceiling)  # fmt: skip
+        s, watch = watched(
+            x, v=np.tile([0, 0, -1.0], (len(x), 1)), boundaries=[Ground()], ceiling=ceiling
+        )
         go(s, watch, 0.1)
         found.append(host(s.state.x))
     return f"largest difference {np.abs(found[1] - found[0]).max():.1e} m"
@@ -130,8 +135,9 @@ def impact(mach: float, law: type[NeoHookean] | type[FixedCorotated]) -> str:
     """A cube of 1,728 particles on a slippery floor."""
     material, x = law(E=1e5, nu=0.3), cube(12, 0.27)
     speed = mach * material.sound_speed()
-    s, watch = watched(x, material, v=np.tile([0, 0, -speed], (len(x), 1)),
-                       boundaries=[Ground(contact="slip")])  # fmt: skip
+    s, watch = watched(
+        x, material, v=np.tile([0, 0, -speed], (len(x), 1)), boundaries=[Ground(contact="slip")]
+    )
     first = diagnose(s).kinetic
     said = go(s, watch, SIZE * (3 / material.sound_speed() + 1.5 / speed), 10)
     notes = "; noted" if watch.notes() else ""
@@ -159,9 +165,13 @@ def fast() -> str:
 def slippery() -> str:
     """Tangential speed lost on a slippery floor in 0.1 s."""
     x = cube(height=SIZE / 2)
-    s, watch = watched(x, v=np.tile([1.0, 0, 0], (len(x), 1)), forces=[Gravity()],
-                       boundaries=[Ground(contact="slip")],
-                       origin=(0, 0, -0.75 * 0.125))  # fmt: skip
+    s, watch = watched(
+        x,
+        v=np.tile([1.0, 0, 0], (len(x), 1)),
+        forces=[Gravity()],
+        boundaries=[Ground(contact="slip")],
+        origin=(0, 0, -0.75 * 0.125),
+    )
     said = go(s, watch, 0.1)
     kept = diagnose(s).momentum[0] / s.model.mass.numpy().sum()
     return f"{said}, {1 - kept:.1e} of the speed lost"
@@ -234,8 +244,11 @@ ABUSE: dict[str, Callable[[], str]] = {
     "one particle at 5 m": lambda: far(5.0),
     "one particle at 1000 km": lambda: far(1e6),
     "body at 30 m/s": leaving,
-    **{f"Mach {m}, {law.__name__}": lambda m=m, law=law: impact(m, law)
-       for m in (2.0, 5.0) for law in LAWS},
+    **{
+        f"Mach {m}, {law.__name__}": lambda m=m, law=law: impact(m, law)
+        for m in (2.0, 5.0)
+        for law in LAWS
+    },
     "one element inside out": lambda: broken(np.diag([1, 1, -0.5])),
     "one element flat": lambda: broken(np.diag([1, 1, 0.0])),
     "sand, one element inside out": lambda: broken(np.diag([1, 1, -0.5]), Sand(E=1e5)),
@@ -247,7 +260,7 @@ ABUSE: dict[str, Callable[[], str]] = {
     "snow, dropped": snow,
     "one particle without volume": no_volume,
     "body near x = 0": near_zero,
-}  # fmt: skip
+}
 
 
 if __name__ == "__main__":

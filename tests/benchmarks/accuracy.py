@@ -38,9 +38,11 @@ from tables import DOCS, markdown, renew
 
 PICTURES = Path(__file__).parents[2] / "demo/examples"
 SAND = {
-    "material": {"law": "sand", "E": 3e5}, "object.lift": 0.0, "object.velocity": [0, 0, 0],
+    "material": {"law": "sand", "E": 3e5},
+    "object.lift": 0.0,
+    "object.velocity": [0, 0, 0],
     "boundaries": [{"kind": "ground", "friction": 0.6}],
-}  # fmt: skip
+}
 STUDIES = {
     "duck-press": ("duck", "press", {}, (16, 24, 32, 48)),
     "sunflower-push": ("sunflower", "push_right", {}, (16, 24, 32, 48)),
@@ -67,9 +69,17 @@ def known_answers() -> str:
         expected = "" if v.expected_order is None else "{:g} to {:g}".format(*v.expected_order)
         cells = ", ".join(str(n) for n in v.levels)
         rows.append(
-            [v.problem, v.quantity, cells, f"{v.value:.1e}", f"{v.limit:.0e}", order, expected,
-             "pass" if v.passed else "FAIL"]
-        )  # fmt: skip
+            [
+                v.problem,
+                v.quantity,
+                cells,
+                f"{v.value:.1e}",
+                f"{v.limit:.0e}",
+                order,
+                expected,
+                "pass" if v.passed else "FAIL",
+            ]
+        )
     heads = ["problem", "quantity", "cells", "value", "at most", "order", "expected", ""]
     return markdown(heads, rows)
 
@@ -96,15 +106,20 @@ def study_row(row: Row) -> list[str]:
     """One setting."""
     apart = row.from_finest
     return [
-        row.name, f"{row.particles:,}", f"{row.particles_per_axis:.1f}",
-        str(row.substeps), f"{row.predicted:.1f}",
-        f"{row.seconds:.1f}", "" if row.error is None else f"{100 * row.error:.2f}",
+        row.name,
+        f"{row.particles:,}",
+        f"{row.particles_per_axis:.1f}",
+        str(row.substeps),
+        f"{row.predicted:.1f}",
+        f"{row.seconds:.1f}",
+        "" if row.error is None else f"{100 * row.error:.2f}",
         "" if row.pixels is None else f"{row.pixels:.1f}",
         f"{apart.worst_frame} ({apart.worst:.1%})" if apart else "reference",
-        f"{apart.psnr:.1f}" if apart else "", f"{apart.ssim:.4f}" if apart else "",
+        f"{apart.psnr:.1f}" if apart else "",
+        f"{apart.ssim:.4f}" if apart else "",
         f"{row.energy_lost:.0%}",
         ", ".join(f"{name} {fraction:.0%}" for name, fraction in row.limiters.items()),
-    ]  # fmt: skip
+    ]
 
 
 def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
@@ -209,9 +224,13 @@ def cost_rows(gaussians: Gaussians) -> list[list[str]]:
             stages.get(k, 0.0) for k in ("particles", "simulate", "deform", "render", "encode")
         ]
         rows.append(
-            [name, *(f"{p:.2f}" for p in parts), f"{sum(stages.values()):.2f}",
-             "" if np.isinf(quality) else f"{quality:.1f}"]
-        )  # fmt: skip
+            [
+                name,
+                *(f"{p:.2f}" for p in parts),
+                f"{sum(stages.values()):.2f}",
+                "" if np.isinf(quality) else f"{quality:.1f}",
+            ]
+        )
         print(json.dumps(rows[-1]), flush=True)
     return rows
 

@@ -50,8 +50,11 @@ class Run(NamedTuple):
 
 def scenes() -> dict[str, tuple[str, Scene]]:
     """Name -> picture, scene."""
-    found = {f"{preset} {picture}": (picture, beginning(preset))
-             for preset in preset_names() for picture in PICTURES}  # fmt: skip
+    found = {
+        f"{preset} {picture}": (picture, beginning(preset))
+        for preset in preset_names()
+        for picture in PICTURES
+    }
     for law in FLOWING:
         found[f"drop {law} cupcake"] = ("cupcake", scene_of("drop", law, {}))
     return found

@@ -27,9 +27,7 @@ from support.twins import twin, write_points
 DUCK = str(Path(__file__).parents[2] / "demo/examples/duck.png")
 TRUTH, CELLS, GRIDS = 4e4, 24, [12, 16]
 FRAMES = {"time.frames": 14, "time.fps": 24.0}
-COLUMNS: tuple[str, ...] = (
-    "seed", "value", "low", "high", "points_low", "points_high", "cpu",
-)  # fmt: skip
+COLUMNS: tuple[str, ...] = ("seed", "value", "low", "high", "points_low", "points_high", "cpu")
 
 
 def ends(held: int, of: int, level: float = 0.95) -> tuple[float, float]:
@@ -47,10 +45,15 @@ def one(clip: Clip | None, folder: Path, seed: int) -> dict[str, float]:
     out.mkdir(parents=True, exist_ok=True)
     write_points(out / "points.csv", clip, seed=seed)
     asked = {
-        "target": str(out / "points.csv"), "object": str(folder / "object.ply"), "scene": "press",
-        "set": {"accuracy.cells": CELLS}, "grids": GRIDS, "seconds": 1e5, "seed": seed,
+        "target": str(out / "points.csv"),
+        "object": str(folder / "object.ply"),
+        "scene": "press",
+        "set": {"accuracy.cells": CELLS},
+        "grids": GRIDS,
+        "seconds": 1e5,
+        "seed": seed,
         "find": {"material.E": "1e4..2e5"},
-    }  # fmt: skip
+    }
     told = fit(Fit.from_data(asked), out).report["found"]["material.E"]
     (low, high), (least, most) = told["interval"], told["from_measurements"]
     found = (seed, told["value"], low, high, least, most, time.process_time() - began)
@@ -88,9 +91,11 @@ def tell(kept: Path) -> None:
         least, most = ends(held, len(rows))
         half = np.mean([(row[high] - row[low]) / 2 for row in rows])
         print(f"{low}: {held} of {len(rows)} ({least:.3f} to {most:.3f}); half width {half:.0f}")
-    print(f"values {value.min():.0f} to {value.max():.0f}, mean {value.mean():.0f}, "
-          f"deviation {value.std(ddof=1):.0f}; "
-          f"{sum(row['cpu'] for row in rows):.0f} s")  # fmt: skip
+    print(
+        f"values {value.min():.0f} to {value.max():.0f}, mean {value.mean():.0f}, "
+        f"deviation {value.std(ddof=1):.0f}; "
+        f"{sum(row['cpu'] for row in rows):.0f} s"
+    )
 
 
 if __name__ == "__main__":

@@ -77,11 +77,14 @@ def throughput(device: str, counts: tuple[int, ...]) -> None:
         s = cube(count, cells, FixedCorotated, form, threads, device)
         seconds = pace(s, max(8, 20_000_000 // count))
         row = {
-            "particles": count, "cells": cells, "us_per_substep": seconds * 1e6,
-            "million_per_s": count / seconds / 1e6, "launch_floor_us": launches * 1e6,
+            "particles": count,
+            "cells": cells,
+            "us_per_substep": seconds * 1e6,
+            "million_per_s": count / seconds / 1e6,
+            "launch_floor_us": launches * 1e6,
             "memory_floor_us": count * sum(BYTES.values()) / speed * 1e6,
             "copies_gb_per_s": speed / 1e9,
-        }  # fmt: skip
+        }
         show("throughput", device, row)
 
 
@@ -99,10 +102,14 @@ def clip(device: str, count: int) -> None:
             run.run()
             seconds = time.perf_counter() - start
         row = {
-            "substeps_by": name, "gaussians": count, "particles": len(run.particles),
-            "substeps": run.solver.clock.substeps, "seconds": seconds,
-            "simulate": run.watch.seconds["simulate"], "deform": run.watch.seconds["deform"],
-        }  # fmt: skip
+            "substeps_by": name,
+            "gaussians": count,
+            "particles": len(run.particles),
+            "substeps": run.solver.clock.substeps,
+            "seconds": seconds,
+            "simulate": run.watch.seconds["simulate"],
+            "deform": run.watch.seconds["deform"],
+        }
         show("clip", device, row)
 
 

@@ -159,9 +159,11 @@ def paired(a: Solver, b: Solver, substeps: int, turns: int = 7) -> tuple[float, 
 def switch(turns: int = 40) -> None:
     for form, simd in (("SIMD rows", True), ("plain", False)):
         kinds = {
-            "transfers_ns": laws.Nothing(), "alone_ns": NeoHookean(), "switch_ns": Switched(),
+            "transfers_ns": laws.Nothing(),
+            "alone_ns": NeoHookean(),
+            "switch_ns": Switched(),
             "lossless_switch_ns": Fewer(),
-        }  # fmt: skip
+        }
         made = {name: laws.solver(law, 0.02, simd=simd) for name, law in kinds.items()}
         one_row_each(made["switch_ns"])
         one_row_each(made["lossless_switch_ns"])

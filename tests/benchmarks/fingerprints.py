@@ -36,9 +36,11 @@ def body(count: int = 3000) -> Gaussians:
     """A bar with a knob, so that it bends, turns and touches at a corner."""
     rng = np.random.default_rng(4)
     means = np.concatenate(
-        [rng.uniform((-0.1, -0.1, 0), (0.1, 0.1, 0.8), (count // 2, 3)),
-         rng.uniform((-0.2, -0.3, 0.7), (0.2, 0.3, 1.0), (count // 2, 3))]
-    )  # fmt: skip
+        [
+            rng.uniform((-0.1, -0.1, 0), (0.1, 0.1, 0.8), (count // 2, 3)),
+            rng.uniform((-0.2, -0.3, 0.7), (0.2, 0.3, 1.0), (count // 2, 3)),
+        ]
+    )
     quats = rng.normal(size=(count, 4))
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     scales = rng.uniform(0.01, 0.03, (count, 3))

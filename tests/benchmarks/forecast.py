@@ -32,13 +32,18 @@ def measure(gaussians, name: str, accuracy: str) -> dict:
     told, report = result.report["forecast"], result.report
     simulate = told["stages"]["simulate"]
     return {
-        "scene": name, "accuracy": accuracy, "particles": report["particles"],
-        "substeps predicted": told["substeps"], "substeps": report["substeps"],
+        "scene": name,
+        "accuracy": accuracy,
+        "particles": report["particles"],
+        "substeps predicted": told["substeps"],
+        "substeps": report["substeps"],
         "simulation predicted s": round(simulate["predicted"], 2),
         "simulation s": round(simulate["spent"], 2),
-        "predicted s": round(told["predicted"], 2), "spent s": round(told["spent"], 2),
-        "ratio": round(told["ratio"], 3), "promised": told["caveat"] is None,
-    }  # fmt: skip
+        "predicted s": round(told["predicted"], 2),
+        "spent s": round(told["spent"], 2),
+        "ratio": round(told["ratio"], 3),
+        "promised": told["caveat"] is None,
+    }
 
 
 def main(scenes: list[str], *, docs: bool) -> None:

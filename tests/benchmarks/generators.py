@@ -57,9 +57,11 @@ def imagedream(device: str, precision: str, compiled: bool) -> dict:
     dtype = getattr(torch, precision or ("float16" if device == "cuda" else "float32"))
     unet = load_unet(formula.state_dict(empty), device=device, dtype=dtype)
     shapes = {
-        "text": (2, 77, 1024), "tokens": (1, 257, 1280), "latents": (1, 4, 32, 32),
+        "text": (2, 77, 1024),
+        "tokens": (1, 257, 1280),
+        "latents": (1, 4, 32, 32),
         "cameras": (5, 16),
-    }  # fmt: skip
+    }
     told = Condition(
         **{k: formula.inputs(k, s, -1, 1).to(device, dtype) for k, s in shapes.items()}
     )
@@ -90,9 +92,11 @@ def samplers(device: str) -> dict:
     saved = np.load(golden / "imagedream_pipeline.npz")
     e = {key: torch.from_numpy(saved[key]) for key in saved.files}
     told = Condition(
-        torch.cat([e["neg"], e["pos"]]), e["image_embeds"].float(),
-        e["image_latents_pos"][..., :8, :8], torch.from_numpy(cameras()),
-    )  # fmt: skip
+        torch.cat([e["neg"], e["pos"]]),
+        e["image_embeds"].float(),
+        e["image_latents_pos"][..., :8, :8],
+        torch.from_numpy(cameras()),
+    )
     left = scheduler_of("ddim", 1).alphas_cumprod.double()
     torch.manual_seed(0)
     pictures = torch.randn(8, 5, 4, 8, 8, dtype=torch.float64).cumsum(-1)
@@ -118,9 +122,12 @@ def samplers(device: str) -> dict:
     cases = {
         "mixture": (mixture, torch.randn(5, 4, 8, 8, dtype=torch.float64), "dpmsolver++", 500),
         "formula": (
-            lambda x, t: guided(unet, x, t, told, 5.0), e["init_latents"][..., :8, :8], "ddim", 200,
+            lambda x, t: guided(unet, x, t, told, 5.0),
+            e["init_latents"][..., :8, :8],
+            "ddim",
+            200,
         ),
-    }  # fmt: skip
+    }
     errors: dict = {}
     for name, (predict, start, best, most) in cases.items():
         limit = end(predict, start, best, most)
@@ -206,9 +213,7 @@ def timed(work, device: str):
     return result, {"wall_s": round(wall, 2), "cpu_s": round(cpu, 2)}
 
 
-PARTS = {
-    "lgm": lgm, "imagedream": imagedream, "u2net": u2net, "stage": stage, "samplers": samplers,
-}  # fmt: skip
+PARTS = {"lgm": lgm, "imagedream": imagedream, "u2net": u2net, "stage": stage, "samplers": samplers}
 
 
 def main() -> None:
@@ -224,7 +229,7 @@ def main() -> None:
     told = {
         "stage": {"steps": options.steps},
         "imagedream": {"precision": options.precision, "compiled": options.compile},
-    }  # fmt: skip
+    }
     more = told.get(options.part, {})
     figures = PARTS[options.part](options.device, **more)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20

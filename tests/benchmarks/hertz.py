@@ -75,8 +75,9 @@ def main() -> None:
         over = hertz(depth) / elements(depth)
         print(
             f"{given.cells} cells, depth {depth:g} m: {told(each)} of finite elements, "
-            f"{(1 + sum(each) / len(each)) / over - 1:+.1%} of Hertz", flush=True,
-        )  # fmt: skip
+            f"{(1 + sum(each) / len(each)) / over - 1:+.1%} of Hertz",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -24,9 +24,12 @@ def cubes(gap: float, *, bodies: int, threads: int) -> Solver:
     side = np.repeat([0, 1], len(cube))
     v = np.where(side == 0, 0.2, -0.2)[:, None] * [1.0, 0, 0]
     model = Model.of(
-        x, np.full(len(x), SIDE**-3.0), [NeoHookean(E=1e5)], dx=DX,
+        x,
+        np.full(len(x), SIDE**-3.0),
+        [NeoHookean(E=1e5)],
+        dx=DX,
         body=side if bodies == 2 else None,
-    )  # fmt: skip
+    )
     return Solver(model, State.of(model, v), threads=threads)
 
 

@@ -46,10 +46,15 @@ def row(clip: Clip, scene: Scene, name: str) -> list[str]:
     size = np.ptp(clip.means[0], axis=0)
     strain = np.abs(np.ptp(clip.means[-1], axis=0) / size - 1).max()
     return [
-        f"`{name}`", force, f"{where}, {abs(a[axis]):g} m/s²", f"{abs(way[axis]):.4f}",
-        f"{abs(exact[axis]):.4f}", f"{100 * (way[axis] / exact[axis] - 1):+.2f} %",
-        f"{np.abs(aside).max():.1e}", f"{strain:.1e}",
-    ]  # fmt: skip
+        f"`{name}`",
+        force,
+        f"{where}, {abs(a[axis]):g} m/s²",
+        f"{abs(way[axis]):.4f}",
+        f"{abs(exact[axis]):.4f}",
+        f"{100 * (way[axis] / exact[axis] - 1):+.2f} %",
+        f"{np.abs(aside).max():.1e}",
+        f"{strain:.1e}",
+    ]
 
 
 def strip(clip: Clip, scene: Scene) -> np.ndarray:
@@ -64,9 +69,15 @@ def main() -> None:
     gaussians = pipeline.static(PICTURE).gaussians
     clips = {name: pushed(gaussians, name) for name in CONTROLS}
     heads = [
-        "scene", "force in the paper", "here", "way [m]", "a t² / 2 [m]", "off", "aside [m]",
+        "scene",
+        "force in the paper",
+        "here",
+        "way [m]",
+        "a t² / 2 [m]",
+        "off",
+        "aside [m]",
         "change of size",
-    ]  # fmt: skip
+    ]
     table = markdown(heads, [row(clip, scene, name) for name, (clip, scene) in clips.items()])
     print(table)
     if "--docs" in sys.argv:

@@ -6,11 +6,13 @@ Most last longer (phy124/presets), which `settling.py` measures.
 from phy124.scene import Scene
 
 OTHERS = {
-    **dict.fromkeys(("drop", "spin", "sway"), (14, 20.0)), "wind": (24, 20.0),
-    **dict.fromkeys(("foam", "sand", "collide"), (20, 24.0)), "snow": (16, 24.0),
+    **dict.fromkeys(("drop", "spin", "sway"), (14, 20.0)),
+    "wind": (24, 20.0),
+    **dict.fromkeys(("foam", "sand", "collide"), (20, 24.0)),
+    "snow": (16, 24.0),
     "water": (16, 24.0),
     **dict.fromkeys(("jelly", "bury", "land_on_cushion", "stack"), (24, 24.0)),
-}  # fmt: skip
+}
 """Preset -> frames and frames per second; the others 14 at 24."""
 
 

@@ -43,11 +43,14 @@ SPRINGY = [law for law, kind in LAWS.by_name.items() if issubclass(kind, Springy
 FLOWING = [law for law, kind in LAWS.by_name.items() if kind().device_law.project]
 STAND: dict[str, Any] = {"object.lift": 0.0, "time.fps": 24.0}
 SCENES = {
-    **{f"{law} {name}": (name, law, {}) for law in SPRINGY
-       for name in ("press", "drop", "bounce", "push_right", "spin", "sway")},
+    **{
+        f"{law} {name}": (name, law, {})
+        for law in SPRINGY
+        for name in ("press", "drop", "bounce", "push_right", "spin", "sway")
+    },
     **{f"{law} {name}": (name, law, {}) for law in FLOWING for name in ("drop", "press")},
     **{f"{law} standing": ("drop", law, STAND) for law in ("sand", "snow", "fluid", "foam")},
-}  # fmt: skip
+}
 """Name -> preset, law, changes."""
 
 
@@ -97,9 +100,11 @@ def worst(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def severity(scene: Scene) -> dict[str, float]:
     """How hard a scene is on its material."""
     return {
-        "violence": violence(scene), "yielding": yielding(scene), "nu": poisson(scene),
+        "violence": violence(scene),
+        "yielding": yielding(scene),
+        "nu": poisson(scene),
         "damping": damping(scene),
-    }  # fmt: skip
+    }
 
 
 def rows(gaussians: Gaussians, laws: list[str]) -> Iterator[dict[str, Any]]:
@@ -115,10 +120,13 @@ def rows(gaussians: Gaussians, laws: list[str]) -> Iterator[dict[str, Any]]:
             errors = {}
         errors = {cells: SAFETY * error for cells, error in errors.items() if error is not None}
         row = {
-            "kind": f"{law} {motion_of(scene)}", "name": name.removeprefix(f"{law} "),
-            "errors": errors, **severity(scene), "length": length(scene),
+            "kind": f"{law} {motion_of(scene)}",
+            "name": name.removeprefix(f"{law} "),
+            "errors": errors,
+            **severity(scene),
+            "length": length(scene),
             "particles_per_axis": scene.particles_per_axis,
-        }  # fmt: skip
+        }
         print(json.dumps(row), flush=True)
         yield row
 

@@ -50,9 +50,15 @@ def body(name: str, threads: int, *, ball: bool = False) -> Solver:
     work, volume = ExternalWork(), np.full(count, np.prod(sides) / count)
     wall = Sphere(centre=(sides[0] / 2, sides[1] / 2, -0.2), radius=0.22) if ball else Ground()
     s = make_solver(
-        x, volume, [NeoHookean(E=1e5)], dx=1 / cells, forces=[Gravity()],
-        boundaries=work.boundaries([wall]), accumulators=[work], threads=threads,
-    )  # fmt: skip
+        x,
+        volume,
+        [NeoHookean(E=1e5)],
+        dx=1 / cells,
+        forces=[Gravity()],
+        boundaries=work.boundaries([wall]),
+        accumulators=[work],
+        threads=threads,
+    )
     s.clock.ceiling = 1e-4
     work.open(s.clock)
     s.step(1e-4, 1e-4)
@@ -91,9 +97,12 @@ def counted(name: str, threads: int, *, ball: bool, rounds: int = 5) -> dict[str
 def lock_us() -> float:
     """How long one launch by a worker holds Python's lock [us], from launches over a few nodes."""
     s = make_solver(
-        np.random.default_rng(0).uniform(size=(16, 3)), np.full(16, 1 / 16), [NeoHookean()],
-        dx=1.0, threads=2,
-    )  # fmt: skip
+        np.random.default_rng(0).uniform(size=(16, 3)),
+        np.full(16, 1 / 16),
+        [NeoHookean()],
+        dx=1.0,
+        threads=2,
+    )
     s.step(1e-6, 1e-6)
     worker, rounds = s.workers[1], 2000
     launches, start = sum(map(len, worker.phases)), time.thread_time()

@@ -107,11 +107,17 @@ class Page:
         took = time.perf_counter() - start
         low, high = told.span
         return {
-            "took s": round(took, 2), "predicted s": round(told.seconds, 2), "low s": round(low, 2),
-            "high s": round(high, 2), "within": low <= took <= high, "probed": told.measured,
-            "compiling s": round(told.compiling, 2), "slower": round(told.load.simulation, 2),
-            "load": round(load, 1), "end": job.progress.state,
-        }  # fmt: skip
+            "took s": round(took, 2),
+            "predicted s": round(told.seconds, 2),
+            "low s": round(low, 2),
+            "high s": round(high, 2),
+            "within": low <= took <= high,
+            "probed": told.measured,
+            "compiling s": round(told.compiling, 2),
+            "slower": round(told.load.simulation, 2),
+            "load": round(load, 1),
+            "end": job.progress.state,
+        }
 
 
 def runs(page: Page, number: int) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -136,16 +136,22 @@ def compare(count: int) -> tuple[Made, float]:
             f"clip ({spare / made.seconds.sum():.1%}); time left as told / true: {off}",
             flush=True,
         )
-    print(f"speed-up of two workers over one: {runs[1].wall / runs[2].wall:.2f}, without the "
-          f"start {(runs[1].wall - start) / (runs[2].wall - start):.2f}")  # fmt: skip
+    print(
+        f"speed-up of two workers over one: {runs[1].wall / runs[2].wall:.2f}, without the "
+        f"start {(runs[1].wall - start) / (runs[2].wall - start):.2f}"
+    )
     killed = measured(plan, 2, kills=True)
     same = killed.files == runs[0].files == runs[1].files == runs[2].files
-    print(f"two workers, one killed every {EVERY:g} s: {killed.wall:.1f} s; all files of all runs "
-          f"are {'equal' if same else 'NOT EQUAL'} byte for byte", flush=True)  # fmt: skip
+    print(
+        f"two workers, one killed every {EVERY:g} s: {killed.wall:.1f} s; all files of all runs "
+        f"are {'equal' if same else 'NOT EQUAL'} byte for byte",
+        flush=True,
+    )
     for workers in (1, 2):
         told = queued(runs[1].seconds, workers, 0.0, start)
-        print(f"simulated queue, {workers} workers: {told:.1f} s, "
-              f"measured {runs[workers].wall:.1f} s")  # fmt: skip
+        print(
+            f"simulated queue, {workers} workers: {told:.1f} s, measured {runs[workers].wall:.1f} s"
+        )
     return runs[1], start
 
 

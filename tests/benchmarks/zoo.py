@@ -123,14 +123,20 @@ def row(name: str, gaussians: Gaussians, words: str) -> dict[str, Any]:
         torn.append(run.watchdog.tearing.likely)
     apart = distances(clips) / base.object.size if len(clips) > 1 else np.zeros((0, 0))
     return {
-        "object": name, "scene": words, "kind": f"{base.material.law} {motion_of(base)}",
-        "levels": levels, "torn": torn,
-        "seconds": seconds, "apart": np.round(apart, 6).tolist(),
+        "object": name,
+        "scene": words,
+        "kind": f"{base.material.law} {motion_of(base)}",
+        "levels": levels,
+        "torn": torn,
+        "seconds": seconds,
+        "apart": np.round(apart, 6).tolist(),
         "thickness": [round(value / base.object.size, 4) for value in thick],
         **{key: float(f"{value:.4g}") for key, value in severity(base).items()},
-        "length": round(length(base), 4), "particles_per_axis": base.particles_per_axis,
-        "machine": machine(), "date": date.today().isoformat(),
-    }  # fmt: skip
+        "length": round(length(base), 4),
+        "particles_per_axis": base.particles_per_axis,
+        "machine": machine(),
+        "date": date.today().isoformat(),
+    }
 
 
 def rows() -> list[dict[str, Any]]:

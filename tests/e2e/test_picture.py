@@ -98,8 +98,9 @@ def test_the_cut_out_is_corrected_by_brush(browser, server):
     page.wait_for_function(
         "before => document.querySelector('#cutout img').src !== before && "
         "document.querySelector('#cutout img').getAttribute('src') !== before",
-        arg=before, timeout=LONG,
-    )  # fmt: skip
+        arg=before,
+        timeout=LONG,
+    )
     pictures = [page.request.get(src).body() for src in (before, shown.get_attribute("src"))]
     kept = [
         (np.asarray(Image.open(io.BytesIO(data)).convert("RGBA"))[..., 3] > 127).sum()
@@ -128,8 +129,9 @@ def test_a_click_on_the_picture_picks_another_object(browser, server, tmp_path):
     )
     page.wait_for_function(
         "before => document.querySelector('#cutout img').getAttribute('src') !== before",
-        arg=before, timeout=LONG,
-    )  # fmt: skip
+        arg=before,
+        timeout=LONG,
+    )
     body = page.request.get(shown.get_attribute("src")).body()
     kept = np.asarray(Image.open(io.BytesIO(body)).convert("RGBA"))[..., 3] > 127
     assert kept[130, 230] and not kept[100, 80]

@@ -12,13 +12,17 @@ from PIL import Image
 from support.served import ROOT, Server
 
 FLAGS = [
-    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
     # A busy machine draws slowly; Chromium takes that for a driver that hangs, and ends it.
     "--disable-gpu-watchdog",
     # A camera that shows a test picture.
-    "--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream",
-]  # fmt: skip
+    "--use-fake-device-for-media-stream",
+    "--use-fake-ui-for-media-stream",
+]
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 LONG = 300_000
 """Patience with whatever is waited for, ms."""

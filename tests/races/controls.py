@@ -5,9 +5,15 @@ import warp as wp
 
 THREADS = 64
 NAMES = (
-    "write_write", "read_write", "write_atomic", "read_atomic",
-    "mass_and_momentum", "mass", "counted", "own",
-)  # fmt: skip
+    "write_write",
+    "read_write",
+    "write_atomic",
+    "read_atomic",
+    "mass_and_momentum",
+    "mass",
+    "counted",
+    "own",
+)
 VECTORS = {"mass_and_momentum": wp.vec4, "mass": wp.vec4, "own": wp.vec3}
 """Type of the elements, where they are no numbers."""
 

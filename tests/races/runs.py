@@ -76,10 +76,16 @@ def under_a_free(shape: str) -> None:
     """A rigid solid falls from the top of a ball to the ground."""
     sides = [0.7, 0.7, 1] if shape == "capsule" else [1, 1, 1]
     solid = {
-        "name": "solid", "shape": shape, "sides": sides, "size": 0.6, "lift": 0.01,
-        "place": [0.2, 0], "turn": [20, 60, 0], "on": "object",
+        "name": "solid",
+        "shape": shape,
+        "sides": sides,
+        "size": 0.6,
+        "lift": 0.01,
+        "place": [0.2, 0],
+        "turn": [20, 60, 0],
+        "on": "object",
         "motion": {"kind": "free", "density": 400},
-    }  # fmt: skip
+    }
     simulate(objects=[solid], **{**FALLING, "time.frames": 10, "time.fps": 24.0})
 
 
@@ -192,6 +198,10 @@ def presets() -> Runs:
 
 
 GROUPS: dict[str, Callable[[], Runs]] = {
-    "laws": laws, "walls": walls, "forces": forces,
-    "monitors": monitors, "pictures": pictures, "presets": presets,
-}  # fmt: skip
+    "laws": laws,
+    "walls": walls,
+    "forces": forces,
+    "monitors": monitors,
+    "pictures": pictures,
+    "presets": presets,
+}

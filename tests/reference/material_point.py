@@ -94,8 +94,11 @@ def evaluate(
 
     outputs = [wp.zeros(n, dtype=d) for d in (t.mat33, real, real, t.mat33, t.vec2)]
     inputs = [
-        array([theta], wp.types.vector(law.width, real)), dt,
-        array(F, t.mat33), array(C, t.mat33), array(h, t.vec2),
-    ]  # fmt: skip
+        array([theta], wp.types.vector(law.width, real)),
+        dt,
+        array(F, t.mat33),
+        array(C, t.mat33),
+        array(h, t.vec2),
+    ]
     wp.launch(make_probe(law, real), n, inputs=inputs, outputs=outputs)
     return Point(*(out.numpy().astype(np.float64) for out in outputs))

@@ -119,12 +119,18 @@ def fluid_stress(s: Original, F: Array) -> Array:
 
 
 MAPS: dict[str, Callable[[Original, Array], Array]] = {
-    "metal": metal_map, "sand": sand_map, "plasticine": plasticine_map,
-}  # fmt: skip
+    "metal": metal_map,
+    "sand": sand_map,
+    "plasticine": plasticine_map,
+}
 STRESSES = {
-    "jelly": jelly_stress, "metal": stvk_stress, "sand": sand_stress, "snow": no_stress,
-    "plasticine": jelly_stress, "fluid": fluid_stress,
-}  # fmt: skip
+    "jelly": jelly_stress,
+    "metal": stvk_stress,
+    "sand": sand_stress,
+    "snow": no_stress,
+    "plasticine": jelly_stress,
+    "fluid": fluid_stress,
+}
 
 
 class Original:

@@ -41,10 +41,19 @@ def stress(F: wp.mat33, mu: float, lam: float):
 
 @wp.kernel(enable_backward=False)
 def p2g(
-    x: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3), C: wp.array(dtype=wp.mat33),
-    F: wp.array(dtype=wp.mat33), mass: float, volume: float, mu: float, lam: float, dx: float,
-    kick: float, momentum: wp.array3d(dtype=wp.vec3), weight: wp.array3d(dtype=float),
-):  # fmt: skip
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
+    C: wp.array(dtype=wp.mat33),
+    F: wp.array(dtype=wp.mat33),
+    mass: float,
+    volume: float,
+    mu: float,
+    lam: float,
+    dx: float,
+    kick: float,
+    momentum: wp.array3d(dtype=wp.vec3),
+    weight: wp.array3d(dtype=float),
+):
     p = wp.tid()
     base = corner(x[p], dx)
     f = x[p] / dx - wp.vec3(float(base[0]), float(base[1]), float(base[2]))
@@ -62,9 +71,12 @@ def p2g(
 
 @wp.kernel(enable_backward=False)
 def update(
-    momentum: wp.array3d(dtype=wp.vec3), weight: wp.array3d(dtype=float), g: wp.vec3,
-    kick: float, floor: int,
-):  # fmt: skip
+    momentum: wp.array3d(dtype=wp.vec3),
+    weight: wp.array3d(dtype=float),
+    g: wp.vec3,
+    kick: float,
+    floor: int,
+):
     i, j, k = wp.tid()
     if weight[i, j, k] > 0.0:
         v = momentum[i, j, k] / weight[i, j, k] + kick * g
@@ -75,9 +87,14 @@ def update(
 
 @wp.kernel(enable_backward=False)
 def g2p(
-    x: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3), C: wp.array(dtype=wp.mat33),
-    F: wp.array(dtype=wp.mat33), dx: float, dt: float, velocity: wp.array3d(dtype=wp.vec3),
-):  # fmt: skip
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
+    C: wp.array(dtype=wp.mat33),
+    F: wp.array(dtype=wp.mat33),
+    dx: float,
+    dt: float,
+    velocity: wp.array3d(dtype=wp.vec3),
+):
     p = wp.tid()
     base = corner(x[p], dx)
     f = x[p] / dx - wp.vec3(float(base[0]), float(base[1]), float(base[2]))
@@ -101,9 +118,17 @@ class Textbook:
     """A body of equal particles in a cube from the origin to `size` [m] with `cells` cells."""
 
     def __init__(
-        self, x: NDArray, volume: float, *, cells: int, size: float, E: float, nu: float,
-        density: float, floor: float,
-    ) -> None:  # fmt: skip
+        self,
+        x: NDArray,
+        volume: float,
+        *,
+        cells: int,
+        size: float,
+        E: float,
+        nu: float,
+        density: float,
+        floor: float,
+    ) -> None:
         count = len(x)
         self.x = wp.array(x, dtype=wp.vec3, device="cpu")
         self.v = wp.zeros(count, dtype=wp.vec3, device="cpu")

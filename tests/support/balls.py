@@ -57,9 +57,13 @@ def pressed(cells: int, depth: float, phase: float = 0.5, per_axis: int = 2) -> 
     x, volume = upper_half(cells, per_axis)
     both = np.vstack([x - [0, 0, RADIUS], x * [1, 1, -1] + [0, 0, RADIUS]])
     model = Model.of(
-        both, np.tile(volume, 2), [RUBBER], dx=2 * RADIUS / cells, origin=_origin(cells, phase),
+        both,
+        np.tile(volume, 2),
+        [RUBBER],
+        dx=2 * RADIUS / cells,
+        origin=_origin(cells, phase),
         body=np.repeat([0, 1], len(x)),
-    )  # fmt: skip
+    )
     walls = [plate(1, depth), plate(-1, depth)]
     solver = Solver(model, boundaries=walls, pairs=[Pair(0, 1, friction=0.0)], threads=1)
     solver.advance(MOVE + HOLD / 2)
@@ -72,9 +76,12 @@ def pressed_on_box(cells: int, depth: float, phase: float = 0.5, per_axis: int =
     """Mean force of a ball on the box at rest [N]; arguments are those of `pressed`."""
     x, volume = upper_half(cells, per_axis)
     model = Model.of(
-        x * [1, 1, -1] + [0, 0, RADIUS], volume, [RUBBER], dx=2 * RADIUS / cells,
+        x * [1, 1, -1] + [0, 0, RADIUS],
+        volume,
+        [RUBBER],
+        dx=2 * RADIUS / cells,
         origin=_origin(cells, phase),
-    )  # fmt: skip
+    )
     solver = Solver(model, boundaries=[plate(1, depth)], free=[BOX], threads=1)
     solver.advance(MOVE + HOLD / 2)
     solver.free.begin()

@@ -89,8 +89,12 @@ def _gaussforge(path: Path) -> Gaussians:
 
 
 JUDGES = (
-    Judge("splat-transform", ("ply", "splat", "spz", "spz4", "sog"), _splat_transform,
-          _node("@playcanvas/splat-transform")),
+    Judge(
+        "splat-transform",
+        ("ply", "splat", "spz", "spz4", "sog"),
+        _splat_transform,
+        _node("@playcanvas/splat-transform"),
+    ),
     Judge("gsply", ("ply", "spz", "spz4", "sog"), _gsply, _package("gsply")),
     Judge("gaussforge", ("ply", "splat", "spz", "sog"), _gaussforge, _package("gaussforge")),
-)  # fmt: skip
+)

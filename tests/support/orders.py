@@ -21,6 +21,12 @@ def small_order(folder: Path, device: str = "cpu") -> Order:
     Image.new("RGBA", (8, 8), "red").save(cutout)
     scene = Scene.named("drop").replaced({**FEW, "view.views": ["front"]})
     return Order(
-        visitor.folder, cutout, scene, visitor.new_stop_file(), 60, 10**6,
-        generator=str(folder / "ball.ply"), device=device,
-    )  # fmt: skip
+        visitor.folder,
+        cutout,
+        scene,
+        visitor.new_stop_file(),
+        60,
+        10**6,
+        generator=str(folder / "ball.ply"),
+        device=device,
+    )

@@ -68,17 +68,25 @@ def bound(name: str, g: Gaussians, data: bytes = b"") -> Errors:
         if "v2" in name:  # w is what x, y, z lack of 1, however small
             angle = 4 * np.sqrt(2 * np.sqrt(3) * 0.5 / 127.5)
         return Errors(
-            0.5 / 2**bits + FLOAT, angle + 1e-6, 0.5 / 16 + FLOAT, BYTE + 1e-6,
-            BYTE / 0.15 + FLOAT, (8 + 0.5) / 128 + FLOAT,
-        )  # fmt: skip
+            0.5 / 2**bits + FLOAT,
+            angle + 1e-6,
+            0.5 / 16 + FLOAT,
+            BYTE + 1e-6,
+            BYTE / 0.15 + FLOAT,
+            (8 + 0.5) / 128 + FLOAT,
+        )
     if name == "compressed-ply":
         box, logs = np.ptp(g.means, axis=0).max(), np.ptp(np.log(g.scales), axis=0).max()
         colours = np.ptp(g.sh[:, 0], axis=0).max()
         angle = smallest_three(np.sqrt(2) / 1023)
         return Errors(
-            0.5 * box / 1023 + FLOAT, angle + 1e-6, 0.5 * logs / 1023 + FLOAT, BYTE + 1e-6,
-            0.5 * colours / 255 + FLOAT, 8 / 256 + FLOAT,
-        )  # fmt: skip
+            0.5 * box / 1023 + FLOAT,
+            angle + 1e-6,
+            0.5 * logs / 1023 + FLOAT,
+            BYTE + 1e-6,
+            0.5 * colours / 255 + FLOAT,
+            8 / 256 + FLOAT,
+        )
     assert name == "sog"
     return _sog(g, data)
 
@@ -88,8 +96,9 @@ def _sog(g: Gaussians, data: bytes) -> Errors:
         meta = json.loads(archive.read("meta.json"))
     ends = np.array([meta["means"]["mins"], meta["means"]["maxs"]])
     far = float(np.expm1(np.abs(ends)).max())
-    codes = {name: np.array(meta[name]["codebook"]) for name in ("scales", "sh0", "shN")
-             if name in meta}  # fmt: skip
+    codes = {
+        name: np.array(meta[name]["codebook"]) for name in ("scales", "sh0", "shN") if name in meta
+    }
     rest = _nearest(codes["shN"], g.sh[:, 1:]) if "shN" in codes else 0.0
     return Errors(
         0.5 * float(np.ptp(ends, axis=0).max()) / 65535 * (1 + far) + FLOAT,

@@ -23,13 +23,19 @@ SOLIDS: dict[str, dict[str, Any]] = {
     "box": {"kind": "box", "lower": [-0.25, -0.3, -0.3], "upper": [0.3, 0.25, 0.2]},
     "sphere": {"kind": "sphere", "centre": [0.1, 0.05, 0.1], "radius": 0.3},
     "capsule": {"kind": "capsule", "start": [-0.4, 0, 0], "end": [0.4, 0.1, 0.1], "radius": 0.25},
-    "container": {"kind": "container",
-                  "inside": {"lower": [-0.4, -0.4, 0.1], "upper": [0.4, 0.4, 2]}},
+    "container": {
+        "kind": "container",
+        "inside": {"lower": [-0.4, -0.4, 0.1], "upper": [0.4, 0.4, 2]},
+    },
     "held": {"kind": "held", "upper": [10, 10, 0.3]},
-    "held cylinder": {"kind": "held", "lower": [-0.2, -0.2, -1], "upper": [0.2, 0.2, 2],
-                      "cylinder": "z"},
+    "held cylinder": {
+        "kind": "held",
+        "lower": [-0.2, -0.2, -1],
+        "upper": [0.2, 0.2, 2],
+        "cylinder": "z",
+    },
     "foot": {"kind": "foot"},
-}  # fmt: skip
+}
 OTHER_SOLIDS: dict[str, dict[str, Any]] = {
     "press": {"kind": "press", "top": 0.9, "down": 0.004},
     "gripper": {"kind": "gripper", "opening": 0.9, "closed": 0.6, "close": 0.004, "thick": 0.3},
@@ -50,10 +56,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
 FORCES: dict[str, dict[str, Any]] = {
     **{kind: {"kind": kind, **OPTIONS.get(kind, {})} for kind in forces.FORCES.by_name},
     "varying acceleration": {
-        "kind": "acceleration", "a": [0, 3, 0], "profile": {"kind": "sine", "frequency": 30.0},
+        "kind": "acceleration",
+        "a": [0, 3, 0],
+        "profile": {"kind": "sine", "frequency": 30.0},
     },
     "acceleration of a region": {"kind": "acceleration", "a": [0, 3, 0], "region": UPPER},
-}  # fmt: skip
+}
 OF_ONE = [name for name in preset_names() if not Scene.named(name).objects]
 """Presets of one object."""
 USUAL = "land_on_cushion"

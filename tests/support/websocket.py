@@ -18,10 +18,14 @@ class WebSocket:
         self.socket = socket.create_connection(("127.0.0.1", port), timeout=60)
         key = base64.b64encode(os.urandom(16)).decode()
         lines = [
-            f"GET {path} HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket",
-            "Connection: Upgrade", f"Sec-WebSocket-Key: {key}", "Sec-WebSocket-Version: 13",
+            f"GET {path} HTTP/1.1",
+            f"Host: 127.0.0.1:{port}",
+            "Upgrade: websocket",
+            "Connection: Upgrade",
+            f"Sec-WebSocket-Key: {key}",
+            "Sec-WebSocket-Version: 13",
             *headers,
-        ]  # fmt: skip
+        ]
         self.socket.sendall("".join(f"{line}\r\n" for line in [*lines, ""]).encode())
         self.stream = self.socket.makefile("rb")
         assert b"101" in self.stream.readline()

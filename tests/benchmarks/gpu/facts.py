@@ -61,7 +61,9 @@ if __name__ == "__main__":
     asked = device_asked(__doc__).device
     doctor = examine()
     for what, facts in (
-        ("doctor", doctor), ("nvidia-smi", smi()), ("warp", warp_facts(asked)),
+        ("doctor", doctor),
+        ("nvidia-smi", smi()),
+        ("warp", warp_facts(asked)),
         ("torch", torch_facts()),
-    ):  # fmt: skip
+    ):
         print(json.dumps({"what": what, "facts": facts}, default=str), flush=True)

@@ -48,9 +48,15 @@ def with_gsplat(g: Gaussians, camera: Camera, device: str) -> Callable[[], np.nd
 
     def draw() -> np.ndarray:
         rgb, _, _ = gsplat.rasterization(
-            *arrays, view, k, camera.width, camera.height,
-            sh_degree=g.sh_degree, backgrounds=white, rasterize_mode="classic",
-        )  # fmt: skip
+            *arrays,
+            view,
+            k,
+            camera.width,
+            camera.height,
+            sh_degree=g.sh_degree,
+            backgrounds=white,
+            rasterize_mode="classic",
+        )
         return rgb[0].cpu().numpy()
 
     return draw

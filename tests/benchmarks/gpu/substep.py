@@ -81,8 +81,14 @@ def main(count: int, device: str) -> None:
         start = time.perf_counter()
         us = pace(s, SUBSTEPS) * 1e6
         way = "graph" if graph else "host"
-        show(what="substep", by=way, particles=count, nodes=s.grid.count, us=us,
-             measured_s=time.perf_counter() - start)  # fmt: skip
+        show(
+            what="substep",
+            by=way,
+            particles=count,
+            nodes=s.grid.count,
+            us=us,
+            measured_s=time.perf_counter() - start,
+        )
         ends.append(s.state.x.numpy())
     show(what="graph against host", largest_distance_m=float(np.abs(ends[0] - ends[1]).max()))
 

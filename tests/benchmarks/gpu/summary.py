@@ -26,8 +26,16 @@ def summary(folder: Path, pieces: list[dict[str, Any]]) -> str:
     parts = ["# Evidence of one machine", _table(pieces), "## Estimates to beat"]
     parts += [f"- {card}: {words}" for card, words in ESTIMATES.items()]
     parts.append(f"- the paper, A40: clip {PAPER_CLIP} s, generators {PAPER_GENERATORS} s")
-    for piece in ("facts", "compiling", "substep", "clip", "pictures", "render", "physgaussian",
-                  "generators"):  # fmt: skip
+    for piece in (
+        "facts",
+        "compiling",
+        "substep",
+        "clip",
+        "pictures",
+        "render",
+        "physgaussian",
+        "generators",
+    ):
         rows = rows_of(folder, piece)
         if rows:
             parts += [f"## {piece.capitalize()}", *map(_table, _alike(rows))]

@@ -96,9 +96,14 @@ def truth(name: str) -> Truth:
         np.savez_compressed(file, **vars(made))
     with np.load(file) as kept:
         return Truth(
-            kept["front"], kept["pictures"], float(kept["depth"]), float(kept["volume"]),
-            kept["distances"], kept["side"], kept["back"],
-        )  # fmt: skip
+            kept["front"],
+            kept["pictures"],
+            float(kept["depth"]),
+            float(kept["volume"]),
+            kept["distances"],
+            kept["side"],
+            kept["back"],
+        )
 
 
 def _drawn(parts: Sequence[Part]) -> Truth:
@@ -113,10 +118,13 @@ def _drawn(parts: Sequence[Part]) -> Truth:
     ]
     views = [_picture(solid, Camera.orbit(*v, DISTANCE, SMALL, fov_y=WIDE))[0] for v in VIEWS]
     return Truth(
-        _rounded(picture), np.stack(views).astype(np.float32),
-        float(np.ptp(inside[:, 0])) + step, len(inside) * step**3,
-        along[::FINE, ::FINE].astype(np.float32), *map(_rounded, others),
-    )  # fmt: skip
+        _rounded(picture),
+        np.stack(views).astype(np.float32),
+        float(np.ptp(inside[:, 0])) + step,
+        len(inside) * step**3,
+        along[::FINE, ::FINE].astype(np.float32),
+        *map(_rounded, others),
+    )
 
 
 def _placed(parts: Sequence[Part]) -> Placed:
