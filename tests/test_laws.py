@@ -1,9 +1,13 @@
 """Each law by itself: closed forms, yield surfaces, flow rules, what it remembers."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import warp as wp
 
+from phy124.kernels.build import kernel
+from phy124.kernels.elastic import log_volume
 from phy124.materials import (
     Elastic,
     FixedCorotated,
@@ -318,3 +322,44 @@ def test_foam_solves_its_flow_rule_however_thin_it_is(n, viscosity, rng):
         elastic, after = TWINS["foam"].project(F, h, np.array(material.theta()), 1e-3)
         assert relative(ours.F, elastic, 1.0) < close
         assert relative(ours.history, after, 1.0) < close
+
+
+NEAR = np.concatenate([np.linspace(0.79, 1.21, 20_001), [0.8, 1.2]])
+FAR = np.concatenate([np.geomspace(1e-4, 1e4, 2001), np.linspace(-5, 1e-4, 101)])
+
+
+@cache
+def make_logs(real):
+    @kernel(f"phy124_test_log_volume_{real.__name__}")
+    def logs(J: wp.array(dtype=real), out: wp.array(dtype=real)):
+        out[wp.tid()] = log_volume(J[wp.tid()])
+
+    return logs
+
+
+def logs(values: np.ndarray, real) -> tuple[np.ndarray, np.ndarray]:
+    """The volume ratios as they are in that precision, and their logarithms."""
+    J = wp.array(values, dtype=real, device="cpu")
+    out = wp.empty_like(J)
+    wp.launch(make_logs(real), len(values), [J], [out], device="cpu")
+    return J.numpy().astype(float), out.numpy().astype(float)
+
+
+@pytest.mark.parametrize(("real", "error"), [(wp.float32, 3e-7), (wp.float64, 1e-15)])
+def test_near_one_it_is_the_logarithm_to_rounding(real, error):
+    J, found = logs(NEAR, real)
+    exact = np.log(J)
+    assert (np.abs(found - exact) <= error * np.abs(exact)).all()
+
+
+@pytest.mark.parametrize(("real", "error"), [(wp.float32, 1e-6), (wp.float64, 1e-14)])
+def test_far_away_it_goes_on_as_a_line(real, error):
+    J, found = logs(FAR, real)
+    line = np.log(1e-4) + (J - 1e-4) / 1e-4
+    exact = np.where(J > 1e-4, np.log(np.maximum(J, 1e-4)), line)
+    assert (np.abs(found - exact) <= error * np.abs(exact)).all()
+
+
+@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+def test_at_rest_it_is_nothing(real):
+    assert logs(np.ones(1), real)[1][0] == 0
