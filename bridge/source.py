@@ -63,9 +63,9 @@ class LiveOptions:
 
     def resolve(self) -> Scene:
         """The scene with all changes; it keeps velocities by default; raises InputError."""
-        from phy124.scene import Scene, assignments
+        from phy124.scene import Scene, parse_changes
 
-        return Scene.named(self.scene).replaced({"velocities": True, **assignments(self.set)})
+        return Scene.named(self.scene).replaced({"velocities": True, **parse_changes(self.set)})
 
 
 class LiveRun:

@@ -13,7 +13,7 @@ from phy124.generators.depth_map import DepthMap
 from phy124.generators.other_views import OtherViews
 from phy124.pipeline import check_sources
 from phy124.scene import PRESETS, Scene, ViewName, preset_names
-from phy124.scene.refusals import shortened
+from phy124.scene.refusals import shorten
 from phy124.section import Section
 
 from .catalogue import check_length
@@ -235,7 +235,7 @@ def _chosen(field: str, given: Any, known: list[str]) -> list[str]:
     """What was chosen of what there is; raises gr.Error if it is anything else."""
     unknown = [given] if not isinstance(given, list) else [x for x in given if x not in known]
     if unknown:
-        raise refusal(f"{field}: There is no {shortened(unknown[0])}. Give {' or '.join(known)}.")
+        raise refusal(f"{field}: There is no {shorten(unknown[0])}. Give {' or '.join(known)}.")
     return given
 
 

@@ -21,7 +21,7 @@ from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import cut_out as opened
 from phy124.io.axes import orientation
 from phy124.runtime.isolated import Deadline
-from phy124.scene.refusals import refusal
+from phy124.scene.refusals import explain
 from phy124.section import Section
 
 from .pictures import check_picture, cut_out, cutout_file, viewable
@@ -181,4 +181,4 @@ def _checked(section: type[Any], values: dict[str, Any]) -> Any:
     try:
         return section.model_validate(values)
     except ValidationError as error:
-        raise refusal(error, "known", section) from None
+        raise explain(error, "known", section) from None

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError
 from phy124.errors import InputError
 from phy124.runtime.cores import MOST_THREADS
 from phy124.runtime.device import CHOICES
-from phy124.scene.refusals import refusal
+from phy124.scene.refusals import explain
 from phy124.section import Section
 
 from .room import Room
@@ -113,7 +113,7 @@ class Settings(Section):
         try:
             return cls.model_validate(given)
         except ValidationError as error:
-            wrong = refusal(error, "settings", cls)
+            wrong = explain(error, "settings", cls)
             name = PREFIX + wrong.field.upper()
             if name not in environment:
                 name = dict(ALIASES).get(wrong.field, name)

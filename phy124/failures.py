@@ -146,10 +146,10 @@ def _refusal(problem: BaseException) -> InputError | None:
         return None
     from pydantic import ValidationError
 
-    from phy124.scene.refusals import refusal_of_options
+    from phy124.scene.refusals import explain_options
 
     try:
-        return refusal_of_options(problem) if isinstance(problem, ValidationError) else None
+        return explain_options(problem) if isinstance(problem, ValidationError) else None
     except LookupError:  # no section of options, but an error in the code
         return None
 

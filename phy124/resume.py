@@ -62,7 +62,7 @@ def save(
         InputError: If the folder is missing or no file can be made there.
         OSError: If there is no room.
     """
-    run.scene.refuse_nameless()
+    run.scene.require_serialisable()
     tensors: Tensors = {f"given.{name}": getattr(run.given, name) for name in GAUSSIANS}
     if run.given.object_id is not None:
         tensors[OBJECTS] = run.given.object_id

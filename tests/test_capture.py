@@ -239,7 +239,9 @@ def test_parts_count_the_gaussians_that_were_given():
 
 def test_surroundings_are_static_and_picked_by_number():
     for part in ({"region": {}, "static": True}, {"gaussians": [0, 5]}):
-        with pytest.raises(InputError, match="surroundings are static and picked by gaussians"):
+        with pytest.raises(
+            InputError, match="surroundings must be static and selected by gaussians"
+        ):
             Scene.from_data({"parts": [part | {"surroundings": True}]})
 
 

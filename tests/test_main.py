@@ -241,11 +241,11 @@ def test_scenes_and_effects_and_doctor_print(capsys):
         (["generate", str(DUCK), "--size", "64", "--size", "65"], "size = 65: it is given twice"),
         (
             ["generate", str(DUCK), "--set", "seed=1", "--set", "seed=2"],
-            "seed = 2: it is also asked to be 1. Give one of the two.",
+            "seed = 2: it is also set to 1. Give one of the two.",
         ),
         (
             ["generate", str(DUCK), "--frames", "3", "--set", "time.frames=4"],
-            "time.frames = 4: it is also asked to be 3.",
+            "time.frames = 4: it is also set to 3.",
         ),
         (["generate", str(DUCK), "--set", "speed"], "set = speed: it is not KEY=VALUE."),
         (["generate", str(DUCK), "--set", "materal.E=3"], "Did you mean material?"),

@@ -30,8 +30,8 @@ from phy124.forces import Force, Gravity
 from phy124.materials import FixedCorotated
 from phy124.mpm import Stage
 from phy124.scene import Part, Scene
-from phy124.scene.declaration import declaration
-from phy124.scene.reference import reference, schema
+from phy124.scene.declaration import read_declaration
+from phy124.scene.reference import format_reference, format_schema
 from phy124.simulation import Simulation
 from support.clips import random_clip
 from support.shapes import ball
@@ -103,9 +103,9 @@ def installed(monkeypatch):
     )
     register(monkeypatch, points)
     monkeypatch.setattr(EntryPoint, "load", lambda self: globals()[self.value.partition(":")[2]])
-    declaration.cache_clear()
+    read_declaration.cache_clear()
     yield
-    declaration.cache_clear()
+    read_declaration.cache_clear()
 
 
 def round_thing():
@@ -137,7 +137,7 @@ def test_what_they_are_they_say_themselves():
 def test_scene_with_unnamed_plugins_is_not_written():
     scene = own().replaced({"time.fps": 30})
     assert isinstance(scene.material, Rubber) and scene.time.fps == 30
-    with pytest.raises(InputError, match=r"Rubber.* which a file cannot name\. Register it"):
+    with pytest.raises(InputError, match=r"Rubber.* a scene file cannot name it\. Register it"):
         scene.to_toml()
 
 
@@ -147,7 +147,7 @@ def test_plugin_material_survives_scene_changes():
 
 
 def test_run_of_an_unwritable_scene_is_refused_first(tmp_path):
-    with pytest.raises(InputError, match="which a file cannot name"):
+    with pytest.raises(InputError, match="a scene file cannot name it"):
         pipeline.simulate(ball(300), own(), tmp_path / "out", progress=pytest.fail)
     assert not (tmp_path / "out").exists()
 
@@ -270,7 +270,7 @@ def test_the_sink_of_the_docs_sends_each_frame(monkeypatch, tmp_path):
 
 
 def test_plugins_appear_in_reference_schema_and_editor(installed):
-    page, told = reference(), json.loads(schema())
+    page, told = format_reference(), json.loads(format_schema())
     assert "## `material`: rubber\n\nA fixed corotated solid that keeps" in page
     assert "rigid, rubber, sand" in page
     assert "| `E` | a number from 1 to 1e9 |" in page

@@ -303,7 +303,7 @@ def test_stiffness_of_kind_array_is_read_as_properties(tmp_path):
     file = str(tmp_path / "f.npy")
     np.save(file, np.ones(3))
     old = {"stiffness": {"kind": "array", "file": file}}
-    with pytest.warns(FutureWarning, match="stiffness of kind array is an old name: it is read as"):
+    with pytest.warns(FutureWarning, match="stiffness of kind array is an old name for"):
         scene = Scene.from_data(old)
     assert scene == Scene.from_data({"properties": {"file": file}})
     with pytest.warns(FutureWarning, match="read as properties"):

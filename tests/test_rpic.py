@@ -172,7 +172,7 @@ def test_the_number_of_physgaussian_is_a_rate(golden):
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"transfer": "xpic2", "rpic_damping": 1}, "rpic_damping is for transfer = apic"),
+        ({"transfer": "xpic2", "rpic_damping": 1}, "rpic_damping needs transfer = apic"),
         ({"rpic_damping": -1}, "rpic_damping = -1: it must be a number from 0 to 1e6"),
         ({"rpic_damping": 1e7}, "rpic_damping = 10000000.0: it must be"),
     ],
@@ -189,7 +189,7 @@ def test_no_error_is_promised_and_viscous_work_is_not_split():
     data["checks"] = {"energy": True}
     Scene.from_data(data)
     data["material"]["damping"] = 5
-    with pytest.raises(InputError, match=r"rpic_damping and a material that rubs inside"):
+    with pytest.raises(InputError, match=r"rpic_damping and a viscous material"):
         Scene.from_data(data)
 
 

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 from phy124.boundaries import Sphere
 from phy124.errors import InputError
 from phy124.forces import Wind
-from phy124.scene import PRESETS, AccuracyName, Scene, Timing, parse_value, preset_names, summary
+from phy124.scene import PRESETS, AccuracyName, Scene, Timing, parse_value, preset_names, summarise
 from phy124.tracks import Sine
 from reference.material_point import KINDS
 
@@ -61,7 +61,7 @@ def test_a_scene_cannot_be_changed():
         ),
         (
             {"forces": [{"g": [0, 0, 1]}]},
-            "forces.0.kind = nothing: it must say its kind. Give one of",
+            "forces.0.kind = nothing: its kind is missing. Give one of",
         ),
         (
             {"material": "sand"},
@@ -72,8 +72,8 @@ def test_a_scene_cannot_be_changed():
             {"accuracy": {"box": 1}},
             "accuracy.box = 1: there is no such key. Known keys: blend, cells, cfl",
         ),
-        ({"accuracy": {"binding": 1}}, "there is no such key here. binding stands at the top"),
-        ({"stiffness": {"kind": "picture"}}, "stiffness.file = nothing: it must be given: text"),
+        ({"accuracy": {"binding": 1}}, "there is no such key here. binding belongs at the top"),
+        ({"stiffness": {"kind": "picture"}}, "stiffness.file = nothing: it is required: text"),
         ({"accuracy": "standart"}, "it must be one of draft, .* Did you mean standard"),
         (
             {"forces": [{"kind": "wind", "profile": {"kind": "sine", "freq": 2}}]},
@@ -93,12 +93,12 @@ def test_a_scene_cannot_be_changed():
             {"view": {"views": ["frnt"]}},
             "view.views.0 = frnt: it must be one of .* Did you mean front",
         ),
-        ({"view": {"views": []}}, "views must name at least one view"),
+        ({"view": {"views": []}}, "there must be at least one view"),
         (
             {"view": {"background": [0, 2, 0]}},
             "view.background.1 = 2: it must be a number from 0 to 1",
         ),
-        ({"view": {"background": "graay"}}, "CSS knows no colour of that name. Did you mean gray"),
+        ({"view": {"background": "graay"}}, "this is not a CSS colour name. Did you mean gray"),
         ({"object": {"size": float("nan")}}, "object.size = nan: it must be a number"),
         (
             {"forces": [{"kind": "gravity", "start": 2, "end": 1}]},
@@ -247,14 +247,14 @@ def test_values_are_written_as_in_toml(text, value):
 def test_a_scene_is_said_in_one_line():
     part = {"region": {"upper": [0, 0, 0]}, "static": True}
     scene = Scene.named("press").replaced({"material.law": "foam", "parts": [part]})
-    said = summary(scene)
+    said = summarise(scene)
     assert said.startswith("foam (density ")
     assert "viscosity 50 Pa s^n, flow_index 0.7); parts static; gravity; ground, press" in said
     assert said.endswith(
         "1 m over 32 cells, 1.5 particles per cell and axis, float32, "
-        "Gaussians riding on a lattice of particles; 22 frames at 24/s"
+        "Gaussians on a lattice of particles; 22 frames at 24/s"
     )
-    assert "every Gaussian a particle;" in summary(scene.replaced({"binding": "particles"}))
+    assert "each Gaussian a particle;" in summarise(scene.replaced({"binding": "particles"}))
     assert "\n" not in said
 
 
@@ -295,12 +295,12 @@ def test_a_length_in_seconds_is_so_many_frames():
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"time.seconds": 3, "time.frames": 4}, "time.frames = 4 says how long it is as well"),
-        ({"time": {"seconds": 3, "frames": 4}}, "frames and seconds both say how long it is"),
+        ({"time.seconds": 3, "time.frames": 4}, "time.frames = 4 sets the length, too"),
+        ({"time": {"seconds": 3, "frames": 4}}, "frames and seconds both set the length"),
         ({"time.seconds": 0}, "time.seconds = 0: it must be a number from 0.001"),
         ({"time.seconds": "long"}, "time.seconds = long: it must be a number"),
         ({"time.seconds": 9999}, "time.frames = 239976: it must be a whole number from 1"),
-        ({"view.speed": 0.5, "view.fps": 12}, "fps and speed both say how fast it plays"),
+        ({"view.speed": 0.5, "view.fps": 12}, "fps and speed both set the playback rate"),
         ({"view.speed": 0}, "view.speed = 0: it must be a number from 0.001"),
     ],
 )

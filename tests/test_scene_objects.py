@@ -20,7 +20,7 @@ from phy124.monitor.pieces import Pieces
 from phy124.particles import Particles, bounds
 from phy124.particles.scenery import Scenery
 from phy124.scene import Pair, Scene
-from phy124.scene.objects import pair_of
+from phy124.scene.objects import find_pair
 from phy124.simulation import Simulation
 from phy124.simulation.bodies import notes
 from support.clips import random_clip
@@ -66,7 +66,7 @@ def run(few_gaussians) -> Simulation:
         ({"objects": [{"name": "object"}]}, "two objects are called object. Give each its own"),
         ({"objects": [{"name": "any"}]}, "no object can be called any"),
         ({"objects": [{"name": "a b"}]}, "objects.0.name = a b: it must be text"),
-        ({"objects": [{}]}, "objects.0.name = nothing: it must be given"),
+        ({"objects": [{}]}, "objects.0.name = nothing: it is required"),
         ({"objects": [{"name": "a", "on": "b"}]}, "no object is called b. There are floor, "),
         ({"object": {"on": "object"}}, "object stands on object, which stands on it"),
         ({"objects": [{**BOX, "picture": "a.png"}]}, "box has picture and shape. Give one of them"),
@@ -94,9 +94,9 @@ def test_a_scene_of_one_object_is_written_as_ever():
 def test_the_entry_that_names_most_decides_about_a_pair():
     some = [Pair(friction=0.1), Pair(between=("a", "any"), friction=0.2)]
     some.append(Pair(between=("b", "a"), contact="sticky"))
-    found = [pair_of(some, *two) for two in (("a", "b"), ("c", "a"), ("b", "c"))]
+    found = [find_pair(some, *two) for two in (("a", "b"), ("c", "a"), ("b", "c"))]
     assert found == [some[2], some[1], some[0]]
-    assert pair_of([], "a", "b").friction == 0.5
+    assert find_pair([], "a", "b").friction == 0.5
 
 
 @pytest.mark.parametrize("name", ["sphere", "box", "capsule"])

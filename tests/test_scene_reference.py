@@ -7,7 +7,7 @@ import pytest
 
 from phy124.__main__ import main
 from phy124.scene import Scene
-from phy124.scene.reference import EXAMPLE, reference, schema
+from phy124.scene.reference import EXAMPLE, format_reference, format_schema
 from support.declared import leaves
 
 PAGE = Path(__file__).parents[1] / "docs/reference/scene.md"
@@ -15,7 +15,7 @@ PAGE = Path(__file__).parents[1] / "docs/reference/scene.md"
 
 def test_the_page_is_the_declaration_s():
     told = "run `phy124 scenes --reference > docs/reference/scene.md`"
-    assert PAGE.read_text("utf-8") == reference(), told
+    assert PAGE.read_text("utf-8") == format_reference(), told
 
 
 def test_the_example_is_a_scene(tmp_path):
@@ -27,11 +27,11 @@ def test_the_example_is_a_scene(tmp_path):
 
 @pytest.mark.parametrize("kind", ["gripper", "wind", "snow", "keyframes", "gradient", "swing"])
 def test_every_kind_has_a_table(kind):
-    assert f": {kind}\n" in reference()
+    assert f": {kind}\n" in format_reference()
 
 
 def test_every_field_says_what_it_is_and_shows_a_value():
-    rows = [line.split(" | ") for line in reference().splitlines() if line.startswith("| `")]
+    rows = [line.split(" | ") for line in format_reference().splitlines() if line.startswith("| `")]
     assert len(rows) > 200
     for field, wanted, default, about in rows:
         assert len(about) > 5 and wanted, field
@@ -40,7 +40,7 @@ def test_every_field_says_what_it_is_and_shows_a_value():
 
 
 def test_editors_get_a_schema_of_everything():
-    told = json.loads(schema())
+    told = json.loads(format_schema())
     assert told["$schema"].startswith("https://json-schema.org/")
     assert told["properties"]["object"] and "Snow" in told["$defs"]
 
@@ -48,7 +48,7 @@ def test_editors_get_a_schema_of_everything():
 def test_the_reference_as_json_is_the_schema(capsys):
     for options in (["--reference", "--json"], ["--schema"], ["--schema", "--json"]):
         assert main(["scenes", *options]) == 0
-        assert json.loads(capsys.readouterr().out) == json.loads(schema())
+        assert json.loads(capsys.readouterr().out) == json.loads(format_schema())
 
 
 def test_examples_are_legal():

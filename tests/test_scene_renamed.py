@@ -29,11 +29,11 @@ def test_old_names_give_the_same_scene_with_notes(tmp_path):
         scene = Scene.from_toml(tmp_path / "old.toml")
     assert scene == Scene.from_data(NEW)
     assert sorted(str(note.message) for note in notes) == [
-        "binding = field is an old name: it is read as binding = lattice.",
-        "kind = field is an old name: it is read as kind = zone.",
-        "patience is an old name: it is read as budget.",
-        "ppc is an old name: it is read as particles_per_axis.",
-        "share is an old name: it is read as fraction.",
+        "binding = field is an old name for binding = lattice.",
+        "kind = field is an old name for kind = zone.",
+        "patience is an old name for budget.",
+        "ppc is an old name for particles_per_axis.",
+        "share is an old name for fraction.",
     ]
 
 

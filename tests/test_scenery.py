@@ -162,7 +162,7 @@ def test_refusals():
     with pytest.raises(InputError, match="every Gaussian is static"):
         Simulation(ball(COUNT), drop(everything))
     both = {"static": True, "region": {}, "material": {"law": "sand"}}
-    with pytest.raises(InputError, match="a static part is made of nothing"):
+    with pytest.raises(InputError, match="a static part has no material"):
         drop({"parts": [both]})
     chosen = drop(PAIR | STATIC)
     assert Scene.from_data(chosen.data()) == chosen

@@ -8,7 +8,7 @@ from demo.settings import Settings
 from phy124.errors import InputError
 from phy124.generators.other_views import OtherViews
 from phy124.scene import Scene
-from phy124.scene.depth import DEEPEST
+from phy124.scene.files import DEEPEST
 
 BOOLEAN, NUMBER = "it must be true or false", "number"
 

@@ -56,7 +56,7 @@ def steered(
     from phy124.accuracy.promises import promise
     from phy124.live import Live, held_rate
     from phy124.runtime.device import pick_device
-    from phy124.scene import assignments
+    from phy124.scene import parse_changes
 
     refuse_unopened(source)
     # A user need not see Warp's messages while it compiles.
@@ -65,7 +65,7 @@ def steered(
     gaussians, scene = _object(source, options, device)
     scene = scene.replaced({"velocities": velocities})
     given = {"device": device, "threads": options.threads}
-    if "accuracy" in {name.split(".")[0] for name in assignments(options.set)}:
+    if "accuracy" in {name.split(".")[0] for name in parse_changes(options.set)}:
         said = f"{scene.resolution.cells} cells across the object. {promise(scene).brief}"
         return Live(gaussians, scene, **given), said
     rate, error = max(speed, 0.01), options.max_error
@@ -76,9 +76,9 @@ def steered(
 def _object(source: Path, options: SteeredOptions, device: str) -> tuple[Gaussians, Scene]:
     """The object at rest, and what happens to it."""
     from phy124.progress import silent
-    from phy124.scene import Scene, assignments
+    from phy124.scene import Scene, parse_changes
 
-    changes = assignments(options.set)
+    changes = parse_changes(options.set)
     if source.suffix == CLIP:
         clip = opened(source)
         own = Scene.from_data(clip.scene) if clip.scene and not options.scene else None

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from phy124.errors import InputError
-from phy124.scene.refusals import refusal, shortened
+from phy124.scene.refusals import explain, shorten
 from phy124.section import Section
 
 from ..settings import Settings
@@ -42,8 +42,8 @@ def asked_of(given: Any, settings: Settings) -> Asked:
     # Before what is declared, which is for programs of any machine.
     if isinstance(known["seconds"], int | float) and known["seconds"] > most:
         limit = f"One fit may take {most:g} s here."
-        raise InputError("seconds", shortened(known["seconds"]), limit, "Give it less time.")
+        raise InputError("seconds", shorten(known["seconds"]), limit, "Give it less time.")
     try:
         return Asked.model_validate(known)
     except ValidationError as error:
-        raise refusal(error, "fit", Asked) from None
+        raise explain(error, "fit", Asked) from None

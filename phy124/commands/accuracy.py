@@ -21,7 +21,7 @@ from phy124.io.formats import is_file_of_gaussians
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress
 from phy124.runtime.device import pick_device
-from phy124.scene import Scene, assignments
+from phy124.scene import Scene, parse_changes
 from phy124.weights.store import looking_in
 
 KEPT = "the results are those of the settings that were run"
@@ -62,7 +62,7 @@ class ShowAccuracy:
             raise InputError(
                 "scene", "none", "there is nothing to study.", "Name a preset, or add --verify."
             )
-        return self._study(Scene.named(self.scene).replaced(assignments(self.set)))
+        return self._study(Scene.named(self.scene).replaced(parse_changes(self.set)))
 
     def _verify(self) -> int:
         from phy124.accuracy.verify import verify

@@ -16,7 +16,7 @@ from phy124.fit import Fit as Declared
 from phy124.fit import Outlook, fit, forecast
 from phy124.fit.declaration import found_in
 from phy124.runtime.cores import cores
-from phy124.scene import assignments
+from phy124.scene import parse_changes
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Fit:
             data["align"] = True
         if self.grids is not None:
             data["grids"] = [part for part in self.grids.split(",") if part.strip()]
-        for name, given in (("find", found_in(self.find)), ("set", assignments(self.set))):
+        for name, given in (("find", found_in(self.find)), ("set", parse_changes(self.set))):
             if given:
                 data[name] = {**data.get(name, {}), **given}
         if not data.get("find"):

@@ -11,7 +11,15 @@ import tyro
 from phy124.errors import InputError
 from phy124.generators import known
 from phy124.runtime.device import CHOICES
-from phy124.scene import AccuracyName, Scene, Timing, View, assignments, parse_value, together
+from phy124.scene import (
+    AccuracyName,
+    Scene,
+    Timing,
+    View,
+    merge_changes,
+    parse_changes,
+    parse_value,
+)
 from phy124.scene.changes import LENGTH
 from phy124.scene.files import read_toml
 from phy124.scene.view import StageName
@@ -139,7 +147,7 @@ class SceneOptions:
             "seed": self.seed,
         }
         changes = {path: value for path, value in chosen.items() if value is not None}
-        changes = together({**changes, **self.view.changes()}, assignments(self.set))
+        changes = merge_changes({**changes, **self.view.changes()}, parse_changes(self.set))
         scene = Scene.named(self.scene)
         if self.fps is not None and changes.keys().isdisjoint(LENGTH):
             changes["time.seconds"] = scene.time.length

@@ -15,7 +15,7 @@ from phy124.generators.effort import Effort
 from phy124.imaging.painted import Crop
 from phy124.limits import stiffest_part
 from phy124.runtime.stopwatch import Stopwatch
-from phy124.scene import Scene, summary
+from phy124.scene import Scene, summarise
 
 STOOD_IN = "The seconds after the generator are those of an object that relief made in its place."
 
@@ -61,7 +61,7 @@ def announce(scene: Scene, *, as_json: bool) -> None:
     """Print what is about to run and what makes it slow."""
     if as_json:
         return
-    print(f"scene: {summary(scene)}", flush=True)
+    print(f"scene: {summarise(scene)}", flush=True)
     stiff = stiffest_part(scene)
     if stiff:
         print(f"note: {stiff}", flush=True)

@@ -20,7 +20,7 @@ from phy124.rendering.film import choppy, film, refuse_missing_writers
 from phy124.rendering.framing import framing
 from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import pick_device
-from phy124.scene import Scene, assignments, together
+from phy124.scene import Scene, merge_changes, parse_changes
 
 if TYPE_CHECKING:
     from phy124.rendering.compose import Photograph
@@ -51,9 +51,13 @@ class Render:
         refuse_threads(self.threads)
         clip = Clip.load(self.clip)
         changes = self.view.changes()
-        given = assignments(self.set).items()
+        given = parse_changes(self.set).items()
         others = {f"view.{key.removeprefix('view.')}": value for key, value in given}
-        view = Scene.from_data(clip.scene, str(self.clip)).replaced(together(changes, others)).view
+        view = (
+            Scene.from_data(clip.scene, str(self.clip))
+            .replaced(merge_changes(changes, others))
+            .view
+        )
         out = self.out or self.clip.parent
         refuse_missing_writers(view)
         photograph = self._photograph()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import tyro
 
 from phy124.scene import Scene, preset_names
-from phy124.scene.reference import reference, schema
+from phy124.scene.reference import format_reference, format_schema
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Scenes:
     def run(self) -> int:
         """Print the list, the preset or the reference."""
         if self.reference or self.schema:
-            print(schema() if self.schema or self.json else reference(), end="")
+            print(format_schema() if self.schema or self.json else format_reference(), end="")
             return 0
         if self.name is not None:
             scene = Scene.named(self.name)

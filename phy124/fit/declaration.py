@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError
 
 from phy124.errors import InputError
 from phy124.scene.files import read_toml
-from phy124.scene.refusals import refusal
+from phy124.scene.refusals import explain
 from phy124.section import Section
 from phy124.sweep.axes import LogUniform, Uniform
 
@@ -118,7 +118,7 @@ class Fit(Section):
         try:
             return cls.model_validate(data)
         except ValidationError as error:
-            raise refusal(error, source, cls) from None
+            raise explain(error, source, cls) from None
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def generate(
         Cancelled: `progress` raised it.
     """
     refuse_threads(threads)
-    scene.refuse_nameless()
+    scene.require_serialisable()
     refuse_missing(scene)
     check_sources(scene, split(image)[1])
     refuse_unfilmable(scene)
@@ -154,7 +154,7 @@ def simulate(
         Incomplete: Not all could be computed or written; it says what is kept, and where.
         Cancelled: `progress` raised it.
     """
-    scene.refuse_nameless()
+    scene.require_serialisable()
     refuse_missing(scene)
     if films:
         refuse_unfilmable(scene)

@@ -65,7 +65,7 @@ def _narrowed(poses: Poses, zoom: float) -> Poses:
     """The same with a view that shows a part of what it showed, once as large."""
     if zoom == 1:
         return poses
-    return poses.changed(fov=np.degrees(2 * np.arctan(np.tan(np.radians(poses.fov) / 2) / zoom)))
+    return poses.replace(fov=np.degrees(2 * np.arctan(np.tan(np.radians(poses.fov) / 2) / zoom)))
 
 
 def _placed(view: View, poses: Poses, radii: Values, targets: Values) -> list[Camera]:
@@ -93,7 +93,7 @@ def _poses(clip: Clip, view: View, side: str) -> Poses:
     if camera is not None:
         times = clip.times - clip.times[0]
         return camera.poses(times, _length(clip), still)
-    return still.changed(azimuth=np.arange(count) * 360 / count) if side == "orbit" else still
+    return still.replace(azimuth=np.arange(count) * 360 / count) if side == "orbit" else still
 
 
 def _length(clip: Clip) -> float:

@@ -1,11 +1,11 @@
 """Everything a user can choose: the scene, its sections, its presets."""
 
 from phy124.scene.accuracies import GOOD_FOR, PRESETS, Accuracy, AccuracyName
-from phy124.scene.changes import assignments, parse_value, together
+from phy124.scene.changes import merge_changes, parse_changes, parse_value
 from phy124.scene.objects import Pair, SceneObject
 from phy124.scene.scene import Scene, preset_names
 from phy124.scene.sections import Checks, Object, Part, Timing
-from phy124.scene.summary import summary
+from phy124.scene.summary import summarise
 from phy124.scene.view import Format, View, ViewName
 from phy124.section import Section
 
@@ -25,9 +25,9 @@ __all__ = [
     "Timing",
     "View",
     "ViewName",
-    "assignments",
+    "merge_changes",
+    "parse_changes",
     "parse_value",
     "preset_names",
-    "summary",
-    "together",
+    "summarise",
 ]

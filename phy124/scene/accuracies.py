@@ -19,11 +19,11 @@ class Accuracy(Section):
         ge=1,
         le=4,
         examples=[2.0],
-        description="Particles per cell and axis inside the object; absent: as many as its "
-        "materials need, 2 for elastic ones and liquids, 1.5 for plastic and granular ones.",
+        description="Particles per cell and axis inside the object; absent: 2 for elastic "
+        "materials and fluids, 1.5 for plastic and granular ones.",
     )
     cfl: float = Field(
-        default=0.75, ge=0.01, le=0.9, description="Fraction of the stable substep used."
+        default=0.75, ge=0.01, le=0.9, description="Substep as a fraction of the stable limit."
     )
     precision: Literal["float32", "float64"] = Field(
         default="float32", description="Floating-point precision of the simulation."
@@ -31,99 +31,93 @@ class Accuracy(Section):
     transfer: Literal["apic", "aflip", "xpic2", "xpic3", "xpic4", "xpic5"] = Field(
         default="apic",
         exclude_if=lambda value: value == "apic",
-        description="How velocities come back from the grid: apic damps most and costs least; "
-        "xpic2 to xpic5 damp vibrations less for 2 to 5 more passes over the grid; aflip takes one "
-        "and leaves noise. Only apic keeps the angular momentum of what spins.",
+        description="Transfer of velocities between particles and grid. apic damps most and costs "
+        "least; xpic2 to xpic5 damp vibrations less for 2 to 5 more passes over the grid; aflip "
+        "takes one more pass and leaves noise. Only apic conserves angular momentum.",
     )
     blend: float = Field(
         default=0.95,
         ge=0,
         le=1,
         exclude_if=lambda value: value == 0.95,
-        description="How much aflip keeps of what the grid does not carry; no other transfer "
-        "reads it.",
+        description="Fraction that aflip keeps of the velocities that the grid cannot represent; "
+        "for transfer = aflip only.",
     )
     gradient: Literal["affine", "spline"] = Field(
         default="affine",
         exclude_if=lambda value: value == "affine",
-        description="Where stress and strain come from: affine takes the fit around each particle "
-        "(MLS-MPM), with which what bends through several cells is too soft; spline takes the "
-        "gradients of the weights, for 1.7 to 4 times the time. For transfer = apic.",
+        description="Velocity gradient for stress and strain. affine: the affine fit around each "
+        "particle (MLS-MPM), with which objects that bend over several cells are too soft. spline: "
+        "gradients of the weights, which takes 1.7 to 4 times as long; for transfer = apic only.",
     )
     rpic_damping: float = Field(
         default=0.0,
         ge=0,
         le=1e6,
         exclude_if=lambda value: value == 0,
-        description="Rate at which the symmetric part of each particle's C dies away, for apic "
-        "[1/s]; spin stays. PhysGaussian's number r at its substep dt is -ln(1 - r)/dt. It damps "
-        "as a viscosity of rate density dx^2/8, so that its effect depends on the grid; substeps "
-        "are 0.71 times as long.",
+        description="Rate at which the symmetric part of each particle's C decays, for apic only "
+        "[1/s]. PhysGaussian's r at a substep dt is -ln(1 - r)/dt. It acts like a viscosity of "
+        "rate x density x dx^2/8, so its effect depends on the grid. Substeps become 0.71 times "
+        "as long.",
     )
 
     @property
     def fraction(self) -> float:
-        """Fraction of the elastic limit that substeps take."""
+        """Length of a substep as a fraction of the elastic limit."""
         return beside_rpic(self.cfl) if self.rpic_damping > 0 else self.cfl
 
     @property
     def passes(self) -> int:
-        """How often velocities go over the grid once more in each substep."""
+        """Number of additional passes over the grid in each substep."""
         order = self.transfer.removeprefix("xpic")
         return int(order) if order.isdigit() else int(order == "aflip")
 
     @property
     def share(self) -> float:
-        """How much of what the grid does not carry the particles keep."""
+        """Fraction that particles keep of the velocities that the grid cannot represent."""
         return self.blend if self.transfer == "aflip" else 1.0
 
 
 NAMED = {
     "draft": (
         Accuracy(cells=16),
-        "looking at a motion before it is made well: thin places bend as if they were thicker "
-        "by a part of a cell, and a cell is 6 % of the object",
+        "a first look at a motion: thin parts bend as if they were thicker by a fraction of a "
+        "cell, and a cell is 6 % of the object",
     ),
     "standard": (
         Accuracy(cells=32),
-        "most: cells half as wide bend more truly; a smaller substep would not help, for what "
-        "transfers lose per step does not depend on it",
+        "most purposes: cells are half as wide, so bending is more accurate; a smaller substep "
+        "would not help, since the loss per transfer does not depend on it",
     ),
     "fine": (
         Accuracy(cells=48, precision="float64"),
-        "what shall be right: cells a third as wide, and double precision so that rounding is no "
-        "question",
+        "final results: cells are a third as wide, and double precision removes rounding errors",
     ),
 }
-"""The named accuracies and what each is good for (measured in docs/results/accuracy.md).
-
-measured.json has their errors by law and kind of motion.
-"""
+"""Name -> settings and purpose. docs/results/accuracy.md has the measured errors."""
 PRESETS = {name: accuracy for name, (accuracy, _) in NAMED.items()}
 GOOD_FOR = {name: use for name, (_, use) in NAMED.items()}
 AccuracyName = Literal["draft", "standard", "fine"]
 
 
 def check_transfer(accuracy: Accuracy) -> None:
-    """Refuse a blend that no transfer reads, and what only one transfer has.
+    """Refuse settings that the chosen transfer does not support.
 
     Raises:
-        ValueError: A blend was given, and the transfer is not aflip; or it is not apic, and C is
-            damped or the gradient is not affine.
+        ValueError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic.
     """
-    if accuracy.rpic_damping > 0 and accuracy.transfer != "apic":
+    transfer = accuracy.transfer
+    if accuracy.rpic_damping > 0 and transfer != "apic":
         raise ValueError(
-            f"accuracy.rpic_damping is for transfer = apic, and this one is {accuracy.transfer}, "
-            "which gives back what the grid forgets; leave one of the two out"
+            f"accuracy.rpic_damping needs transfer = apic, not {transfer}; leave one of the two out"
         )
-    if accuracy.gradient != "affine" and accuracy.transfer != "apic":
+    if accuracy.gradient != "affine" and transfer != "apic":
         raise ValueError(
-            f"accuracy.gradient = {accuracy.gradient} is for transfer = apic, and this one is "
-            f"{accuracy.transfer}; leave one of the two out"
+            f"accuracy.gradient = {accuracy.gradient} needs transfer = apic, not {transfer}; leave "
+            "one of the two out"
         )
-    usual = Accuracy.model_fields["blend"].default
-    if accuracy.blend != usual and accuracy.transfer != "aflip":
+    if accuracy.blend != Accuracy.model_fields["blend"].default and transfer != "aflip":
         raise ValueError(
-            f"accuracy.blend is for transfer = aflip, and this one is {accuracy.transfer}; leave "
-            "blend out or set the transfer"
+            f"accuracy.blend needs transfer = aflip, not {transfer}; leave blend out or set the "
+            "transfer"
         )

@@ -1,8 +1,8 @@
 """Cameras of a view: on a turntable, on a dolly, or along a path of keys.
 
-Angles are the view's: azimuth 0 is the front, 90 the right, elevation looks down from above.
-Distances and targets are in object sizes, so that a camera fits any object. What a camera leaves
-out is as the view has it.
+Angles are those of the view: azimuth 0 is the front, 90 the right; positive elevation looks down.
+Distances and targets are in object sizes, so that a camera fits any object. Values that a camera
+leaves out come from the view.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Name = Annotated[str, Field(pattern="^[a-z][a-z0-9_-]*$", max_length=40)]
 
 
 class Poses(NamedTuple):
-    """Where a camera stands in each frame, around the middle of the object."""
+    """Camera poses for all frames, relative to the object's centre."""
 
     azimuth: Values
     """Degrees [T]."""
@@ -40,13 +40,13 @@ class Poses(NamedTuple):
     fov: Values
     """Vertical field of view, degrees [T]."""
     target: Values
-    """Point looked at, from the middle of the object, object sizes [T,3]."""
+    """Point looked at, relative to the object's centre, object sizes [T,3]."""
 
     @classmethod
     def still(
         cls, count: int, azimuth: float, elevation: float, distance: float, fov: float
     ) -> Poses:
-        """The same for all frames.
+        """Return poses of a camera that does not move.
 
         Args:
             count: Number of frames.
@@ -58,16 +58,18 @@ class Poses(NamedTuple):
         a, e, d, f = (np.full(count, value) for value in (azimuth, elevation, distance, fov))
         return cls(a, e, d, f, np.zeros((count, 3)))
 
-    def changed(self, **values: ArrayLike | None) -> Poses:
-        """The same with other values, each a number or an array; None leaves one as it is."""
-        given = {name: value for name, value in values.items() if value is not None}
-        return self._replace(
-            **{n: np.broadcast_to(value, getattr(self, n).shape) for n, value in given.items()}
-        )
+    def replace(self, **values: ArrayLike | None) -> Poses:
+        """Return poses with other values, each a number or an array; None changes nothing."""
+        changes = {
+            name: np.broadcast_to(value, getattr(self, name).shape)
+            for name, value in values.items()
+            if value is not None
+        }
+        return self._replace(**changes)
 
 
 class _Circling(Section):
-    """What cameras have in common that stand around a point."""
+    """Fields shared by the cameras that stand around a point."""
 
     elevation: Elevation | None = Field(
         default=None, examples=[30], description="Height angle [deg]; absent: the view's."
@@ -77,17 +79,17 @@ class _Circling(Section):
     )
     target: Target = Field(
         default=(0.0, 0.0, 0.0),
-        description="Point looked at, from the object's middle [object sizes].",
+        description="Point looked at, relative to the object's centre [object sizes].",
     )
 
     @property
     def end(self) -> float:
-        """When its way ends [s]: it takes the time there is."""
+        """Time at which its path ends [s]; 0, since it adapts to the clip's length."""
         return 0.0
 
 
 class TurntableCamera(_Circling):
-    """Circles the object at a constant rate, once round in the clip unless told otherwise."""
+    """Circles the object at a constant rate, by default once in the clip."""
 
     kind: Literal["turntable"] = "turntable"
     name: Name = Field(default="turntable", description="Name of its files.")
@@ -101,22 +103,24 @@ class TurntableCamera(_Circling):
 
     @property
     def chosen(self) -> bool:
-        """Whether what it shows was chosen apart from the view: distance, opening or target."""
+        """Whether distance, field of view or target differ from the view's."""
         return self.distance is not None or self.fov is not None or any(self.target)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Where it stands at some instants.
+        """Return the camera's poses at some times.
 
         Args:
-            times: Instants since the first frame [T], s.
+            times: Times since the first frame [T], s.
             length: Length of the clip [s]; a whole turn ends where it began.
-            usual: As the view has it.
+            usual: Poses of the view, for the values that this camera leaves out.
         """
-        azimuth = self.start + 360 * self.turns * times / length
-        return usual.changed(
-            azimuth=azimuth, elevation=self.elevation, distance=self.distance, fov=self.fov,
+        return usual.replace(
+            azimuth=self.start + 360 * self.turns * times / length,
+            elevation=self.elevation,
+            distance=self.distance,
+            fov=self.fov,
             target=self.target,
-        )  # fmt: skip
+        )
 
 
 class DollyCamera(_Circling):
@@ -126,31 +130,34 @@ class DollyCamera(_Circling):
     name: Name = Field(default="dolly", description="Name of its files.")
     first: Distance = Field(default=3.0, description="Distance at the start, in object sizes.")
     last: Distance = Field(default=1.2, description="Distance at the end, in object sizes.")
-    azimuth: Turn = Field(default=0.0, description="Side it stands on [deg].")
+    azimuth: Turn = Field(default=0.0, description="Side on which it stands [deg].")
 
     @property
     def chosen(self) -> bool:
-        """Its distances always are."""
+        """True: its distances are always set."""
         return True
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Where it stands at some instants.
+        """Return the camera's poses at some times.
 
         Args:
-            times: Instants since the first frame [T], s.
-            length: Length of the clip [s]; the way ends with the last frame.
-            usual: As the view has it.
+            times: Times since the first frame [T], s; the path ends with the last one.
+            length: Length of the clip [s], not used.
+            usual: Poses of the view, for the values that this camera leaves out.
         """
         del length
         end = float(times[-1]) or 1.0
-        return usual.changed(
-            azimuth=self.azimuth, elevation=self.elevation, fov=self.fov, target=self.target,
-            distance=smooth(times, (0.0, end), (self.first, self.last)),
-        )  # fmt: skip
+        return usual.replace(
+            azimuth=self.azimuth,
+            elevation=self.elevation,
+            fov=self.fov,
+            target=self.target,
+            distance=interpolate(times, (0.0, end), (self.first, self.last)),
+        )
 
 
 class CameraKey(Section):
-    """Where a camera on a path stands at an instant; what is left out has no key there."""
+    """A key of a camera path: a time and the values that the camera has then."""
 
     time: Instant = Field(default=0.0, description="Motion since the first frame [s].")
     azimuth: Turn | None = Field(
@@ -170,12 +177,12 @@ class CameraKey(Section):
     target: Target | None = Field(
         default=None,
         examples=[[0.0, 0.0, 0.2]],
-        description="Point looked at, from the object's middle [object sizes].",
+        description="Point looked at, relative to the object's centre [object sizes].",
     )
 
 
 class PathCamera(Section):
-    """Goes smoothly through keys, without overshooting them, and rests before and after."""
+    """Moves smoothly through keys without overshoot, and stands still before and after them."""
 
     kind: Literal["path"] = "path"
     name: Name = Field(default="path", description="Name of its files.")
@@ -183,11 +190,11 @@ class PathCamera(Section):
         default=(CameraKey(),),
         min_length=1,
         max_length=1000,
-        description="Where it stands at some instants; with a single one it stands still.",
+        description="Keys of the path; with a single one the camera stands still.",
     )
 
     @model_validator(mode="after")
-    def _in_order(self) -> PathCamera:
+    def _check_order(self) -> PathCamera:
         times = [key.time for key in self.keys]
         if any(a >= b for a, b in itertools.pairwise(times)):
             raise ValueError(f"the times of its keys {times} must increase; sort them")
@@ -195,50 +202,49 @@ class PathCamera(Section):
 
     @property
     def end(self) -> float:
-        """When its way ends [s]."""
+        """Time of the last key [s]."""
         return self.keys[-1].time
 
     @property
     def chosen(self) -> bool:
-        """Whether what it shows was chosen apart from the view: distance, opening or target."""
+        """Whether distance, field of view or target differ from the view's."""
         return any((key.distance, key.fov, key.target) != (None,) * 3 for key in self.keys)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Where it stands at some instants.
+        """Return the camera's poses at some times.
 
         Args:
-            times: Instants since the first frame [T], s.
-            length: Length of the clip [s].
-            usual: As the view has it.
+            times: Times since the first frame [T], s.
+            length: Length of the clip [s], not used.
+            usual: Poses of the view, for the values that this camera leaves out.
         """
         del length
-        return usual.changed(**{name: self._at(times, name) for name in Poses._fields})
-
-    def _at(self, times: Values, name: str) -> Values | None:
-        """One quantity at some instants; None if no key has it."""
-        keys = [(key.time, getattr(key, name)) for key in self.keys]
-        given = [key for key in keys if key[1] is not None]
-        return smooth(times, *zip(*given, strict=True)) if given else None
+        values = {}
+        for name in Poses._fields:
+            keys = [(key.time, getattr(key, name)) for key in self.keys]
+            if keys := [key for key in keys if key[1] is not None]:
+                values[name] = interpolate(times, *zip(*keys, strict=True))
+        return usual.replace(**values)
 
 
 AnyCamera = Annotated[TurntableCamera | DollyCamera | PathCamera, Field(discriminator="kind")]
 
 
-def smooth(at: Values, times: Sequence[float], values: Sequence[object]) -> Values:
-    """Values at some instants, through keys with a continuous rate and without overshoot.
+def interpolate(at: Values, times: Sequence[float], values: Sequence[object]) -> Values:
+    """Interpolate keys by a monotone cubic (Fritsch and Carlson 1980), without overshoot.
 
-    Monotone cubic (Fritsch and Carlson 1980), at rest at the first key and the last one, where it
-    stays before and after; between two keys this is 3 s^2 - 2 s^3.
+    The rate is continuous, and zero at the first and last key; the value is constant outside them.
+    Between two keys alone this is 3 s^2 - 2 s^3.
 
     Args:
-        at: Instants [T], s.
-        times: Those of the keys, increasing [s].
+        at: Times at which to interpolate [T], s.
+        times: Times of the keys, increasing [s].
         values: A number or vector for each key.
     """
     from scipy.interpolate import PchipInterpolator
 
     first, last = times[0], times[-1]
-    # The same value before and after makes the rate zero at both ends.
+    # Repeating the end values makes the rate zero at both ends.
     through = PchipInterpolator(
         [first - 1, *times, last + 1], np.array([values[0], *values, values[-1]], float)
     )

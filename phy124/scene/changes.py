@@ -7,9 +7,9 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.scene.accuracies import PRESETS
-from phy124.scene.depth import DEEPEST, check_depth
-from phy124.scene.refusals import shortened
-from phy124.scene.renamed import renewed_item
+from phy124.scene.files import DEEPEST, check_depth
+from phy124.scene.refusals import shorten
+from phy124.scene.renamed import rename_item
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -20,15 +20,15 @@ TAGS = ("law", "kind")
 """Keys that say which of several kinds a section is."""
 LENGTH = ("time.frames", "time.seconds")
 """Two ways to say how long a scene is; either replaces the other."""
-REFERENCE = "`phy124 scenes --reference` lists all there is."
+REFERENCE = "`phy124 scenes --reference` lists all fields."
 
 
 def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
     """Set values at dotted paths, outer paths first.
 
     When a section changes its kind, for instance to a material of another law, it starts from the
-    defaults of the new kind, because the old values would mean something else. Values set beside
-    the new kind are kept.
+    defaults of the new kind, because the old values would mean something else. Values set in the
+    same call are kept.
 
     Raises:
         InputError: If a path does not exist in the data.
@@ -36,11 +36,11 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
     for path, value in changes.items():
         _check_path(path)
         check_depth(value, path)
-    changes = dict(renewed_item(path, value) for path, value in changes.items())
+    changes = dict(rename_item(path, value) for path, value in changes.items())
     frames, seconds = LENGTH
     if seconds in changes:
         if frames in changes:
-            limit = f"{frames} = {changes[frames]} says how long it is as well."
+            limit = f"{frames} = {changes[frames]} sets the length, too."
             raise InputError(seconds, changes[seconds], limit, "Give one of the two.")
         data.get("time", {}).pop("frames", None)
     for path in sorted(changes, key=_outer_first):
@@ -48,46 +48,46 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
 
 
 def _check_path(path: str) -> None:
-    """Refuse a path that no scene has, before tables are made for it."""
+    """Refuse a path that is too long, before tables are created for it."""
     keys = path.count(".") + 1
     if keys > DEEPEST:
-        limit = f"it has {keys:,} names, and nothing in a scene has more than {DEEPEST}."
-        raise InputError(shortened(path), "a path", limit, REFERENCE)
+        limit = f"it has {keys:,} names; a path in a scene has at most {DEEPEST}."
+        raise InputError(shorten(path), "a path", limit, REFERENCE)
 
 
 def parse_value(text: str) -> Any:
-    """Parse a value the way TOML writes it; bare words are taken as text."""
+    """Parse a value in TOML's notation; bare words are text."""
     try:
-        found = tomllib.loads(f"value = {text}")
+        table = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
         return text
-    return found["value"] if len(found) == 1 else text
+    return table["value"] if len(table) == 1 else text
 
 
-def assignments(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Texts such as `material.E=2e4` as a dict of paths and values.
+def parse_changes(texts: tuple[str, ...]) -> dict[str, Any]:
+    """Parse texts such as `material.E=2e4` to a dict of paths and values.
 
     Raises:
-        InputError: If a text is no assignment.
+        InputError: If a text is not of the form KEY=VALUE, or two texts disagree.
     """
     pairs: dict[str, Any] = {}
     for text in texts:
         key, equals, value = text.partition("=")
         if not equals or not key:
             raise InputError("set", text, "it is not KEY=VALUE.", "Write material.E=2e4, say.")
-        pairs = together(pairs, {key.strip(): parse_value(value.strip())})
+        pairs = merge_changes(pairs, {key.strip(): parse_value(value.strip())})
     return pairs
 
 
-def together(some: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
-    """Two sets of changes as one.
+def merge_changes(some: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
+    """Merge two sets of changes.
 
     Raises:
         InputError: If they disagree about a value.
     """
     for path in some.keys() & others.keys():
         if some[path] != others[path]:
-            limit = f"it is also asked to be {some[path]}."
+            limit = f"it is also set to {some[path]}."
             raise InputError(path, others[path], limit, "Give one of the two.")
     return {**some, **others}
 
@@ -98,7 +98,7 @@ def _outer_first(path: str) -> tuple[int, bool]:
 
 
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set one value in nested dicts and lists; an item's number one past the end appends."""
+    """Set a value in nested dicts and lists; the index len(list) appends an item."""
     *parents, last = path.split(".")
     section: Any = data
     for key in parents:
@@ -113,9 +113,9 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _item(section: Any, key: str, path: str, value: Any) -> Any:
-    """The dict or list under a key, created if it does not exist yet.
+    """Return the dict or list under a key; create it if it does not exist.
 
-    A named accuracy is replaced by its table of values, so that one of them can be changed.
+    A named accuracy is replaced by its table of values, so that single values can be changed.
     """
     if isinstance(section, dict):
         inner = section.setdefault(key, {})
@@ -123,11 +123,11 @@ def _item(section: Any, key: str, path: str, value: Any) -> Any:
             section[key] = PRESETS[inner].model_dump()
         return section[key]
     if not isinstance(section, list):
-        raise InputError(path, value, f"there is no {key!r} to set there.", REFERENCE)
+        raise InputError(path, value, f"there is no field {key!r} there.", REFERENCE)
     number = int(key) if key.isdecimal() else -1
     if number == len(section):
         section.append({})
     if not 0 <= number < len(section):
         limit = f"there is no item {key!r}; the list has {len(section)}."
-        raise InputError(path, value, limit, f"Count from 0; {len(section)} adds one.")
+        raise InputError(path, value, limit, f"Count from 0; {len(section)} adds an item.")
     return section[number]

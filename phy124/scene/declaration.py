@@ -18,82 +18,72 @@ class Declaration:
     def __init__(self, root: type[BaseModel]) -> None:
         self.schema: Node = root.model_json_schema()
 
-    def resolved(self, node: Node) -> Node:
-        """The schema that a reference points to; for an optional field, the schema of its value."""
+    def resolve(self, node: Node) -> Node:
+        """Follow references; of an optional field, return the schema of its value."""
         while True:
+            options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:
                 inner = self.schema["$defs"][node["$ref"].rsplit("/", 1)[-1]]
-            elif (
-                len(given := [one for one in node.get("anyOf", []) if one != {"type": "null"}]) == 1
-            ):
-                inner = given[0]
+            elif len(options) == 1:
+                inner = options[0]
             else:
                 return node
             node = {**inner, **{k: v for k, v in node.items() if k not in ("$ref", "anyOf")}}
 
     def kinds(self, node: Node) -> dict[str, Node]:
-        """The sections a field may hold, by their law or kind."""
-        mapping = self.resolved(node).get("discriminator", {}).get("mapping", {})
-        return {name: self.resolved({"$ref": ref}) for name, ref in mapping.items()}
+        """Return the sections that a field accepts, by their law or kind."""
+        mapping = self.resolve(node).get("discriminator", {}).get("mapping", {})
+        return {name: self.resolve({"$ref": ref}) for name, ref in mapping.items()}
 
     def choices(self, node: Node) -> list[Node]:
-        """The alternatives a field accepts."""
-        node = self.resolved(node)
-        return [self.resolved(one) for one in node.get("anyOf", [])] or [node]
+        """Return the alternatives that a field accepts."""
+        node = self.resolve(node)
+        return [self.resolve(option) for option in node.get("anyOf", [])] or [node]
 
-    def wanted(self, node: Node) -> str:
-        """What a field accepts, in words: "a number from 1 to 1e13", for example."""
-        return " or ".join(self._one(choice) for choice in self.choices(node))
+    def describe(self, node: Node) -> str:
+        """Say what a field accepts, such as "a number from 1 to 1e13"."""
+        return " or ".join(self._describe_choice(choice) for choice in self.choices(node))
 
-    def _one(self, node: Node) -> str:
+    def _describe_choice(self, node: Node) -> str:
         tag = node.get("discriminator", {}).get("propertyName")
         if tag:
             return f"a table whose {tag} is one of {', '.join(self.kinds(node))}"
         if "enum" in node:
             return f"one of {', '.join(map(str, node['enum']))}"
         if node.get("type") == "array":
-            return self._array(node)
+            if items := [self.describe(item) for item in node.get("prefixItems", [])]:
+                return f"{COUNTS[len(items)]} values in [...], each {items[0]}"
+            return f"a list in [...], each item {self.describe(node['items'])}"
         maximum = node.get("maxLength")
         text = f"text of at most {maximum} characters" if maximum else "text"
         plain = {"boolean": "true or false", "string": text, "object": "a table"}
         if node.get("type") in plain:
             return plain[node["type"]]
         noun = "a whole number" if node.get("type") == "integer" else "a number"
-        return f"{noun} {span(node)}".rstrip()
-
-    def _array(self, node: Node) -> str:
-        items = [self.wanted(item) for item in node.get("prefixItems", [])]
-        if items:
-            return f"{COUNTS[len(items)]} values in [...], each {items[0]}"
-        return f"a list in [...], each item {self.wanted(node['items'])}"
+        return f"{noun} {describe_bounds(node)}".rstrip()
 
 
 @cache
-def declaration(root: type[BaseModel]) -> Declaration:
-    """The declaration of a section class; it takes a fifth of a second and is cached."""
+def read_declaration(root: type[BaseModel]) -> Declaration:
+    """Return the declaration of a section class; cached, since it takes a fifth of a second."""
     return Declaration(root)
 
 
-def span(node: Node) -> str:
-    """The bounds of a number in words; empty if it has none."""
-    minimum, above = node.get("minimum"), node.get("exclusiveMinimum")
-    maximum, below = node.get("maximum"), node.get("exclusiveMaximum")
-    low, high = (_either(inside, beyond) for inside, beyond in ((minimum, above), (maximum, below)))
-    if minimum is not None and maximum is not None:
-        return f"from {low} to {high}"
-    said = [f"above {low}" if above is not None else low and f"of at least {low}"]
-    said.append(f"below {high}" if below is not None else high and f"at most {high}")
-    return ", ".join(filter(None, said))
+def describe_bounds(node: Node) -> str:
+    """Return the bounds of a number in words; empty if it has none."""
+    if "minimum" in node and "maximum" in node:
+        return f"from {format_number(node['minimum'])} to {format_number(node['maximum'])}"
+    words = {
+        "minimum": "of at least",
+        "exclusiveMinimum": "above",
+        "maximum": "at most",
+        "exclusiveMaximum": "below",
+    }
+    return ", ".join(f"{word} {format_number(node[k])}" for k, word in words.items() if k in node)
 
 
-def _either(inside: float | None, beyond: float | None) -> str:
-    """Whichever of two bounds exists, in words; empty if neither does."""
-    bound = beyond if inside is None else inside
-    return "" if bound is None else number(bound)
-
-
-def number(value: float) -> str:
-    """A number as a person would type it."""
+def format_number(value: float) -> str:
+    """Format a number as a person would type it."""
     if isinstance(value, int) and abs(value) < 1e12:
         return str(value)
     return f"{value:g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")

@@ -1,4 +1,4 @@
-"""The files of a scene: itself, and those that it names for parts, stiffness and properties."""
+"""Reading a scene's TOML file, checking its depth, and listing the files that it names."""
 
 from __future__ import annotations
 
@@ -19,8 +19,12 @@ else:
     import tomli as tomllib
 
 
+DEEPEST = 32
+"""Largest depth of nested tables and lists; a scene has eight. Code that reads them recurses."""
+
+
 def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
-    """The content of a TOML file; `field` is what an error calls it.
+    """Read a TOML file; error messages call it `field`.
 
     Raises:
         InputError: It cannot be read or is not TOML.
@@ -28,22 +32,41 @@ def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
     try:
         return tomllib.loads(Path(path).read_text("utf-8-sig"))
     except (OSError, UnicodeDecodeError) as error:
-        given = " or a preset name" if field == "scene" else ""
-        raise InputError(
-            field, path, f"it cannot be read ({error}).", f"Give a TOML file{given}."
-        ) from None
+        preset = " or a preset name" if field == "scene" else ""
+        limit, remedy = f"it cannot be read ({error}).", f"Give a TOML file{preset}."
     except RecursionError:
-        raise InputError(
-            field, path, "its lists are nested too deep.", "Leave out what is no scene."
-        ) from None
+        limit, remedy = "its lists are nested too deep.", "Leave out what does not belong to it."
     except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            field, path, f"it is not valid TOML: {error}.", "Correct that line."
-        ) from None
+        limit, remedy = f"it is not valid TOML: {error}.", "Correct that line."
+    raise InputError(field, path, limit, remedy)
+
+
+def check_depth(data: Any, field: str) -> None:
+    """Check how deep plain data is nested.
+
+    Args:
+        data: Tables, lists and values.
+        field: Name of the data in an error message.
+
+    Raises:
+        InputError: It is nested deeper than `DEEPEST`.
+    """
+
+    def list_inner(section: Any) -> list[Any]:
+        parts = section.values() if isinstance(section, dict) else section
+        return [part for part in parts if isinstance(part, dict | list | tuple)]
+
+    level = list_inner([data])
+    for _ in range(DEEPEST):
+        level = [inner for outer in level for inner in list_inner(outer)]
+        if not level:
+            return
+    limit = f"it is nested more than {DEEPEST} deep."
+    raise InputError(field, "nested data", limit, "Leave out what does not belong to a scene.")
 
 
 def files_named(section: Any, field: str = "") -> Iterator[tuple[str, Path]]:
-    """Every file that a scene names and the field that names it, whichever section it is in."""
+    """Yield each file that a scene names, after the dotted path of the field that names it."""
     if isinstance(section, Path):
         yield field, section
     elif isinstance(section, BaseModel):
@@ -56,10 +79,10 @@ def files_named(section: Any, field: str = "") -> Iterator[tuple[str, Path]]:
 
 
 def refuse_missing(section: BaseModel) -> None:
-    """Make sure that the files a scene names are there, before any work is done for it.
+    """Refuse a scene that names a missing or unreadable file.
 
     Raises:
-        InputError: One of them is not.
+        InputError: A file is missing or unreadable.
     """
     for field, path in files_named(section):
         if hindrance := obstacle(path):

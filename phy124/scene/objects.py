@@ -1,4 +1,4 @@
-"""Several objects in one scene: those besides the first, and what happens where two touch."""
+"""Several objects in one scene: the further objects, and the contact of each pair."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from phy124.boundaries import Box, Capsule, Sphere
+from phy124.boundaries import Box, Capsule, Container, Ground, HalfSpace, Press, Sphere
 from phy124.boundaries.base import Movable, vector
 from phy124.boundaries.motion import Free, OwnMotion, Path, Swing
 from phy124.bounds import FileName, Name
@@ -22,10 +22,10 @@ ShapeName = Literal["sphere", "box", "capsule"]
 _Side = Annotated[float, Field(ge=0.01, le=1)]
 _Fraction = Annotated[float, Field(ge=0, le=1)]
 CREAM = (0.93, 0.87, 0.73)
-
-
 ANY = "any"
-"""Instead of an object's name: whichever it is."""
+"""Stands for every object's name in a pair."""
+FLAT = Ground | HalfSpace | Press | Container
+"""Boundaries that a free solid can touch."""
 
 
 class SceneObject(Object):
@@ -35,29 +35,30 @@ class SceneObject(Object):
     a copy of the first object.
     """
 
-    name: Name = Field(description="What the scene calls it.")
+    name: Name = Field(description="Name of the object.")
     picture: FileName | None = Field(
-        default=None, examples=["teddy.png"], description="Picture that it is made from."
+        default=None, examples=["teddy.png"], description="Picture to make it from."
     )
     file: FileName | None = Field(
         default=None,
         examples=["teddy.ply"],
-        description="File of Gaussians that it is read from, or a clip: its first frame.",
+        description="File of Gaussians to read it from, or a clip, of which the first frame is "
+        "read.",
     )
     generator: str | None = Field(
         default=None,
         max_length=1000,
         examples=["relief"],
-        description="What makes it of its picture; absent: what makes the first object.",
+        description="Generator for its picture; absent: that of the first object.",
     )
     mesh: FileName | None = Field(
         default=None,
         exclude_if=lambda path: path is None,
         examples=["chair.glb"],
-        description="File of triangles that it is made of: .glb, .gltf, .obj, .stl or .ply.",
+        description="File of triangles to make it from: .glb, .gltf, .obj, .stl or .ply.",
     )
     shape: ShapeName | None = Field(
-        default=None, examples=["box"], description="A sphere, box or capsule without a picture."
+        default=None, examples=["box"], description="Plain shape: sphere, box or capsule."
     )
     sides: tuple[_Side, _Side, _Side] = Field(
         default=(1.0, 1.0, 1.0),
@@ -70,52 +71,45 @@ class SceneObject(Object):
         "1, or CSS name.",
     )
     static: bool = Field(
-        default=False, description="Scenery: it is seen, but neither moves nor touches anything."
+        default=False, description="Scenery: visible, but does not move or touch anything."
     )
     motion: OwnMotion | None = Field(
         default=None,
         exclude_if=lambda motion: motion is None,
-        description="Its displacement over time: path or swing. A shape that has one moves so, "
-        "whatever it meets: it pushes the others and nothing pushes it. Or free: it is rigid, "
-        "moves as gravity, walls and the others push it, and pushes them back.",
+        description="Motion of a rigid shape. path or swing: a prescribed displacement; it pushes "
+        "other objects, and nothing pushes it. free: gravity, walls and other objects push it, and "
+        "it pushes them back.",
     )
     material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
     parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
     crop: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
         default=(0.0, 0.0, 1.0, 1.0),
-        description="Where it is in the picture that masks of its parts were painted on: left, "
-        "top, right, bottom; of its own picture this is found.",
+        description="Rectangle of the object in the picture on which masks of its parts were "
+        "painted: left, top, right, bottom; determined automatically for its own picture.",
     )
 
     @model_validator(mode="after")
-    def _one_source(self) -> SceneObject:
-        sources = ("picture", "file", "mesh", "shape")
-        given = [name for name in sources if getattr(self, name) is not None]
-        if len(given) > 1:
-            raise ValueError(f"{self.name} has {' and '.join(given)}; give one of them")
+    def _check_source(self) -> SceneObject:
+        names = ("picture", "file", "mesh", "shape")
+        sources = [name for name in names if getattr(self, name) is not None]
+        if len(sources) > 1:
+            raise ValueError(f"{self.name} has {' and '.join(sources)}; give one of them")
         if any(part.surroundings for part in self.parts):
             raise ValueError("only the first object may have surroundings; leave them out")
         return self
 
     @model_validator(mode="after")
-    def _may_be_moved(self) -> SceneObject:
-        if self.motion is not None:
-            self._check_moved()
-        return self
-
-    def _check_moved(self) -> None:
-        """Check that an object with a motion is a solid that walls know.
-
-        Raises:
-            ValueError: It is not.
-        """
+    def _check_motion(self) -> SceneObject:
+        """Check that an object with a motion is a shape that can be a moving boundary."""
+        if self.motion is None:
+            return self
         if self.shape is None:
             raise ValueError(f"{self.name} has a motion but no shape; only shapes follow a motion")
         led = not self.free
         if self.static or self.held or (led and any((*self.velocity, *self.spin))):
             raise ValueError(
-                f"{self.name} has a motion; leave out static, held, velocity and spin, which say "
-                "otherwise how it moves"
+                f"{self.name} has a motion, which determines how it moves; leave out static, held, "
+                "velocity and spin"
             )
         if led and self.on != FLOOR:
             raise ValueError(f"{self.name} has a motion, so it stands on the floor; use lift")
@@ -126,10 +120,11 @@ class SceneObject(Object):
             raise ValueError(
                 f"{self.name} has a motion, so it must be round; give {len(round_)} equal sides"
             )
+        return self
 
     @property
     def scenery(self) -> bool:
-        """Whether it has no particles: it stays as it is, or is a solid with a motion."""
+        """Whether it has no particles: it is static, or a rigid shape with a motion."""
         return self.static or self.motion is not None
 
     @property
@@ -139,7 +134,7 @@ class SceneObject(Object):
 
     @property
     def path(self) -> Path | Swing | None:
-        """What leads it; None: nothing."""
+        """Its prescribed motion; None if it has none."""
         return None if isinstance(self.motion, Free) else self.motion
 
     @property
@@ -148,24 +143,27 @@ class SceneObject(Object):
         return np.array(self.sides) / max(self.sides) * self.size / 2
 
     def solid(self, pairs: Sequence[Pair]) -> Movable:
-        """The wall that an object with a path is for others.
+        """Return the moving boundary that an object with a path is for other objects.
 
         Args:
-            pairs: What happens where two objects touch.
+            pairs: The scene's pairs, for friction and contact.
         """
         half = self.half
-        middle = np.array([*self.place, self.lift + half[2]])
-        how = pair_of(pairs, self.name, ANY)
-        given: dict[str, Any] = {"motion": self.path, "friction": how.friction}
-        given["contact"] = how.contact
+        centre = np.array([*self.place, self.lift + half[2]])
+        pair = find_pair(pairs, self.name, ANY)
+        fields: dict[str, Any] = {
+            "motion": self.path,
+            "friction": pair.friction,
+            "contact": pair.contact,
+        }
         if self.shape == "box":
-            return Box(lower=vector(middle - half), upper=vector(middle + half), **given)
+            return Box(lower=vector(centre - half), upper=vector(centre + half), **fields)
         if self.shape == "sphere":
-            return Sphere(centre=vector(middle), radius=float(half[0]), **given)
+            return Sphere(centre=vector(centre), radius=float(half[0]), **fields)
         along = np.zeros(3)
         along[half.argmax()] = half.max() - half.min()
-        ends = {"start": vector(middle - along), "end": vector(middle + along)}
-        return Capsule(radius=float(half.min()), **ends, **given)
+        fields |= {"start": vector(centre - along), "end": vector(centre + along)}
+        return Capsule(radius=float(half.min()), **fields)
 
     @property
     def waits(self) -> bool:
@@ -174,11 +172,11 @@ class SceneObject(Object):
 
 
 class Pair(Section):
-    """What happens where two objects touch."""
+    """The contact of two objects."""
 
     between: tuple[Name, Name] = Field(
         default=(ANY, ANY),
-        description="Names of the two; any stands for those of which no other entry says more.",
+        description="Names of the two objects; any: all objects that no other entry names.",
     )
     contact: Literal["separate", "sticky"] = Field(
         default="separate", description="separate (they slide with friction and part), or sticky."
@@ -189,33 +187,65 @@ class Pair(Section):
 
 
 def check_objects(first: Object, others: Sequence[SceneObject]) -> None:
-    """Check that the objects of a scene can be told apart and stand on something.
+    """Check that objects have different names, and that each stands on an object that exists.
 
     Raises:
-        ValueError: Two have one name, or one stands on itself or on what there is not.
+        ValueError: Two have the same name, or one stands on itself or on an unknown object.
     """
     objects = {first.name: first}
     for other in others:
         if other.name in objects:
             raise ValueError(f"two objects are called {other.name}; give each its own name")
         objects[other.name] = other
-    for name, one in objects.items():
+    for name, item in objects.items():
         if name in (FLOOR, ANY):
             raise ValueError(f"no object can be called {name}; give it another name")
         seen = {name}
-        while one.on != FLOOR:
-            check_name(one.on, [FLOOR, *objects])
-            if one.on in seen:
-                raise ValueError(f"{name} stands on {one.on}, which stands on it; lift one of them")
-            seen.add(one.on)
-            one = objects[one.on]
+        while item.on != FLOOR:
+            check_name(item.on, [FLOOR, *objects])
+            if item.on in seen:
+                raise ValueError(
+                    f"{name} stands on {item.on}, which stands on it; lift one of them"
+                )
+            seen.add(item.on)
+            item = objects[item.on]
+
+
+def check_free(objects: Sequence[Object], boundaries: Sequence[Any]) -> None:
+    """Check that a free solid cannot pass through a boundary or another object.
+
+    Raises:
+        ValueError: It would pass through one.
+    """
+    free = [item.name for item in objects if isinstance(item, SceneObject) and item.free]
+    if not free:
+        return
+    if len(free) > 1:
+        raise ValueError(
+            f"{free[0]} and {free[1]} are both free solids, which would pass through each other; "
+            "leave the motion of one of them out, so that it is made of particles"
+        )
+    for item in objects:
+        led = isinstance(item, SceneObject) and item.path is not None
+        if item.held or led:
+            how = "follows a path" if led else "is held"
+            raise ValueError(
+                f"{item.name} {how}, and the free solid {free[0]} would pass through it; leave one "
+                "of them out, or use flat boundaries"
+            )
+    for wall in boundaries:
+        if not (isinstance(wall, FLAT) or wall.holds):
+            raise ValueError(
+                f"the free solid {free[0]} would pass through the boundary {wall.kind}; use "
+                "ground, half_space, press or container"
+            )
 
 
 def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
     """Check that each pair of objects is declared once at most.
 
     Raises:
-        ValueError: A name is not that of an object, or two entries are about the same pair.
+        ValueError: A name is unknown, or two entries are about the same pair.
     """
     seen: set[frozenset[str]] = set()
     for pair in pairs:
@@ -230,17 +260,17 @@ def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
         seen.add(two)
 
 
-def pair_of(pairs: Sequence[Pair], one: str, other: str) -> Pair:
-    """What happens where two objects touch: the entry that names most of them."""
-    fitting = [pair for pair in pairs if set(pair.between) <= {one, other, ANY}]
+def find_pair(pairs: Sequence[Pair], first: str, second: str) -> Pair:
+    """Return the entry for two objects, preferably one that names both."""
+    fitting = [pair for pair in pairs if set(pair.between) <= {first, second, ANY}]
     return min(fitting, key=lambda pair: pair.between.count(ANY), default=Pair())
 
 
 def check_name(name: str, names: Sequence[str]) -> None:
-    """Check that an object is called so.
+    """Check that an object of this name exists.
 
     Raises:
-        ValueError: None is.
+        ValueError: No object has this name.
     """
     if name not in names:
         raise ValueError(f"no object is called {name}; there are {', '.join(names)}")

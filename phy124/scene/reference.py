@@ -1,21 +1,22 @@
-"""The reference page of a scene: every field with what it accepts, its default and its meaning."""
+"""The reference page of a scene: each field with its accepted values, default and meaning."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
 
-from phy124.scene.declaration import Declaration, Node, declaration, number
+from phy124.scene.declaration import Declaration, Node, format_number, read_declaration
 from phy124.scene.scene import Scene
 
 HEAD = """# Scene reference
 
-Every field of a scene file, made from the declaration by `phy124 scenes --reference`. A scene
-file is TOML; what is left out has its default. On the command line the same fields are set by
-their path, `--set object.lift=0.5 forces.0.kind=wind`; items of lists count from 0, and one past
-the last is added. `phy124 scenes NAME` prints a preset in full, to start from.
-`phy124 scenes --schema > scene.schema.json` writes the JSON schema with which an editor completes
-and checks scene files; the line `#:schema scene.schema.json` at a file's top tells most of them.
+Every field of a scene file, written by `phy124 scenes --reference`. A scene file is TOML; fields
+that are left out have their default. On the command line the same fields are set by their path,
+`--set object.lift=0.5 forces.0.kind=wind`. Items of lists count from 0; the index after the last
+item adds one. `phy124 scenes NAME` prints a preset in full, as a start for a scene of your own.
+`phy124 scenes --schema > scene.schema.json` writes a JSON schema, with which an editor completes
+and checks scene files; most editors use it if a file begins with
+`#:schema scene.schema.json`.
 
 ```toml
 {example}```
@@ -73,71 +74,69 @@ background = "whitesmoke"
 """A complete scene file with a part, stiffness, forces, a profile, boundaries and a motion."""
 
 
-def reference() -> str:
-    """The reference page in Markdown."""
-    declared, written = declaration(Scene), set[str]()
+def format_reference() -> str:
+    """Return the reference page in Markdown."""
+    declared, written = read_declaration(Scene), set[str]()
     parts = [HEAD.format(example=EXAMPLE)]
-    parts += _page(declared, "Scene", declared.schema, "", written)
+    parts += _format_section(declared, "Scene", declared.schema, "", written)
     return "\n".join(parts)
 
 
-def schema() -> str:
-    """The JSON schema of a scene, for editors."""
-    told = {"$schema": "https://json-schema.org/draft/2020-12/schema", **declaration(Scene).schema}
-    return json.dumps(told, indent=1) + "\n"
+def format_schema() -> str:
+    """Return the JSON schema of a scene, for editors."""
+    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return json.dumps({**dialect, **read_declaration(Scene).schema}, indent=1) + "\n"
 
 
-def _page(
+def _format_section(
     declared: Declaration, title: str, node: Node, path: str, written: set[str]
 ) -> Iterator[str]:
-    """The table of a section, then those of the sections in it that are not written yet."""
-    yield f"## {title}\n\n{_sentence(node)}\n"
-    yield "\n".join(_table(declared, node)) + "\n"
+    """Yield the table of a section, then those of its inner sections not yet written."""
+    description = (node.get("description") or "").replace("\n", " ")
+    yield f"## {title}\n\n{description}\n"
+    yield "\n".join(_format_table(declared, node)) + "\n"
     for name, inner in node["properties"].items():
         where = f"{path}{name}"
-        for kind, section in _sections(declared, inner):
+        for kind, section in _list_sections(declared, inner):
             if section["title"] not in written:
                 written.add(section["title"])
                 label = f"`{where.replace('[]', '')}`" + (f": {kind}" if kind else "")
-                many = "[]." if "items" in declared.resolved(inner) else "."
-                yield from _page(declared, label, section, f"{where}{many}", written)
+                many = "[]." if "items" in declared.resolve(inner) else "."
+                yield from _format_section(declared, label, section, f"{where}{many}", written)
 
 
-def _sections(declared: Declaration, node: Node) -> Iterator[tuple[str, Node]]:
-    """The sections a field may hold, each with the name of its law or kind."""
-    node = declared.resolved(node)
+def _list_sections(declared: Declaration, node: Node) -> Iterator[tuple[str, Node]]:
+    """Yield the sections that a field accepts, each after the name of its law or kind."""
+    node = declared.resolve(node)
     if "items" in node:
-        yield from _sections(declared, node["items"])
+        yield from _list_sections(declared, node["items"])
     elif kinds := declared.kinds(node):
         yield from kinds.items()
     else:
-        yield from (("", one) for one in declared.choices(node) if "properties" in one)
+        yield from (("", choice) for choice in declared.choices(node) if "properties" in choice)
 
 
-def _table(declared: Declaration, node: Node) -> Iterator[str]:
-    yield "| field | must be | default | what it is |\n|---|---|---|---|"
-    fields = {name: declared.resolved(inner) for name, inner in node["properties"].items()}
+def _format_table(declared: Declaration, node: Node) -> Iterator[str]:
+    yield "| field | accepts | default | meaning |\n|---|---|---|---|"
+    fields = {name: declared.resolve(inner) for name, inner in node["properties"].items()}
     for name, inner in sorted(fields.items(), key=lambda field: "const" not in field[1]):
         if "const" in inner:
-            yield f'| `{name}` | `"{inner["const"]}"` | must be given | says which one it is |'
+            yield f'| `{name}` | `"{inner["const"]}"` | required | selects this kind |'
             continue
-        given = "must be given" if name in node.get("required", []) else _default(inner)
+        default = "required" if name in node.get("required", []) else _format_default(inner)
         examples = ", ".join(f"`{json.dumps(example)}`" for example in inner.get("examples", []))
-        given += f", such as {examples}" if examples else ""
-        yield f"| `{name}` | {declared.wanted(inner)} | {given} | {inner.get('description', '')} |"
+        default += f", such as {examples}" if examples else ""
+        meaning = inner.get("description", "")
+        yield f"| `{name}` | {declared.describe(inner)} | {default} | {meaning} |"
 
 
-def _default(node: Node) -> str:
-    given = node.get("default")
-    if given in (None, [], ""):
+def _format_default(node: Node) -> str:
+    default = node.get("default")
+    if default in (None, [], ""):
         return "none"
-    sections = given if isinstance(given, list) else [given]
+    sections = default if isinstance(default, list) else [default]
     if isinstance(sections[0], dict):
-        kinds = [one.get("law", one.get("kind")) for one in sections]
+        kinds = [section.get("law", section.get("kind")) for section in sections]
         return ", ".join(filter(None, kinds)) or "as below"
-    plain = isinstance(given, float) and number(given)
-    return f"`{plain or json.dumps(given)}`"
-
-
-def _sentence(node: Node) -> str:
-    return (node.get("description") or "").replace("\n", " ")
+    plain = isinstance(default, float) and format_number(default)
+    return f"`{plain or json.dumps(default)}`"

@@ -1,4 +1,4 @@
-"""Turns pydantic's validation errors into single sentences, using what the section declares."""
+"""Turns pydantic's validation errors into single sentences, using the section's declaration."""
 
 from __future__ import annotations
 
@@ -8,41 +8,51 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel, ValidationError
 
 from phy124.errors import InputError, did_you_mean
-from phy124.scene.declaration import Declaration, Node, declaration, number
+from phy124.scene.declaration import Declaration, Node, format_number, read_declaration
 from phy124.section import Section
 
 LONGEST = 60
-"""Longest piece of a value that a message repeats, in characters."""
+"""Longest part of a value that a message repeats, in characters."""
 
 
-def refusal(error: ValidationError, source: str, root: type[BaseModel]) -> InputError:
-    """The most deeply nested validation error as one sentence with a remedy."""
-    found: dict[str, Any] = {**max(error.errors(), key=lambda complaint: len(complaint["loc"]))}
-    if found["type"] == "missing" and isinstance(found["loc"][-1], int):
-        # A list that is too short: it is the list that is wrong.
-        found |= {"type": "too_short", "loc": found["loc"][:-1]}
-    declared = declaration(root)
-    place = _place(declared, found["loc"])
-    if found["type"].startswith("union_tag"):
-        place, found = _at_tag(place, found)
+def explain(error: ValidationError, source: str, root: type[BaseModel]) -> InputError:
+    """Return the most deeply nested validation error as one sentence with a remedy.
+
+    Args:
+        error: The error that pydantic raised.
+        source: Name of the data, for errors that concern no single field.
+        root: The section that was validated.
+    """
+    details: dict[str, Any] = {**max(error.errors(), key=lambda detail: len(detail["loc"]))}
+    if details["type"] == "missing" and isinstance(details["loc"][-1], int):
+        # A list is too short: name the list, not its missing item.
+        details |= {"type": "too_short", "loc": details["loc"][:-1]}
+    declared = read_declaration(root)
+    place = _find_place(declared, details["loc"])
+    if details["type"].startswith("union_tag"):
+        tag = place.node["discriminator"]["propertyName"]
+        section = details["input"]
+        kind = section.get(tag) if isinstance(section, dict) else None
+        details |= {"type": "no_such_kind", "input": kind}
+        place = place._replace(keys=[*place.keys, tag])
     field = ".".join(map(str, place.keys)) or source
-    nothing = found["type"] == "missing" or found["input"] is None
-    value = "nothing" if nothing else shortened(found["input"])
-    return InputError(field, value, *_said(declared, place, found))
+    nothing = details["type"] == "missing" or details["input"] is None
+    value = "nothing" if nothing else shorten(details["input"])
+    return InputError(field, value, *_limit_and_remedy(declared, place, details))
 
 
-def refusal_of_options(error: ValidationError) -> InputError:
-    """The error of a section of options, which pydantic names by its class."""
-    kinds, found = [Section], {}
+def explain_options(error: ValidationError) -> InputError:
+    """Return the error of a section of options, whose class pydantic names."""
+    kinds, sections = [Section], {}
     while kinds:
         kind = kinds.pop()
         kinds += kind.__subclasses__()
-        found[kind.__name__] = kind
-    return refusal(error, "options", found[error.title])
+        sections[kind.__name__] = kind
+    return explain(error, "options", sections[error.title])
 
 
-def shortened(value: Any) -> str:
-    """A value as a message shows it: numbers in full, long values shortened."""
+def shorten(value: Any) -> str:
+    """Return a value as text for a message, at most `LONGEST` characters of it."""
     try:
         text = str(value)
     except ValueError:  # Python writes no integers of more than 4300 digits
@@ -51,19 +61,19 @@ def shortened(value: Any) -> str:
 
 
 class _Place(NamedTuple):
-    """Where in the scene an error lies."""
+    """The field of the scene that an error is about."""
 
     keys: list[int | str]
     """Its path as a user would write it, without the names of kinds."""
     node: Node
-    """The schema at that place, or around it if the key does not exist."""
+    """The schema of the field, or of its section if the field does not exist."""
     around: Node
-    """The schema of the section that the key belongs to."""
+    """The schema of its section."""
     description: str
     """The description of the nearest field that has one."""
 
 
-def _place(declared: Declaration, location: tuple[int | str, ...]) -> _Place:
+def _find_place(declared: Declaration, location: tuple[int | str, ...]) -> _Place:
     node = around = declared.schema
     keys: list[int | str] = []
     description = ""
@@ -72,18 +82,18 @@ def _place(declared: Declaration, location: tuple[int | str, ...]) -> _Place:
         if part in kinds:
             node = kinds[str(part)]
             continue
-        inner = _inner(declared, node, part)
+        inner = _find_inner(declared, node, part)
         if inner is None:
             continue  # the name of a choice
-        around = declared.resolved(node) if isinstance(part, str) else around
+        around = declared.resolve(node) if isinstance(part, str) else around
         node = inner
         keys.append(part)
-        description = declared.resolved(node).get("description", description)
-    return _Place(keys, declared.resolved(node), around, description)
+        description = declared.resolve(node).get("description", description)
+    return _Place(keys, declared.resolve(node), around, description)
 
 
-def _inner(declared: Declaration, node: Node, part: int | str) -> Node | None:
-    """The schema under a key; {} if the key does not exist, None if the part is no key."""
+def _find_inner(declared: Declaration, node: Node, part: int | str) -> Node | None:
+    """Return the schema under a key: {} if the key does not exist, None if it is not a key."""
     choices = declared.choices(node)
     if isinstance(part, int):
         for choice in choices:
@@ -95,40 +105,36 @@ def _inner(declared: Declaration, node: Node, part: int | str) -> Node | None:
         if part in choice.get("properties", {}):
             return choice["properties"][part]
     names = {str(choice.get("title")) for choice in choices}
-    named = len(choices) > 1 and (part in names or str(part).startswith("literal["))
-    return None if named else {}
+    is_choice = len(choices) > 1 and (part in names or str(part).startswith("literal["))
+    return None if is_choice else {}
 
 
-def _said(declared: Declaration, place: _Place, found: Any) -> tuple[str, str]:
-    """The limit and the remedy of the message."""
-    kind, message = found["type"], found["msg"].removeprefix("Value error, ")
+def _limit_and_remedy(declared: Declaration, place: _Place, details: Any) -> tuple[str, str]:
+    kind, value = details["type"], details["input"]
+    about = f"It is: {place.description}" if place.description else ""
     if kind == "extra_forbidden":
-        return _unknown(declared, place)
+        return _explain_unknown_key(declared, place)
     if kind == "missing":
-        return f"it must be given: {declared.wanted(place.node)}.", _about(place)
+        return f"it is required: {declared.describe(place.node)}.", about
     if kind == "no_such_kind":
-        return _no_such_kind(declared, place, found)
+        tag, known = place.keys[-1], list(declared.kinds(place.node))
+        remedy = f"Give one of {', '.join(known)}."
+        if value is None:
+            return f"its {tag} is missing.", remedy
+        hint = did_you_mean(str(value), known)
+        return f"there is no such {tag}.", f"{hint} {remedy}".strip()
     if kind == "value_error":
-        limit, _, remedy = message.partition("; ")
-        return f"{limit.rstrip('.')}.", _sentence(remedy)
-    limit = f"it must be {declared.wanted(place.node)}."
-    return limit, " ".join(
-        filter(None, [_try(declared, place.node, found["input"]), _about(place)])
-    )
+        limit, _, remedy = details["msg"].removeprefix("Value error, ").partition("; ")
+        end = "" if remedy.endswith(("?", ".")) or not remedy else "."
+        return f"{limit.rstrip('.')}.", f"{remedy[:1].upper()}{remedy[1:]}{end}"
+    suggestion = _suggest(declared, place.node, value)
+    limit = f"it must be {declared.describe(place.node)}."
+    return limit, " ".join(filter(None, [suggestion, about]))
 
 
-def _sentence(text: str) -> str:
-    end = "" if text.endswith(("?", ".")) else "."
-    return f"{text[:1].upper()}{text[1:]}{end}" if text else ""
-
-
-def _about(place: _Place) -> str:
-    return f"It is: {place.description}" if place.description else ""
-
-
-def _try(declared: Declaration, node: Node, value: Any) -> str:
-    """A legal value to suggest."""
-    known = [str(name) for one in declared.choices(node) for name in one.get("enum", [])]
+def _suggest(declared: Declaration, node: Node, value: Any) -> str:
+    """Suggest a legal value; empty if there is no obvious one."""
+    known = [str(name) for choice in declared.choices(node) for name in choice.get("enum", [])]
     if known:
         return did_you_mean(str(value), known)
     legal = node.get("default")
@@ -137,53 +143,34 @@ def _try(declared: Declaration, node: Node, value: Any) -> str:
         isinstance(x, bool) or not isinstance(x, int | float) for x in numbers
     ):
         return ""
-    return f"Try {legal if isinstance(legal, list) else number(legal)}."
+    return f"Try {legal if isinstance(legal, list) else format_number(legal)}."
 
 
-def _unknown(declared: Declaration, place: _Place) -> tuple[str, str]:
-    """Limit and remedy for a key that does not exist."""
+def _explain_unknown_key(declared: Declaration, place: _Place) -> tuple[str, str]:
+    """Return limit and remedy for a key that does not exist."""
     key = str(place.keys[-1])
-    known = sorted({k for one in declared.choices(place.around) for k in one.get("properties", ())})
-    meant = _in_sections(declared, key) if len(place.keys) == 1 else []
-    meant = meant or difflib.get_close_matches(key, known, 1)
-    if meant:
-        return "there is no such key.", f"Did you mean {' or '.join(meant)}?"
+    choices = declared.choices(place.around)
+    known = sorted({name for choice in choices for name in choice.get("properties", ())})
+    similar = _list_sections_with(declared, key) if len(place.keys) == 1 else []
+    similar = similar or difflib.get_close_matches(key, known, 1)
+    if similar:
+        return "there is no such key.", f"Did you mean {' or '.join(similar)}?"
     if key in declared.schema["properties"]:
-        return "there is no such key here.", f"{key} stands at the top of the scene."
+        return "there is no such key here.", f"{key} belongs at the top level of the scene."
     others = declared.schema.get("$defs", {}).values()
     if any(key in other.get("properties", {}) for other in others):
-        own = [
-            str(place.around["properties"][tag]["const"]) for tag in ("law", "kind") if tag in known
-        ]
-        where = f"{own[0]} has no such key" if own else "there is no such key here"
-        return f"{where}.", "Leave it out."
+        tag = next((tag for tag in ("law", "kind") if tag in known), None)
+        kind = place.around["properties"][tag]["const"] if tag else None
+        limit = f"{kind} has no such key." if kind else "there is no such key here."
+        return limit, "Leave it out."
     return "there is no such key.", f"Known keys: {', '.join(known)}."
 
 
-def _in_sections(declared: Declaration, key: str) -> list[str]:
-    """Paths of the sections that do have this key, such as "view.size"."""
-    found = []
+def _list_sections_with(declared: Declaration, key: str) -> list[str]:
+    """Return the paths of a key in all sections that have it, such as "view.size"."""
+    paths = []
     for name, node in declared.schema["properties"].items():
-        inner = [*declared.choices(node), *map(declared.resolved, declared.kinds(node).values())]
+        inner = [*declared.choices(node), *map(declared.resolve, declared.kinds(node).values())]
         if any(key in choice.get("properties", {}) for choice in inner):
-            found.append(f"{name}.{key}")
-    return found
-
-
-def _at_tag(place: _Place, found: dict[str, Any]) -> tuple[_Place, dict[str, Any]]:
-    """The error moved from a section to the key that names its law or kind."""
-    tag = place.node["discriminator"]["propertyName"]
-    given = found["input"]
-    given = given.get(tag) if isinstance(given, dict) else None
-    found = {**found, "type": "no_such_kind", "input": given}
-    return place._replace(keys=[*place.keys, tag]), found
-
-
-def _no_such_kind(declared: Declaration, place: _Place, found: Any) -> tuple[str, str]:
-    """Limit and remedy for a section whose law or kind is missing or unknown."""
-    tag, known = place.keys[-1], list(declared.kinds(place.node))
-    listed = f"Give one of {', '.join(known)}."
-    if found["input"] is None:
-        return f"it must say its {tag}.", listed
-    hint = did_you_mean(str(found["input"]), known)
-    return f"there is no such {tag}.", f"{hint} {listed}".strip()
+            paths.append(f"{name}.{key}")
+    return paths

@@ -1,4 +1,4 @@
-"""Names of earlier versions for parts of a scene: old files, clips and commands are still read."""
+"""Reads the option names of earlier versions in scene files, clips and commands."""
 
 from __future__ import annotations
 
@@ -8,37 +8,35 @@ from typing import Any
 from phy124.errors import InputError
 
 KEYS = {"ppc": "particles_per_axis", "patience": "budget", "share": "fraction"}
-"""Keys of scenes of version 0.1 -> their names now."""
+"""Keys of version 0.1 -> present names."""
 VALUES = {("binding", "field"): "lattice", ("kind", "field"): "zone"}
-"""Keys with a value of version 0.1 -> the value's name now."""
+"""Keys with a value of version 0.1 -> present name of the value."""
 STAGES = {True: "transparent", False: "plain"}
-"""What the key `transparent` of version 0.2 says -> `stage` now."""
-
-LISTED = ("stiffness", "properties")
-"""A fraction of E per Gaussian was a kind of the one and is a file of the other."""
+"""Values of the key `transparent` of version 0.2 -> values of `stage`."""
 
 
-def renewed(data: Any) -> Any:
-    """Plain data of a scene, old names replaced by those of now; each gets a note (a warning).
+def rename_keys(data: Any) -> Any:
+    """Replace old names in plain data of a scene; each causes a FutureWarning.
 
     Raises:
-        InputError: An old section would take the place of one that is there as well.
+        InputError: The old section `stiffness` of kind array stands next to `properties`, which
+            replaced it.
     """
     if isinstance(data, dict):
-        if _is_listed(data.get(LISTED[0])) and data.get(LISTED[1]) is not None:
+        if _is_array(data.get("stiffness")) and data.get("properties") is not None:
             limit, remedy = "the scene has properties as well.", "Give them a column `fraction`."
             raise InputError("stiffness.kind", "array", limit, remedy)
-        if data.get("transparent") is False:  # As a stage that is named, or by default.
+        if data.get("transparent") is False:  # the default, and any stage may replace it
             data = {key: value for key, value in data.items() if key != "transparent"}
-        return dict(renewed_item(key, value) for key, value in data.items())
-    return [renewed(item) for item in data] if isinstance(data, list) else data
+        return dict(rename_item(key, value) for key, value in data.items())
+    return [rename_keys(item) for item in data] if isinstance(data, list) else data
 
 
-def renewed_item(key: str, value: Any) -> tuple[str, Any]:
-    """A key, or a dotted path, and its value by their names now."""
-    if key == LISTED[0] and _is_listed(value):
+def rename_item(key: str, value: Any) -> tuple[str, Any]:
+    """Return the present names of a key, or dotted path, and of its value."""
+    if key == "stiffness" and _is_array(value):
         _note("stiffness of kind array", "properties")
-        return LISTED[1], {"file": value.get("file")}
+        return "properties", {"file": value.get("file")}
     old = key.split(".")
     if old[-1] == "transparent" and value in STAGES:
         path = ".".join([*old[:-1], "stage"])
@@ -50,12 +48,12 @@ def renewed_item(key: str, value: Any) -> tuple[str, Any]:
         _note(key, path)
     if now:
         _note(f"{key} = {value}", f"{path} = {now}")
-    return path, now or renewed(value)
+    return path, now or rename_keys(value)
 
 
-def _is_listed(section: Any) -> bool:
+def _is_array(section: Any) -> bool:
     return isinstance(section, dict) and section.get("kind") == "array"
 
 
 def _note(old: str, new: str) -> None:
-    warnings.warn(f"{old} is an old name: it is read as {new}.", FutureWarning, stacklevel=2)
+    warnings.warn(f"{old} is an old name for {new}.", FutureWarning, stacklevel=2)

@@ -1,7 +1,7 @@
-"""Scene: everything a user can choose, as one frozen tree that is read from and written to TOML.
+"""Scene: everything that a user can choose, as one frozen tree, read from and written to TOML.
 
-This is the only declaration of each option: its bounds and description serve validation, the
-command line's help and the web page alike.
+Each option is declared here and nowhere else: its bounds and description serve validation, the
+command line's help and the web page.
 """
 
 from __future__ import annotations
@@ -25,12 +25,17 @@ from phy124.materials import LAWS, AnyMaterial, NeoHookean
 from phy124.properties import Properties
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName, check_transfer
 from phy124.scene.changes import apply
-from phy124.scene.depth import check_depth
-from phy124.scene.files import read_toml
-from phy124.scene.free import check_free
-from phy124.scene.objects import Pair, SceneObject, check_name, check_objects, check_pairs
-from phy124.scene.refusals import refusal
-from phy124.scene.renamed import renewed
+from phy124.scene.files import check_depth, read_toml
+from phy124.scene.objects import (
+    Pair,
+    SceneObject,
+    check_free,
+    check_name,
+    check_objects,
+    check_pairs,
+)
+from phy124.scene.refusals import explain
+from phy124.scene.renamed import rename_keys
 from phy124.scene.sections import Checks, Object, Part, Timing, check_energy
 from phy124.scene.view import View
 from phy124.section import Section
@@ -38,11 +43,11 @@ from phy124.stiffness import AnyStiffness, check_profile
 from phy124.tracks import AnyProfile, Track
 
 MOST_OBJECTS = 16
-"""Objects of one scene; each has a velocity field of its own where it meets another."""
+"""Largest number of objects in a scene. Each has its own velocity field where it meets another."""
 
 
 class Scene(Section):
-    """One complete simulation: object, material, forces, boundaries, accuracy, time and view."""
+    """A complete simulation: object, material, forces, boundaries, accuracy, time and view."""
 
     description: Text = Field(
         default="",
@@ -50,33 +55,35 @@ class Scene(Section):
         examples=["It falls."],
         description="What happens, in a sentence.",
     )
-    seed: int = Field(default=0, ge=0, le=2**31 - 1, description="Seed of everything random.")
-    object: Object = Field(default=Object(), description="The object and how it stands.")
+    seed: int = Field(default=0, ge=0, le=2**31 - 1, description="Seed of all random numbers.")
+    object: Object = Field(default=Object(), description="The first object and its placement.")
     material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
     parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
     objects: tuple[SceneObject, ...] = Field(
         default=(),
         max_length=MOST_OBJECTS - 1,
         exclude_if=lambda value: not value,
-        description="Further objects; accuracy, stiffness and properties are about the first one.",
+        description="Further objects; accuracy, stiffness and properties refer to the first one.",
     )
     pairs: tuple[Pair, ...] = Field(
         default=(),
         exclude_if=lambda value: not value,
-        description="What happens where two objects touch; absent: friction 0.5, and they part.",
+        description="Contact of two objects; pairs not listed separate and have friction 0.5.",
     )
     stiffness: AnyStiffness | None = Field(
-        default=None, description="How E varies inside the object; absent: not at all."
+        default=None, description="How E varies inside the object; absent: E is uniform."
     )
     stiffness_profile: AnyProfile | None = Field(
         default=None,
-        description="Factor on E over time, of each frame's start; absent: 1 at all times.",
+        description="Factor on E over time, evaluated at the start of each frame; absent: 1.",
     )
     properties: Properties | None = Field(
-        default=None, description="Material point by point, from a file; absent: as given above."
+        default=None, description="Material point by point, from a file; absent: material alone."
     )
-    forces: tuple[AnyForce, ...] = Field(default=(Gravity(),), description="What pushes.")
-    boundaries: tuple[AnyBoundary, ...] = Field(default=(Ground(),), description="What is solid.")
+    forces: tuple[AnyForce, ...] = Field(default=(Gravity(),), description="Forces on particles.")
+    boundaries: tuple[AnyBoundary, ...] = Field(
+        default=(Ground(),), description="Solid walls and other constraints on the motion."
+    )
     accuracy: AccuracyName | Accuracy = Field(
         default="standard",
         description="draft (16 cells across the object), standard (32), fine (48, float64), "
@@ -85,44 +92,46 @@ class Scene(Section):
     )
     binding: Literal["particles", "lattice"] = Field(
         default="lattice",
-        description="lattice: Gaussians ride on a lattice of particles, the faster; "
-        "particles: each Gaussian is a particle (the paper).",
+        description="lattice: Gaussians follow a lattice of particles, which is faster; "
+        "particles: each Gaussian is a particle, as in the paper.",
     )
-    time: Timing = Field(default=Timing(), description="Which instants are kept.")
+    time: Timing = Field(default=Timing(), description="Frames, and limits on substep and time.")
     checks: Checks = Field(default=Checks(), description="How closely the run is watched.")
     velocities: bool = Field(
         default=False,
-        description="Keep the velocity of each Gaussian; speeds also follow from the places.",
+        description="Store the velocity of each Gaussian; without it, speeds are differences of "
+        "positions.",
     )
     contacts: bool = Field(
         default=False,
-        description="Keep the mean force of the walls on each Gaussian; outputs of force do so.",
+        description="Store the mean force of the walls on each Gaussian; the output `force` turns "
+        "it on.",
     )
     wrenches: bool = Field(
         default=False,
-        description="Keep force and torque that the object exerts on each wall; contacts do so.",
+        description="Store force and torque of the object on each wall; `contacts` turns it on.",
     )
     grains: bool = Field(
         default=True,
-        description="Show the inside of what falls apart (sand, snow, foam) or is torn as grains; "
-        "off: only the Gaussians of its surface.",
+        description="Show the inside of sand, snow, foam and torn material as grains; off: only "
+        "the Gaussians of the surface.",
     )
     view: View = Field(default=View(), description="How the clip is filmed.")
 
     @model_validator(mode="before")
     @classmethod
-    def _old_names(cls, data: Any) -> Any:
-        return renewed(data)
+    def _rename_keys(cls, data: Any) -> Any:
+        return rename_keys(data)
 
     @field_validator("stiffness_profile")
     @classmethod
-    def _usable(cls, profile: AnyProfile | None) -> AnyProfile | None:
+    def _check_profile(cls, profile: AnyProfile | None) -> AnyProfile | None:
         if profile is not None:
             check_profile(profile)
         return profile
 
     @model_validator(mode="after")
-    def _named(self) -> Scene:
+    def _check_together(self) -> Scene:
         check_objects(self.object, self.objects)
         check_transfer(self.resolution)
         check_energy(
@@ -132,12 +141,12 @@ class Scene(Section):
                 "accuracy.gradient = spline": self.resolution.gradient != "affine",
                 "a boundary that moves": any(wall.moves for wall in self.boundaries),
                 "stiffness_profile": self.stiffness_profile is not None,
-                "accuracy.rpic_damping and a material that rubs inside": self._damped_twice,
+                "accuracy.rpic_damping and a viscous material": self._damped_twice,
             },
         )
         check_free(self.every_object, self.boundaries)
         check_pairs(self.pairs, self.names)
-        moving = [one.name for one in self.every_object if not getattr(one, "scenery", False)]
+        moving = [item.name for item in self.every_object if not getattr(item, "scenery", False)]
         for section in (*self.forces, *self.boundaries):
             if section.object is not None:
                 check_name(section.object, moving)
@@ -145,16 +154,16 @@ class Scene(Section):
 
     @property
     def _damped_twice(self) -> bool:
-        """Whether viscous stresses are those of a C that is damped."""
-        rubs = any(math.isfinite(section.viscous_limit(self.dx)) for section in self.materials)
-        return self.resolution.rpic_damping > 0 and (rubs or self.properties is not None)
+        """Whether RPIC damping changes the C from which viscous stresses are computed."""
+        viscous = any(math.isfinite(section.viscous_limit(self.dx)) for section in self.materials)
+        return self.resolution.rpic_damping > 0 and (viscous or self.properties is not None)
 
     def softness(self, time: float) -> float:
-        """Factor on Young's modulus at a time [s]."""
+        """Return the factor on Young's modulus at a time [s]."""
         return float(self.softnesses(np.array([time]))[0])
 
     def softnesses(self, times: NDArray) -> NDArray[np.float64]:
-        """Factors on Young's modulus at some instants [T]."""
+        """Return the factors on Young's modulus at the times [T]."""
         if self.stiffness_profile is None:
             return np.ones(len(times))
         whole = Track.scaled((1.0, 0.0, 0.0), self.stiffness_profile, 0.0, LONGEST, mean=False)
@@ -167,7 +176,7 @@ class Scene(Section):
 
     @property
     def particles_per_axis(self) -> float:
-        """Particles per cell and axis: as chosen, or as many as the materials need."""
+        """Particles per cell and axis: the chosen number, or the one that the materials need."""
         chosen = self.resolution.particles_per_axis
         return chosen or max(section.particles_per_axis for section in self.materials)
 
@@ -178,12 +187,12 @@ class Scene(Section):
 
     @property
     def keeps_contacts(self) -> bool:
-        """Whether the force of the walls on each Gaussian is kept."""
+        """Whether the force of the walls on each Gaussian is stored."""
         return self.contacts or "force" in self.view.outputs
 
     @property
     def keeps_wrenches(self) -> bool:
-        """Whether the force and torque on each wall are kept."""
+        """Whether the force and torque on each wall are stored."""
         return self.wrenches or self.keeps_contacts
 
     @property
@@ -193,33 +202,33 @@ class Scene(Section):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the objects are called."""
-        return tuple(one.name for one in self.every_object)
+        """Names of all objects."""
+        return tuple(item.name for item in self.every_object)
 
     @property
     def materials(self) -> list[AnyMaterial]:
-        """The scene's material and those of its moving parts, then those of each other object."""
-        found = []
-        for one in (self, *self.objects):
-            if not (isinstance(one, SceneObject) and one.scenery):
-                found += [one.material, *(p.material for p in one.parts if not p.static)]
-        return found
+        """Materials of each object that has particles, followed by those of its moving parts."""
+        materials = []
+        for item in (self, *self.objects):
+            if not (isinstance(item, SceneObject) and item.scenery):
+                materials += [item.material, *(p.material for p in item.parts if not p.static)]
+        return materials
 
     def with_solids(self) -> Scene:
-        """The scene in which objects with a path are walls, too, after its own boundaries."""
-        solids = [one.solid(self.pairs) for one in self.objects if one.path is not None]
+        """Return the scene with a boundary added for each object that has a path."""
+        solids = [item.solid(self.pairs) for item in self.objects if item.path is not None]
         if not solids:
             return self
         return self.model_copy(update={"boundaries": (*self.boundaries, *solids)})
 
     def alone(self, index: int) -> Scene:
-        """The scene with one of its objects only; the grid's spacing may then be another one."""
+        """Return the scene with a single object; the grid spacing follows from that object."""
         if index == 0:
             return self.model_copy(update={"objects": (), "pairs": ()})
         other = self.objects[index - 1]
-        placed = {name: getattr(other, name) for name in Object.model_fields if name != "on"}
+        fields = {name: getattr(other, name) for name in Object.model_fields if name != "on"}
         changes = {
-            "object": Object.model_construct(**placed),
+            "object": Object.model_construct(**fields),
             "material": other.material,
             "parts": other.parts,
             "stiffness": None,
@@ -250,7 +259,7 @@ class Scene(Section):
         try:
             return cls.model_validate(data)
         except ValidationError as error:
-            raise refusal(error, source, cls) from None
+            raise explain(error, source, cls) from None
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Scene:
@@ -263,7 +272,7 @@ class Scene(Section):
 
     @classmethod
     def named(cls, name: str) -> Scene:
-        """A preset by its name, or a scene file by its path.
+        """Return a preset by its name, or read a scene file by its path.
 
         Raises:
             InputError: If there is neither a preset nor a file of that name.
@@ -272,28 +281,28 @@ class Scene(Section):
             return cls.from_toml(preset_folder() / f"{name}.toml")
         if Path(name).suffix == ".toml":
             return cls.from_toml(name)
-        given = f"Give a .toml file or one of {', '.join(preset_names())}."
+        choices = f"Give a .toml file or one of {', '.join(preset_names())}."
         hint = did_you_mean(name, preset_names())
-        raise InputError("scene", name, "no preset has that name.", f"{hint} {given}".strip())
+        raise InputError("scene", name, "no preset has that name.", f"{hint} {choices}".strip())
 
     def data(self) -> dict[str, Any]:
-        """The whole tree as plain data, without the values that are None."""
+        """Return the whole tree as plain data, without values that are None."""
         return self.model_dump(mode="json", exclude_none=True)
 
     def to_toml(self) -> str:
-        """The whole tree as TOML.
+        """Return the whole tree as TOML.
 
         Raises:
-            InputError: A class of the user's own has no name that a file could give.
+            InputError: A user's class is not registered under a name.
         """
-        self.refuse_nameless()
+        self.require_serialisable()
         return tomli_w.dumps(self.data())
 
-    def refuse_nameless(self) -> None:
-        """Refuse a scene that a file cannot describe.
+    def require_serialisable(self) -> None:
+        """Refuse a scene with a user's class that a file cannot name.
 
         Raises:
-            InputError: A class of the user's own has no name that a file could give.
+            InputError: A user's class is not registered under a name.
         """
         for kinds, sections in (
             (LAWS, self.materials),
@@ -302,22 +311,22 @@ class Scene(Section):
         ):
             for section in sections:
                 if not kinds.has_name(section):
-                    limit = "it is a class of your own, which a file cannot name."
+                    limit = "it is your own class, and a scene file cannot name it."
                     group = kinds.group
-                    remedy = f"Register it by an entry point phy124.{group}, or stay in Python."
+                    remedy = f"Register it by an entry point phy124.{group}, or use it in Python."
                     raise InputError(group, type(section).__name__, limit, remedy)
 
     def replaced(self, changes: dict[str, Any]) -> Scene:
-        """A copy with other values at dotted paths, such as `{"material.E": 2e4}`.
+        """Return a copy with other values at dotted paths, such as `{"material.E": 2e4}`.
 
-        A material of another law, or a force or boundary of another kind, starts from its own
+        A material of another law, or a force or boundary of another kind, starts from its
         defaults.
 
         Raises:
             InputError: If a path does not exist or a value is out of bounds.
         """
         data = self.data()
-        # Instances from outside stay as they are: plain data may not name their class.
+        # Keep instances of users' classes: plain data may not name their class.
         if LAWS.is_foreign(self.material):
             data["material"] = self.material
         of_objects = zip(self.objects, data.get("objects", []), strict=True)
@@ -334,10 +343,10 @@ class Scene(Section):
 
 
 def preset_names() -> list[str]:
-    """Names of the presets, in alphabetical order."""
+    """Return the names of the presets, in alphabetical order."""
     return sorted(path.stem for path in preset_folder().glob("*.toml"))
 
 
 def preset_folder() -> Path:
-    """The folder that holds the presets."""
+    """Return the folder that holds the presets."""
     return Path(str(resources.files("phy124") / "presets"))

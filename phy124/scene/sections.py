@@ -19,13 +19,13 @@ Rate = Annotated[float, Field(ge=1, le=1000)]
 LENGTH = TypeAdapter(tuple[Seconds, Rate])
 """A length of time [s] and frames per second."""
 FLOOR = "floor"
-"""What an object stands on that stands on no other one."""
+"""What an object stands on unless it stands on another object."""
 _Degrees = Annotated[float, Field(ge=-360, le=360)]
 Angles = tuple[_Degrees, _Degrees, _Degrees]
 
 
 def _is(default: Any) -> Callable[[Any], bool]:
-    """Whether a value says nothing, so that scenes of one object are written as ever."""
+    """Return a test for the default, which is not written into scene files."""
     return lambda value: value == default
 
 
@@ -38,82 +38,83 @@ class Object(Section):
     )
     velocity: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity at the start [m/s].")
     spin: Velocity = Field(
-        default=(0.0, 0.0, 0.0), description="Angular velocity about its middle [rad/s]."
+        default=(0.0, 0.0, 0.0), description="Angular velocity about its centre [rad/s]."
     )
     name: Name = Field(
-        default="object", exclude_if=_is("object"), description="What the scene calls it."
+        default="object", exclude_if=_is("object"), description="Name of the object."
     )
     place: Spot = Field(
         default=(0.0, 0.0),
         exclude_if=_is((0.0, 0.0)),
-        description="Where its middle stands on the floor, x and y [m].",
+        description="Position of its centre on the floor, x and y [m].",
     )
     turn: Angles = Field(
         default=(0.0, 0.0, 0.0),
         exclude_if=_is((0.0, 0.0, 0.0)),
-        description="How far it is turned about x, then y, then z [degrees].",
+        description="Rotation about x, then y, then z [degrees].",
     )
     on: Name = Field(
         default=FLOOR,
         exclude_if=_is(FLOOR),
-        description="What it stands on, from which `lift` counts: the floor at z = 0, or the name "
-        "of another object, which it then touches.",
+        description="What it stands on, and where `lift` is measured from: the floor at z = 0, or "
+        "the name of another object, which it then touches.",
     )
     held: bool = Field(
         default=False,
         exclude_if=_is(False),
-        description="It never moves; other objects meet it as they meet a wall.",
+        description="It never moves, and acts on other objects like a wall.",
     )
 
 
 class Timing(Section):
-    """Which instants are kept as frames, and how long a run may take."""
+    """Which times are stored as frames, and how long a run may take."""
 
     frames: int = Field(default=14, ge=1, le=10_000, description="Number of frames.")
     fps: Rate = Field(default=24.0, description="Frames per second of motion.")
     seconds: Seconds | None = Field(
         default=None,
         examples=[3],
-        description="Length of the motion [s], instead of frames, which are then seconds x fps.",
+        description="Length of the motion [s]; sets frames to seconds x fps.",
     )
     substep: float | None = Field(
         default=None,
         ge=1e-9,
         le=1,
         examples=[1e-4],
-        description="Longest substep allowed [s]; absent: as stability needs.",
+        description="Longest substep allowed [s]; absent: limited by stability alone.",
     )
     sleep: bool = Field(
         default=True,
-        description="Leave substeps out while the object rests; at most 3e-4 of its size astray.",
+        description="Skip substeps while the object rests; position error at most 3e-4 of its "
+        "size.",
     )
     budget: float = Field(
         default=7200.0,
         ge=1e-3,
         le=1e8,
-        description="Longest time of a simulation [s]; one predicted to take longer is refused, "
-        "and it stops at twice that, in processor time of its busiest thread.",
+        description="Longest computing time [s]: a simulation predicted to take longer is refused, "
+        "and one whose busiest thread has taken twice that is stopped.",
     )
 
     @model_validator(mode="before")
     @classmethod
-    def _counted(cls, data: Any) -> Any:
-        """Frames in place of seconds, so that a scene says in one way how long it is."""
+    def _replace_seconds(cls, data: Any) -> Any:
+        """Replace seconds by frames, so that a scene states its length in one way."""
         if not isinstance(data, dict) or data.get("seconds") is None:
             return data
         if "frames" in data:
-            raise ValueError("frames and seconds both say how long it is; give one of the two")
+            raise ValueError("frames and seconds both set the length; give one of the two")
         try:
             rate = data.get("fps", cls.model_fields["fps"].default)
             seconds, fps = LENGTH.validate_python((data["seconds"], rate))
         except ValidationError:
-            return data  # the fields refuse it
+            return data  # the fields' own validation reports it
         rest = {name: value for name, value in data.items() if name != "seconds"}
         return {**rest, "frames": max(1, round(seconds * fps))}
 
     @property
     def length(self) -> float:
-        """How long the motion is, each frame counted for 1 / fps [s]."""
+        """Length of the motion [s]: 1 / fps per frame."""
         return self.frames / self.fps
 
 
@@ -124,42 +125,40 @@ class Checks(Section):
         default=16,
         ge=1,
         le=32,
-        description="Substeps between two measurements of what limits them; above 4 only while "
-        "nothing can be strained, by a wall or otherwise, until it is much stiffer.",
+        description="Substeps between two measurements of the stable limit; more than 4 are used "
+        "only while no particle can be strained enough to stiffen much in between.",
     )
     balance: bool = Field(
         default=True,
-        description="Add up what forces and walls give, so that energy or momentum from nowhere "
-        "stops the run; without it only broken numbers and particles inside out do.",
+        description="Balance energy and momentum against the work and impulse of forces and walls, "
+        "and stop the run if they are violated; off: only non-finite values and inverted particles "
+        "stop it.",
     )
     energy: bool = Field(
         default=False,
         exclude_if=_is(False),
-        description="Report where the energy lost has gone: to the material, to friction at walls, "
-        "to the numerics.",
+        description="Report how much energy is lost in the material, by friction at walls, and by "
+        "the numerical method.",
     )
 
 
-def check_energy(checks: Checks, beyond: dict[str, bool]) -> None:
-    """Refuse to split the energy lost where a part of it is not measured.
+def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
+    """Refuse `checks.energy` in a scene where a part of the energy is not measured.
 
     Args:
-        checks: What is asked for.
-        beyond: Whether a scene has what the split does not cover, by name.
+        checks: The scene's checks.
+        unsupported: Feature that the split does not support -> whether the scene has it.
 
     Raises:
-        ValueError: The split is asked for and cannot be made.
+        ValueError: `checks.energy` is on and the scene has such a feature.
     """
     if not checks.energy:
         return
     if not checks.balance:
         raise ValueError("checks.energy needs checks.balance; leave one out or set the other")
-    for name, present in beyond.items():
+    for name, present in unsupported.items():
         if present:
-            raise ValueError(
-                f"checks.energy cannot tell what is lost in a scene with {name}; leave one of the "
-                "two out"
-            )
+            raise ValueError(f"checks.energy does not support {name}; leave one of the two out")
 
 
 class Part(Section):
@@ -167,41 +166,39 @@ class Part(Section):
 
     material: AnyMaterial = Field(default=NeoHookean(), description="Its material.")
     static: bool = Field(
-        default=False, description="Scenery: it is seen, but neither moves nor touches anything."
+        default=False, description="Scenery: visible, but does not move or touch anything."
     )
     surroundings: bool = Field(
         default=False,
         description="Static Gaussians, such as a floor, that do not count for the object's size.",
     )
-    region: PartRegion | None = Field(default=None, description="Box of space it lies in [m].")
+    region: PartRegion | None = Field(default=None, description="Box that contains it [m].")
     mask: FileName | None = Field(
         default=None,
         examples=["hat.png"],
-        description="Picture file, white where it is seen from the front.",
+        description="Mask file, white where the part is visible from the front.",
     )
     gaussians: tuple[Number, Number] | None = Field(
         default=None,
         examples=[[0, 2000]],
-        description="Its Gaussians: the first and one past the last.",
+        description="Range of its Gaussians: index of the first, and of the last plus one.",
     )
 
     @model_validator(mode="after")
-    def _picked(self) -> Part:
+    def _check_selection(self) -> Part:
         if self.region is None and self.mask is None and self.gaussians is None:
-            raise ValueError(
-                "a part needs a region, a mask or gaussians to say where it is; give one of them"
-            )
+            raise ValueError("a part needs a region, a mask or gaussians; give one of them")
         if self.static and self.material != NeoHookean():
-            raise ValueError("a static part is made of nothing; leave its material out")
+            raise ValueError("a static part has no material; leave it out")
         if self.surroundings and (not self.static or self.gaussians is None or self.region):
             raise ValueError(
-                "surroundings are static and picked by gaussians alone; set static, and leave "
-                "region and mask out"
+                "surroundings must be static and selected by gaussians alone; set static, and "
+                "leave region and mask out"
             )
         return self
 
     def data(self) -> dict[str, Any]:
-        """How the part is selected, as plain data."""
+        """Return how the part is selected, as plain data."""
         return self.model_dump(
             mode="json", exclude_none=True, exclude={"material", "static", "surroundings"}
         )

@@ -16,7 +16,7 @@ from phy124.materials import AnyMaterial
 from phy124.particles import Particles
 from phy124.properties import COLUMNS, FRACTION
 from phy124.scene import Scene
-from phy124.scene.refusals import refusal
+from phy124.scene.refusals import explain
 
 
 def varied(
@@ -123,7 +123,7 @@ def _check_extremes(kinds: NDArray, given: list[str], bases: list[AnyMaterial]) 
                 try:
                     type(section).model_validate({**section.model_dump(), name: value})
                 except ValidationError as error:
-                    wrong = refusal(error, "material", type(section))
+                    wrong = explain(error, "material", type(section))
                     raise InputError(
                         "properties.file", f"{name} = {value:g}", wrong.limit,
                         "Correct the file, or clip its values.",
@@ -173,7 +173,7 @@ def _refuse_too_soft(section: AnyMaterial, fraction: float) -> None:
     try:
         type(section).model_validate(softened)
     except ValidationError as error:
-        wrong = refusal(error, "material", type(section))
+        wrong = explain(error, "material", type(section))
         raise InputError(
             "stiffness", f"{fraction:g} of E",
             f"{section.law} cannot be so soft; of {wrong.field}, {wrong.limit}",

@@ -17,7 +17,7 @@ from phy124.io.axes import euler
 from phy124.mpm import FreeBody
 from phy124.particles.scenery import Scenery
 from phy124.scene import Scene
-from phy124.scene.objects import ANY, pair_of
+from phy124.scene.objects import ANY, find_pair
 from phy124.simulation.bodies import DEEPEST
 from phy124.tracks import Track
 
@@ -49,7 +49,7 @@ def free_bodies(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
     """The rigid solids of a scene where their Gaussians are placed."""
     for index in numbers(scene):
         one, own = scene.objects[index - 1], gaussians.object_id == index
-        how = pair_of(scene.pairs, one.name, ANY)
+        how = find_pair(scene.pairs, one.name, ANY)
         assert isinstance(one.motion, Free) and one.shape is not None
         w, x, y, z = quaternions(euler(one.turn)[None])[0].tolist()
         yield FreeBody(

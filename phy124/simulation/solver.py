@@ -20,7 +20,7 @@ from phy124.mpm import Accumulator, Attachable, Model, Pair, Scheme, Solver, Sta
 from phy124.mpm.free import FreeBody, Plane
 from phy124.particles import Particles
 from phy124.scene import Object, Scene
-from phy124.scene.objects import pair_of
+from phy124.scene.objects import find_pair
 from phy124.simulation import props
 from phy124.simulation.buried import refuse_buried
 
@@ -115,7 +115,7 @@ def names_of(particles: Particles, scene: Scene) -> tuple[str, ...]:
 def pairs_of(names: Sequence[str], scene: Scene) -> Iterator[Pair]:
     """How the bodies of these names touch."""
     for first, second in combinations(range(len(names)), 2):
-        how = pair_of(scene.pairs, names[first], names[second])
+        how = find_pair(scene.pairs, names[first], names[second])
         yield Pair(first, second, how.friction, how.contact == "sticky")
 
 

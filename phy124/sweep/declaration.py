@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, ValidationError
 
 from phy124.errors import InputError
 from phy124.scene.files import read_toml
-from phy124.scene.refusals import refusal
+from phy124.scene.refusals import explain
 from phy124.section import Section
 from phy124.sweep.axes import NAMED, Axis, listed
 
@@ -69,7 +69,7 @@ class Sweep(Section):
         try:
             return cls.model_validate(data)
         except ValidationError as error:
-            found = refusal(error, source, cls)
+            found = explain(error, source, cls)
             field = KIND.sub("", found.field)
             raise InputError(field, found.value, found.limit, found.remedy) from None
 

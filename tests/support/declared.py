@@ -35,7 +35,7 @@ def leaves(files: dict[str, str]) -> list[Leaf]:
 
 
 def _walk(node: Node, path: str, wrap: Wrap, files: dict[str, str]) -> Iterator[Leaf]:
-    node = DECLARED.resolved(node)
+    node = DECLARED.resolve(node)
     kinds = DECLARED.kinds(node)
     if kinds:
         tag = node["discriminator"]["propertyName"]
