@@ -179,7 +179,7 @@ def make_object(
         reading=options.reading,
         depth=options.depth,
         views=options.views,
-        **options.cutting.given(),
+        **options.cutting.arguments(),
         looked=look,
         announce=lambda effort: log.info(
             "%s: %s; about %.0f s", options.generator, effort.words, effort.seconds

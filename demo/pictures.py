@@ -13,12 +13,12 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from phy124.errors import InputError
-from phy124.imaging.cutout import Cutout, cleaned, foreground, looked_at, title_of
-from phy124.imaging.grabcut import hinted
-from phy124.imaging.header import HEAD, kind_of
-from phy124.imaging.image import header_size, open_image
+from phy124.imaging.cutout import Cutout, clean_edge, examine, foreground, title_of
+from phy124.imaging.grabcut import apply_marks
+from phy124.imaging.header import HEAD, read_kind
+from phy124.imaging.image import open_image, read_picture_size
 from phy124.imaging.objects import Point
-from phy124.imaging.transparency import has_alpha, made_solid
+from phy124.imaging.transparency import has_alpha, make_solid
 from phy124.io.files import replacing
 from phy124.runtime import isolated
 from phy124.runtime.isolated import PATIENT, Deadline, Unfinished
@@ -45,7 +45,7 @@ def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
     size = path.stat().st_size
     if size > settings.max_bytes:
         raise InputError(field, path.name, settings.too_large, settings.make_smaller)
-    width, height = header_size(path, field=field)
+    width, height = read_picture_size(path, field=field)
     if width * height > settings.max_megapixels * 1e6:
         limit = f"It has more than {settings.max_megapixels:g} million pixels."
         raise InputError(field, path.name, limit, "Reduce it to 2000 pixels, for example.")
@@ -54,7 +54,7 @@ def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
 def is_shown(picture: Path) -> bool:
     """Whether browsers can show a picture."""
     with open(picture, "rb") as file:
-        return kind_of(file.read(HEAD)) != "HEIC"
+        return read_kind(file.read(HEAD)) != "HEIC"
 
 
 def viewable(picture: Path, deadline: Deadline = PATIENT) -> Path:
@@ -137,7 +137,7 @@ def corrected(
         path: The PNG to write.
         deadline: When to give up.
     """
-    image = made_solid(open_image(picture, deadline=deadline))
+    image = make_solid(open_image(picture, deadline=deadline))
     marks = np.asarray(painted(tuple(strokes), image.size))
     alpha = np.zeros(marks.shape, np.uint8)
     if first is not None:
@@ -147,10 +147,10 @@ def corrected(
         # If the outline is not found in time, the strokes themselves still count.
         with suppress(Unfinished):
             rgb = np.asarray(image.convert("RGB"))
-            alpha = np.array(isolated.run(hinted, rgb, alpha, marks, deadline=deadline))
+            alpha = np.array(isolated.run(apply_marks, rgb, alpha, marks, deadline=deadline))
     alpha[marks == 1] = 0
     alpha[marks == 2] = 255
-    _save(looked_at(cleaned(image, alpha), "brush"), path)
+    _save(examine(clean_edge(image, alpha), "brush"), path)
 
 
 def how_cut(picture: Image.Image) -> dict[str, Any] | None:

@@ -59,7 +59,10 @@ def place_of(data: Any) -> Point | None:
         return PLACE.validate_python(data)
     except ValidationError:
         raise InputError(
-            "pick", "unknown", "It is no place in the picture.", "Give two fractions: [0.3, 0.5]."
+            "pick",
+            "unknown",
+            "It is not a place in the picture.",
+            "Give two fractions, as in [0.3, 0.5].",
         ) from None
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.imaging.painted import WHOLE, Crop, brightness
+from phy124.imaging.painted import WHOLE, Crop, sample_brightness
 from phy124.particles import Particles
 from phy124.scene import Part, Scene
 
@@ -65,7 +65,7 @@ def assign(
         if part.gaussians is not None:
             inside &= _held(x, gaussian, part.gaussians, means)
         if part.mask is not None:
-            inside &= brightness(x, part.mask, crop, field=f"parts.{number - 1}.mask") > 0.5
+            inside &= sample_brightness(x, part.mask, crop, field=f"parts.{number - 1}.mask") > 0.5
         if not inside.any() and not part.surroundings:
             raise InputError(
                 f"parts.{number - 1}", part.data(), "it holds no particle.",

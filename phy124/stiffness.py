@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from phy124.bounds import FileName
-from phy124.imaging.painted import Crop, brightness
+from phy124.imaging.painted import Crop, sample_brightness
 from phy124.section import Section
 from phy124.tracks import Table
 
@@ -68,7 +68,7 @@ class Picture(_Field):
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """Linear in the grey value."""
-        grey = brightness(x, self.file, crop, field="stiffness.file")
+        grey = sample_brightness(x, self.file, crop, field="stiffness.file")
         return self.black + grey * (self.white - self.black)
 
 

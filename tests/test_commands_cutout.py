@@ -31,7 +31,7 @@ def test_a_mask_says_where_the_object_is(dark, tmp_path, capsys):
     picture, mask = map(str, dark)
     arguments = ["generate", picture, *FEW, "--mask", mask]
     assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
-    assert "cut out by the mask that was given: 34.8% of the picture" in capsys.readouterr().out
+    assert "cut out by the mask: 34.8% of the picture" in capsys.readouterr().out
     cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))[..., 3]
     np.testing.assert_array_equal(cut, np.asarray(Image.open(mask)))
     assert main(["generate", str(DUCK), *QUICK, "--mask", mask, "--out", str(tmp_path / "p")]) == 2
@@ -45,7 +45,7 @@ def test_a_picture_can_be_cut_out_alone(dark, tmp_path, capsys, monkeypatch):
     assert main(["cutout", picture, "--mask", mask]) == 0
     printed = capsys.readouterr()
     assert printed.out.splitlines() == [
-        "cut out by the mask that was given: 34.8% of the picture",
+        "cut out by the mask: 34.8% of the picture",
         str(Path("out/dark-cutout.png")),
     ]
     assert "warning" not in printed.err
@@ -99,7 +99,7 @@ def test_one_of_several_objects_is_picked(tmp_path, capsys, monkeypatch):
     assert main(["generate", "two.png", "--pick", "0.5,0.1", *more]) == 2
     assert "pick = 0.5,0.1: No object was found" in capsys.readouterr().err
     assert main(["cutout", "two.png", "--pick", "left"]) == 2
-    assert "pick = left: It is no place in the picture. Give two" in capsys.readouterr().err
+    assert "pick = left: It is not a place in the picture. Give two" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -248,7 +248,7 @@ def test_masks_that_do_not_fit_are_refused(tmp_path):
         cut_out(path, mask=small)
     for grey_level, fraction in ((0, "0%"), (255, "100%")):
         flat = saved(tmp_path, Image.new("L", (120, 120), grey_level), "flat.png")
-        with pytest.raises(InputError, match=f"mask = given: {fraction} of the picture is white"):
+        with pytest.raises(InputError, match=f"mask = painted: {fraction} of the picture is white"):
             cut_out(path, mask=flat)
     with pytest.raises(InputError, match=r"mask = .*none.png: There is no such file"):
         cut_out(path, mask=tmp_path / "none.png")

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin, features
 
-from phy124.imaging.decoding import Purpose, Unusable, decoded
+from phy124.imaging.decoding import Purpose, Unusable, decode
 from phy124.imaging.image import ANY_FORMAT, FORMATS, open_image
 from support import photographs
 from support.photographs import Entry, exif_of, file_of, upright, with_segment
@@ -61,7 +61,7 @@ def turned(orientation: int) -> np.ndarray:
 
 
 def colours(data: bytes, purpose: Purpose = PHOTOGRAPH) -> np.ndarray:
-    return np.asarray(decoded(data, purpose, 2048).picture)[..., :3].astype(int)
+    return np.asarray(decode(data, purpose, 2048).picture)[..., :3].astype(int)
 
 
 JPEG = file_of(quarters(), "JPEG", quality=98, subsampling=0)
@@ -87,7 +87,7 @@ def test_odd_tags_matter_in_no_format(kind):
         odd = exif_of([upright(6), Entry(tag, kind_of_tag, 1, b"\xff" * TYPES[kind_of_tag])])
         if kind == "AVIF":  # Pillow, too, has to read it before it can write it
             odd = exif_of([Entry(tag, kind_of_tag, 1, b"\xff" * TYPES[kind_of_tag])])
-        size = decoded(file_of(quarters(), kind, exif=odd), PHOTOGRAPH, 2048).size
+        size = decode(file_of(quarters(), kind, exif=odd), PHOTOGRAPH, 2048).size
         assert size == ((48, 32) if kind == "AVIF" else (32, 48)), (tag, kind_of_tag)
 
 
@@ -181,10 +181,10 @@ def test_several_pictures_in_a_file_do_not_pass_its_limits():
     index = photographs.segment_of(both, b"MPF\0")
     many = file_of(quarters(), "JPEG", progressive=True)
     scans = many[many.index(b"\xff\xda") : -2]
-    assert decoded(with_segment(many, 0xE2, index), PHOTOGRAPH, 2048).frames == 1
+    assert decode(with_segment(many, 0xE2, index), PHOTOGRAPH, 2048).frames == 1
     bomb = with_segment(many[:-2] + scans * 60 + b"\xff\xd9", 0xE2, index)
     with pytest.raises(Unusable, match="more than 100 passes"):
-        decoded(bomb, PHOTOGRAPH, 2048)
+        decode(bomb, PHOTOGRAPH, 2048)
     for damaged in (index[:9], b"MPF\0" + bytes(80), index[:20] + b"\xff" * 60):
         np.testing.assert_allclose(colours(with_segment(JPEG, 0xE2, damaged)), turned(1), atol=14)
 
@@ -196,7 +196,7 @@ PATCH = Image.new("RGB", (16, 16), (200, 40, 30))
 
 def patch_of(picture: Image.Image, kind: str, profile: bytes, **options: object) -> list[int]:
     data = file_of(picture, kind, icc_profile=profile, quality=100, **options)
-    return np.asarray(decoded(data, PHOTOGRAPH, 2048).picture)[8, 8].tolist()
+    return np.asarray(decode(data, PHOTOGRAPH, 2048).picture)[8, 8].tolist()
 
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", pytest.param("AVIF", marks=AVIF)])
@@ -246,14 +246,14 @@ def test_print_inks_become_srgb_by_their_profile():
     ids=["text", "zeros", "cut", "overwritten", "of grey", "of ink"],
 )
 def test_profiles_that_cannot_be_used_are_noted(profile):
-    found = decoded(file_of(PATCH, "PNG", icc_profile=profile), PHOTOGRAPH, 2048)
+    found = decode(file_of(PATCH, "PNG", icc_profile=profile), PHOTOGRAPH, 2048)
     assert np.asarray(found.picture)[8, 8].tolist() == [200, 40, 30, 255]
     assert [note for note in found.notes if "colour profile cannot be used" in note]
 
 
 def test_a_profile_of_which_a_part_is_missing_is_noted():
     parts = b"ICC_PROFILE\0" + bytes([1, 2]) + photographs.display_p3()
-    found = decoded(with_segment(file_of(PATCH, "JPEG"), 0xE2, parts), PHOTOGRAPH, 2048)
+    found = decode(with_segment(file_of(PATCH, "JPEG"), 0xE2, parts), PHOTOGRAPH, 2048)
     assert found.notes and "colour profile" in found.notes[0]
 
 
@@ -267,7 +267,7 @@ def test_a_damaged_profile_is_used_or_noted(profile, changes):
     for place, data in changes:
         damaged[place : place + len(data)] = data
     picture = file_of(Image.new("L", (8, 8)), "PNG", icc_profile=bytes(damaged))
-    assert decoded(picture, PHOTOGRAPH, 2048).picture.mode == "RGBA"
+    assert decode(picture, PHOTOGRAPH, 2048).picture.mode == "RGBA"
 
 
 def test_values_that_are_no_colours_have_no_profile():
@@ -310,7 +310,7 @@ def test_damage_around_the_pixels_of_a_png_changes_nothing(chunk):
 
 def test_a_png_whose_transparency_is_damaged_is_refused():
     with pytest.raises(Unusable, match="broken"):
-        decoded(png_with(b"tRNS", bytes(6), 0), Purpose(FORMATS, 1), 64)
+        decode(png_with(b"tRNS", bytes(6), 0), Purpose(FORMATS, 1), 64)
 
 
 def test_grey_levels_as_floats_go_from_0_to_1():
@@ -319,14 +319,14 @@ def test_grey_levels_as_floats_go_from_0_to_1():
     np.testing.assert_array_equal(found[..., 0], np.arange(256).reshape(16, 16))
     for wrong in (levels * 400, levels * np.float32("nan"), levels - 1):
         with pytest.raises(Unusable, match="not all from 0 to 1"):
-            decoded(file_of(Image.fromarray(wrong), "TIFF"), MASK, 2048)
+            decode(file_of(Image.fromarray(wrong), "TIFF"), MASK, 2048)
 
 
 @pytest.mark.parametrize("kind", ["PNG", "WEBP", "GIF", "TIFF"])
 def test_the_first_of_several_pictures_is_taken(kind):
     others = [Image.new("RGB", (48, 32), colour) for colour in ("red", "blue")]
     data = file_of(quarters(), kind, save_all=True, append_images=others, lossless=True)
-    found = decoded(data, MASK, 2048)
+    found = decode(data, MASK, 2048)
     assert found.frames == (1 if kind == "TIFF" else 3)
     np.testing.assert_allclose(np.asarray(found.picture)[..., :3].astype(int), turned(1), atol=2)
 
@@ -336,7 +336,7 @@ def test_a_file_cut_anywhere_is_refused_in_words(kind):
     whole = file_of(quarters(), kind)
     for length in {*range(0, len(whole) - 20, max(1, len(whole) // 40))}:
         try:
-            decoded(whole[:length], MASK, 2048)
+            decode(whole[:length], MASK, 2048)
         except Unusable as error:
             assert len(error.args) == 2 and "object at 0x" not in error.args[0]
 
@@ -353,7 +353,7 @@ def test_whatever_a_damaged_file_raises_is_a_refusal(kind, changes):
     for place, value in changes:
         data[int(place * min(len(data), 400))] = value
     try:
-        decoded(bytes(data), MASK, 2048)
+        decode(bytes(data), MASK, 2048)
     except Unusable as error:
         assert len(error.args) == 2
 
@@ -367,4 +367,4 @@ def test_an_unknown_exception_of_a_library_is_a_refusal(monkeypatch):
 
     monkeypatch.setattr(Image, "open", broken)
     with pytest.raises(Unusable, match=r"broken or cut short \(line feed\)"):
-        decoded(file_of(PATCH, "PNG"), PHOTOGRAPH, 2048)
+        decode(file_of(PATCH, "PNG"), PHOTOGRAPH, 2048)

@@ -28,7 +28,7 @@ from demo.work import Done
 from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.gaussians import Frame
-from phy124.imaging.grabcut import hinted
+from phy124.imaging.grabcut import apply_marks
 from phy124.io.clip import Clip, shape_of
 from phy124.io.export.html import LICENCE, SCRIPTS, STYLE, VIEWER
 from phy124.io.formats import FORMATS, WRITTEN, read_gaussians
@@ -263,7 +263,7 @@ def test_stroke_is_a_hint_that_follows_edges(tmp_path):
     alpha = np.zeros((200, 200), np.uint8)
     alpha[60:140, 40:100] = 255
     marks = np.asarray(painted([_stroke(True, (0.53, 0.5), width=0.03)], (200, 200)))
-    found = hinted(rgb, alpha, marks)
+    found = apply_marks(rgb, alpha, marks)
     square = found[92:108, 102:112] > 127
     assert square.mean() > 0.9 and (marks[92:108, 102:112] == 2).mean() < 0.3
     assert (found[60:140, 40:90] == 255).all() and (found[:50] == 0).all()

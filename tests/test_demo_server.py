@@ -364,7 +364,7 @@ def test_a_chunked_upload_without_a_length_is_cut_off(server):
         ({"changes": {"material.E": -5}}, "a number from 1 to 1e13"),
         ({"changes": {"material.E": 1e12}, "frames": 72}, "would take about"),
         ({"changes": {"colour": 3}}, "There is no such key"),
-        ({"pick": [0.5]}, "pick: It is no place in the picture. Give two fractions"),
+        ({"pick": [0.5]}, "pick: It is not a place in the picture. Give two fractions"),
         ({"pick": [0.01, 0.99]}, "image: No object was found at this place"),
         ({"formats": ["exe"]}, r"formats: There is no exe\. Give "),
         ({"formats": "gif"}, r"formats: There is no gif\. Give "),

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from PIL import Image, features
 
 from phy124.imaging import header
-from phy124.imaging.header import kind_of, size_of
+from phy124.imaging.header import read_kind, read_size
 from support import photographs
 from support.hostile import PHONE, heic_claiming, png_claiming
 
@@ -39,8 +39,8 @@ def box(major: bytes, *others: bytes) -> bytes:
     ],
 )
 def test_kinds_are_told_by_brands(data, kind):
-    assert kind_of(data) == kind
-    assert kind_of(data[: header.HEAD]) == kind
+    assert read_kind(data) == kind
+    assert read_kind(data[: header.HEAD]) == kind
 
 
 @pytest.mark.parametrize("size", [(30, 20), (1, 9000), (16383, 3)])
@@ -58,35 +58,35 @@ def test_kinds_are_told_by_brands(data, kind):
 )
 def test_sizes_are_those_that_are_written(kind, mode, options, size):
     data = photographs.file_of(Image.new(mode, size), kind, **options)
-    assert (kind_of(data), size_of(data)) == (kind, size)
+    assert (read_kind(data), read_size(data)) == (kind, size)
 
 
 def test_the_largest_picture_of_a_phone_counts():
-    assert size_of(PHONE.read_bytes()) == (256, 320)
-    assert size_of(heic_claiming(30_000, 9)) == (30_000, 9)
-    assert size_of(png_claiming(70_000, 80_000)) == (70_000, 80_000)
+    assert read_size(PHONE.read_bytes()) == (256, 320)
+    assert read_size(heic_claiming(30_000, 9)) == (30_000, 9)
+    assert read_size(png_claiming(70_000, 80_000)) == (70_000, 80_000)
 
 
 @pytest.mark.skipif(not READS_AVIF, reason="this Pillow writes no AVIF")
 def test_the_size_of_an_avif_is_read():
-    assert size_of(photographs.file_of(Image.new("RGB", (64, 32)), "AVIF")) == (64, 32)
+    assert read_size(photographs.file_of(Image.new("RGB", (64, 32)), "AVIF")) == (64, 32)
 
 
 def test_a_jpeg_of_endless_segments_states_no_size(monkeypatch):
     jpeg = photographs.file_of(Image.new("L", (9, 9)), "JPEG")
     padded = jpeg[:2] + b"\xff\xe0\0\2" * 50 + jpeg[2:]
-    assert size_of(padded) == (9, 9)
+    assert read_size(padded) == (9, 9)
     monkeypatch.setattr(header, "MOST_SEGMENTS", 40)
     with pytest.raises(ValueError, match="states no size"):
-        size_of(padded)
+        read_size(padded)
 
 
 def test_filling_between_segments_is_passed_over_once():
     """A pattern that repeats FF takes hours for a megabyte of it."""
     jpeg = photographs.file_of(Image.new("L", (30, 20)), "JPEG")
-    assert size_of(jpeg[:2] + b"\xff" * 2_000_000 + jpeg[2:]) == (30, 20)
+    assert read_size(jpeg[:2] + b"\xff" * 2_000_000 + jpeg[2:]) == (30, 20)
     with pytest.raises(ValueError, match="states no size"):
-        size_of(b"\xff\xd8" + b"\xff" * 2_000_000)
+        read_size(b"\xff\xd8" + b"\xff" * 2_000_000)
 
 
 @settings(max_examples=200, deadline=None)
@@ -107,7 +107,7 @@ def test_filling_between_segments_is_passed_over_once():
 )
 def test_any_bytes_have_a_size_or_none(start, rest):
     try:
-        width, height = size_of(start + rest)
+        width, height = read_size(start + rest)
     except ValueError:
         return
     assert width >= 0 and height >= 0

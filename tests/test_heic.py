@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from phy124.errors import InputError
-from phy124.imaging import heic, image
+from phy124.imaging import codecs, image
 from phy124.imaging.cutout import cut_out
 from phy124.imaging.image import open_image
-from phy124.imaging.profile import in_srgb
+from phy124.imaging.profile import convert_to_srgb
 from support.hostile import PHONE, heic_claiming
 from support.photographs import Entry, display_p3, exif_of, heic_with, upright
 
-reads = pytest.mark.skipif(not heic.is_readable(), reason="the extra heic is not installed")
+reads = pytest.mark.skipif(not codecs.can_read_heic(), reason="the extra heic is not installed")
 
 
 @reads
@@ -29,7 +29,7 @@ def test_a_photograph_is_opened_upright_and_cut_out():
 
 
 def test_large_ones_are_refused_before_decoding(tmp_path, monkeypatch):
-    monkeypatch.setattr(heic, "is_readable", lambda: True)
+    monkeypatch.setattr(codecs, "can_read_heic", lambda: True)
     monkeypatch.setattr(image.isolated, "run", lambda *_, **__: pytest.fail("was decoded"))
     (tmp_path / "bomb.heic").write_bytes(heic_claiming(30_000, 30_000))
     with pytest.raises(InputError, match="more than 50 million pixels"):
@@ -66,7 +66,7 @@ def _endless(*_: object) -> None:
 
 
 def test_without_the_package_its_name_is_told(monkeypatch):
-    monkeypatch.setattr(heic, "is_readable", lambda: False)
+    monkeypatch.setattr(codecs, "can_read_heic", lambda: False)
     with pytest.raises(InputError, match=r"package pi-heif can read\. Install it \(.*pip install"):
         open_image(PHONE)
 
@@ -77,7 +77,7 @@ def test_odd_exif_and_a_profile_of_a_phone(tmp_path):
     odd = exif_of([upright(3), Entry(0x0131, 5, 1, bytes(8)), Entry(0x011A, 10, 1, bytes(8))])
     (tmp_path / "a.heic").write_bytes(heic_with(PHONE.read_bytes(), display_p3(), odd))
     plain, found = open_image(PHONE), open_image(tmp_path / "a.heic")
-    expected = in_srgb(plain, display_p3())
+    expected = convert_to_srgb(plain, display_p3())
     assert found.info["notes"] == () and found.size == (320, 256)
     np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
     assert np.abs(np.asarray(found).astype(int) - np.asarray(plain)).max() > 10

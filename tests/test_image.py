@@ -271,16 +271,16 @@ def test_a_decoder_is_called_off_with_its_job(tmp_path, monkeypatch):
 
 
 def test_avif_is_read_or_refused_by_its_name(tmp_path, monkeypatch):
-    if image.reads_avif():
+    if image.can_read_avif():
         avif = photographs.file_of(Image.fromarray(gradient(64, 64)), "AVIF")
     else:
         avif = b"\0\0\0\x1cftypavif\0\0\0\0mif1avif"
     for brand in (b"avif", b"mif1"):
         (tmp_path / "a.avif").write_bytes(avif[:8] + brand + avif[12:])
-        if image.reads_avif():
+        if image.can_read_avif():
             assert open_image(tmp_path / "a.avif").size == (64, 64)
         with monkeypatch.context() as without:
-            without.setattr(image, "reads_avif", lambda: False)
+            without.setattr(image, "can_read_avif", lambda: False)
             with pytest.raises(InputError, match=r"AVIF picture, which .*Pillow does not read"):
                 open_image(tmp_path / "a.avif")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from phy124.errors import Cancelled, InputError
-from phy124.imaging.grabcut import _cut, _starts, grabcut
+from phy124.imaging.grabcut import _run_grabcut, _initial_labels, grabcut
 from phy124.runtime.isolated import Deadline, RemoteTraceback, Unfinished, run
 from support.waiting import until
 
@@ -45,7 +45,7 @@ def test_native_code_that_never_ends_is_ended():
     """OpenCV's own loop, which no signal and no thread can stop."""
     red = np.full((300, 300, 3), (255, 0, 0), np.uint8)
     with pytest.raises(Unfinished, match=r"did not finish within 1\.5 s"):
-        run(_cut, red, _starts(red)[0], deadline=Deadline(1.5))
+        run(_run_grabcut, red, _initial_labels(red)[0], deadline=Deadline(1.5))
 
 
 def test_a_wait_that_is_called_off_ends_the_process(tmp_path):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from phy124.imaging.cutout import cleaned, foreground
-from phy124.imaging.matting import decontaminated, fitted
+from phy124.imaging.cutout import clean_edge, foreground
+from phy124.imaging.matting import decontaminate, fit_edge
 
 RED, GREEN = np.array([200.0, 40, 30]), np.array([30.0, 190, 60])
 
@@ -24,7 +24,7 @@ def test_a_coarse_mask_is_fitted_to_the_edge_of_the_picture(side):
     coarse = Image.fromarray((255 * alpha).astype(np.uint8)).resize((40, 40))
     coarse = np.asarray(coarse, np.float32) / 255
     blurred = np.asarray(Image.fromarray(coarse).resize((side, side)))
-    fine = fitted(rgb, coarse) / 255
+    fine = fit_edge(rgb, coarse) / 255
     before, after = (np.abs(mask - alpha).sum() / alpha.sum() for mask in (blurred, fine))
     assert after < 0.02 and after < before / 2.5
     assert fine[0, 0] == 0 and fine[side // 2, side // 2] == 1
@@ -40,7 +40,7 @@ def test_soft_pixels_show_nothing_of_the_background():
     alpha = np.rint(255 * alpha).astype(np.uint8)
     soft = (alpha > 0) & (alpha < 250)
     assert share_of_green(rgb, soft) > 0.3
-    clean = decontaminated(rgb, alpha)
+    clean = decontaminate(rgb, alpha)
     assert abs(share_of_green(clean, soft)) < 0.01
     untouched = (alpha == 0) | (alpha == 255)
     np.testing.assert_array_equal(clean[untouched], rgb[untouched])
@@ -51,7 +51,7 @@ def test_parts_too_thin_to_be_opaque_keep_their_colours():
     rgb, alpha = disc(softness=1.0)
     alpha = np.rint(255 * alpha).astype(np.uint8)
     rgb[300:380, 219:222], alpha[300:380, 219:222] = (40, 60, 220), (140, 230, 140)
-    clean = decontaminated(rgb, alpha)
+    clean = decontaminate(rgb, alpha)
     np.testing.assert_allclose(clean[345:375, 219:222], [[[40, 60, 220]] * 3] * 30)
 
 
@@ -59,7 +59,7 @@ def test_parts_too_thin_to_be_opaque_keep_their_colours():
 def test_an_alpha_without_an_inside_leaves_colours_alone(alpha):
     rgb, _ = disc(40)
     flat = np.full((40, 40), alpha, np.uint8)
-    clean = decontaminated(rgb, flat)
+    clean = decontaminate(rgb, flat)
     assert clean.shape == rgb.shape
     if alpha != 128:
         np.testing.assert_array_equal(clean, rgb)
@@ -75,4 +75,4 @@ def test_matting_cleans_masks_but_not_real_alpha():
     own.putalpha(mask)
     assert foreground(own).method == "alpha"
     np.testing.assert_array_equal(np.asarray(foreground(own).picture), np.asarray(own))
-    assert cleaned(own, np.asarray(mask)).mode == "RGBA"
+    assert clean_edge(own, np.asarray(mask)).mode == "RGBA"

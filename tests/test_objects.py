@@ -6,7 +6,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.imaging.cutout import METHODS, Method, cut_out, foreground
-from phy124.imaging.objects import Objects, largest, looked_for, object_at
+from phy124.imaging.objects import Objects, keep_largest, search_around, select_object
 
 LARGE, SMALL, CRUMB = (slice(20, 100), slice(20, 90)), (slice(60, 100), slice(120, 170)), (5, 195)
 
@@ -30,30 +30,30 @@ def found_as(alpha):
 
 
 def test_the_largest_is_taken_and_all_are_counted(alpha):
-    found, count = largest(alpha)
+    found, count = keep_largest(alpha)
     np.testing.assert_array_equal(found, only(alpha, LARGE))
     assert count == 2
-    assert largest(np.zeros_like(alpha))[1] == 0
+    assert keep_largest(np.zeros_like(alpha))[1] == 0
 
 
 def test_parts_that_nearly_touch_are_one_object(alpha):
     alpha[62:66, 92:119] = 255
-    assert Objects.of(alpha).counted == 1
-    assert largest(alpha)[0][80, 150] == 255
+    assert Objects.of(alpha).count == 1
+    assert keep_largest(alpha)[0][80, 150] == 255
 
 
 def test_a_soft_edge_stays_with_its_object(alpha):
     alpha[20:100, 90:100], alpha[60:100, 112:120] = 60, 70
-    np.testing.assert_array_equal(largest(alpha)[0][50, 80:100], [255] * 10 + [60] * 10)
-    assert largest(alpha)[0][80, 112:].max() == 0
-    assert object_at(alpha, (0.7, 0.7))[80, 112:120].min() == 70
+    np.testing.assert_array_equal(keep_largest(alpha)[0][50, 80:100], [255] * 10 + [60] * 10)
+    assert keep_largest(alpha)[0][80, 112:].max() == 0
+    assert select_object(alpha, (0.7, 0.7))[80, 112:120].min() == 70
 
 
 @pytest.mark.parametrize("pick", [(0.7, 0.7), (0.605, 0.6)])
 def test_a_place_on_an_object_or_just_beside_it_picks_it(alpha, pick):
-    np.testing.assert_array_equal(object_at(alpha, pick), only(alpha, SMALL))
-    assert object_at(alpha, (0.55, 0.1)) is None
-    assert object_at(np.zeros_like(alpha), pick) is None
+    np.testing.assert_array_equal(select_object(alpha, pick), only(alpha, SMALL))
+    assert select_object(alpha, (0.55, 0.1)) is None
+    assert select_object(np.zeros_like(alpha), pick) is None
 
 
 def test_faint_object_is_sought_around_the_click():
@@ -66,10 +66,10 @@ def test_faint_object_is_sought_around_the_click():
         return np.where((values == values.max()) & (values > 0), 255, 0).astype(np.uint8)
 
     image = Image.fromarray(grey)
-    assert object_at(find(image), (0.8, 0.67)) is None
-    found = looked_for(image, (0.8, 0.67), find)
+    assert select_object(find(image), (0.8, 0.67)) is None
+    found = search_around(image, (0.8, 0.67), find)
     np.testing.assert_array_equal(found, np.where(grey == 100, 255, 0))
-    assert looked_for(image, (0.5, 0.05), find) is None
+    assert search_around(image, (0.5, 0.05), find) is None
 
 
 def test_of_a_search_one_object_is_left_and_the_others_are_told(alpha, monkeypatch):
@@ -77,7 +77,7 @@ def test_of_a_search_one_object_is_left_and_the_others_are_told(alpha, monkeypat
     picture = Image.fromarray(np.dstack([alpha] * 3) // 2 + 60)
     found = foreground(picture)
     assert (found.objects, found.pieces) == (2, 1)
-    assert found.warnings[0] == "2 separate objects were found; the largest is taken."
+    assert found.warnings[0] == "The picture has 2 separate objects; the largest is taken."
     np.testing.assert_array_equal(np.asarray(found.picture)[..., 3], only(alpha, LARGE))
     picked = foreground(picture, pick=(0.7, 0.7))
     assert picked.objects == 1 and picked.warnings == ()
@@ -97,7 +97,7 @@ def test_manual_cutout_is_kept_whole_without_a_click(alpha):
     ("pick", "message"),
     [
         ((0.55, 0.1), r"pick = 0.55,0.1: No object was found at this place.* or mark it"),
-        ((1.2, 0.5), r"pick = 1.2,0.5: It is no place in the picture\. Give two fractions"),
+        ((1.2, 0.5), r"pick = 1.2,0.5: It is not a place in the picture\. Give two fractions"),
         ((float("nan"), 0.5), r"pick = nan,0.5: It is no place"),
         ((0.5,), r"pick = 0.5: It is no place"),
     ],

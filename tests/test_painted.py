@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.imaging.painted import brightness
+from phy124.imaging.painted import sample_brightness
 from support.hostile import png_claiming
 
 CORNERS = np.array([[0, -1, 1], [0, 1, 1], [0, -1, -1], [0, 1, -1]], float)
@@ -14,14 +14,14 @@ CORNERS = np.array([[0, -1, 1], [0, 1, 1], [0, -1, -1], [0, 1, -1]], float)
 
 def test_a_picture_of_four_pixels(tmp_path):
     Image.fromarray(np.array([[0, 51], [102, 255]], np.uint8)).save(tmp_path / "a.png")
-    grey = brightness(CORNERS, str(tmp_path / "a.png"), field="parts.0.mask")
+    grey = sample_brightness(CORNERS, str(tmp_path / "a.png"), field="parts.0.mask")
     np.testing.assert_allclose(grey, [0, 0.2, 0.4, 1])
 
 
 def test_sixteen_bits_are_scaled_not_clipped(tmp_path):
     deep = (np.array([[0, 51], [102, 255]]) * 257).astype(np.uint16)
     Image.fromarray(deep).save(tmp_path / "a.png")
-    grey = brightness(CORNERS, str(tmp_path / "a.png"), field="parts.0.mask")
+    grey = sample_brightness(CORNERS, str(tmp_path / "a.png"), field="parts.0.mask")
     np.testing.assert_allclose(grey, [0, 0.2, 0.4, 1])
 
 
@@ -30,11 +30,11 @@ def test_it_is_turned_upright_as_the_picture_was(tmp_path):
     exif[0x0112] = 6  # lies on its left side
     picture = Image.fromarray(np.array([[0, 51], [102, 255]], np.uint8))
     picture.save(tmp_path / "a.png", exif=exif)
-    grey = brightness(CORNERS, str(tmp_path / "a.png"), field="parts.0.mask")
+    grey = sample_brightness(CORNERS, str(tmp_path / "a.png"), field="parts.0.mask")
     np.testing.assert_allclose(grey, [0.4, 0, 1, 0.2])
 
 
 def test_a_bomb_is_refused_with_the_name_of_the_field(tmp_path):
     (tmp_path / "bomb.png").write_bytes(png_claiming(30_000, 30_000))
     with pytest.raises(InputError, match=r"stiffness.file = .*more than 50 million pixels"):
-        brightness(CORNERS, str(tmp_path / "bomb.png"), field="stiffness.file")
+        sample_brightness(CORNERS, str(tmp_path / "bomb.png"), field="stiffness.file")

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from phy124.imaging.cutout import METHODS, Method, foreground
-from phy124.imaging.touching import part_at, parted
+from phy124.imaging.touching import select_part, split_touching
 
 Y, X = np.mgrid[:160, :300]
 RED, BLUE = (200, 40, 30), (40, 60, 200)
@@ -25,7 +25,7 @@ def painted(*parts, ground=(230, 230, 230)):
 
 def test_two_discs_of_two_colours_are_two():
     one, other = disc(90), disc(206)
-    parts = parted(*painted((one, RED), (other, BLUE)))
+    parts = split_touching(*painted((one, RED), (other, BLUE)))
     assert parts is not None
     for part, known in zip(sorted(parts, key=lambda p: X[p].mean()), (one, other), strict=True):
         assert (part & known).sum() > 0.97 * known.sum()
@@ -43,13 +43,13 @@ def test_two_discs_of_two_colours_are_two():
     ],
 )
 def test_what_shows_one_sign_alone_is_one(parts):
-    assert parted(*painted(*parts)) is None
+    assert split_touching(*painted(*parts)) is None
 
 
 def test_of_three_in_a_row_the_one_at_the_place_is_taken():
     rgb, alpha = painted((disc(50, 45), RED), (disc(136, 45), BLUE), (disc(222, 45), (30, 160, 60)))
     for x in (50, 136, 222):
-        taken = part_at(rgb, alpha, (80, x)) > 0
+        taken = select_part(rgb, alpha, (80, x)) > 0
         assert (taken & disc(x, 45)).sum() > 0.95 * taken.sum()
 
 

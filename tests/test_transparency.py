@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from phy124.imaging.cutout import cut_out, foreground
-from phy124.imaging.transparency import has_alpha, is_faint, made_solid
+from phy124.imaging.transparency import has_alpha, is_faint, make_solid
 
 
 def square(inside: int, outside: int = 0) -> Image.Image:
@@ -29,13 +29,13 @@ def test_an_object_that_is_half_clear_throughout_is_taken(alpha):
 def test_faint_parts_beside_an_opaque_one_stay_faint():
     picture = square(255, 100)
     assert not is_faint(picture) and has_alpha(picture)
-    np.testing.assert_array_equal(np.asarray(made_solid(picture)), np.asarray(picture))
+    np.testing.assert_array_equal(np.asarray(make_solid(picture)), np.asarray(picture))
     assert not is_faint(square(3)) and not has_alpha(square(3))
 
 
 def test_a_faint_photograph_is_searched_like_an_opaque_one():
-    assert is_faint(square(114, 114)) and not has_alpha(made_solid(square(114, 114)))
-    assert np.asarray(made_solid(square(114, 114)))[..., 3].min() == 255
+    assert is_faint(square(114, 114)) and not has_alpha(make_solid(square(114, 114)))
+    assert np.asarray(make_solid(square(114, 114)))[..., 3].min() == 255
 
 
 def test_a_mask_that_is_half_clear_says_where_the_object_is(tmp_path):

@@ -14,7 +14,7 @@ from skimage.transform import resize
 from phy124.errors import InputError
 from phy124.imaging import u2net
 from phy124.imaging.cutout import foreground
-from phy124.imaging.matting import fitted
+from phy124.imaging.matting import fit_edge
 from phy124.imaging.u2net.network import WIDTHS, ConvBnRelu, U2Net
 from phy124.imaging.u2net.network import load as build
 from phy124.weights.store import KNOWN, require, sha256_of
@@ -76,22 +76,22 @@ def test_keys_and_shapes_are_those_of_the_public_files(folder, name):
 
 
 def test_rembg_arithmetic_equals_rembg(ops):
-    x = u2net.rembg_input(ops["rgb"])
+    x = u2net.prepare_rembg(ops["rgb"])
     np.testing.assert_allclose(x[:, :, ::4, ::4], ops["rembg_input_rgb"], **CLOSE)
     np.testing.assert_allclose(x.sum(axis=(0, 2, 3)), ops["rembg_input_rgb_sum"], rtol=1e-5)
-    mask = u2net.rembg_mask(ops["u2_pred"], SIZE)
+    mask = u2net.finish_rembg(ops["u2_pred"], SIZE)
     np.testing.assert_array_equal(mask, ops["rembg_mask"])
     np.testing.assert_array_equal(mask, ops["rembg_only_mask"])
-    np.testing.assert_array_equal(u2net.smoothed(mask), ops["rembg_post_process_mask"])
-    np.testing.assert_array_equal(u2net.cut_out(ops["rgb"], mask), ops["rembg_remove_rgb"])
-    np.testing.assert_array_equal(u2net.cut_out(ops["rgb"], mask), ops["lgm_pre_carved"])
-    np.testing.assert_array_equal(u2net.cut_out(ops["rgba"], mask), ops["rembg_remove_rgba"])
+    np.testing.assert_array_equal(u2net.smooth_mask(mask), ops["rembg_post_process_mask"])
+    np.testing.assert_array_equal(u2net.multiply_mask(ops["rgb"], mask), ops["rembg_remove_rgb"])
+    np.testing.assert_array_equal(u2net.multiply_mask(ops["rgb"], mask), ops["lgm_pre_carved"])
+    np.testing.assert_array_equal(u2net.multiply_mask(ops["rgba"], mask), ops["rembg_remove_rgba"])
     straight = np.dstack([ops["rgb"], mask])
     np.testing.assert_array_equal(straight, ops["rembg_putalpha"])
 
 
 def test_authors_arithmetic_equals_their_program(ops):
-    x = u2net.original_input(ops["rgb"])
+    x = u2net.prepare_original(ops["rgb"])
     np.testing.assert_allclose(x[0, :, ::4, ::4], ops["u2net_orig_input"], **CLOSE)
     np.testing.assert_allclose(x.sum(axis=(0, 2, 3)), ops["u2net_orig_input_sum"], rtol=1e-5)
 
@@ -101,7 +101,7 @@ def test_authors_shrinking_equals_skimage(rng):
     image = (rng.random((700, 450, 3)) * 255).astype(np.uint8)
     wanted = resize(image, (320, 320), mode="constant")
     wanted = (wanted / wanted.max() - np.array(u2net.MEAN)) / np.array(u2net.STD)
-    np.testing.assert_allclose(u2net.original_input(image)[0].transpose(1, 2, 0), wanted, **CLOSE)
+    np.testing.assert_allclose(u2net.prepare_original(image)[0].transpose(1, 2, 0), wanted, **CLOSE)
 
 
 def test_enlargement_is_bilinear_for_the_authors(ops):
@@ -109,12 +109,12 @@ def test_enlargement_is_bilinear_for_the_authors(ops):
     low, high = d0.min(), d0.max()
     small = Image.fromarray(((d0[0, 0] - low) / (high - low) * 255).astype(np.uint8))
     wanted = np.asarray(small.resize(SIZE, Image.Resampling.BILINEAR))
-    assert np.abs(u2net.original_mask(d0, SIZE).astype(int) - wanted).max() <= 1
-    assert not np.array_equal(u2net.original_mask(d0, SIZE), u2net.rembg_mask(d0, SIZE))
+    assert np.abs(u2net.finish_original(d0, SIZE).astype(int) - wanted).max() <= 1
+    assert not np.array_equal(u2net.finish_original(d0, SIZE), u2net.finish_rembg(d0, SIZE))
 
 
 def test_constant_answer_finds_nothing():
-    mask = u2net.rembg_mask(np.full((1, 1, 320, 320), 0.7, np.float32), (10, 8))
+    mask = u2net.finish_rembg(np.full((1, 1, 320, 320), 0.7, np.float32), (10, 8))
     assert mask.shape == (8, 10) and not mask.any()
 
 
@@ -133,23 +133,23 @@ def test_end_to_end_through_onnx_equals_rembg(folder, ops, small, tmp_path):
 def check_end_to_end(network, folder, ops):
     """The mask is truncated to 8 bits, where the last float digit can turn one grey level."""
     expected = np.load(folder / "rembg_u2netp_e2e.npz")
-    d0 = network(u2net.rembg_input(ops["rgb"]))
+    d0 = network(u2net.prepare_rembg(ops["rgb"]))
     np.testing.assert_allclose(d0[:, :, ::4, ::4], expected["d0"], **CLOSE)
     np.testing.assert_allclose(
         [d0.min(), d0.max()], [expected["d0_min"], expected["d0_max"]], **CLOSE
     )
     mask = u2net.foreground(ops["rgb"], network)
-    for ours, theirs in ((mask, "mask"), (u2net.cut_out(ops["rgb"], mask), "rgba")):
+    for ours, theirs in ((mask, "mask"), (u2net.multiply_mask(ops["rgb"], mask), "rgba")):
         difference = np.abs(ours.astype(int) - expected[theirs])
         assert difference.max() <= 1 and (difference > 0).mean() < 1e-3
 
 
 def test_best_file_of_the_full_network_is_chosen(no_weights):
-    assert u2net.weights_file() is None and not u2net.available()
+    assert u2net.weights_file() is None and not u2net.is_available()
     (no_weights / "u2net.pth").write_bytes(b"")
-    assert u2net.weights_file() == no_weights / "u2net.pth" and u2net.available()
+    assert u2net.weights_file() == no_weights / "u2net.pth" and u2net.is_available()
     (no_weights / "u2net.onnx").write_bytes(b"")
-    assert u2net.weights_file() == no_weights / "u2net.onnx" and u2net.available()
+    assert u2net.weights_file() == no_weights / "u2net.onnx" and u2net.is_available()
 
 
 def test_auto_takes_alpha_then_full_then_small_network(no_weights, small):
@@ -166,7 +166,7 @@ def test_auto_takes_alpha_then_full_then_small_network(no_weights, small):
     found = foreground(plain)
     assert (found.method, found.title) == ("u2net", "U2-Net")
     answer = u2net.saliency(rgb, u2net.load(no_weights / "u2net.pth"))
-    np.testing.assert_array_equal(np.asarray(found.picture)[..., 3], fitted(rgb, answer))
+    np.testing.assert_array_equal(np.asarray(found.picture)[..., 3], fit_edge(rgb, answer))
     assert foreground(cut).method == "alpha"
 
 
@@ -178,20 +178,20 @@ def test_the_small_network_cuts_photographs_out(no_weights):
         (data.chelsea(), [(100, 100), (150, 250), (200, 250), (40, 160)], [(40, 420), (150, 440)]),
         (data.rocket(), [(160, 322), (250, 322), (350, 322)], [(100, 200), (60, 60), (250, 400)]),
     ):
-        alpha = u2net._alpha(photo, path)
+        alpha = u2net._find_alpha(photo, path)
         assert [int(alpha[place]) for place in shown] == [255] * len(shown)
         assert [int(alpha[place]) for place in hidden] == [0] * len(hidden)
 
 
 def test_a_blank_picture_shows_the_network_nothing():
-    assert not u2net._alpha(
+    assert not u2net._find_alpha(
         np.full((400, 300, 3), (200, 30, 40), np.uint8), Path("none.onnx")
     ).any()
 
 
 def test_missing_corrupt_and_foreign_files_are_refused_in_words(no_weights, tmp_path):
     with pytest.raises(InputError, match=r"u2net\.onnx .* was not found .*weights fetch u2net"):
-        u2net.alpha(Image.new("RGB", (8, 8)))
+        u2net.find_alpha(Image.new("RGB", (8, 8)))
     (tmp_path / "bad.onnx").write_bytes(b"no network")
     with pytest.raises(InputError, match="not a readable ONNX network"):
         u2net.load(tmp_path / "bad.onnx")

@@ -9,7 +9,7 @@ from typing import Any
 from PIL import Image
 
 from phy124.cost import BYTES_PER_GAUSSIAN, GAUSSIANS
-from phy124.imaging.image import header_size
+from phy124.imaging.image import read_picture_size
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
@@ -98,7 +98,7 @@ def made_already(order: Order) -> dict[str, Any]:
 def _pixels_to_compose(order: Order) -> float:
     if order.photograph is None:
         return 0.0
-    width, height = header_size(order.photograph)
+    width, height = read_picture_size(order.photograph)
     most_wide, most_high = order.scene.view.size
     scale = min(1.0, most_wide / width, most_high / height)
     return (

@@ -39,7 +39,7 @@ class PictureOptions:
         return {
             "generator": self.generator, "options": self.effort, "reading": self.reading,
             "count": self.gaussians, "depth": self.depth, "views": self.views,
-            **self.cutting.given(),
+            **self.cutting.arguments(),
         }  # fmt: skip
 
     def refuse_without_picture(self) -> None:

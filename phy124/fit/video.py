@@ -15,7 +15,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.fit.table import Values
-from phy124.imaging.decoding import turned
+from phy124.imaging.decoding import turn_upright
 
 FILMS = (".mp4", ".webm", ".mov", ".mkv", ".avi", ".gif", ".webp")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
@@ -146,7 +146,7 @@ def _folder(path: Path) -> Iterator[NDArray]:
         try:
             with Image.open(file) as image:
                 image.load()
-                picture = _small(turned(image))
+                picture = _small(turn_upright(image))
         except Exception:  # Pillow raises many types.
             limit = "it is no picture that can be read."
             raise InputError("target", file, limit, "Leave it out.") from None

@@ -16,30 +16,36 @@ from PIL import Image
 from phy124.errors import InputError
 from phy124.imaging import u2net
 from phy124.imaging.grabcut import grabcut
-from phy124.imaging.image import open_image, open_mask, size_in_file
-from phy124.imaging.matting import decontaminated
-from phy124.imaging.objects import Point, largest, looked_for, object_at, pixel_at
-from phy124.imaging.silhouette import alike, pieces, touched, undecided, unseen
-from phy124.imaging.touching import part_at, parted
-from phy124.imaging.transparency import has_alpha, is_faint, made_solid
+from phy124.imaging.image import open_image, open_mask, original_size
+from phy124.imaging.matting import decontaminate
+from phy124.imaging.objects import Point, keep_largest, pixel_at, search_around, select_object
+from phy124.imaging.silhouette import (
+    count_pieces,
+    find_touched_edges,
+    measure_alike,
+    measure_undecided,
+    measure_unseen,
+)
+from phy124.imaging.touching import select_part, split_touching
+from phy124.imaging.transparency import has_alpha, is_faint, make_solid
 from phy124.runtime import isolated
 
 Alpha = NDArray[np.uint8]
 MINIMUM, MAXIMUM = 0.003, 0.97
 """Smallest and largest fraction of the picture that an object may cover."""
 TINY, MUCH = 0.02, 0.85
-"""Shares below and above which something else was probably found instead of the object."""
+"""Coverages below and above which the search probably missed the object."""
 SIDES = 3
-"""Number of touched picture edges that is suspicious: a table in the foreground touches three."""
+"""Suspicious number of touched picture edges: a table in the foreground touches three."""
 PIECES = 4
-"""Number of separate pieces that is suspicious."""
+"""Suspicious number of separate pieces."""
 UNSEEN = 0.12
 """Suspicious fraction of outline without an edge in the picture; correct cut-outs have 0.05."""
 ALIKE = 0.1
 """Suspicious fraction of surroundings in the object's colours; correct cut-outs have 0.09."""
 UNDECIDED = 0.02
 """Suspicious part of a network's cut-out that is half transparent away from its outline."""
-FAINT = "Nothing in the picture is opaque; its most opaque part is taken for solid."
+FAINT = "Nothing in the picture is opaque; its most opaque part counts as solid."
 REMEDY = (
     "Use a picture with one object on a plain background, all of it visible, give a mask (white "
     "where the object is), or save the cut-out object as PNG with transparency."
@@ -50,11 +56,11 @@ class Method(NamedTuple):
     """A way to find the object in a picture."""
 
     applies: Callable[[Image.Image], bool]
-    """Whether "auto" may choose this method for a picture."""
+    """True if "auto" may choose this method for a picture."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
-    """Computes the alpha [H,W]; native code of others runs in `phy124.runtime.isolated`."""
+    """Computes the alpha [H,W]; third-party native code runs in `phy124.runtime.isolated`."""
     title: str = ""
-    """What it is called in sentences."""
+    """Name in sentences."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,7 @@ class Cutout:
     pieces: int
     """Number of connected pieces of the object."""
     touches: tuple[str, ...]
-    """Picture edges that the object reaches or nearly reaches: left, top, right, bottom."""
+    """Picture edges that the object nearly reaches: left, top, right, bottom."""
     unseen: float
     """Fraction of the outline where the picture shows no edge."""
     alike: float
@@ -80,38 +86,38 @@ class Cutout:
     frames: int = 1
     """Number of frames if the file is an animation; only the first was used."""
     objects: int = 1
-    """Number of separate objects that were found; only the largest was taken."""
+    """Number of separate objects in the picture; the largest is cut out."""
     touching: bool = False
-    """Whether it looks like two objects that touch; both were taken."""
+    """True if it looks like two touching objects, both of which are cut out."""
     file: Path | None = None
-    """The picture's file, if it was opened from one."""
+    """File of the picture, if there is one."""
     notes: tuple[str, ...] = ()
-    """What was ignored or assumed in its file, as sentences."""
+    """Sentences: what was ignored or assumed in the file."""
 
     @property
     def title(self) -> str:
-        """What the method is called in sentences."""
+        """Name of the method in sentences."""
         return title_of(self.method)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Reasons to doubt that this is the intended object, as sentences."""
-        return (*self._several(), *self._size(), *self._outline())
+        """Sentences: reasons to doubt that this is the intended object."""
+        return (*self._doubt_choice(), *self._doubt_size(), *self._doubt_outline())
 
-    def _several(self) -> Iterator[str]:
-        """Whether something else may be meant."""
+    def _doubt_choice(self) -> Iterator[str]:
+        """Yield warnings that another object may be meant."""
         if self.frames > 1:
             yield f"The picture is an animation of {self.frames} frames; the first is used."
         if self.objects > 1:
-            yield f"{self.objects} separate objects were found; the largest is taken."
+            yield f"The picture has {self.objects} separate objects; the largest is taken."
         if self.touching:
-            yield "These may be two objects that touch; if so, pick the one that is meant."
+            yield "These may be two objects that touch; if so, pick the object that is meant."
         if self.pieces >= PIECES:
             yield f"The cut-out is in {self.pieces} pieces."
 
-    def _size(self) -> Iterator[str]:
-        """Whether it is implausibly large or small."""
-        # People are often cropped; what a network finds is no table in the foreground.
+    def _doubt_size(self) -> Iterator[str]:
+        """Yield warnings of an implausible size or place."""
+        # People are often cropped, and networks do not take a table for the object.
         if len(self.touches) >= SIDES and self.method not in ("alpha", *NETWORKS):
             yield (
                 f"The cut-out touches {len(self.touches)} edges of the picture "
@@ -122,8 +128,8 @@ class Cutout:
         if self.coverage > MUCH and self.method != "alpha":
             yield f"The cut-out is nearly all of the picture ({self.coverage:.0%})."
 
-    def _outline(self) -> Iterator[str]:
-        """Whether what was searched for, instead of given, was found."""
+    def _doubt_outline(self) -> Iterator[str]:
+        """Yield warnings of an outline that the search probably missed."""
         if self.method in ("alpha", "mask", "brush"):
             return
         if self.unseen > UNSEEN:
@@ -146,13 +152,13 @@ class Cutout:
         self.picture.save(path, compress_level=1, lossless=True, exact=True)
 
     def png(self) -> bytes:
-        """The picture as a PNG file."""
+        """Return the picture as a PNG file."""
         written = io.BytesIO()
         self.picture.save(written, "PNG", compress_level=1)
         return written.getvalue()
 
     def data(self) -> dict[str, Any]:
-        """All fields except the pixels, as plain data."""
+        """Return all fields except the pixels as plain data."""
         return {
             "method": self.method,
             "coverage": round(self.coverage, 4),
@@ -185,16 +191,16 @@ def cut_out(
         method: Key of `METHODS`, or "auto" for the first that applies.
         mask: Path of a mask to use instead of a method; see `foreground`.
         pick: A place on the object that is meant, if there are several; see `foreground`.
-        field: What the picture is for, used in messages about its file.
-        deadline: Time limit of the search, and who may cancel it.
+        field: Name of the picture in error messages.
+        deadline: Time limit of the search, and how to cancel it.
 
     Raises:
-        InputError: If a file cannot be used, or for the reasons given at `foreground`.
+        InputError: If a file cannot be used, or as `foreground` does.
     """
     image = open_image(picture, field=field, deadline=deadline)
     painted = None if mask is None else open_mask(mask)
-    found = foreground(image, method, mask=painted, pick=pick, deadline=deadline)
-    return replace(found, file=Path(picture))
+    cutout = foreground(image, method, mask=painted, pick=pick, deadline=deadline)
+    return replace(cutout, file=Path(picture))
 
 
 def foreground(
@@ -214,7 +220,7 @@ def foreground(
             if it has transparency, opaque where the object is.
         pick: A place on the object that is meant: right and down, as fractions of the picture's
             width and height. Without it the largest of what a search found is taken.
-        deadline: Time limit of the search, and who may cancel it.
+        deadline: Time limit of the search, and how to cancel it.
 
     Raises:
         InputError: If the method is unknown, finds no object or nothing but object, or runs out of
@@ -224,87 +230,96 @@ def foreground(
     _check_point(pick)
     frames, notes = image.info.get("frames", 1), image.info.get("notes", ())
     notes = (*notes, FAINT) if is_faint(image) else notes
-    image = made_solid(image)
+    image = make_solid(image)
     count = 1
     if mask is not None:
-        alpha, method = _given(image, mask, method), "mask"
+        alpha, method = _apply_mask(image, mask, method), "mask"
     else:
-        method = _chosen(image, method)
-        alpha = _found(image, method, deadline)
+        method = _choose_method(image, method)
+        alpha = _search(image, method, deadline)
     if pick is not None:
-        alpha = _picked(image, alpha, method, pick, deadline)
+        alpha = _pick_object(image, alpha, method, pick, deadline)
     elif method not in TAKEN_WHOLE:
-        alpha, count = largest(alpha)
+        alpha, count = keep_largest(alpha)
     _check_fraction(alpha, method, frames)
     searched = pick is None and method not in TAKEN_WHOLE
-    touching = searched and parted(np.asarray(image.convert("RGB")), alpha) is not None
+    touching = searched and split_touching(np.asarray(image.convert("RGB")), alpha) is not None
     image.putalpha(Image.fromarray(alpha))
-    cut = image if method == "alpha" else cleaned(image, alpha)
-    return replace(looked_at(cut, method, frames, count), touching=touching, notes=notes)
+    cut = image if method == "alpha" else clean_edge(image, alpha)
+    return replace(examine(cut, method, frames, count), touching=touching, notes=notes)
 
 
-def cleaned(image: Image.Image, alpha: Alpha) -> Image.Image:
-    """A picture with this alpha [H,W], RGBA, whose soft edge shows nothing of the background."""
-    cut = Image.fromarray(decontaminated(np.asarray(image.convert("RGB")), alpha))
+def clean_edge(image: Image.Image, alpha: Alpha) -> Image.Image:
+    """Apply an alpha [H,W] and remove the background's colours from the soft edge; returns RGBA."""
+    cut = Image.fromarray(decontaminate(np.asarray(image.convert("RGB")), alpha))
     cut.putalpha(Image.fromarray(alpha))
     return cut
 
 
 def title_of(method: str) -> str:
-    """What a method, "mask" or "brush" is called in sentences."""
-    known = METHODS[method].title if method in METHODS else GIVEN.get(method)
+    """Return the name in sentences of a method, "mask" or "brush"."""
+    known = METHODS[method].title if method in METHODS else PAINTED.get(method)
     return known or method
 
 
-def looked_at(picture: Image.Image, method: str, frames: int = 1, objects: int = 1) -> Cutout:
-    """Wrap a picture that has been cut out, with the measures of its plausibility.
+def examine(picture: Image.Image, method: str, frames: int = 1, objects: int = 1) -> Cutout:
+    """Measure how plausible a cut-out picture is.
 
     Args:
         picture: RGBA, its alpha the object's.
-        method: How that was found.
+        method: How the alpha was made.
         frames: Number of frames if the file is an animation.
-        objects: Number of separate objects that were found.
+        objects: Number of separate objects in the picture.
     """
     rgb, alpha = np.split(np.asarray(picture), (3,), axis=2)
     solid = alpha[..., 0] > 127
-    looks = pieces(solid), touched(solid), unseen(rgb, solid), alike(rgb, solid)
-    vague = undecided(alpha[..., 0])
-    return Cutout(picture, method, float(solid.mean()), *looks, vague, frames, objects)
+    return Cutout(
+        picture,
+        method,
+        coverage=float(solid.mean()),
+        pieces=count_pieces(solid),
+        touches=find_touched_edges(solid),
+        unseen=measure_unseen(rgb, solid),
+        alike=measure_alike(rgb, solid),
+        undecided=measure_undecided(alpha[..., 0]),
+        frames=frames,
+        objects=objects,
+    )
 
 
-def _found(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alpha:
-    """The alpha that a method finds; what was transparent stays so."""
+def _search(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alpha:
+    """Find the alpha [H,W] by a method; transparent pixels stay transparent."""
     try:
-        alpha = METHODS[method].find(_shown(image, method), deadline)
+        alpha = METHODS[method].find(_flatten(image, method), deadline)
     except isolated.Unfinished as error:
         limit = f"The search for the object by {method} {error}."
         raise InputError("foreground", method, limit, REMEDY) from error
     return np.minimum(alpha, np.asarray(image.getchannel("A")))
 
 
-def _picked(
+def _pick_object(
     image: Image.Image, alpha: Alpha, method: str, pick: Point, deadline: isolated.Deadline
 ) -> Alpha:
-    """The object at a place alone: one of those found, or one that stands out around there."""
-    found = object_at(alpha, pick)
-    if found is None and method not in TAKEN_WHOLE:
-        found = looked_for(image, pick, lambda part: _found(part, method, deadline))
-    if found is None:
+    """Select the object at a place, or search for one around it."""
+    picked = select_object(alpha, pick)
+    if picked is None and method not in TAKEN_WHOLE:
+        picked = search_around(image, pick, lambda part: _search(part, method, deadline))
+    if picked is None:
         limit = "No object was found at this place of the picture."
         remedy = "Choose the middle of the object, or mark it with a mask, on the page by brush."
         raise InputError("pick", f"{pick[0]:g},{pick[1]:g}", limit, remedy)
-    return part_at(np.asarray(image.convert("RGB")), found, pixel_at(pick, image.size))
+    return select_part(np.asarray(image.convert("RGB")), picked, pixel_at(pick, image.size))
 
 
 def _check_point(pick: Point | None) -> None:
     if pick is None or (len(pick) == 2 and all(0 <= f <= 1 for f in pick)):
         return
-    limit = "It is no place in the picture."
+    limit = "It is not a place in the picture."
     remedy = "Give two fractions of its width and height, such as 0.3,0.5."
     raise InputError("pick", ",".join(f"{f:g}" for f in pick), limit, remedy)
 
 
-def _chosen(image: Image.Image, method: str) -> str:
+def _choose_method(image: Image.Image, method: str) -> str:
     if method == "auto":
         return next(name for name, way in METHODS.items() if way.applies(image))
     if method not in METHODS:
@@ -313,23 +328,23 @@ def _chosen(image: Image.Image, method: str) -> str:
     return method
 
 
-def _shown(image: Image.Image, method: str) -> Image.Image:
-    """What a method looks at: what is transparent hides its colours, but for "alpha" itself."""
+def _flatten(image: Image.Image, method: str) -> Image.Image:
+    """Put the picture on white, except for the method "alpha"; hidden colours would mislead it."""
     if method == "alpha":
         return image
     return Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
 
 
-def _given(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
-    """The alpha given by a mask; what was transparent in the picture stays transparent."""
+def _apply_mask(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
+    """Return the alpha [H,W] of a mask; transparent pixels of the picture stay transparent."""
     if method not in ("auto", "mask"):
-        limit = "A mask is given as well, which says where the object is."
+        limit = "A mask already shows where the object is."
         raise InputError("foreground", method, limit, "Give one of the two.")
     if mask.size != image.size:
-        (width, height), (w, h) = size_in_file(image), size_in_file(mask)
+        (width, height), (w, h) = original_size(image), original_size(mask)
         limit = f"It does not have the size of the picture, {width} x {height} pixels."
         raise InputError("mask", f"{w} x {h} pixels", limit, "Paint it over the picture itself.")
-    mask = made_solid(mask)
+    mask = make_solid(mask)
     painted = mask.getchannel("A") if has_alpha(mask) else mask.convert("L")
     return np.minimum(np.asarray(painted), np.asarray(image.getchannel("A")))
 
@@ -339,17 +354,17 @@ def _check_fraction(alpha: Alpha, method: str, frames: int) -> None:
     if MINIMUM <= fraction <= MAXIMUM:
         return
     if method == "mask":
-        limit = f"{fraction:.0%} of the picture is white in it, which is no object."
-        raise InputError("mask", "given", limit, "Paint the object white, all else black.")
+        limit = f"{fraction:.0%} of the picture is white in it, which cannot be an object."
+        raise InputError("mask", "painted", limit, "Paint the object white, all else black.")
     limit = f"No object was found in the picture by {method}."
     if fraction > MAXIMUM:
         limit = f"Nearly the whole picture ({fraction:.0%}) was taken for the object by {method}."
     if frames > 1:
-        limit += f" Only the first of its {frames} frames was looked at."
+        limit += f" Only the first of its {frames} frames is examined."
     raise InputError("foreground", method, limit, REMEDY)
 
 
-def _own_alpha(image: Image.Image, deadline: isolated.Deadline) -> Alpha:
+def _keep_alpha(image: Image.Image, deadline: isolated.Deadline) -> Alpha:
     del deadline
     if not has_alpha(image):
         limit = "The picture has no transparency that separates an object."
@@ -362,21 +377,21 @@ def _grabcut(image: Image.Image, deadline: isolated.Deadline) -> Alpha:
     return isolated.run(grabcut, np.asarray(image.convert("RGB")), deadline=deadline)
 
 
-def _always(image: Image.Image) -> bool:
+def _applies_always(image: Image.Image) -> bool:
     del image
     return True
 
 
 METHODS: dict[str, Method] = {
-    "alpha": Method(has_alpha, _own_alpha, "the picture's own transparency"),
-    "u2net": Method(u2net.available, u2net.alpha, "U2-Net"),
-    "u2netp": Method(_always, u2net.small_alpha, "the small U2-Net"),
-    "grabcut": Method(_always, _grabcut, "GrabCut"),
+    "alpha": Method(has_alpha, _keep_alpha, "the picture's own transparency"),
+    "u2net": Method(u2net.is_available, u2net.find_alpha, "U2-Net"),
+    "u2netp": Method(_applies_always, u2net.find_alpha_small, "the small U2-Net"),
+    "grabcut": Method(_applies_always, _grabcut, "GrabCut"),
 }
 """Ways to find the object, best first."""
 NETWORKS = ("u2net", "u2netp")
-"""Those that are networks."""
+"""Methods that are networks."""
 TAKEN_WHOLE = ("alpha", "mask")
-"""What a person has cut out may be in several pieces."""
-GIVEN = {"mask": "the mask that was given", "brush": "brush strokes"}
-"""Titles of what a person may give instead."""
+"""Methods whose result may have several pieces, since a person made it."""
+PAINTED = {"mask": "the mask", "brush": "brush strokes"}
+"""Names in sentences of what a person paints."""

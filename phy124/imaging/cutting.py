@@ -18,7 +18,7 @@ class Cutting(Section):
 
     foreground: str = Field(
         default="auto",
-        description=f"How the object is cut out: auto, {', '.join(METHODS)}; or give a mask.",
+        description=f"Method that cuts the object out: auto, {', '.join(METHODS)}.",
     )
     mask: Path | None = Field(
         default=None,
@@ -33,7 +33,7 @@ class Cutting(Section):
 
     @property
     def point(self) -> Point | None:
-        """The place picked.
+        """Place that is picked.
 
         Raises:
             InputError: It is not two numbers.
@@ -43,10 +43,13 @@ class Cutting(Section):
         try:
             x, y = map(float, self.pick.split(","))
         except ValueError:
-            limit, remedy = "It is no place in the picture.", "Give two fractions such as 0.3,0.5."
+            limit, remedy = (
+                "It is not a place in the picture.",
+                "Give two fractions such as 0.3,0.5.",
+            )
             raise InputError("pick", self.pick, limit, remedy) from None
         return x, y
 
-    def given(self) -> dict[str, Any]:
-        """The choices as `phy124.pipeline.static` takes them."""
+    def arguments(self) -> dict[str, Any]:
+        """Return the choices as keyword arguments of `phy124.pipeline.static`."""
         return {"method": self.foreground, "mask": self.mask, "pick": self.point}

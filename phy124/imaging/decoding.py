@@ -1,7 +1,7 @@
-"""Decodes a picture's bytes, whatever they are; runs in a process of its own (`image.py`).
+"""Decodes the bytes of a picture, in a separate process (`image.py` starts it).
 
-Pillow and libheif are native code that reads the data of strangers, so a crash, an endless loop or
-a claim of memory costs one picture only. Of the metadata only the orientation and the colour
+Pillow and libheif are native code that reads untrusted data: a crash, an endless loop or a large
+allocation must cost no more than this picture. Of the metadata only the orientation and the colour
 profile are read; damage in the rest changes nothing.
 """
 
@@ -14,16 +14,17 @@ from typing import Any, NamedTuple
 from PIL import Image, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
 
-from phy124.imaging import heic, png, tiff
-from phy124.imaging.header import KINDS, SEGMENT, Size, kind_of, size_of
-from phy124.imaging.profile import in_srgb
+from phy124.imaging import codecs
+from phy124.imaging.header import KINDS, SEGMENT, Size, read_kind, read_size
+from phy124.imaging.profile import convert_to_srgb
 
 MAX_PIXELS = 50_000_000
-"""Number of pixels of the largest picture that is decoded; read from the header before decoding."""
+"""Largest number of pixels that is decoded; checked against the header before decoding."""
 ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
 """Formats whose further pictures are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
-"""Most scans of a JPEG: usual files have 1 to 10; 8 MB can hold 190,000 of 18 ms each."""
+"""Largest number of scans of a JPEG: usual files have 1 to 10; 8 MB can hold 190,000, which take
+18 ms each."""
 SCAN, END = b"\xda", b"\xd9"
 SIXTEEN = ("I;16", "I;16B", "I;16L", "I;16N", "I")
 """Modes of 16-bit grey pictures, which Pillow would clip instead of scaling."""
@@ -37,9 +38,9 @@ TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""Orientation in EXIF -> what turns the picture upright."""
+"""EXIF orientation -> the transposition that turns the picture upright."""
 TEXT = 64 << 20
-"""Most bytes of one text or profile in a PNG, decompressed."""
+"""Largest decompressed text or profile of a PNG, bytes."""
 COPY = "Copy or export it again."
 BAD_PROFILE = "The picture's colour profile cannot be used; its colours may be slightly wrong."
 """Note on a profile that cannot be used."""
@@ -50,20 +51,20 @@ TOO_LARGE = (
 
 
 class Unusable(Exception):
-    """What is wrong with a picture, and what to do about it."""
+    """A picture cannot be used; the arguments are the limit and the remedy, as in `InputError`."""
 
 
 class Purpose(NamedTuple):
     """What a picture is read for."""
 
     formats: tuple[str, ...]
-    """Names of the Pillow formats to accept; HEIC besides."""
+    """Pillow's names of the accepted formats; HEIC is always accepted."""
     minimum: int
     """Smallest allowed side, pixels."""
     colours: bool = True
-    """Whether its numbers are colours, which its profile explains."""
+    """True if its numbers are colours, which a colour profile defines."""
     deep: bool = False
-    """Whether all its grey levels are needed: the result is in mode F or L, not RGBA."""
+    """True to keep all grey levels: the result is in mode F or L, not RGBA."""
 
 
 class Decoded(NamedTuple):
@@ -78,28 +79,28 @@ class Decoded(NamedTuple):
     """Sentences on what was ignored."""
 
 
-def decoded(data: bytes, purpose: Purpose, longest: int) -> Decoded:
-    """The first picture of a file.
+def decode(data: bytes, purpose: Purpose, longest: int) -> Decoded:
+    """Decode the first picture of a file.
 
     Args:
         data: The file's bytes.
         purpose: What the picture is read for.
-        longest: Side to which larger pictures are reduced, pixels.
+        longest: Longest side of the result; larger pictures are reduced, pixels.
 
     Raises:
-        Unusable: For whatever reason it cannot be used.
-        MemoryError: It takes more memory than this process may.
+        Unusable: The picture cannot be decoded, or is too large or too small.
+        MemoryError: Decoding exceeds the memory limit of this process.
     """
     _prepare_pillow()
     try:
-        with _opened(data, purpose.formats) as opened:
+        with _open(data, purpose.formats) as opened:
             check_size(opened.size, purpose.minimum)
             opened.load()
-            return _upright(opened, purpose, longest)
+            return _finish(opened, purpose, longest)
     except (Unusable, MemoryError):
         raise
     except UnidentifiedImageError:
-        raise unidentified(data, purpose.formats) from None
+        raise explain_unidentified(data, purpose.formats) from None
     except Exception as error:  # Pillow and its libraries raise many types.
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise Unusable(f"It is broken or cut short ({reason}).", COPY) from None
@@ -119,29 +120,29 @@ def check_size(size: Size, minimum: int) -> None:
         raise Unusable(limit, "Use a larger picture.")
 
 
-def unidentified(data: bytes, formats: tuple[str, ...]) -> Unusable:
-    """What is wrong with data in which no picture of these formats was recognised."""
-    if kind_of(data) in (*formats, "HEIC"):
+def explain_unidentified(data: bytes, formats: tuple[str, ...]) -> Unusable:
+    """Explain why no picture of these formats was recognised in the data."""
+    if read_kind(data) in (*formats, "HEIC"):
         return Unusable("It is broken or cut short.", COPY)
     return Unusable(
-        f"It is not a {_listed(formats)} picture.", "Save it as PNG or JPEG and try again."
+        f"It is not a {_join_names(formats)} picture.", "Save it as PNG or JPEG and try again."
     )
 
 
-def _listed(formats: tuple[str, ...]) -> str:
-    """The formats as words."""
+def _join_names(formats: tuple[str, ...]) -> str:
+    """Return the formats as words: "PNG, JPEG or HEIC"."""
     names = [name.replace("WEBP", "WebP") for name in (*formats, "HEIC")]
     return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
-def turned(opened: Image.Image) -> Image.Image:
-    """The picture, which must be loaded, turned upright as its EXIF states."""
-    turn = TURNS.get(_orientation(opened))
+def turn_upright(opened: Image.Image) -> Image.Image:
+    """Turn a loaded picture upright as its EXIF states."""
+    turn = TURNS.get(_read_orientation(opened))
     return opened if turn is None else opened.transpose(turn)
 
 
 def _prepare_pillow() -> None:
-    """Set Pillow's limits for this process; here are stricter ones, and EXIF is never written."""
+    """Replace Pillow's limits in this process by those of this module, which are stricter."""
     from PIL import PngImagePlugin
 
     Image.MAX_IMAGE_PIXELS = None
@@ -150,34 +151,34 @@ def _prepare_pillow() -> None:
 
 
 def _orientation_alone(self: Image.Exif, offset: int = 8) -> bytes:
-    """EXIF that holds the orientation and nothing else.
+    """Return EXIF that holds the orientation and nothing else.
 
-    Pillow's reader of AVIF writes EXIF out again, which fails for tags of an unusual type.
+    Pillow's AVIF reader writes EXIF again, which fails for tags of an unusual type.
     """
-    entry = struct.pack("<HHHII", 1, ORIENTATION, 3, 1, _orientation_in(self))
+    entry = struct.pack("<HHHII", 1, ORIENTATION, 3, 1, _orientation_of(self))
     return b"Exif\0\0II*\0" + struct.pack("<I", offset) + entry + bytes(4)
 
 
-def _opened(data: bytes, formats: tuple[str, ...]) -> Image.Image:
-    """The picture, not decoded yet unless it is HEIC."""
-    kind = kind_of(data)
+def _open(data: bytes, formats: tuple[str, ...]) -> Image.Image:
+    """Open the picture; only HEIC is decoded already."""
+    kind = read_kind(data)
     if kind == "HEIC":
-        return _opened_heic(data)
+        return _open_heic(data)
     if kind == "JPEG":
-        # Not by Image.open, which looks at the further pictures that phones append.
+        # Image.open would also read the additional pictures that phones append.
         _check_scans(data)
         return JpegImageFile(io.BytesIO(data))
     if kind == "PNG":
-        data = png.plain(data)
-    if "TIFF" in formats and data[:4] in tiff.BEGINNINGS:
-        return tiff.opened(data)
+        data = codecs.strip_png(data)
+    if "TIFF" in formats and data[:4] in codecs.TIFF_BEGINNINGS:
+        return codecs.open_tiff(data)
     others = [name for name in formats if name not in KINDS]
     return Image.open(io.BytesIO(data), formats=[kind] if kind in formats else others)
 
 
-def _opened_heic(data: bytes) -> Image.Image:
-    width, height = size_of(data)
-    picture = heic.opened(data)
+def _open_heic(data: bytes) -> Image.Image:
+    width, height = read_size(data)
+    picture = codecs.open_heic(data)
     if picture.width * picture.height > width * height:
         raise ValueError("it is larger than its header states")
     return picture
@@ -193,28 +194,28 @@ def _check_scans(jpeg: bytes) -> None:
         place = segment.end() + int.from_bytes(jpeg[segment.end() : segment.end() + 2], "big")
 
 
-def _upright(opened: Image.Image, purpose: Purpose, longest: int) -> Decoded:
+def _finish(opened: Image.Image, purpose: Purpose, longest: int) -> Decoded:
     frames = getattr(opened, "n_frames", 1) if opened.format in ANIMATED else 1
-    profile = _profile(opened) if purpose.colours else None
-    picture = turned(opened)
+    profile = _read_profile(opened) if purpose.colours else None
+    picture = turn_upright(opened)
     size, notes = picture.size, ()
-    picture = _levels(picture) if purpose.deep else _plain(picture)
+    picture = _grey_levels(picture) if purpose.deep else _to_8_bits(picture)
     picture.thumbnail((longest, longest), Image.Resampling.LANCZOS)
     if not purpose.deep:
-        picture, notes = _coloured(picture, profile)
+        picture, notes = _convert_colours(picture, profile)
     picture.info = {}
     return Decoded(picture, size, frames, notes)
 
 
-def _orientation(opened: Image.Image) -> int:
-    """Which of the 8 orientations EXIF states; 1, as stored, if EXIF is damaged or has none."""
+def _read_orientation(opened: Image.Image) -> int:
+    """Return the EXIF orientation, 1 to 8; 1 (as stored) if EXIF is damaged or absent."""
     try:
-        return _orientation_in(opened.getexif())
+        return _orientation_of(opened.getexif())
     except Exception:  # Damage has many types, and the pixels are whole.
         return 1
 
 
-def _orientation_in(exif: Image.Exif) -> int:
+def _orientation_of(exif: Image.Exif) -> int:
     value: Any = exif.get(ORIENTATION)
     try:
         first = int(value[0] if isinstance(value, tuple | bytes) else value)
@@ -223,12 +224,12 @@ def _orientation_in(exif: Image.Exif) -> int:
     return first if first in TURNS else 1
 
 
-def _plain(picture: Image.Image) -> Image.Image:
-    """The picture in one of the modes RGBA, LA, L and CMYK, with 8 bits."""
+def _to_8_bits(picture: Image.Image) -> Image.Image:
+    """Convert a picture to 8 bits, in one of the modes RGBA, LA, L and CMYK."""
     if picture.mode in SIXTEEN:
-        return _shallow(picture)
+        return _scale_16_bits(picture)
     if picture.mode == "F":
-        return _bytes_of_floats(picture)
+        return _scale_floats(picture)
     if picture.mode in ("1", "L"):
         return picture.convert("LA" if "transparency" in picture.info else "L")
     if picture.mode in ("YCbCr", "LAB", "HSV"):
@@ -236,8 +237,8 @@ def _plain(picture: Image.Image) -> Image.Image:
     return picture if picture.mode in ("CMYK", "LA") else picture.convert("RGBA")
 
 
-def _shallow(picture: Image.Image) -> Image.Image:
-    """A 16-bit grey picture in 8 bits; the one grey level a file may make transparent is kept."""
+def _scale_16_bits(picture: Image.Image) -> Image.Image:
+    """Convert a 16-bit grey picture to 8 bits; a transparent grey level stays transparent."""
     import numpy as np
 
     deep, clear = np.asarray(picture), picture.info.get("transparency")
@@ -247,8 +248,8 @@ def _shallow(picture: Image.Image) -> Image.Image:
     return grey
 
 
-def _bytes_of_floats(picture: Image.Image) -> Image.Image:
-    """A picture of floating-point grey levels, 0 to 1, in 8 bits."""
+def _scale_floats(picture: Image.Image) -> Image.Image:
+    """Convert floating-point grey levels, 0 to 1, to 8 bits."""
     import numpy as np
 
     levels = np.asarray(picture)
@@ -258,26 +259,28 @@ def _bytes_of_floats(picture: Image.Image) -> Image.Image:
     return Image.fromarray(np.rint(255 * levels).astype(np.uint8))
 
 
-def _levels(picture: Image.Image) -> Image.Image:
-    """All grey levels of the picture: mode F if there are more than 256, else L."""
+def _grey_levels(picture: Image.Image) -> Image.Image:
+    """Return all grey levels: mode F if there are more than 256, else L."""
     import numpy as np
 
     if picture.mode in (*SIXTEEN, "F"):
         return Image.fromarray(np.asarray(picture).astype(np.float32))
-    return _coloured(_plain(picture), None)[0].convert("L")
+    return _convert_colours(_to_8_bits(picture), None)[0].convert("L")
 
 
-def _profile(opened: Image.Image) -> bytes | None:
-    """The colour profile; empty if it is cut short, None if the file has none."""
+def _read_profile(opened: Image.Image) -> bytes | None:
+    """Return the colour profile: empty if it is cut short, None if the file has none."""
     return (opened.info["icc_profile"] or b"") if "icc_profile" in opened.info else None
 
 
-def _coloured(picture: Image.Image, profile: bytes | None) -> tuple[Image.Image, tuple[str, ...]]:
-    """The picture in sRGB, RGBA, and notes on its profile."""
+def _convert_colours(
+    picture: Image.Image, profile: bytes | None
+) -> tuple[Image.Image, tuple[str, ...]]:
+    """Return the picture in sRGB, mode RGBA, and notes on its profile."""
     notes = ()
     if profile is not None:
         try:
-            return in_srgb(picture, profile), notes
+            return convert_to_srgb(picture, profile), notes
         except ValueError:
             notes = (BAD_PROFILE,)
     plain = picture.convert("RGB") if picture.mode == "CMYK" else picture

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.imaging.image import is_blank, reduced
+from phy124.imaging.image import is_blank, shrink
 from phy124.imaging.lab import to_lab
 
 Field = NDArray[np.float32]
@@ -31,36 +31,36 @@ HINT_REACH = 0.06
 
 
 def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Alpha [H,W] of the object in a picture [H,W,3]. Deterministic."""
+    """Find the object in a picture [H,W,3]: alpha [H,W]; deterministic."""
     height, width = rgb.shape[:2]
-    small = reduced(rgb)
+    small = shrink(rgb)
     if is_blank(rgb):
         # OpenCV's search for the cut does not end on some pictures of one colour.
         return np.zeros((height, width), np.uint8)
     # Both k-means and GrabCut draw from OpenCV's generator.
     cv2.setRNGSeed(0)
     smooth = cv2.bilateralFilter(small, 5, 30, 3)
-    masks = [_tidy(_cut(smooth, labels)) for labels in _starts(small)]
+    masks = [_clean_mask(_run_grabcut(smooth, labels)) for labels in _initial_labels(small)]
     mask = max(masks, key=lambda m: _plausibility(m, smooth))
-    soft = _guided(mask.astype(np.float32), small)
+    soft = _soften_edge(mask.astype(np.float32), small)
     full = cv2.resize(soft, (width, height), interpolation=cv2.INTER_CUBIC)
     return np.clip(np.rint(255 * full), 0, 255).astype(np.uint8)
 
 
-def _cut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """GrabCut from the given labels: a 0/1 mask [H,W], empty if there was nothing to start from."""
+def _run_grabcut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Run GrabCut from labels [H,W]: a 0/1 mask [H,W], empty if the labels are all alike."""
     if not (labels & 1).any() or (labels & 1).all():
         return np.zeros_like(labels)
     models = np.zeros((1, 65)), np.zeros((1, 65))
-    whole = (0, 0, rgb.shape[1], rgb.shape[0])  # not looked at when starting from labels
+    whole = (0, 0, rgb.shape[1], rgb.shape[0])  # ignored when starting from labels
     labels, _, _ = cv2.grabCut(  # pyright: ignore[reportAssignmentType]
         rgb, labels, whole, models[0], models[1], ROUNDS, cv2.GC_INIT_WITH_MASK
     )
     return (labels & 1).astype(np.uint8)
 
 
-def _starts(rgb: NDArray) -> list[NDArray[np.uint8]]:
-    """Label maps [H,W] to try: background at the border, three guesses of the object."""
+def _initial_labels(rgb: NDArray) -> list[NDArray[np.uint8]]:
+    """Return label maps [H,W] to try: background at the border, three guesses of the object."""
     height, width = rgb.shape[:2]
     ring = max(1, round(RING * min(height, width)))
     border = np.ones((height, width), bool)
@@ -73,17 +73,17 @@ def _starts(rgb: NDArray) -> list[NDArray[np.uint8]]:
     contrast = level > threshold
     ellipse = centre > np.exp(-0.75)
     guesses = (contrast, ellipse, contrast | (ellipse & (unlike > 0.5)))
-    return [_labels(guess, border) for guess in guesses]
+    return [_label(guess, border) for guess in guesses]
 
 
-def _labels(guess: NDArray[np.bool_], border: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _label(guess: NDArray[np.bool_], border: NDArray[np.bool_]) -> NDArray[np.uint8]:
     labels = np.where(guess, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     labels[border & ~guess] = cv2.GC_BGD
     return labels
 
 
 def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
-    """How much a mask looks like one object: edges on its outline, solid, clear of the border."""
+    """Score a mask: edges on its outline, solidity, distance from the border."""
     fraction = float(mask.mean())
     if not 0.01 < fraction < 0.9:
         return 0.0
@@ -99,9 +99,9 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
 
 
 def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
-    """Distance of each colour from the colours of the border [H,W], in CIE Lab, saturating at 1."""
+    """Return the distance of each colour from the border's colours [H,W], CIE Lab, below 1."""
     lab = to_lab(rgb)
-    # Lightness varies with shadows on the very background.
+    # Shadows change the lightness of the background.
     lab[..., 0] *= 0.6
     samples = lab[border]
     count = min(COLOURS, len(samples))
@@ -114,14 +114,14 @@ def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
 
 
 def _centrality(height: int, width: int) -> Field:
-    """Weight [H,W]: 1 in the middle, falling to about one third at the sides."""
+    """Return weights [H,W]: 1 in the middle, about one third at the sides."""
     y, x = np.mgrid[:height, :width].astype(np.float32)
     square = ((2 * x + 1) / width - 1) ** 2 + ((2 * y + 1) / height - 1) ** 2
     return np.exp(-square)
 
 
-def _tidy(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The largest pieces of a 0/1 mask [H,W], with pinholes closed."""
+def _clean_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Keep the largest pieces of a 0/1 mask [H,W] and close pinholes."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
@@ -134,8 +134,8 @@ def _tidy(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.where(small[labels], 1, kept).astype(np.uint8)
 
 
-def _guided(mask: Field, rgb: NDArray) -> Field:
-    """The mask with its edge fitted to the edges of the picture (guided filter, He et al. 2013)."""
+def _soften_edge(mask: Field, rgb: NDArray) -> Field:
+    """Fit the edge of a mask to the edges of the picture (guided filter, He et al. 2013)."""
     window = (2 * SOFTNESS + 1,) * 2
     guide = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
 
@@ -152,10 +152,12 @@ def _guided(mask: Field, rgb: NDArray) -> Field:
     return np.where(core > 0, 1, np.where(near > 0, sharp, 0)).astype(np.float32)
 
 
-def hinted(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8], marks: NDArray) -> NDArray[np.uint8]:
-    """An alpha [H,W] corrected near a person's marks [H,W]: 1 means not object, 2 means object."""
+def apply_marks(
+    rgb: NDArray[np.uint8], alpha: NDArray[np.uint8], marks: NDArray
+) -> NDArray[np.uint8]:
+    """Correct an alpha [H,W] near marks [H,W]: 1 means background, 2 means object."""
     height, width = rgb.shape[:2]
-    small = reduced(rgb)
+    small = shrink(rgb)
     if is_blank(rgb):
         return alpha
     size = small.shape[1::-1]
@@ -164,11 +166,11 @@ def hinted(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8], marks: NDArray) -> 
     labels = np.where(before, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     labels[hints == 1], labels[hints == 2] = cv2.GC_BGD, cv2.GC_FGD
     cv2.setRNGSeed(0)
-    found = _cut(cv2.bilateralFilter(small, 5, 30, 3), labels)
+    corrected = _run_grabcut(cv2.bilateralFilter(small, 5, 30, 3), labels)
     reach = 2 * round(HINT_REACH * max(size)) + 1
     near = cv2.dilate((hints > 0).astype(np.uint8), np.ones((reach, reach), np.uint8))
-    changed = np.where((near > 0) & (found != before), 1.0, 0.0).astype(np.float32)
-    soft = _guided(np.where(near > 0, found, before).astype(np.float32), small)
+    changed = np.where((near > 0) & (corrected != before), 1.0, 0.0).astype(np.float32)
+    soft = _soften_edge(np.where(near > 0, corrected, before).astype(np.float32), small)
     soft = cv2.resize(soft, (width, height), interpolation=cv2.INTER_CUBIC)
     use = cv2.resize(cv2.dilate(changed, np.ones((5, 5), np.uint8)), (width, height)) > 0
     return np.where(use, np.clip(np.rint(255 * soft), 0, 255), alpha).astype(np.uint8)

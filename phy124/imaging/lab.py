@@ -24,12 +24,12 @@ def to_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=2)
 
 
-def _light() -> NDArray[np.float32]:
+def _linear_light() -> NDArray[np.float32]:
     """Linear light of each byte [256], 0..1."""
     value = np.arange(256) / 255
     curved = ((value + 0.055) / 1.055) ** 2.4
     return np.where(value <= 0.04045, value / 12.92, curved).astype(np.float32)
 
 
-LIGHT = _light()
+LIGHT = _linear_light()
 """Linear light of each byte [256], 0..1."""

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float32]
 SIDE = 640
-"""Longest side at which edges are fitted, pixels; what is found there holds at every resolution."""
+"""Longest side at which edges are fitted, pixels; the fit holds at every resolution."""
 REACH = 5
 """Half the window within which the edge follows the picture's colours, in pixels of `SIDE`."""
 SMOOTH = 1e-4
-"""Variance of colours (0..1) that is no edge yet."""
+"""Variance of colours (0..1) below which there is no edge."""
 DECIDED, SHARP = 2.0, 1.5
 """Contrast added to the coarse mask, and to the fitted one, around one half."""
 OPAQUE = 243
@@ -21,15 +21,15 @@ INSET = 1.0
 """Distance from all others at which an opaque pixel's colour is trusted, pixels per `SIDE`."""
 
 
-def fitted(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
-    """Alpha [H,W] of a picture [H,W,3] whose object is known coarsely.
+def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
+    """Fit a coarse mask to the edges of a picture: alpha [H,W].
 
     A guided filter: within each window alpha is a linear function of the colours (He, Sun, Tang
     2013), whose coefficients are computed on the reduced picture (He, Sun 2015).
 
     Args:
         rgb: The picture [H,W,3].
-        coarse: How surely each part of it is the object [h,w] in 0..1, at any resolution.
+        coarse: Probability [h,w], 0..1, that each part is the object, at any resolution.
     """
     height, width = rgb.shape[:2]
     scale = min(1.0, SIDE / max(height, width))
@@ -37,18 +37,18 @@ def fitted(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
     small = np.asarray(
         cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.float32
     ) / np.float32(255)
-    slope, offset = _linear(small, _contrast(_resized(coarse, size), DECIDED))
-    slope, offset = _resized(slope, (width, height)), _resized(offset, (width, height))
+    slope, offset = _fit_linear(small, _raise_contrast(_resize(coarse, size), DECIDED))
+    slope, offset = _resize(slope, (width, height)), _resize(offset, (width, height))
     fine = np.einsum("hwc,hwc->hw", slope, rgb, dtype=np.float32) / 255 + offset
-    return np.rint(255 * _contrast(fine, SHARP)).astype(np.uint8)
+    return np.rint(255 * _raise_contrast(fine, SHARP)).astype(np.uint8)
 
 
-def _resized(values: Field, size: tuple[int, int]) -> Field:
+def _resize(values: Field, size: tuple[int, int]) -> Field:
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _linear(guide: Field, mask: Field) -> tuple[Field, Field]:
-    """Slope [h,w,3] and offset [h,w] that give the mask [h,w] from the colours [h,w,3] near by."""
+def _fit_linear(guide: Field, mask: Field) -> tuple[Field, Field]:
+    """Return slope [h,w,3] and offset [h,w] of the local linear map from colours to the mask."""
     mean_guide, mean_mask = _mean(guide), _mean(mask)
     covariance = _mean(guide * mask[..., None]) - mean_guide * mean_mask[..., None]
     variance = _mean(_outer(guide).reshape(*mask.shape, 9)).reshape(*mask.shape, 3, 3)
@@ -66,14 +66,14 @@ def _mean(values: Field) -> Field:
     return np.asarray(cv2.blur(values, (2 * REACH + 1,) * 2), np.float32)
 
 
-def _contrast(values: Field, factor: float) -> Field:
+def _raise_contrast(values: Field, factor: float) -> Field:
     return np.clip(factor * (values - 0.5) + 0.5, 0, 1)
 
 
-def decontaminated(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Colours [H,W,3] of a cut-out whose soft edge shows nothing of the background.
+def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Replace the background's part in the colours of a soft edge: colours [H,W,3].
 
-    Half-transparent pixels take the colour of the nearest opaque one that lies a little inside;
+    Half-transparent pixels take the colour of the nearest opaque pixel a little inside the object;
     parts too thin to have such pixels keep the colours of their middle.
 
     Args:
@@ -81,7 +81,7 @@ def decontaminated(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[
         alpha: Its alpha [H,W].
     """
     soft = (alpha > 0) & (alpha < OPAQUE)
-    trusted = _trusted(alpha)
+    trusted = _find_trusted(alpha)
     if not soft.any() or not trusted.any():
         return rgb
     labels = cv2.distanceTransformWithLabels(
@@ -93,8 +93,8 @@ def decontaminated(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[
     return np.where(soft[..., None], colours[nearest], rgb)
 
 
-def _trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Where the object's own colours are [H,W]."""
+def _find_trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return where the colours belong to the object alone [H,W]."""
     inset = max(INSET, INSET * max(alpha.shape) / SIDE)
     core = _depth(alpha >= OPAQUE) > inset
     depth = _depth(alpha > 127)

@@ -1,4 +1,4 @@
-"""Several objects in one picture: the largest is taken, or the one that a person points at."""
+"""Selects one of several objects in a picture: the largest, or the object at a point."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124.imaging.silhouette import touched
+from phy124.imaging.silhouette import find_touched_edges
 
 Alpha = NDArray[np.uint8]
 Point = tuple[float, float]
@@ -18,13 +18,13 @@ Point = tuple[float, float]
 Box = tuple[int, int, int, int]
 """Left, top, right, bottom, pixels."""
 GAP = 0.01
-"""Parts of one object may be so far apart, in longest sides of the picture."""
+"""Largest gap between parts of one object, in longest sides of the picture."""
 COUNTED = 0.05
 """Smallest object that counts, relative to the largest."""
 NEAR = 0.02
-"""How far beside an object a person may point, in longest sides."""
+"""Largest distance between a point and its object, in longest sides."""
 WINDOWS = (0.7, 0.45, 0.3)
-"""Windows around a point in which its object is looked for, in longest sides."""
+"""Sides of the windows around a point that are searched, in longest sides."""
 MINIMUM = 0.02
 """Smallest fraction of a window that an object in it covers."""
 
@@ -33,13 +33,13 @@ class Objects(NamedTuple):
     """The objects of an alpha, numbered from 1."""
 
     nearest: NDArray[np.int32]
-    """Which object is nearest to each pixel [H,W]."""
+    """Number of the object nearest to each pixel [H,W]."""
     areas: NDArray[np.int_]
-    """Pixels of each object; of number 0 none."""
+    """Pixels of each object; there is no object 0."""
 
     @classmethod
     def of(cls, alpha: Alpha) -> Objects:
-        """From an alpha [H,W] that is opaque somewhere."""
+        """Find the objects of an alpha [H,W] that is opaque somewhere."""
         solid = alpha > 127
         reach = 2 * max(1, round(GAP * max(alpha.shape) / 2)) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
@@ -51,21 +51,21 @@ class Objects(NamedTuple):
         return cls(nearest, np.bincount(nearest[solid], minlength=nearest.max() + 1))
 
     @property
-    def counted(self) -> int:
-        """How many there are, without crumbs."""
+    def count(self) -> int:
+        """Number of objects, ignoring those below `COUNTED`."""
         return int((self.areas >= COUNTED * self.areas.max()).sum())
 
 
-def largest(alpha: Alpha) -> tuple[Alpha, int]:
-    """The alpha [H,W] of the largest object alone, and the number of objects."""
+def keep_largest(alpha: Alpha) -> tuple[Alpha, int]:
+    """Return the alpha [H,W] of the largest object, and the number of objects."""
     if not (alpha > 127).any():
         return alpha, 0
     objects = Objects.of(alpha)
-    return np.where(objects.nearest == objects.areas.argmax(), alpha, np.uint8(0)), objects.counted
+    return np.where(objects.nearest == objects.areas.argmax(), alpha, np.uint8(0)), objects.count
 
 
-def object_at(alpha: Alpha, point: Point) -> Alpha | None:
-    """The alpha [H,W] of the object at a point alone; None if there is none."""
+def select_object(alpha: Alpha, point: Point) -> Alpha | None:
+    """Return the alpha [H,W] of the object at a point; None if there is none."""
     solid = (alpha > 127).astype(np.uint8)
     away = cv2.distanceTransform(1 - solid, cv2.DIST_L2, 5)
     place = pixel_at(point, (alpha.shape[1], alpha.shape[0]))
@@ -75,36 +75,36 @@ def object_at(alpha: Alpha, point: Point) -> Alpha | None:
     return np.where(nearest == nearest[place], alpha, np.uint8(0))
 
 
-def looked_for(
+def search_around(
     image: Image.Image, point: Point, find: Callable[[Image.Image], Alpha]
 ) -> Alpha | None:
-    """The alpha [H,W] of an object that is not what stands out in the whole picture.
+    """Search for an object that does not stand out in the whole picture: its alpha [H,W] or None.
 
-    It is looked for in windows around the point; that one counts whose edges it touches least.
+    Windows around the point are searched; the object that touches the fewest window edges is taken.
 
     Args:
         image: The picture.
         point: A place on the object.
-        find: Finds what stands out in a picture.
+        find: Finds the object that stands out in a picture.
     """
     best, fewest = None, 5
-    for box in _windows(image.size, point):
+    for box in _windows_around(image.size, point):
         left, top, right, bottom = box
         inside = pixel_at(point, image.size)
         place = (inside[1] - left + 0.5) / (right - left), (inside[0] - top + 0.5) / (bottom - top)
-        found = object_at(find(image.crop(box)), place)
-        if found is None or np.mean(found > 127) < MINIMUM:
+        alpha = select_object(find(image.crop(box)), place)
+        if alpha is None or np.mean(alpha > 127) < MINIMUM:
             continue
-        edges = len(touched(found > 127))
+        edges = len(find_touched_edges(alpha > 127))
         if edges < fewest:
             best, fewest = np.zeros(image.size[::-1], np.uint8), edges
-            best[top:bottom, left:right] = found
+            best[top:bottom, left:right] = alpha
         if not edges:
             break
     return best
 
 
-def _windows(size: tuple[int, int], point: Point) -> Iterator[Box]:
+def _windows_around(size: tuple[int, int], point: Point) -> Iterator[Box]:
     row, column = pixel_at(point, size)
     for fraction in WINDOWS:
         side = round(fraction * max(size))
@@ -115,6 +115,6 @@ def _windows(size: tuple[int, int], point: Point) -> Iterator[Box]:
 
 
 def pixel_at(point: Point, size: tuple[int, int]) -> tuple[int, int]:
-    """Row and column of a point in a picture of this width and height."""
+    """Return row and column of a point in a picture of this width and height."""
     column, row = (min(int(f * n), n - 1) for f, n in zip(point, size, strict=True))
     return row, column

@@ -1,4 +1,4 @@
-"""Reads from a picture a value for each point of the object it was painted over."""
+"""Samples a grey picture, painted over the object, at points of the object."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
 """Left, top, right, bottom of the object in the picture, as fractions of its width and height."""
 
 
-def brightness(x: NDArray, path: Path, crop: Crop = WHOLE, *, field: str) -> NDArray[np.float64]:
-    """Brightness [P] of a picture where each point is seen from the front: 0 black, 1 white.
+def sample_brightness(
+    x: NDArray, path: Path, crop: Crop = WHOLE, *, field: str
+) -> NDArray[np.float64]:
+    """Return the brightness [P] of a picture at each point seen from the front: 0 black, 1 white.
 
     Args:
         x: Points at rest [P,3], m; the object is upright and faces +x.
         path: The picture; colours count as their grey value.
         crop: Where the object is in the picture.
-        field: The scene's field that names the picture, used in error messages.
+        field: Name of the picture in error messages.
 
     Raises:
         InputError: If the picture cannot be read.

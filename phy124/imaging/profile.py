@@ -1,6 +1,6 @@
-"""Colour profiles: what a picture's numbers mean, converted to sRGB.
+"""Converts pictures to sRGB by their colour profiles (ICC).
 
-Phones write Display P3, cameras Adobe RGB, print shops CMYK, and grey with the gain of their dots.
+Phones write Display P3, cameras Adobe RGB, print shops CMYK and grey with dot gain.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
 """Colour space of a profile -> mode in which the picture is converted, without its alpha."""
 
 
-def in_srgb(picture: Image.Image, profile: bytes) -> Image.Image:
-    """A picture in sRGB, RGBA; its alpha stays.
+def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:
+    """Convert a picture to sRGB, mode RGBA; its alpha stays.
 
     Args:
         picture: The picture, in mode RGBA, LA, L or CMYK.

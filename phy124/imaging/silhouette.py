@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from phy124.imaging.lab import to_lab
 
 Solid = NDArray[np.bool_]
-CRUMB = 0.01
-"""Smallest piece that counts, relative to the object."""
+SMALLEST_PIECE = 0.01
+"""Smallest piece that counts, as a fraction of the object."""
 NEAR = 0.035
 """Distance at which an edge counts as touched, in shorter sides; GrabCut keeps 0.03 clear."""
 REACH = 0.02
@@ -30,19 +30,19 @@ AROUND = 0.125
 BINS = (12, 24, 24)
 """Histogram bins of L, a and b."""
 SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)
-"""By how much pixels count for neighbouring bins, and for their own."""
+"""Kernel that spreads a histogram along an axis, and the one that leaves the other axis."""
 MINIMUM, EXTENT = np.array([0, -100, -100]), np.array([100, 200, 200])
 """Lowest values of L, a and b, and the ranges that the bins cover."""
 
 
-def pieces(solid: Solid) -> int:
-    """Number of connected pieces, without crumbs."""
+def count_pieces(solid: Solid) -> int:
+    """Count connected pieces, ignoring those below `SMALLEST_PIECE`."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(solid.astype(np.uint8), connectivity=8)
-    return int((stats[1:, cv2.CC_STAT_AREA] >= CRUMB * solid.sum()).sum())
+    return int((stats[1:, cv2.CC_STAT_AREA] >= SMALLEST_PIECE * solid.sum()).sum())
 
 
-def touched(solid: Solid) -> tuple[str, ...]:
-    """Picture edges that the object reaches or nearly reaches."""
+def find_touched_edges(solid: Solid) -> tuple[str, ...]:
+    """Return the names of the picture edges that the object reaches or nearly reaches."""
     near = 1 + int(NEAR * min(solid.shape))
     edges = {
         "left": solid[:, :near].any(axis=1),
@@ -53,9 +53,9 @@ def touched(solid: Solid) -> tuple[str, ...]:
     return tuple(name for name, edge in edges.items() if edge.mean() > REACH)
 
 
-def unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Fraction of the outline inside the picture [H,W,3] where the picture itself shows no edge."""
-    lab, inside = _small(rgb, solid)
+def measure_unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
+    """Return the fraction of the outline at which the picture [H,W,3] shows no edge."""
+    lab, inside = _reduce(rgb, solid)
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
     change = np.sqrt((across**2 + down**2).sum(axis=2))
     around = np.ones((3, 3), np.uint8)
@@ -64,23 +64,23 @@ def unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
     return float((seen < FAINT).mean()) if len(seen) else 0.0
 
 
-def alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Fraction of the surroundings whose colours are more common in the object than around it."""
-    lab, inside = _small(rgb, solid)
+def measure_alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
+    """Return the fraction of the surroundings whose colours are commoner in the object."""
+    lab, inside = _reduce(rgb, solid)
     away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
     around = ~inside & (away <= AROUND * max(inside.shape))
     if not (inside.any() and around.any()):
         return 0.0
     bins = ((lab - MINIMUM) / EXTENT * BINS).astype(int)
     kinds = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(bins, 2, 0)), BINS, mode="clip"))
-    commoner = _fractions(kinds[inside]) > _fractions(kinds[around])
+    commoner = _colour_fractions(kinds[inside]) > _colour_fractions(kinds[around])
     return float(commoner[kinds[around]].mean())
 
 
-def undecided(alpha: NDArray[np.uint8]) -> float:
-    """Area that is half transparent away from the outline of an alpha [H,W], per area inside it.
+def measure_undecided(alpha: NDArray[np.uint8]) -> float:
+    """Return the half transparent area away from the outline of an alpha [H,W], per area inside.
 
-    An edge is soft for some pixels; farther away whoever made the alpha did not know.
+    An edge is soft for a few pixels; half transparency farther away shows indecision.
     """
     inside = (alpha > 127).astype(np.uint8)
     reach = WIDE * max(1.0, max(alpha.shape) / FITTED)
@@ -89,8 +89,8 @@ def undecided(alpha: NDArray[np.uint8]) -> float:
     return float((half & (away > reach)).sum() / max(1, int(inside.sum())))
 
 
-def _fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
-    """How common each colour is, given the bins of the pixels; similar colours count a little."""
+def _colour_fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
+    """Return the smoothed histogram of the pixels' colour bins, which sums to one."""
     common = np.bincount(kinds, minlength=math.prod(BINS)) / len(kinds)
     for bins in BINS:
         # Along one axis, which then becomes the last.
@@ -100,8 +100,8 @@ def _fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
     return common
 
 
-def _small(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], Solid]:
-    """Smoothed colours in CIE Lab [h,w,3] and the object [h,w], at reduced size."""
+def _reduce(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], Solid]:
+    """Return smoothed colours in CIE Lab [h,w,3] and the object [h,w], at reduced size."""
     scale = min(1.0, SIDE / max(solid.shape))
     size = max(3, round(solid.shape[1] * scale)), max(3, round(solid.shape[0] * scale))
     small = cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA)

@@ -1,4 +1,4 @@
-"""A picture's own transparency: whether it separates an object, and objects that are half clear."""
+"""Examines the transparency of a picture: an object cut out already, or half transparent."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import numpy as np
 from PIL import Image
 
 REAL = 0.005
-"""Least fraction of opaque pixels, and of transparent ones, for an alpha to be meaningful."""
+"""Smallest fraction of opaque and of transparent pixels of a meaningful alpha."""
 FAINTEST = 8
-"""Least alpha of an object that is half transparent throughout, of 255."""
+"""Smallest alpha, of 255, of an object that is half transparent throughout."""
 
 
 def has_alpha(image: Image.Image) -> bool:
-    """Whether the alpha channel separates an object: some pixels opaque, some transparent."""
+    """Return whether the alpha channel separates an object from a transparent background."""
     solid = float(np.mean(np.asarray(image.convert("RGBA").getchannel("A")) > 127))
     return REAL <= solid <= 1 - REAL
 
 
 def is_faint(image: Image.Image) -> bool:
-    """Whether the picture shows something, but nothing of it is opaque."""
+    """Return whether the picture shows something of which nothing is opaque."""
     return FAINTEST <= _most_opaque(image) < 128
 
 
-def made_solid(image: Image.Image) -> Image.Image:
-    """The picture in RGBA; if it is faint, its most opaque part is made opaque."""
+def make_solid(image: Image.Image) -> Image.Image:
+    """Convert to RGBA; the most opaque part of a faint picture becomes opaque."""
     solid = image.convert("RGBA")
     if is_faint(solid):
         most = _most_opaque(solid)
@@ -32,6 +32,6 @@ def made_solid(image: Image.Image) -> Image.Image:
 
 
 def _most_opaque(image: Image.Image) -> int:
-    """The alpha of the most opaque part, of 255; smaller parts than `REAL` do not count."""
+    """Return the largest alpha, 0..255, ignoring parts smaller than `REAL`."""
     alpha = np.asarray(image.convert("RGBA").getchannel("A"))
     return int(np.quantile(alpha, 1 - REAL, method="lower"))

@@ -25,11 +25,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 from tables import DOCS, markdown, renew
 
 from phy124.imaging import u2net
-from phy124.imaging.cutout import Cutout, cleaned, looked_at
+from phy124.imaging.cutout import Cutout, clean_edge, examine
 from phy124.imaging.grabcut import grabcut
 from phy124.imaging.image import open_image
-from phy124.imaging.matting import decontaminated, fitted
-from phy124.imaging.objects import largest, looked_for, object_at
+from phy124.imaging.matting import decontaminate, fit_edge
+from phy124.imaging.objects import keep_largest, search_around, select_object
 from phy124.weights.store import require
 
 Alpha = NDArray[np.uint8]
@@ -58,7 +58,7 @@ def alone(rgb: NDArray[np.uint8]) -> Alpha:
 
 def shipped(rgb: NDArray[np.uint8]) -> Alpha:
     """The network's answer fitted to the picture: the method `u2netp`."""
-    return fitted(rgb, u2net.saliency(rgb, NETWORK))
+    return fit_edge(rgb, u2net.saliency(rgb, NETWORK))
 
 
 def with_grabcut(rgb: NDArray[np.uint8]) -> Alpha:
@@ -71,7 +71,7 @@ def with_grabcut(rgb: NDArray[np.uint8]) -> Alpha:
     models = np.zeros((1, 65)), np.zeros((1, 65))
     smooth = cv2.bilateralFilter(small, 5, 30, 3)
     cv2.grabCut(smooth, labels, (0, 0, 1, 1), *models, 2, cv2.GC_INIT_WITH_MASK)
-    return fitted(rgb, (labels & 1).astype(np.float32))
+    return fit_edge(rgb, (labels & 1).astype(np.float32))
 
 
 def picked(known: Known) -> Alpha:
@@ -84,8 +84,8 @@ def picked(known: Known) -> Alpha:
         return shipped(np.asarray(part.convert("RGB")))
 
     image = Image.fromarray(known.rgb)
-    found = object_at(find(image), place)
-    found = looked_for(image, place, find) if found is None else found
+    found = select_object(find(image), place)
+    found = search_around(image, place, find) if found is None else found
     return np.zeros_like(known.alpha) if found is None else found
 
 
@@ -130,7 +130,7 @@ class Figures:
         true = known.alpha > 127
         for way, find in WAYS.items():
             start = time.process_time()
-            alpha, objects = largest(find(known.rgb))
+            alpha, objects = keep_largest(find(known.rgb))
             self.seconds[way].append(time.process_time() - start)
             overlap = overlap_of(alpha, known)
             self.overlap[way].setdefault(known.ground, []).append(overlap)
@@ -145,7 +145,7 @@ class Figures:
     def _add_halo(self, known: Known, alpha: Alpha) -> None:
         if known.object is None:
             return
-        clean = decontaminated(known.rgb, alpha)
+        clean = decontaminate(known.rgb, alpha)
         for name, shown in zip(self.halo, (known.rgb, clean), strict=True):
             self.halo[name].append(share_of_ground(known, shown, alpha))
 
@@ -199,7 +199,7 @@ def overlap_of(alpha: Alpha, known: Known) -> float:
 
 def cut(rgb: NDArray[np.uint8], alpha: Alpha, method: str, objects: int) -> Cutout:
     """As `phy124.imaging.cutout.foreground` gives it."""
-    return looked_at(cleaned(Image.fromarray(rgb), alpha), method, 1, objects)
+    return examine(clean_edge(Image.fromarray(rgb), alpha), method, 1, objects)
 
 
 def share_of_ground(known: Known, shown: NDArray[np.uint8], alpha: Alpha) -> float:

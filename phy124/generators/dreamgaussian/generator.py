@@ -34,7 +34,7 @@ from phy124.generators.dreamgaussian.splats import Rates, Splats, ball
 from phy124.generators.ply_file import normalised
 from phy124.generators.precision import torch_device
 from phy124.generators.splatting import View, orbit_view
-from phy124.imaging.u2net import cut_out
+from phy124.imaging.u2net import multiply_mask
 from phy124.progress import Progress, silent
 from phy124.weights.store import require
 
@@ -241,7 +241,7 @@ def framed(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:
         raise InputError(
             "image", list(image_rgba.shape), "a cut-out has four channels.", "Cut it out first."
         )
-    cut = cut_out(image_rgba[..., :3], image_rgba[..., 3])
+    cut = multiply_mask(image_rgba[..., :3], image_rgba[..., 3])
     rows, columns = np.nonzero(cut[..., 3])
     if not len(rows) or np.ptp(rows) == 0 or np.ptp(columns) == 0:
         raise InputError("image", "no object", "nothing in it is opaque.", "Give a cut-out object.")

@@ -30,7 +30,7 @@ from phy124.generators.orbit import to_world
 from phy124.generators.ply_file import normalised
 from phy124.generators.precision import dtype_of, is_short, torch_device
 from phy124.imaging.image import recenter
-from phy124.imaging.u2net import cut_out
+from phy124.imaging.u2net import multiply_mask
 from phy124.progress import Progress, silent
 from phy124.weights.store import have, require
 
@@ -209,7 +209,7 @@ def framed(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
         raise InputError(
             "image", list(image_rgba.shape), "a cut-out has four channels.", "Cut it out first."
         )
-    cut = cut_out(image_rgba[..., :3], image_rgba[..., 3])
+    cut = multiply_mask(image_rgba[..., :3], image_rgba[..., 3])
     return recenter(cut, cut[..., 3] > 0)
 
 

@@ -19,7 +19,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.imaging.image import is_blank
-from phy124.imaging.matting import fitted
+from phy124.imaging.matting import fit_edge
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
 from phy124.weights.store import KNOWN, WeightFile, find, require
@@ -30,65 +30,69 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Normalised picture [1,3,320,320] -> saliency [1,1,320,320] in 0..1."""
 Style = Literal["rembg", "original"]
-"""Whose resampling is used: rembg's Lanczos (the default) or the authors' bilinear."""
+"""Resampling of rembg (Lanczos, the default) or of the authors (bilinear)."""
 
 
 def weights_file(folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """The file of the full network, .onnx before .pth, or None."""
+    """Return the file of the full network, .onnx before .pth, or None."""
     (onnx,) = KNOWN["u2net"]
     pth = WeightFile(onnx.repo, "u2net.pth", onnx.licence)
     return find(onnx, folder) or find(pth, folder)
 
 
-def available(image: Image.Image | None = None) -> bool:
-    """Whether the full network is found and what runs it is installed."""
+def is_available(image: Image.Image | None = None) -> bool:
+    """Return whether the full network and the package that runs it are installed."""
     del image
     path = weights_file()
     return path is not None and (path.suffix == ".onnx" or find_spec("torch") is not None)
 
 
-def alpha(image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT) -> NDArray[np.uint8]:
-    """Alpha [H,W] of the salient object in a picture, by the full network.
-
-    Raises:
-        InputError: If it is not found, or it is a .pth file and torch is not installed.
-    """
-    # `require` says where it was looked for and how to get it.
-    return _isolated(image, weights_file() or require("u2net")["u2net.onnx"], deadline)
-
-
-def small_alpha(
+def find_alpha(
     image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> NDArray[np.uint8]:
-    """Alpha [H,W] of the salient object in a picture, by the small network."""
-    return _isolated(image, require("u2netp")["u2netp.onnx"], deadline)
+    """Find the salient object of a picture by the full network: alpha [H,W].
+
+    Raises:
+        InputError: If its file is missing, or is a .pth file and torch is not installed.
+    """
+    # `require` says where it was looked for and how to get it.
+    return _run_isolated(image, weights_file() or require("u2net")["u2net.onnx"], deadline)
 
 
-def _isolated(image: Image.Image, weights: Path, deadline: isolated.Deadline) -> NDArray[np.uint8]:
-    return isolated.run(_alpha, np.asarray(image.convert("RGB")), weights, deadline=deadline)
+def find_alpha_small(
+    image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
+) -> NDArray[np.uint8]:
+    """Find the salient object of a picture by the small network: alpha [H,W]."""
+    return _run_isolated(image, require("u2netp")["u2netp.onnx"], deadline)
 
 
-def _alpha(rgb: NDArray[np.uint8], weights: Path) -> NDArray[np.uint8]:
+def _run_isolated(
+    image: Image.Image, weights: Path, deadline: isolated.Deadline
+) -> NDArray[np.uint8]:
+    return isolated.run(_find_alpha, np.asarray(image.convert("RGB")), weights, deadline=deadline)
+
+
+def _find_alpha(rgb: NDArray[np.uint8], weights: Path) -> NDArray[np.uint8]:
     if is_blank(rgb):
         # The network finds something in everything.
         return np.zeros(rgb.shape[:2], np.uint8)
-    return fitted(rgb, saliency(rgb, load(weights)))
+    return fit_edge(rgb, saliency(rgb, load(weights)))
 
 
 def saliency(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.float32]:
-    """How surely each part of a picture [H,W,3] is the object: [320,320] in 0..1."""
-    return network(rembg_input(rgb))[0, 0]
+    """Return the probability [320,320] that each part of a picture [H,W,3] is the object."""
+    return network(prepare_rembg(rgb))[0, 0]
 
 
 def load(path: str | os.PathLike[str]) -> Network:
-    """A network from a .onnx, .pth or .safetensors file.
+    """Load a network from a .onnx, .pth or .safetensors file.
 
     Raises:
         InputError: If the file is unreadable or not a U2-Net, or it needs torch, which is missing.
     """
     path = Path(path)
     try:
-        return _onnx(path) if path.suffix == ".onnx" else _torch(path)
+        return _load_onnx(path) if path.suffix == ".onnx" else _load_torch(path)
     except ImportError as error:
         raise InputError(
             "weights",
@@ -101,22 +105,21 @@ def load(path: str | os.PathLike[str]) -> Network:
 def foreground(
     rgb: NDArray[np.uint8], network: Network, *, style: Style = "rembg"
 ) -> NDArray[np.uint8]:
-    """Mask [H,W], 0..255, of the salient object in `rgb [H,W,3]`."""
+    """Return the mask [H,W], 0..255, of the salient object in `rgb [H,W,3]`."""
     prepare, finish = STYLES[style]
     return finish(network(prepare(rgb)), (rgb.shape[1], rgb.shape[0]))
 
 
-def rembg_input(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """[1,3,320,320] of `rgb [H,W,3]`: Lanczos, divided by the largest value, normalised."""
+def prepare_rembg(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Prepare `rgb [H,W,3]` as rembg does: [1,3,320,320], Lanczos, normalised by the maximum."""
     small = Image.fromarray(rgb).resize((SIZE, SIZE), Image.Resampling.LANCZOS)
-    return _normalised(np.asarray(small, dtype=np.float64))
+    return _normalise(np.asarray(small, dtype=np.float64))
 
 
-def original_input(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """[1,3,320,320] as the authors' program makes it: bilinear, blurred before shrinking.
+def prepare_original(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Prepare a picture as the authors do: [1,3,320,320], bilinear, blurred before shrinking.
 
-    As there, everything outside the picture is black, which darkens the pixels at its edges a
-    little.
+    Everything outside the picture is black, which darkens the pixels at its edges a little.
     """
     from scipy.ndimage import gaussian_filter, zoom
 
@@ -124,26 +127,26 @@ def original_input(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     sigma = np.maximum(0, (factors - 1) / 2)
     smooth = gaussian_filter(rgb / 255, sigma, mode="grid-constant")
     small = zoom(smooth, 1 / factors, order=1, mode="grid-constant", grid_mode=True)
-    return _normalised(np.asarray(small, dtype=np.float64))
+    return _normalise(np.asarray(small, dtype=np.float64))
 
 
-def _normalised(image: NDArray[np.float64]) -> NDArray[np.float32]:
+def _normalise(image: NDArray[np.float64]) -> NDArray[np.float32]:
     image = image / max(float(image.max()), 1e-6)
     normal = (image - np.array(MEAN)) / np.array(STD)
     return np.ascontiguousarray(normal.transpose(2, 0, 1)[None], dtype=np.float32)
 
 
-def rembg_mask(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Mask [H,W] of the network's answer [1,1,320,320]; `size` is (W, H)."""
-    return _stretched(d0, size, Image.Resampling.LANCZOS)
+def finish_rembg(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return the mask [H,W] of a network's output [1,1,320,320]; `size` is (W, H)."""
+    return _stretch_mask(d0, size, Image.Resampling.LANCZOS)
 
 
-def original_mask(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """As `rembg_mask` with the authors' bilinear enlargement."""
-    return _stretched(d0, size, Image.Resampling.BILINEAR)
+def finish_original(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """As `finish_rembg` with the authors' bilinear enlargement."""
+    return _stretch_mask(d0, size, Image.Resampling.BILINEAR)
 
 
-def _stretched(
+def _stretch_mask(
     d0: NDArray[np.float32], size: tuple[int, int], resampling: Image.Resampling
 ) -> NDArray[np.uint8]:
     d0 = d0[0, 0]
@@ -155,30 +158,30 @@ def _stretched(
 
 
 STYLES = {
-    "rembg": (rembg_input, rembg_mask),
-    "original": (original_input, original_mask),
+    "rembg": (prepare_rembg, finish_rembg),
+    "original": (prepare_original, finish_original),
 }
 
 
-def smoothed(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A hard mask, 0 or 255, with specks removed: rembg's `post_process_mask`."""
+def smooth_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Remove specks from a hard mask, 0 or 255: rembg's `post_process_mask`."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
     opened = cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc)
     blurred = cv2.GaussianBlur(opened, (7, 7), 2)
     return np.where(blurred < 128, 0, 255).astype(np.uint8)
 
 
-def cut_out(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """[H,W,4] of `image [H,W,3 or 4]` with all channels multiplied by the mask, as rembg gives it.
+def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Multiply all channels of `image [H,W,3 or 4]` by the mask, as rembg does: [H,W,4].
 
-    LGM was used with such pictures and multiplies once more, which darkens soft edges.
+    LGM was used with such pictures and multiplies again, which darkens soft edges.
     """
     picture = Image.fromarray(image).convert("RGBA")
     clear = Image.new("RGBA", picture.size, 0)
     return np.asarray(Image.composite(picture, clear, Image.fromarray(mask)))
 
 
-def _onnx(path: Path) -> Network:
+def _load_onnx(path: Path) -> Network:
     try:
         # By its content: OpenCV does not open every name that a system allows.
         network = cv2.dnn.readNetFromONNX(np.frombuffer(path.read_bytes(), np.uint8))
@@ -199,7 +202,7 @@ def _onnx(path: Path) -> Network:
     return run
 
 
-def _torch(path: Path) -> Network:
+def _load_torch(path: Path) -> Network:
     import torch
 
     from phy124.imaging.u2net.network import load as build

@@ -34,7 +34,7 @@ def _pool(x: Tensor) -> Tensor:
     return F.max_pool2d(x, 2, stride=2, ceil_mode=True)
 
 
-def _resized(x: Tensor, like: Tensor) -> Tensor:
+def _resize_like(x: Tensor, like: Tensor) -> Tensor:
     return F.interpolate(x, size=like.shape[2:], mode="bilinear", align_corners=False)
 
 
@@ -72,7 +72,7 @@ class ResidualU(nn.Module):
         x = skips.pop()
         for i in range(self.levels - 1, 0, -1):
             skip = skips.pop()
-            joined = torch.cat([_resized(x, skip), skip], dim=1)
+            joined = torch.cat([_resize_like(x, skip), skip], dim=1)
             x = self.get_submodule(f"rebnconv{i}d")(joined)
         return x + whole
 
@@ -131,13 +131,13 @@ class U2Net(nn.Module):
         outputs = [skips.pop()]
         for i in range(5, 0, -1):
             skip = skips.pop()
-            x = torch.cat([_resized(outputs[-1], skip), skip], dim=1)
+            x = torch.cat([_resize_like(outputs[-1], skip), skip], dim=1)
             outputs.append(self.get_submodule(f"stage{i}d")(x))
         first = self.get_submodule("side1")(outputs[-1])
         sides = [first]
         for i in range(2, 7):
             side = self.get_submodule(f"side{i}")(outputs[SIDES - i])
-            sides.append(_resized(side, first))
+            sides.append(_resize_like(side, first))
         joined = self.outconv(torch.cat(sides, dim=1))
         return tuple(torch.sigmoid(d) for d in (joined, *sides))
 
