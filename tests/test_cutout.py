@@ -255,7 +255,7 @@ def test_masks_that_do_not_fit_are_refused(tmp_path):
     (tmp_path / "text.png").write_text("I am a text and no picture")
     with pytest.raises(InputError, match=r"mask = .* It is not a PNG, .* PPM or HEIC picture"):
         cut_out(path, mask=tmp_path / "text.png")
-    with pytest.raises(InputError, match=r"foreground = grabcut: A mask is given as well"):
+    with pytest.raises(InputError, match=r"foreground = grabcut: A mask already shows"):
         cut_out(path, "grabcut", mask=saved(tmp_path, grey, "mask.png"))
 
 
@@ -361,7 +361,7 @@ def test_of_an_animation_the_first_frame_is_taken_with_a_word(tmp_path, name, mo
 def test_an_animation_that_begins_empty_says_so(tmp_path):
     empty = Image.new("RGB", (120, 120), "white")
     path = saved(tmp_path, empty, "a.webp", save_all=True, append_images=[disc()[0]])
-    with pytest.raises(InputError, match=r"No object .* Only the first of its 2 frames was looked"):
+    with pytest.raises(InputError, match=r"No object .* Only the first of its 2 frames is examined"):
         cut_out(path)
 
 

@@ -275,5 +275,5 @@ def test_click_picks_an_object_that_the_brush_corrects(studio, tmp_path, monkeyp
 @pytest.mark.parametrize("place", [[0.3], [0.3, 1.5], "middle", [float("nan"), 0.5], {"x": 1}])
 def test_what_is_no_place_in_the_picture_is_refused(place):
     assert place_of(None) is None and place_of([]) is None and place_of([0.25, 1]) == (0.25, 1.0)
-    with pytest.raises(InputError, match=r"no place in the picture\. Give two fractions"):
+    with pytest.raises(InputError, match=r"not a place in the picture\. Give two fractions"):
         place_of(place)

@@ -56,7 +56,7 @@ def test_broken_ones_are_refused_in_words(tmp_path, data):
 @reads
 def test_an_endless_decoder_costs_one_picture(monkeypatch):
     monkeypatch.setattr(image, "DEADLINE", image.isolated.Deadline(0.3))
-    monkeypatch.setattr(image, "decoded", _endless)
+    monkeypatch.setattr(image, "decode", _endless)
     with pytest.raises(InputError, match="did not finish within 0"):
         open_image(PHONE)
 

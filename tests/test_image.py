@@ -235,14 +235,14 @@ def test_multi_picture_photograph_has_the_limit_of_passes(tmp_path):
 def test_a_decoder_that_never_ends_or_crashes_costs_one_picture(tmp_path, monkeypatch):
     path = saved(tmp_path, Image.fromarray(gradient()))
     monkeypatch.setattr(image, "DEADLINE", image.isolated.Deadline(0.3))
-    monkeypatch.setattr(image, "decoded", _endless)
+    monkeypatch.setattr(image, "decode", _endless)
     with pytest.raises(InputError, match=r"decoding it did not finish within 0\.3 s"):
         open_image(path)
     monkeypatch.undo()
-    monkeypatch.setattr(image, "decoded", _crashing)
+    monkeypatch.setattr(image, "decode", _crashing)
     with pytest.raises(InputError, match=r"decoding it broke down\. Copy"):
         open_image(path)
-    monkeypatch.setattr(image, "decoded", _greedy)
+    monkeypatch.setattr(image, "decode", _greedy)
     monkeypatch.setattr(image, "MEMORY", 1 << 29)
     with pytest.raises(InputError, match=r"takes more than \d GB of memory"):
         open_image(path)
@@ -265,7 +265,7 @@ def test_a_decoder_is_called_off_with_its_job(tmp_path, monkeypatch):
         raise Cancelled
 
     path = saved(tmp_path, Image.fromarray(gradient()))
-    monkeypatch.setattr(image, "decoded", _endless)
+    monkeypatch.setattr(image, "decode", _endless)
     with pytest.raises(Cancelled):
         open_image(path, deadline=image.isolated.Deadline(60, stopped))
 
