@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from phy124.errors import Cancelled, InputError
-from phy124.imaging.grabcut import _run_grabcut, _initial_labels, grabcut
+from phy124.imaging.grabcut import _initial_labels, _run_grabcut, grabcut
 from phy124.runtime.isolated import Deadline, RemoteTraceback, Unfinished, run
 from support.waiting import until
 

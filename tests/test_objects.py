@@ -38,7 +38,7 @@ def test_the_largest_is_taken_and_all_are_counted(alpha):
 
 def test_parts_that_nearly_touch_are_one_object(alpha):
     alpha[62:66, 92:119] = 255
-    assert Objects.of(alpha).count == 1
+    assert Objects.of(alpha).number == 1
     assert keep_largest(alpha)[0][80, 150] == 255
 
 

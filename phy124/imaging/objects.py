@@ -51,7 +51,7 @@ class Objects(NamedTuple):
         return cls(nearest, np.bincount(nearest[solid], minlength=nearest.max() + 1))
 
     @property
-    def count(self) -> int:
+    def number(self) -> int:
         """Number of objects, ignoring those below `COUNTED`."""
         return int((self.areas >= COUNTED * self.areas.max()).sum())
 
@@ -61,7 +61,7 @@ def keep_largest(alpha: Alpha) -> tuple[Alpha, int]:
     if not (alpha > 127).any():
         return alpha, 0
     objects = Objects.of(alpha)
-    return np.where(objects.nearest == objects.areas.argmax(), alpha, np.uint8(0)), objects.count
+    return np.where(objects.nearest == objects.areas.argmax(), alpha, np.uint8(0)), objects.number
 
 
 def select_object(alpha: Alpha, point: Point) -> Alpha | None:
