@@ -26,7 +26,6 @@ from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
 from phy124.harmonics import rotate_sh
 from phy124.kernels import deform as field
-from phy124.kernels.deform_simd import deform_shapes_simd
 from phy124.kernels.transfer import types
 
 THREADS = "shapes"
@@ -383,7 +382,7 @@ def of_gaussians(gaussians: Gaussians, particles: Bound, values: NDArray) -> NDA
 
 def shapes_of(device: str) -> tuple[Any, int]:
     """The kernel that deforms shapes on a device, and how many Gaussians a thread of it has."""
-    return (deform_shapes_simd, 8) if device == "cpu" else (field.deform_shapes, 1)
+    return (field.deform_shapes_simd, 8) if device == "cpu" else (field.deform_shapes, 1)
 
 
 def kernels(real: Any, binding: str, device: str) -> list[Any]:

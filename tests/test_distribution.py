@@ -72,6 +72,7 @@ def test_the_wheel_holds_our_packages_and_what_they_read(wheel):
         assert {package.replace(folder, name, 1) for package in packages} <= inside
     data = [*(ROOT / "phy124/presets").iterdir(), *(ROOT / "demo/static").iterdir()]
     data += [*(ROOT / "demo/previews").iterdir(), *(ROOT / "demo/examples").iterdir()]
+    data += (ROOT / "phy124/kernels/native").glob("*.h")
     for path in data:
         assert str(path.relative_to(ROOT)).replace("demo/", "phy124_demo/") in names
     assert {"phy124/py.typed", "phy124/accuracy/measured.json"} <= set(names)

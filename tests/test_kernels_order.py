@@ -52,7 +52,8 @@ def kernels(source: str, where: str) -> Iterator[Kernel]:
 
 
 def is_kernel(node: ast.FunctionDef) -> bool:
-    return any(ast.unparse(d).startswith(("kernel(", "wp.kernel")) for d in node.decorator_list)
+    makers = ("kernel(", "native_kernel(", "wp.kernel")
+    return any(ast.unparse(d).startswith(makers) for d in node.decorator_list)
 
 
 def written(node: ast.FunctionDef) -> set[str]:

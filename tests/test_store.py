@@ -9,9 +9,10 @@ import pytest
 import warp as wp
 
 from phy124.kernels import transfer
-from phy124.kernels.store import STORE
+from phy124.kernels.native import code
 from phy124.materials import NeoHookean
 
+STORE = code("reduction:store")
 WARP = Path(__file__).parent / "races" / "warp_threads.cpp"
 
 

@@ -15,6 +15,7 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import wide
+from phy124.kernels.native import code, constants, native_func
 from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import types
 
@@ -311,6 +312,62 @@ def deform_shapes(
     inner_out[i] = inner
     quats_out[i] = quat
     scales_out[i] = scale
+
+
+shapes_of_eight = native_func(
+    constants(
+        "double",
+        SWEEPS=SWEEPS,
+        TOLERANCE=TOLERANCE.value,
+        IDENTITY_ZONE=IDENTITY_ZONE.value,
+        LARGEST=LARGEST.value,
+        TINY=TINY.value,
+        SOUND_SHAPE=SOUND_SHAPE.value,
+        ROUND_SHAPE=ROUND_SHAPE.value,
+    )
+    + code("deform"),
+    deform_shapes.func,
+    "shapes_of_eight",
+    returns=int,
+)
+"""The shapes of Gaussians `8 thread` and the next seven; a bit is set for each that is unusual."""
+
+
+@kernel("phy124_deform_simd", seconds=1.5)
+def deform_shapes_simd(
+    # model
+    carrier: wp.array(dtype=wp.int32),
+    quats0: wp.array(dtype=wp.vec4f),
+    scales0: wp.array(dtype=wp.vec3f),
+    holds: wp.array(dtype=wp.float64),
+    max_stretch: wp.array(dtype=wp.float64),
+    rounds: wp.array(dtype=wp.bool),
+    # state in
+    deformation: wp.array(dtype=wp.mat33d),
+    # in place: the previous frame becomes this one
+    inner_out: wp.array(dtype=wp.vec4f),
+    quats_out: wp.array(dtype=wp.vec4f),
+    # out
+    scales_out: wp.array(dtype=wp.vec3f),
+):
+    """One thread per eight Gaussians, of which the unusual ones are left to `shape_of`."""
+    group = wp.tid()
+    left = shapes_of_eight(
+        group, carrier, quats0, scales0, holds, max_stretch, rounds, deformation, inner_out,
+        quats_out, scales_out,
+    )  # fmt: skip
+    i = int(8 * group)
+    while left > 0:
+        if (left & 1) == 1:
+            inner, quat, scale = shape_of(
+                deformation[carrier[i]], quats0[i], scales0[i], holds[i], max_stretch[i],
+                rounds[i], inner_out[i], quats_out[i],
+            )  # fmt: skip
+            inner_out[i] = inner
+            quats_out[i] = quat
+            scales_out[i] = scale
+        left = left >> 1
+        i += 1
 
 
 @kernel(MODULE, seconds=1.5)

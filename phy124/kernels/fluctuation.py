@@ -11,13 +11,12 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels import simd
 from phy124.kernels.build import kernel
 from phy124.kernels.transfer import (
+    GATHERS,
     SCATTERS,
     columns4,
     first_node,
-    gather,
     in_window,
     member,
     types,
@@ -61,7 +60,7 @@ def make_carry(real: Any, form: str):
 def make_fluctuation(real: Any, form: str):
     """Kernel: a motion (v, C) less what the grid carries of it; zero outside the window."""
     t = types(real)
-    collect = simd.gather if form == "simd" else gather
+    collect = GATHERS[form]
 
     @kernel(f"phy124_fluctuation_{real.__name__}_{form}", seconds=0.3)
     def fluctuation(

@@ -12,6 +12,8 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.native import code
+
 EACH, MOST_THREADS = 32, 2**14
 """Number of particles per thread on the CPU, and largest number of threads on a GPU."""
 
@@ -37,18 +39,7 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
     return ((x, y, min(z, 1)), z) if device == "cpu" else ((x, y, z), 1)
 
 
-ADD = """
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
-asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};"
-    :: "l"((float*)grid.data + 4 * (long long)node),
-       "f"(value[0]), "f"(value[1]), "f"(value[2]), "f"(value[3]) : "memory");
-#else
-wp::atomic_add(grid, node, value);
-#endif
-"""
-
-
-@wp.func_native(ADD)
+@wp.func_native(code("reduction:add"))
 def add(grid: wp.array(dtype=wp.vec4), node: int, value: wp.vec4):
     """Add to a node in float32."""
     ...
@@ -72,17 +63,7 @@ def greater(a: Any, b: Any):
     return wp.where(b > a, b, a)
 
 
-LOAD = """
-#if defined(__CUDA_ARCH__)
-const float4 q = *(const float4*)((const float*)grid.data + 4 * (long long)node);
-return wp::vec_t<4, float>(q.x, q.y, q.z, q.w);
-#else
-return wp::index(grid, node);
-#endif
-"""
-
-
-@wp.func_native(LOAD)
+@wp.func_native(code("reduction:load"))
 def load(grid: wp.array(dtype=wp.vec4), node: int) -> wp.vec4:
     """A node; a GPU reads its four numbers at once, which Warp's alignment of 4 bytes forbids."""
     ...
@@ -94,62 +75,31 @@ def load(grid: wp.array(dtype=wp.vec4d), node: int) -> wp.vec4d:  # noqa: F811
     ...
 
 
-def by_warp(combine: str, write: str) -> str:
-    """Native code that combines `value` over a warp before one thread of it writes."""
-    return f"""
-auto whole = value;
-#if defined(__CUDA_ARCH__)
-if (__activemask() == 0xffffffffu) {{
-    for (int step = 16; step > 0; step >>= 1) {{
-        const auto other = __shfl_xor_sync(0xffffffffu, whole, step);
-        whole = {combine};
-    }}
-    if ((threadIdx.x & 31) != 0) return;
-}}
-#endif
-{write}
-"""
-
-
-SUM = by_warp("whole + other", "if (whole != 0.0) wp::atomic_add(sums, index, whole);")
-# Comparing first avoids most of the atomic operations.
-RAISE = by_warp(
-    "other > whole ? other : whole",
-    "if (whole > wp::index(maxima, index)) wp::atomic_max(maxima, index, whole);",
-)
-
-
-LOWER = by_warp(
-    "other < whole ? other : whole",
-    "if (whole < wp::index(minima, index)) wp::atomic_min(minima, index, whole);",
-)
-
-
-@wp.func_native(SUM)
+@wp.func_native(code("reduction:sum", "reduction:warp", "reduction:add_to"))
 def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
     """Add to a sum over all threads."""
     ...
 
 
-@wp.func_native(RAISE)
-def raise_to(maxima: wp.array(dtype=wp.float32), index: int, value: wp.float32):
+@wp.func_native(code("reduction:most", "reduction:warp", "reduction:raise_to"))
+def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
     """Raise a maximum over all threads."""
     ...
 
 
-@wp.func_native(RAISE)
-def raise_to(maxima: wp.array(dtype=wp.float64), index: int, value: wp.float64):  # noqa: F811
-    """Raise a maximum over all threads in float64."""
-    ...
-
-
-@wp.func_native(RAISE)
-def raise_to(maxima: wp.array(dtype=int), index: int, value: int):  # noqa: F811
-    """Raise a maximum over all threads of integers."""
-    ...
-
-
-@wp.func_native(LOWER)
+@wp.func_native(code("reduction:least", "reduction:warp", "reduction:lower_to"))
 def lower_to(minima: wp.array(dtype=int), index: int, value: int):
     """Lower a minimum over all threads of integers."""
+    ...
+
+
+@wp.func_native(code("reduction:store"))
+def store(matrices: wp.array(dtype=wp.mat33), particle: int, value: wp.mat33):
+    """Write a particle's matrix; on a GPU 32 neighbouring particles write theirs together."""
+    ...
+
+
+@wp.func_native("wp::array_store(matrices, particle, value);")
+def store(matrices: wp.array(dtype=wp.mat33d), particle: int, value: wp.mat33d):  # noqa: F811
+    """Write a particle's matrix in float64."""
     ...

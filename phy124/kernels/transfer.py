@@ -20,13 +20,12 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from phy124.kernels import simd
 from phy124.kernels.build import kernel
 from phy124.kernels.gradient import gather_slopes, scatter_with_stress
 from phy124.kernels.maxima import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
-from phy124.kernels.reduction import add, finite, greater, load, raise_to
+from phy124.kernels.native import code
+from phy124.kernels.reduction import add, finite, greater, load, raise_to, store
 from phy124.kernels.spline import offsets, spline
-from phy124.kernels.store import store
 
 
 class Law(NamedTuple):
@@ -179,7 +178,25 @@ def columns4(a: Any, s: Any):
     )
 
 
-SCATTERS = {"plain": scatter, "simd": simd.scatter, "spline": scatter}
+@wp.func_native(code("transfer", "transfer:scatter"))
+def scatter_rows(
+    grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3,
+    base: wp.vec4, column_x: wp.vec4, column_y: wp.vec4, column_z: wp.vec4,
+):  # fmt: skip
+    """`scatter` for the vector units of a CPU, in float32."""
+    ...
+
+
+@wp.func_native(code("transfer", "transfer:gather"))
+def gather_rows(
+    grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3
+) -> wp.mat44:
+    """`gather` for the vector units of a CPU, in float32."""
+    ...
+
+
+SCATTERS = {"plain": scatter, "simd": scatter_rows, "spline": scatter}
+GATHERS = {"plain": gather, "simd": gather_rows, "spline": gather}
 """Two forms of one algorithm: a readable one that GPUs use, and one for CPU cores in float32; with
 "spline" stress and strain go by the weights' own gradients (kernels/gradient.py)."""
 
@@ -243,7 +260,7 @@ def make_g2p(law: Law, real: Any, form: str):
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
-    project, collect = law.project, simd.gather if form == "simd" else gather
+    project, collect = law.project, GATHERS[form]
     plastic = project is not None
     owner = law.name if plastic else f"elastic{law.width}"
     name = f"phy124_g2p_{owner}_{real.__name__}_{form}"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from phy124.accuracy.ball import ball
 from phy124.kernels.implicit import HULL, INFLATED, push
-from phy124.kernels.splat import shadow, shadow_simd, stage, stage_simd
+from phy124.kernels.splat import shadow, stage
 from phy124.kernels.splat.arrange import arrange
 from phy124.progress import Progress, silent
 from phy124.rendering.render import Renderer
@@ -17,7 +17,7 @@ from phy124.simulation import Simulation
 from phy124.simulation.kernels import kernels
 
 STAGE = {
-    "cpu": (shadow_simd.cover_simd, arrange, stage_simd.blend_staged_simd),
+    "cpu": (shadow.cover_simd, arrange, stage.blend_staged_simd),
     "cuda": (shadow.cover, arrange, stage.draw_setting),
 }
 """One kernel of each module that draws a stage."""

@@ -20,7 +20,7 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Array, Gaussians
 from phy124.kernels.splat import bin as binning
-from phy124.kernels.splat import blend, blend_simd, project, project_simd, screen, stage_simd
+from phy124.kernels.splat import blend, project, screen, stage
 from phy124.rendering.pinhole import NEAR as NEAR
 from phy124.rendering.pinhole import pinhole
 from phy124.rendering.stage.draw import Surroundings
@@ -34,13 +34,13 @@ BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
 """Number of tile entries held at once; larger scenes are blended in several runs of tiles."""
 BLENDS = {
-    "simd": blend_simd.blend_tiles_simd,
+    "simd": blend.blend_tiles_simd,
     "plain": blend.blend_tiles,
     "pixel": blend.blend_pixels,
 }
 """Forms of the last stage: a tile per thread in vectorised C++ (CPU only), the same in Warp,
 and a pixel per thread (what CUDA runs)."""
-BLEND_STAGED = stage_simd.blend_staged_simd
+BLEND_STAGED = stage.blend_staged_simd
 """The form `simd` with a stage behind the Gaussians."""
 FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
 """What keeps splats from falling between pixels -> what is added to their screen covariance, px^2,
@@ -87,7 +87,7 @@ class Renderer:
         binned = binning.bin_parallel if self._per_pixel else binning.bin_serial
         # A form of projection goes with it too: how many Gaussians a thread has, and the kernel.
         self._vectorised = simd = blend == "simd"
-        self._projection = (16, project_simd.project_simd) if simd else (1, project.project)
+        self._projection = (16, project.project_simd) if simd else (1, project.project)
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
         self._around = Surroundings(self.device, simd=simd)
         self._buffers: dict[str, wp.array] = {}

@@ -1,4 +1,4 @@
-// Threads of a GPU's block as threads of the processor, which run `store` of phy124/kernels/store.py:
+// Threads of a GPU's block as threads of the processor, which run `store` of phy124/kernels/native/reduction.h:
 //     warp_threads PARTICLES REVERSED
 // stores two matrices of every particle and prints how many numbers are wrong, and how many matrices
 // were written by their own thread.

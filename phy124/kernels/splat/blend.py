@@ -1,9 +1,22 @@
-"""Blends splats front to back, per pixel (CUDA) or per tile (a readable form of blend_simd)."""
+"""Blends splats front to back: per pixel (CUDA), per tile, or per tile in C++ (CPUs).
+
+The last two are one algorithm; tests/test_render.py compares them.
+"""
 
 import warp as wp
 
 from phy124.kernels.build import kernel
-from phy124.kernels.splat.screen import MIN_TRANSMITTANCE, TILE, Splat, View, alpha_at, shown
+from phy124.kernels.native import code, constants, native_kernel
+from phy124.kernels.splat.screen import (
+    MAX_ALPHA,
+    MIN_ALPHA,
+    MIN_TRANSMITTANCE,
+    TILE,
+    Splat,
+    View,
+    alpha_at,
+    shown,
+)
 
 PIXELS = wp.constant(256)
 """Number of pixels of a tile."""
@@ -96,3 +109,19 @@ def blend_tiles(
             t = wp.abs(transmittance[j])
             image_out[y * view.width + x] = shown(light[j], t, background)
             alpha_out[y * view.width + x] = 1.0 - t
+
+
+OPEN_TILE = (
+    code("elementary")
+    + constants(
+        "float", MAX_ALPHA=MAX_ALPHA, MIN_ALPHA=MIN_ALPHA, MIN_TRANSMITTANCE=MIN_TRANSMITTANCE
+    )
+    + code("tile")
+)
+SUM_TILE = OPEN_TILE + code("tile:light", "tile:splats")
+STORE_TILE = code("tile:store")
+
+blend_tiles_simd = native_kernel(
+    "phy124_blend_simd", SUM_TILE + STORE_TILE, name="blend_tiles_simd"
+)(blend_tiles.func)
+"""`blend_tiles` for the vector units of a CPU."""

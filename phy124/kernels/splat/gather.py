@@ -3,7 +3,8 @@
 import warp as wp
 
 from phy124.kernels.build import kernel
-from phy124.kernels.splat.blend import PIXELS
+from phy124.kernels.native import code, native_kernel
+from phy124.kernels.splat.blend import OPEN_TILE, PIXELS
 from phy124.kernels.splat.screen import MIN_TRANSMITTANCE, TILE, Splat, View, alpha_at
 
 
@@ -41,3 +42,9 @@ def gather_pixels(
             wp.atomic_add(sums_out, i, alpha * transmittance * value)
             wp.atomic_add(weights_out, i, alpha * transmittance)
             transmittance = rest
+
+
+gather_tiles_simd = native_kernel(
+    "phy124_gather_simd", OPEN_TILE + code("gather", "tile:splats"), name="gather_tiles_simd"
+)(gather_pixels.func)
+"""`gather_pixels` for CPUs, one tile per thread; tiles run in turn since they share splats."""

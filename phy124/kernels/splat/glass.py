@@ -5,6 +5,8 @@ The player draws the same in its shaders (phy124/io/viewer/stage.js), function b
 
 import warp as wp
 
+from phy124.kernels.native import code, constants
+
 FACE = wp.constant(0.10)
 """Opacity of a flat face."""
 LINE = wp.constant(0.45)
@@ -179,3 +181,9 @@ def within(outline: Outline, x: float, y: float) -> bool:
         if outline.sides[k, 0] * x + outline.sides[k, 1] * y + outline.sides[k, 2] < 0.0:
             return False
     return True
+
+
+VEIL = constants(
+    "float", FACE=FACE, LINE=LINE, RIM=RIM, WIDTH=WIDTH, NEARLY=NEARLY, TINT=TINT
+) + code("glass")
+"""`veil` in C++, for sixteen rays from `view`."""

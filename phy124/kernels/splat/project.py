@@ -5,6 +5,7 @@ import warp as wp
 from phy124 import harmonics
 from phy124.gaussians import SH_C0
 from phy124.kernels.build import kernel
+from phy124.kernels.native import code, constants, native_func
 from phy124.kernels.reduction import finite
 from phy124.kernels.splat.screen import MIN_ALPHA, Splat, View, tiles_of
 
@@ -156,3 +157,52 @@ def project(
     tiles_out[i] = tiles
     depths_out[i] = depth
     order_out[i] = i
+
+
+project_sixteen = native_func(
+    code("elementary", "group")
+    + constants("float", MIN_ALPHA=MIN_ALPHA, LOG2_E=LOG2_E, C0=C0)
+    + code("project"),
+    project.func,
+    "project_sixteen",
+)
+"""Gaussians `16 thread` and the next fifteen; those of a degree above 0 have no colour yet."""
+
+
+@kernel("phy124_project_simd")
+def project_simd(
+    # model
+    means: wp.array(dtype=wp.vec3),
+    quats: wp.array(dtype=wp.vec4),
+    scales: wp.array(dtype=wp.vec3),
+    opacities: wp.array(dtype=float),
+    sh: wp.array2d(dtype=wp.vec3),
+    degree: int,
+    view: View,
+    # out
+    splats_out: wp.array(dtype=Splat),
+    tiles_out: wp.array(dtype=wp.vec4i),
+    depths_out: wp.array(dtype=float),
+    order_out: wp.array(dtype=int),
+    corners_out: wp.array2d(dtype=int),
+):
+    """One thread per sixteen Gaussians."""
+    group = wp.tid()
+    project_sixteen(
+        group, means, quats, scales, opacities, sh, degree, view, splats_out, tiles_out,
+        depths_out, order_out, corners_out,
+    )  # fmt: skip
+    if degree == 0:
+        return
+    for i in range(16 * group, wp.min(16 * group + 16, means.shape[0])):
+        tiles = tiles_out[i]
+        if tiles[2] > tiles[0]:
+            colour = colour_seen(sh, i, degree, means[i] - view.eye)
+            splats_out[i].colour = wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+            if not finite(colour[0] + colour[1] + colour[2]):
+                splats_out[i].box = wp.vec4i(0, 0, 0, 0)
+                tiles_out[i] = wp.vec4i(0, 0, 0, 0)
+                wp.atomic_add(corners_out, tiles[1], tiles[0], -1)
+                wp.atomic_add(corners_out, tiles[1], tiles[2], 1)
+                wp.atomic_add(corners_out, tiles[3], tiles[0], 1)
+                wp.atomic_add(corners_out, tiles[3], tiles[2], -1)

@@ -8,7 +8,7 @@ below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
 import warp as wp
 
 TILE = wp.constant(16)
-"""Side of a screen tile [pixels]; blend_simd.py relies on 16."""
+"""Side of a screen tile [pixels]; native/tile.h relies on 16."""
 MAX_ALPHA = wp.constant(0.99)
 MIN_ALPHA = wp.constant(1.0 / 255.0)
 MIN_TRANSMITTANCE = wp.constant(1.0e-4)

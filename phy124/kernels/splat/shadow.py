@@ -3,6 +3,7 @@
 import warp as wp
 
 from phy124.kernels.build import kernel
+from phy124.kernels.native import code, constants, native_kernel
 from phy124.kernels.reduction import finite
 
 NARROW = wp.constant(0.9)
@@ -112,3 +113,12 @@ def cover(
             power = (c * u * u - 2.0 * b * u * v + a * v * v) / det
             alpha = peak * wp.exp(-0.5 * power)
             put(layers_out, i, j, layer, upper, -wp.log(1.0 - alpha))
+
+
+cover_simd = native_kernel(
+    "phy124_shadow_simd",
+    code("elementary", "group") + constants("float", NARROW=NARROW, REACH=REACH) + code("shadow"),
+    name="cover_simd",
+)(cover.func)
+"""`cover` for the vector units of a CPU, sixteen Gaussians per thread, on a map of sixteen cells or
+more; tests/test_stage_shadow.py compares them."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from phy124.camera import Camera
 from phy124.gaussians import Gaussians
-from phy124.kernels.splat import gather, gather_simd, screen
+from phy124.kernels.splat import gather, screen
 from phy124.rendering.render import MAX_PAIRS, Renderer, runs
 
 
@@ -33,7 +33,7 @@ class Adjoint(Renderer):
         weights = wp.zeros(len(gaussians), dtype=wp.float32, device=self.device)
         kernel, each = gather.gather_pixels, screen.TILE**2
         if self._vectorised:
-            kernel, each = gather_simd.gather_tiles_simd, 1
+            kernel, each = gather.gather_tiles_simd, 1
         for first, last in runs(counts, MAX_PAIRS):
             lists = self._bin(len(gaussians), view, counts, first, last)
             wp.launch(

@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.gaussians import Array
-from phy124.kernels.splat import glass, stage, stage_simd
+from phy124.kernels.splat import glass, stage
 from phy124.kernels.splat.arrange import arrange
 from phy124.rendering.stage.frame import Backdrop, StageFrame, bounds
 
@@ -78,7 +78,7 @@ class Surroundings:
 
     def tint(self, means: wp.array, splats: wp.array) -> None:
         """Give splats that are seen through glass among them its colour."""
-        kernel = stage_simd.tint_splats_simd if self.simd else stage.tint_splats
+        kernel = stage.tint_splats_simd if self.simd else stage.tint_splats
         threads = math.ceil(len(means) / 16) if self.simd else len(means)
         inputs = [self._view, self._before, self._before + self.among, *self._solids, means]
         wp.launch(kernel, threads, inputs=inputs, outputs=[splats], device=self.device)

@@ -27,8 +27,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.gaussians import Array, Gaussians
-from phy124.kernels.splat.shadow import cover
-from phy124.kernels.splat.shadow_simd import cover_simd
+from phy124.kernels.splat.shadow import cover, cover_simd
 
 CELLS = 128
 """Cells along a side of the map."""

@@ -1,17 +1,13 @@
-"""The scatter and gather of `transfer`, one 64-byte row of three nodes at a time.
+// Scatter and gather in float32, one 64-byte row of three nodes at a time: three nodes of four
+// floats, and a fourth of weight zero, fill one AVX-512 or two AVX2 registers. The grid is one node
+// longer than its window, so that the last row can be read completely.
+// Plain form: `scatter` and `gather` of transfer.py.
+// Test: tests/test_mpm.py, test_simd_rows_and_plain_loops_are_one_algorithm.
 
-These are C++ snippets for the CPU in float32: three nodes of four floats (and a fourth with weight
-zero) fill one AVX-512 register or two AVX2 registers. The grid array is one node longer than its
-window, so that the last row can be read completely. The tests run both forms of the algorithm.
-"""
-
-import warp as wp
-
-ROW = """
 typedef float Row __attribute__((vector_size(64), aligned(4)));
 typedef float Node __attribute__((vector_size(16), aligned(4)));
 #define REPEAT(a) __builtin_shufflevector(a, a, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
-#define SUM(r) (__builtin_shufflevector(r, r, 0, 1, 2, 3) \\
+#define SUM(r) (__builtin_shufflevector(r, r, 0, 1, 2, 3) \
     + __builtin_shufflevector(r, r, 4, 5, 6, 7) + __builtin_shufflevector(r, r, 8, 9, 10, 11))
 const float fx = f[0], fy = f[1], fz = f[2];
 #define SPLINE(f) {0.5f*(1.5f-f)*(1.5f-f), 0.75f-(f-1.f)*(f-1.f), 0.5f*(f-0.5f)*(f-0.5f)}
@@ -21,11 +17,8 @@ const Row W = {w0, w0, w0, w0, w1, w1, w1, w1, w2, w2, w2, w2, 0.f, 0.f, 0.f, 0.
 const Row K = {0.f, 0.f, 0.f, 0.f, w1, w1, w1, w1, u2, u2, u2, u2, 0.f, 0.f, 0.f, 0.f};
 const long along_y = 4 * (long)size[2], along_x = along_y * size[1];
 const long start = first[0] * along_x + first[1] * along_y + 4 * (long)first[2];
-"""
 
-SCATTER = (
-    ROW
-    + """
+//: scatter
 float* layer = (float*)grid.data + start;
 const Node b = {base[0], base[1], base[2], base[3]};
 const Node x = {column_x[0], column_x[1], column_x[2], 0.f};
@@ -39,12 +32,8 @@ for (int i = 0; i < 3; ++i, layer += along_x, low += X) {
     *(Row*)(layer + along_y) += (wx[i] * wy[1]) * middle;
     *(Row*)(layer + 2 * along_y) += (wx[i] * wy[2]) * high;
 }
-"""
-)
 
-GATHER = (
-    ROW
-    + """
+//: gather
 const float* layer = (const float*)grid.data + start;
 Row sum[3], rise[3];
 for (int i = 0; i < 3; ++i, layer += along_x) {
@@ -61,20 +50,3 @@ const Node s0 = SUM(r0), s1 = SUM(r1), s2 = SUM(r2), s3 = SUM(r3);
 return wp::mat_t<4, 4, wp::float32>(
     s0[0], s0[1], s0[2], s0[3], s1[0], s1[1], s1[2], s1[3],
     s2[0], s2[1], s2[2], s2[3], s3[0], s3[1], s3[2], s3[3]);
-"""
-)
-
-
-@wp.func_native(SCATTER)
-def scatter(
-    grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3,
-    base: wp.vec4, column_x: wp.vec4, column_y: wp.vec4, column_z: wp.vec4,
-):  # fmt: skip
-    """Add w (base + i X + j Y + k Z) to the 27 nodes around a particle."""
-    ...
-
-
-@wp.func_native(GATHER)
-def gather(grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3) -> wp.mat44:
-    """Rows: sum w v, sum w i v, sum w j v, sum w k v over the 27 nodes."""
-    ...

@@ -1,0 +1,27 @@
+// Elementary functions for loops that are to be vectorised.
+// Plain form: wp.exp and wp.log.
+// Test: tests/test_render.py, test_the_forms_agree_with_each_other.
+
+// 2^power for -126 < power < 127. Adding 1.5 2^23 rounds to the nearest whole number, whose
+// bits then go into the exponent. The polynomial is Taylor's, |rest| <= 1/2.
+const auto power_of_2 = [](float power) {
+    const float shifted = power + 12582912.0f;
+    const float rest = power - (shifted - 12582912.0f);
+    union { float value; int bits; } whole, result;
+    whole.value = shifted;
+    result.value = 1.0f + rest * (0.693147181f + rest * (0.240226507f
+        + rest * (0.0555041087f + rest * (0.00961812911f + rest * 0.00133335581f))));
+    result.bits += whole.bits << 23;
+    return result.value;
+};
+// The natural logarithm of a normal number above 0: that of its fraction, which is between
+// sqrt(1/2) and sqrt(2), is 2 artanh((f - 1) / (f + 1)).
+const auto logarithm = [](float x) {
+    union { float value; int bits; } given, fraction;
+    given.value = x;
+    const int exponent = (given.bits - 0x3f3504f3) >> 23;
+    fraction.bits = given.bits - exponent * 0x800000;
+    const float s = (fraction.value - 1.0f) / (fraction.value + 1.0f), t = s * s;
+    return 0.693147181f * (float)exponent + 2.0f * s * (1.0f + t * (0.333333333f
+        + t * (0.2f + t * (0.142857143f + t * 0.111111111f))));
+};

@@ -1,0 +1,76 @@
+// Sums, maxima and stores that a GPU makes once for a warp, or in one transaction.
+// Plain form: the lines outside `#if`.
+// Test: tests/test_kernels_cuda.py, test_a_warp_reduces_before_it_writes.
+
+//: add
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
+asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};"
+    :: "l"((float*)grid.data + 4 * (long long)node),
+       "f"(value[0]), "f"(value[1]), "f"(value[2]), "f"(value[3]) : "memory");
+#else
+wp::atomic_add(grid, node, value);
+#endif
+
+//: load
+#if defined(__CUDA_ARCH__)
+const float4 q = *(const float4*)((const float*)grid.data + 4 * (long long)node);
+return wp::vec_t<4, float>(q.x, q.y, q.z, q.w);
+#else
+return wp::index(grid, node);
+#endif
+
+//: sum
+#define COMBINE whole + other
+
+//: most
+#define COMBINE other > whole ? other : whole
+
+//: least
+#define COMBINE other < whole ? other : whole
+
+//: warp
+auto whole = value;
+#if defined(__CUDA_ARCH__)
+if (__activemask() == 0xffffffffu) {
+    for (int step = 16; step > 0; step >>= 1) {
+        const auto other = __shfl_xor_sync(0xffffffffu, whole, step);
+        whole = COMBINE;
+    }
+    if ((threadIdx.x & 31) != 0) return;
+}
+#endif
+#undef COMBINE
+
+//: add_to
+if (whole != 0.0) wp::atomic_add(sums, index, whole);
+
+//: raise_to
+// Comparing first avoids most of the atomic operations.
+if (whole > wp::index(maxima, index)) wp::atomic_max(maxima, index, whole);
+
+//: lower_to
+if (whole < wp::index(minima, index)) wp::atomic_min(minima, index, whole);
+
+//: store
+// A thread that writes the nine numbers of its own matrix leaves gaps of 36 bytes between its own
+// and its neighbours': 32 threads touch 36 sectors of 32 bytes nine times. Here they exchange their
+// numbers in shared memory first, and write 32 neighbouring numbers nine times, four or five
+// sectors each. Where some of a warp are elsewhere, or their particles are not neighbours, each
+// writes its own.
+#if defined(__CUDA_ARCH__)
+enum { WARPS = 8 };  // of a block: every launch of phy124 has blocks of 256 threads
+const unsigned all = 0xffffffffu;
+const int place = threadIdx.x & 31, warp = threadIdx.x >> 5;
+if (__activemask() == all && blockDim.x <= 32 * WARPS
+        && __all_sync(all, particle - place == __shfl_sync(all, particle, 0))) {
+    __shared__ float shared[WARPS * 9 * 32];
+    float* own = shared + 9 * 32 * warp;
+    for (int k = 0; k < 9; ++k) own[9 * place + k] = value.data[k / 3][k % 3];
+    __syncwarp();
+    float* rows = (float*)matrices.data + 9ll * (particle - place);
+    for (int k = 0; k < 9; ++k) rows[32 * k + place] = own[32 * k + place];
+    __syncwarp();  // before the next matrices take the place of these
+    return;
+}
+#endif
+wp::array_store(matrices, particle, value);

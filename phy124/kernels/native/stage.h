@@ -1,0 +1,199 @@
+// The stage of a tile, drawn around its Gaussians before they are stored. Where the corners of a
+// tile see the same two faces of a box, away from its edges, so does all of the tile, since faces
+// are convex: its opacity is one number there.
+// Plain form: `draw_setting` and `tint_splats` of splat/stage.py.
+// Test: tests/test_stage.py, test_every_form_of_the_renderer_draws_the_same_stage.
+
+typedef float Row __attribute__((vector_size(64), aligned(4)));
+// How much of what is behind is seen; Gaussians may let through less than a byte can tell.
+const Row none = {0.0f};
+Row open[16], widest = none;
+for (int y = 0; y < 16; ++y) {
+    const Row t = *(const Row*)(T + 16 * y), rest = t < none ? -t : t;
+    open[y] = rest > 1e-3f ? rest : none;
+    widest = open[y] > widest ? open[y] : widest;
+}
+const float most_open = __builtin_reduce_max(widest);
+if (most_open == 0.0f && before == 0) return;
+
+const float step = 1.0f / view.focal, above = view.eye[2] - setting.height;
+const bool floored = setting.floor == 1 && above > 0.0f;
+const auto& turn = view.rotation.data;
+const auto aim = [&](Rays& rays, const float* xs, const float* ys) {
+    #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
+    for (int i = 0; i < 16; ++i) {
+        const float u = (xs[i] - view.centre[0]) * step, v = (ys[i] - view.centre[1]) * step;
+        rays.x[i] = turn[0][0] * u + turn[1][0] * v + turn[2][0];
+        rays.y[i] = turn[0][1] * u + turn[1][1] * v + turn[2][1];
+        const float z = turn[0][2] * u + turn[1][2] * v + turn[2][2];
+        rays.z[i] = z;
+        rays.limit[i] = floored && z < 0.0f ? -above / (z < -1e-12f ? z : -1e-12f) : 1e30f;
+        rays.pixel[i] = step;
+    }
+};
+float xs[16], ys[16];
+Rays rays;
+
+Row clear[16], lens[16];  // what solids let through, all and those before the Gaussians
+bool laid = false, glazed = false;
+const float middle_x = 0.5f * (float)(left + right), middle_y = 0.5f * (float)(top + bottom);
+const float half_x = 0.5f * (float)(count - 1), half_y = 0.5f * (float)(rows - 1);
+const int shown = most_open == 0.0f ? before : solids.shape[0];
+for (int k = 0; k < shown; ++k) {
+    if (glazed && k == before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
+    if (beside(outlines.data[k], middle_x, middle_y, half_x, half_y)) continue;
+    if (!glazed) for (int y = 0; y < 16; ++y) clear[y] = lens[y] = none + 1.0f;
+    glazed = true;
+    laid = laid || k < before;
+    Veil veil;
+    for (int i = 0; i < 16; ++i) {
+        xs[i] = middle_x + (i & 1 ? half_x : -half_x);
+        ys[i] = middle_y + (i & 2 ? half_y : -half_y);
+    }
+    aim(rays, xs, ys);
+    veil_of(solids.data[k], rays, veil);
+    int faces = veil.faces[0];
+    for (int i = 1; i < 4; ++i) faces = veil.faces[i] == faces ? faces : 0;
+    for (int i = 0; i < 16; ++i) xs[i] = (float)(left + i) + 0.5f;
+    for (int y = 0; y < rows; ++y) {
+        if (faces) {
+            clear[y] *= 1.0f - veil.alpha[0];
+            continue;
+        }
+        const float at = (float)(top + y) + 0.5f;
+        if (beside(outlines.data[k], middle_x, at, half_x, 0.0f)) continue;
+        for (int i = 0; i < 16; ++i) ys[i] = at;
+        aim(rays, xs, ys);
+        veil_of(solids.data[k], rays, veil);
+        clear[y] *= 1.0f - *(const Row*)veil.alpha;
+    }
+}
+if (glazed && shown == before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
+if (most_open == 0.0f && !laid) return;
+
+const unsigned short* __restrict shades = shade.data;
+typedef unsigned Pair __attribute__((aligned(2)));
+const int cells = setting.cells;
+const float last = (float)(cells - 1), nearer = 1.0f / setting.reach;
+const float scale = 0.5f * (float)cells * nearer, middle = 0.5f * last;
+const float ex = view.eye[0] - setting.middle[0], ey = view.eye[1] - setting.middle[1];
+// All shade is between the centres of these cells, which have none.
+const float first_i = (float)setting.shaded[0] - 1.0f, end_i = (float)setting.shaded[1] + 1.0f;
+const float first_j = (float)setting.shaded[2] - 1.0f, end_j = (float)setting.shaded[3] + 1.0f;
+// Directions of a row's rays, but for what its height adds.
+Row column;
+for (int i = 0; i < 16; ++i) column[i] = ((float)(left + i) + 0.5f - view.centre[0]) * step;
+const Row along_x = turn[0][0] * column + turn[2][0];
+const Row along_y = turn[0][1] * column + turn[2][1];
+const Row along_z = turn[0][2] * column + turn[2][2];
+const auto look_up = [&](const float* at_i, const float* at_j, float* __restrict light) {
+    #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
+    for (int x = 0; x < 16; ++x) {
+        const float u = at_i[x], v = at_j[x];
+        const bool inside = u >= 0.0f && v >= 0.0f && u < last && v < last;
+        const int i = inside ? (int)u : 0, j = inside ? (int)v : 0, cell = i * cells + j;
+        const float a = u - (float)i, b = v - (float)j;
+        // Two neighbours are read at once: reading takes most of the time here.
+        const unsigned near = *(const Pair*)(shades + cell);
+        const unsigned far = *(const Pair*)(shades + (cell + cells));
+        const float p = (float)(int)(near & 0xffff), q = (float)(int)(near >> 16);
+        const float one = p + a * ((float)(int)(far & 0xffff) - p);
+        const float two = q + a * ((float)(int)(far >> 16) - q);
+        light[x] = inside ? 1.0f - (one + b * (two - one)) * (1.0f / 65535.0f) : 1.0f;
+    }
+};
+// What the floor takes of the backdrop's light along rays, and adds to it in the middle.
+const auto shine = [&](float at, Row& light, Row& pool) {
+    const float v = (at - view.centre[1]) * step;
+    const Row z = along_z + turn[1][2] * v;
+    light = none + 1.0f;
+    pool = none;
+    if (!floored || (z[0] >= 0.0f && z[15] >= 0.0f)) return;
+    const Row limit = -above / (z < -1e-12f ? z : none - 1e-12f);
+    const Row x = ex + limit * (along_x + turn[1][0] * v);
+    const Row y = ey + limit * (along_y + turn[1][1] * v);
+    const Row rest = z < none ? 1.0f - (0.5f * nearer * nearer) * (x * x + y * y) : none;
+    pool = rest > none ? setting.pool * rest * rest : none;
+    const Row at_i = z < none ? x * scale + middle : none - 2.0f;
+    const Row at_j = z < none ? y * scale + middle : none - 2.0f;
+    const auto outside = [&](const Row& at, float low, float high) {
+        return (at[0] < low && at[15] < low) || (at[0] > high && at[15] > high);
+    };
+    if (outside(at_i, first_i, end_i) || outside(at_j, first_j, end_j)) return;
+    look_up((const float*)&at_i, (const float*)&at_j, (float*)&light);
+};
+
+const bool pictured = picture.shape[0] > 0;
+Row* const lights[3] = {(Row*)R, (Row*)G, (Row*)B};
+const float per_row = 1.0f / (float)view.height;
+for (int y = 0; y < rows; ++y) {
+    const float at = (float)(top + y) + 0.5f, down = at * per_row;
+    Row light = none, pool = none;
+    if (most_open > 0.0f) shine(at, light, pool);
+    Row seen = open[y] * light, dull = none;
+    if (glazed) {
+        seen *= clear[y];
+        dull = open[y] * (1.0f - clear[y]) + (1.0f - open[y]) * (1.0f - lens[y]);
+    }
+    const Row added = seen * pool;
+    #pragma clang loop unroll(full)
+    for (int c = 0; c < 3; ++c) {
+        Row& drawn = lights[c][y];
+        if (glazed) drawn = lens[y] * drawn + dull * TINT[c];
+        if (pictured) {
+            const auto* photo = picture.data + (top + y) * view.width + left;
+            Row behind = none;
+            for (int x = 0; x < count; ++x) behind[x] = photo[x][c];
+            drawn += seen * behind + added * behind * (1.0f - behind);
+        } else {
+            const float behind = setting.top[c] + down * (setting.bottom[c] - setting.top[c]);
+            drawn += seen * behind + added * (behind * (1.0f - behind));
+        }
+    }
+}
+
+
+//: tint
+typedef float Row __attribute__((vector_size(64), aligned(4)));
+const int begin = 16 * thread, total = means.shape[0];
+const int count = begin + 16 < total ? 16 : total - begin;
+const auto& turn = view.rotation.data;
+Rays rays;
+const float* place = (const float*)(means.data + begin);
+float spare[48];
+for (int k = 0; k < 48 && count < 16; ++k) spare[k] = place[k < 3 * count ? k : k % 3];
+if (count < 16) place = spare;
+const float step = 1.0f / view.focal;
+#pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
+for (int i = 0; i < 16; ++i) {
+    const float x = place[3 * i] - view.eye[0], y = place[3 * i + 1] - view.eye[1];
+    const float z = place[3 * i + 2] - view.eye[2];
+    const float depth = turn[2][0] * x + turn[2][1] * y + turn[2][2] * z;
+    rays.x[i] = x;
+    rays.y[i] = y;
+    rays.z[i] = z;
+    rays.limit[i] = 1.0f;
+    rays.pixel[i] = depth * step;
+}
+const Row x = *(const Row*)rays.x, y = *(const Row*)rays.y, z = *(const Row*)rays.z;
+Row clear = x * 0.0f + 1.0f;
+bool glazed = false;
+for (int k = first; k < last; ++k) {
+    const auto& outline = outlines.data[k];
+    auto within = *(const Row*)rays.pixel >= outline.nearest * step;
+    for (int n = 0; n < outline.count; ++n) {
+        const float* plane = outline.planes.data[n];
+        within &= plane[0] * x + plane[1] * y + plane[2] * z >= 0.0f;
+    }
+    if (!__builtin_reduce_or(within)) continue;
+    Veil veil;
+    veil_of(solids.data[k], rays, veil);
+    clear *= 1.0f - *(const Row*)veil.alpha;
+    glazed = true;
+}
+for (int i = 0; i < count && glazed; ++i)
+    if (clear[i] < 1.0f)
+        for (int c = 0; c < 3; ++c) {
+            float& colour = splats_out.data[begin + i].colour[c];
+            colour = clear[i] * colour + (1.0f - clear[i]) * TINT[c];
+        }

@@ -1,0 +1,106 @@
+// A tile of 16 x 16 pixels, with three numbers R, G, B for each. A row of a tile is 16 floats: one
+// AVX-512, two AVX2 or four NEON registers. The loop over a row has no branch; a finished pixel
+// (T < 0) and a skipped splat contribute a weight of zero instead.
+// Plain form: `blend_tiles` of splat/blend.py.
+// Test: tests/test_render.py, test_the_forms_agree_with_each_other.
+
+const int tile = first + thread;
+// Of each pixel what is left of what is behind; negative: the pixel is done.
+alignas(64) float T[256], R[256], G[256], B[256];
+const int left = tile % view.columns * 16, top = tile / view.columns * 16;
+const int right = left + 16 < view.width ? left + 16 : view.width, count = right - left;
+const int bottom = top + 16 < view.height ? top + 16 : view.height, rows = bottom - top;
+for (int j = 0; j < 256; ++j) {
+    // Beyond the image's edge a pixel counts as done from the start.
+    T[j] = j % 16 < count && j / 16 < rows ? 1.0f : -1.0f;
+    R[j] = G[j] = B[j] = 0.0f;
+}
+
+//: light
+#define ON_SPLAT const float red = splat.colour[0], green = splat.colour[1], blue = splat.colour[2];
+#define ON_ROW float *__restrict Rr = R + at, *__restrict Gr = G + at, *__restrict Br = B + at;
+#define ON_PIXEL Rr[x] += weight * red; Gr[x] += weight * green; Br[x] += weight * blue;
+#define AFTER_SPLAT
+
+//: splats
+// Goes through the splats from front to back, until all pixels are done. Macros say what to do:
+// ON_SPLAT with splat `index`, ON_ROW with each row that it reaches, whose first pixel is `at`,
+// ON_PIXEL with each pixel `x` of the row, of which it makes up `weight`, AFTER_SPLAT at its end.
+{
+    alignas(64) float centres[16];
+    for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
+    const float nearest = centres[0], farthest = centres[15];
+    const float HALF_LOG2_E = 0.72134752f;
+    int open = 0xffff;  // rows with pixels that are not done, a bit each
+    const int begin = starts.data[tile], end = ends.data[tile];
+
+    for (int k = begin; k < end; ++k) {
+        // Splats of a tile lie anywhere in memory: fetch one that comes soon.
+        if (k + 6 < end) __builtin_prefetch(&splats.data[pairs.data[k + 6]]);
+        const int index = pairs.data[k];
+        const auto& splat = splats.data[index];
+        const int y0 = splat.box[1] > top ? splat.box[1] : top;
+        const int y1 = splat.box[3] < top + 16 ? splat.box[3] : top + 16;
+        const float cx = -HALF_LOG2_E * splat.precision_x;
+        const float cy = -HALF_LOG2_E * splat.precision_y;
+        const float opacity = splat.opacity, least = splat.least - 0.01f;
+        ON_SPLAT
+        for (int y = y0; y < y1; ++y) {
+            if (!(open >> (y - top) & 1)) continue;
+            const float dy = (float)y + 0.5f - splat.mean[1];
+            const float middle = splat.mean[0] + splat.shear * dy, row = cy * dy * dy;
+            // A row whose nearest pixel is out of reach stays as it is.
+            const float inside =
+                middle < nearest ? nearest : middle > farthest ? farthest : middle;
+            if (cx * (inside - middle) * (inside - middle) + row < least) continue;
+            const int at = (y - top) * 16;
+            float* __restrict Tr = T + at;
+            ON_ROW
+            #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
+            for (int x = 0; x < 16; ++x) {
+                const float dx = centres[x] - middle;
+                float power = cx * dx * dx + row;            // in powers of 2, never positive
+                power = power > -30.0f ? power : -30.0f;     // also where it is NaN
+                float alpha = opacity * power_of_2(power);
+                alpha = alpha < MAX_ALPHA ? alpha : MAX_ALPHA;
+                const float t = Tr[x], left_over = t * (1.0f - alpha);
+                const bool hit = alpha >= MIN_ALPHA && t > 0.0f;
+                const bool counts = hit && left_over >= MIN_TRANSMITTANCE;
+                const float weight = counts ? alpha * t : 0.0f;
+                Tr[x] = counts ? left_over : (hit ? -t : t);
+                ON_PIXEL
+            }
+        }
+        AFTER_SPLAT
+        if ((k - begin) % 8 == 7) {
+            typedef float Row __attribute__((vector_size(64)));
+            for (int r = 0; r < 16; ++r)
+                if (!__builtin_reduce_or(((const Row*)T)[r] > 0.0f)) open &= ~(1 << r);
+            if (!open) break;
+        }
+    }
+}
+
+//: store
+for (int y = 0; y < rows; ++y) {
+    const int pixel = (top + y) * view.width + left;
+    float* __restrict image = (float*)(image_out.data + pixel);
+    float* __restrict alpha = alpha_out.data + pixel;
+    const float behind[3] = {background[0], background[1], background[2]};
+    const auto stored = [&](int x) {
+        const int j = 16 * y + x;
+        const float t = T[j] < 0.0f ? -T[j] : T[j];
+        const float red = R[j] + t * behind[0], green = G[j] + t * behind[1];
+        const float blue = B[j] + t * behind[2];
+        image[3 * x] = red < 1.0f ? red : 1.0f;
+        image[3 * x + 1] = green < 1.0f ? green : 1.0f;
+        image[3 * x + 2] = blue < 1.0f ? blue : 1.0f;
+        alpha[x] = 1.0f - t;
+    };
+    if (count == 16) {
+        #pragma clang loop vectorize(assume_safety) interleave(disable) unroll(disable)
+        for (int x = 0; x < 16; ++x) stored(x);
+    } else {
+        for (int x = 0; x < count; ++x) stored(x);
+    }
+}
