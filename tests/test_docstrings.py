@@ -60,7 +60,9 @@ def functions(room: str) -> list[Function]:
 
 def on_device(node: ast.FunctionDef) -> bool:
     """Whether it is device code: headings and kernels/transfer.py explain its parameters once."""
-    return any(re.match(r"(wp\.|kernel\()", ast.unparse(one)) for one in node.decorator_list)
+    return any(
+        re.match(r"(wp\.|(native_)?kernel\()", ast.unparse(one)) for one in node.decorator_list
+    )
 
 
 def refuses(function: Function) -> bool:
