@@ -14,7 +14,6 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions, rotation_matrices
 from phy124.harmonics import sh_basis
 from phy124.kernels import deform
-from phy124.kernels.deform_simd import deform_shapes_simd
 from phy124.particles import Particles, make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -424,7 +423,7 @@ def test_eight_at_a_time_are_deformed_as_one_by_one(rng, count):
     change[::7] *= 1e-3
     turned = np.where(rng.random(count) < 0.1, -1.0, 1.0)[:, None, None]
     carrier, found = rng.permutation(count).astype(np.int32), []
-    for kernel, each in ((deform.deform_shapes, 1), (deform_shapes_simd, 8)):
+    for kernel, each in ((deform.deform_shapes, 1), (deform.deform_shapes_simd, 8)):
         threads = -(-count // each)
         model = [
             wp.array(carrier, dtype=int),

@@ -1,7 +1,7 @@
 // Shapes of eight Gaussians in float64. Those that are unusual (of torn material, with axes of no
 // length, or whose axes change their order) are left unchanged, and a bit is set for each.
 // Plain form: `shape_of` of deform.py.
-// Test: tests/test_deform_simd.py, test_eight_at_a_time_are_deformed_as_one_by_one.
+// Test: tests/test_deform.py, test_eight_at_a_time_are_deformed_as_one_by_one.
 
 enum { N = 8 };
 const int begin = N * thread, total = carrier.shape[0];
