@@ -20,8 +20,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from .importing import importing
 
         with importing(130, STOPPED):
-            from phy124.failures import failure
             from phy124.runtime.address_space import refuse_narrow
+            from phy124.runtime.failures import failure
             from phy124.runtime.signals import handled, interrupt
             from phy124.runtime.streams import steady_streams
 
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(STOPPED)
         return 130
     except MemoryError as problem:
-        from phy124.failures import failure
+        from phy124.runtime.failures import failure
 
         print(f"bridge: {failure(problem).sentence}", file=sys.stderr)
         return 1

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from phy124.errors import InputError, meant
-from phy124.plugins import names, registered
 from phy124.runtime.installation import install_command
+from phy124.schema.plugins import names, registered
 
 from . import PROGRAM
 from .controls import Controls

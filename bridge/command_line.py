@@ -8,9 +8,9 @@ import warnings
 from dataclasses import replace
 from typing import Any
 
-from phy124.arguments.parsing import Answered, parsed
 from phy124.errors import InputError
-from phy124.failures import Kind, failure
+from phy124.runtime.failures import Kind, failure
+from phy124.schema.arguments.parsing import Answered, parsed
 
 from . import PROGRAM
 from .commands import COMMANDS, Play, Steer

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from phy124.failures import failure
+from phy124.runtime.failures import failure
 from phy124.runtime.signals import handled, interrupt
 
 from .controls import PLAYER

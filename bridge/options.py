@@ -6,7 +6,7 @@ import math
 
 from pydantic import Field, field_validator, model_validator
 
-from phy124.section import Section
+from phy124.schema.section import Section
 
 from .layout import Profile
 

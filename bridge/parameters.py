@@ -24,7 +24,7 @@ from phy124.generators.other_views import OtherViews
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutting import Cutting
 from phy124.runtime.device import CHOICES
-from phy124.section import Section
+from phy124.schema.section import Section
 
 from .options import LIVE_POINTS, LIVE_PROFILE, Options
 from .player import RATES, SPEEDS

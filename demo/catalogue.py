@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from phy124.cost import count_particles
+from phy124.budget.cost import count_particles
 from phy124.errors import InputError
 from phy124.io.formats import ENDINGS
 from phy124.materials import Elastic

@@ -13,8 +13,8 @@ from phy124.generators.depth_map import DepthMap
 from phy124.generators.other_views import OtherViews
 from phy124.pipeline import check_sources
 from phy124.scene import PRESETS, Scene, ViewName, preset_names
-from phy124.scene.refusals import shorten
-from phy124.section import Section
+from phy124.schema.refusals import shorten
+from phy124.schema.section import Section
 
 from .catalogue import check_length
 from .exports import EXPORTS, check_size, export

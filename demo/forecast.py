@@ -1,7 +1,7 @@
 """How long a run will take and what error is promised, told before it starts.
 
-phy124/cost.py says how much work a run is; demo/rates.py learns what a particle and substep, a
-drawn pixel and so on cost on this machine.
+phy124/budget/cost.py says how much work a run is; demo/rates.py learns what a particle and substep,
+a drawn pixel and so on cost on this machine.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from phy124.accuracy import Forecaster, Stop
 from phy124.accuracy.forecast import GUESS, QUIET
 from phy124.accuracy.load import Load, LoadMeter, spoken
 from phy124.accuracy.promises import Promise, promise, why_broken
-from phy124.cost import GAUSSIANS, Rates, Work, count_particles
+from phy124.budget.cost import GAUSSIANS, Rates, Work, count_particles
+from phy124.budget.limits import duration
 from phy124.gaussians import Gaussians
-from phy124.limits import duration
 from phy124.scene import PRESETS, Scene
 
 from .rates import Learned

@@ -21,8 +21,8 @@ from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import cut_out as opened
 from phy124.io.axes import orientation
 from phy124.runtime.isolated import Deadline
-from phy124.scene.refusals import explain
-from phy124.section import Section
+from phy124.schema.refusals import explain
+from phy124.schema.section import Section
 
 from .pictures import check_picture, cut_out, cutout_file, viewable
 from .settings import Settings

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from phy124.capture import changed
 from phy124.generators.ply_file import PlyFile
+from phy124.pipeline.capture import changed
 from phy124.scene import Scene
 
 from .known import Known

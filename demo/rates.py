@@ -14,7 +14,7 @@ from collections import deque
 from dataclasses import replace
 from typing import Any
 
-from phy124.cost import Rates, Work
+from phy124.budget.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from phy124.errors import InputError
-from phy124.failures import Kind, failure
+from phy124.runtime.failures import Kind, failure
 
 STOPPED = "Stopped. Nothing was changed."
 FAILED = "An error of this server, which is in its log. Try again, or change the scene."

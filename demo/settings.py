@@ -13,8 +13,8 @@ from pydantic import Field, ValidationError
 from phy124.errors import InputError
 from phy124.runtime.cores import MOST_THREADS
 from phy124.runtime.device import CHOICES
-from phy124.scene.refusals import explain
-from phy124.section import Section
+from phy124.schema.refusals import explain
+from phy124.schema.section import Section
 
 from .room import Room
 

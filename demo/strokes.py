@@ -9,7 +9,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from phy124.errors import InputError
 from phy124.imaging.objects import Point
-from phy124.section import Section
+from phy124.schema.section import Section
 
 Fraction = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
 

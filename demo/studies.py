@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict
 
 from phy124.accuracy import promises
 from phy124.accuracy.promises import Promise
-from phy124.accuracy.study import Report, error_on
 from phy124.scene import Scene
+from phy124.studies.validation.accuracy.study import Report, error_on
 
 GRIDS = (12, 16, 24)
 """The grids that are run [cells across the object]."""

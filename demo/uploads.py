@@ -17,8 +17,8 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from phy124.errors import InputError
-from phy124.fit.video import FILMS
 from phy124.io.formats import ENDINGS
+from phy124.studies.fit.video import FILMS
 
 from .gaussian_files import SMALLER
 from .identity import address_of, cookie_of

@@ -2,7 +2,7 @@
 
 There is a page for each module and folder right under phy124, one for the web page and one for the
 bridge. griffe reads the sources without importing them, so that neither torch nor Warp is needed.
-Names that begin with an underscore are left out, and so are the rooms in `LEFT_OUT`. A page is a
+Names that begin with an underscore are left out, and so are the modules in `LEFT_OUT`. A page is a
 hundred times cheaper this way than as objects of Sphinx's Python domain, which resolves every
 annotation of every signature.
 """
@@ -20,7 +20,12 @@ from sphinx.util import logging
 
 HERE = Path(__file__).parent
 PAGES = HERE / "reference/api"
-LEFT_OUT = {"arguments", "commands", "runtime", "selftest"}
+LEFT_OUT = {
+    "phy124.commands",
+    "phy124.runtime",
+    "phy124.schema.arguments",
+    "phy124.studies.validation.stress",
+}
 """The command line, and what only the program itself calls."""
 PROGRAMS = ("demo", "bridge")
 """Packages beside phy124 that have a page each."""
@@ -42,7 +47,7 @@ def write_pages(app: Sphinx | None = None) -> None:
     package, *programs = (_read(name) for name in ("phy124", *PROGRAMS))
     getLogger("griffe").handlers = [_Warnings("WARNING")]
     PAGES.mkdir(exist_ok=True)
-    rooms = [room for room in _inside(package) if room.name not in LEFT_OUT] + programs
+    rooms = _inside(package) + programs
     for page in PAGES.glob("*.md"):
         page.unlink()
     for room in rooms:
@@ -81,7 +86,7 @@ def _module(module: griffe.Module, level: str) -> Iterator[str]:
 def _inside(module: griffe.Module) -> list[griffe.Module]:
     """Public modules right under one, by name; those that it only imports are not its own."""
     own = [inner for inner in module.modules.values() if not inner.is_alias]
-    found = [inner for inner in own if not inner.name.startswith("_")]
+    found = [m for m in own if not m.name.startswith("_") and m.path not in LEFT_OUT]
     return sorted(found, key=lambda inner: inner.name)
 
 

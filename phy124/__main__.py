@@ -23,12 +23,12 @@ from functools import partial
 from typing import Any
 
 from phy124 import __version__
-from phy124.arguments.operands import divided
-from phy124.arguments.parsing import Answered
-from phy124.failures import failure
 from phy124.runtime.address_space import refuse_narrow
+from phy124.runtime.failures import failure
 from phy124.runtime.signals import handled, interrupt
 from phy124.runtime.streams import steady_streams
+from phy124.schema.arguments.operands import divided
+from phy124.schema.arguments.parsing import Answered
 
 GENERAL = ("--quiet", "--verbose")
 """Options of every command."""
@@ -105,8 +105,8 @@ def _start(*, talkative: bool) -> None:
 
 def _parsed(arguments: list[str]) -> Any:
     """The command with its options; the list of all commands is printed instead, and ends this."""
-    from phy124.arguments.parsing import asks_for_commands, parsed
     from phy124.commands import COMMANDS, outline
+    from phy124.schema.arguments.parsing import asks_for_commands, parsed
 
     if asks_for_commands(arguments):
         commands = outline()

@@ -7,18 +7,25 @@ import pytest
 from PIL import Image
 
 from phy124.__main__ import main
-from phy124.accuracy import plots
-from phy124.accuracy import study as study_of
 from phy124.accuracy.convergence import Convergence
 from phy124.accuracy.difference import difference
 from phy124.accuracy.promises import Promise
-from phy124.accuracy.study import Report, Row, Study, error_on, kept_promises, recommend
 from phy124.commands.accuracy import KEPT
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped
+from phy124.studies.validation.accuracy import plots
+from phy124.studies.validation.accuracy import study as study_of
+from phy124.studies.validation.accuracy.study import (
+    Report,
+    Row,
+    Study,
+    error_on,
+    kept_promises,
+    recommend,
+)
 from support.shapes import ball
 
 LEVELS = (8, 12, 16)

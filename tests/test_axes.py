@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.errors import InputError
-from phy124.gaussians import rotation_matrices
-from phy124.harmonics import sh_basis
+from phy124.gaussians import rotation_matrices, sh_basis
 from phy124.io.axes import euler, orientation, turn, turned, upright
 from support.shapes import random_gaussians
 

@@ -25,7 +25,7 @@ from phy124.errors import InputError
 from phy124.forces import Gravity
 from phy124.materials import Fluid, Foam, NeoHookean, Plasticine, Sand, Snow
 from phy124.mpm import Solver
-from phy124.region import Region
+from phy124.schema.region import Region
 from support.distances import distances
 from support.shapes import lattice
 from support.solvers import make_solver

@@ -17,7 +17,7 @@ from bridge.__main__ import main
 from bridge.command_line import split_ros_arguments
 from bridge.commands import COMMANDS
 from bridge.info import describe_clip, diagnose
-from phy124.arguments.repeats import gathered
+from phy124.schema.arguments.repeats import gathered
 from support.clips import random_clip
 
 ROOT = Path(__file__).parents[1]

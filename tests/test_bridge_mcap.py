@@ -242,7 +242,7 @@ sys.path[:0] = [{root!r}, {tests!r}]
 from support.clips import random_clip
 from bridge.sinks.mcap import McapSink
 from phy124.errors import Incomplete
-from phy124.failures import failure
+from phy124.runtime.failures import failure
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 clip = random_clip(frames=40, count=1000)

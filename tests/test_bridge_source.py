@@ -19,11 +19,11 @@ from bridge.options import Options
 from bridge.sinks.dds import DdsSink
 from bridge.sinks.mcap import McapSink
 from bridge.source import LiveOptions, LiveRun, make_object
-from phy124.capture import capture
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutting import Cutting
 from phy124.io.ply import write_ply
+from phy124.pipeline.capture import capture
 from phy124.progress import silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped

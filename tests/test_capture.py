@@ -8,17 +8,17 @@ import pytest
 
 from phy124 import pipeline
 from phy124.__main__ import main
-from phy124.capture import capture, isolated
-from phy124.capture.floor import find_floor
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import joined, rotation_matrices
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io.axes import orientation
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
-from phy124.region import PartRegion
+from phy124.pipeline.capture import capture, isolated
+from phy124.pipeline.capture.floor import find_floor
 from phy124.rendering.framing import cameras
 from phy124.scene import Scene, View
+from phy124.schema.region import PartRegion
 from phy124.simulation import Simulation
 from support.captures import captured
 from support.shapes import ball

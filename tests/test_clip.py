@@ -6,8 +6,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from phy124.errors import InputError
-from phy124.gaussians import Frame, Gaussians
-from phy124.harmonics import rotate_sh
+from phy124.gaussians import Frame, Gaussians, rotate_sh
 from phy124.io.clip import Clip
 
 

@@ -21,7 +21,7 @@ from phy124.kernels.build import kernel
 from phy124.kernels.reduction import along_rows
 from phy124.materials import Fluid
 from phy124.mpm import Grid
-from phy124.region import Region
+from phy124.schema.region import Region
 from support.distances import distances
 from support.shapes import lattice
 from support.solvers import make_solver

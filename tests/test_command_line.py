@@ -11,7 +11,6 @@ from tyro import _errors
 
 from phy124 import __version__
 from phy124.__main__ import main
-from phy124.arguments.repeats import members
 from phy124.commands import COMMANDS, outline
 from phy124.commands.bars import Bars, silence
 from phy124.commands.kinds import KINDS, TAKES, USES
@@ -19,6 +18,7 @@ from phy124.commands.options import SceneOptions, ViewOptions
 from phy124.gaussians import Frame
 from phy124.io.clip import Clip
 from phy124.io.formats import write_gaussians
+from phy124.schema.arguments.repeats import members
 from support.shapes import ball
 
 
@@ -115,7 +115,7 @@ def test_a_parser_of_another_version_speaks_for_itself(monkeypatch, capsys):
     class Unheard(_errors.BadValue):
         argument = None
 
-    monkeypatch.setattr("phy124.arguments.parsing._bad_value", lambda event: event.unheard)
+    monkeypatch.setattr("phy124.schema.arguments.parsing._bad_value", lambda event: event.unheard)
     with pytest.raises(SystemExit) as ended:
         main(["generate", "x.png", "--frames"])
     assert ended.value.code == 2

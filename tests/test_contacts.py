@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from phy124 import resume
 from phy124.boundaries import Box, Ground
-from phy124.effects import Effects
+from phy124.budget.effects import Effects
 from phy124.forces import Gravity
 from phy124.io.clip import Clip
 from phy124.materials import NeoHookean
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
+from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from support.shapes import ball, block

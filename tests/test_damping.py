@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from phy124.accuracy.problems import block
 from phy124.materials import FixedCorotated, Hencky, NeoHookean, Rigid
 from phy124.monitor.diagnostics import diagnose
 from phy124.scene import Scene
+from phy124.studies.validation.accuracy.problems import block
 from reference.material_point import deformations, evaluate, name, rotations, transposed
 from support.solvers import make_solver
 

@@ -9,14 +9,13 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phy124.deform import THREADS, Deformer, carriers
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, quaternions, rotation_matrices
-from phy124.harmonics import sh_basis
+from phy124.gaussians import Gaussians, quaternions, rotation_matrices, sh_basis
 from phy124.kernels import deform
 from phy124.particles import Particles, make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.simulation.deform import THREADS, Deformer, carriers
 from support.shapes import lattice
 
 IDENTITY = np.eye(3)

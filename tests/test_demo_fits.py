@@ -20,13 +20,13 @@ from demo.jobs import Studio
 from demo.settings import Settings
 from demo.visitors import Room, Visitors
 from demo.work import Done
-from phy124.cost import Rates
+from phy124.budget.cost import Rates
 from phy124.errors import Cancelled, InputError
-from phy124.fit import Fit
-from phy124.fit.apart import Blind
 from phy124.io.video import write_mp4
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
+from phy124.studies.fit import Fit
+from phy124.studies.fit.apart import Blind
 from support.clips import falling
 from support.waiting import until
 

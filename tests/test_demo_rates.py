@@ -6,7 +6,7 @@ import pytest
 
 from demo.forecast import Estimator
 from demo.rates import SPREAD, Learned
-from phy124.cost import Work
+from phy124.budget.cost import Work
 from phy124.scene import Scene
 
 FEW = {"view.size": 16, "view.views": ["front"], "time.frames": 2}

@@ -15,7 +15,7 @@ from demo.settings import Settings, table
 from demo.visitors import Visitors
 from phy124.accuracy.load import Load
 from phy124.boundaries import BOUNDARIES
-from phy124.cost import Work, count_substeps
+from phy124.budget.cost import Work, count_substeps
 from phy124.errors import InputError
 from phy124.forces import FORCES
 from phy124.materials import LAWS

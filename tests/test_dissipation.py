@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from phy124 import resume
-from phy124.accuracy.problems import block
 from phy124.errors import InputError
 from phy124.generators.shapes import shape
 from phy124.materials import Metal, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.dissipation import Dissipation
+from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.studies.validation.accuracy.problems import block
 from support.solvers import make_solver
 
 

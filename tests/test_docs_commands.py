@@ -16,8 +16,8 @@ import tyro
 
 from bridge.commands import COMMANDS as BRIDGE
 from phy124.__main__ import _parsed
-from phy124.arguments.repeats import gathered
 from phy124.errors import InputError
+from phy124.schema.arguments.repeats import gathered
 from support.pages import BLOCK, PAGES, ROOT, blocks
 
 NOT_RUN = {"ros2", "own", "network", "long", "server"}

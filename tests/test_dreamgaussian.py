@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from phy124.errors import Cancelled, InputError
-from phy124.generators import splatting
-from phy124.generators.dreamgaussian import (
+from phy124.generators.neural import splatting
+from phy124.generators.neural.dreamgaussian import (
     Density,
     DreamGaussian,
     Pose,
@@ -20,14 +20,14 @@ from phy124.generators.dreamgaussian import (
     fit,
     start,
 )
-from phy124.generators.dreamgaussian import density as density_module
-from phy124.generators.dreamgaussian.density import Pull, densify, prune, reset_opacity
-from phy124.generators.dreamgaussian.generator import framed
-from phy124.generators.dreamgaussian.guidance import timestep, zero123
-from phy124.generators.dreamgaussian.splats import ball
-from phy124.generators.orbit import orbit, to_opencv
+from phy124.generators.neural.dreamgaussian import density as density_module
+from phy124.generators.neural.dreamgaussian.density import Pull, densify, prune, reset_opacity
+from phy124.generators.neural.dreamgaussian.generator import framed
+from phy124.generators.neural.dreamgaussian.guidance import timestep, zero123
+from phy124.generators.neural.dreamgaussian.splats import ball
+from phy124.generators.neural.orbit import orbit, to_opencv
+from phy124.generators.neural.splatting import View, orbit_view, project
 from phy124.generators.ply_file import PlyFile, Reading
-from phy124.generators.splatting import View, orbit_view, project
 from phy124.io.ply import read_ply
 
 CLOSE = {"rtol": 1e-4, "atol": 2e-5}

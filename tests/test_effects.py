@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.effects import Effects
+from phy124.budget.effects import Effects
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 from support.shapes import ball

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from phy124.experiments.elastic_ball import Elements, Law, forces, law, mesh
-from phy124.experiments.hertz import NU, RADIUS, E
-from phy124.experiments.roots import root
+from phy124.studies.validation.experiments.elastic_ball import Elements, Law, forces, law, mesh
+from phy124.studies.validation.experiments.hertz import NU, RADIUS, E
+from phy124.studies.validation.experiments.roots import root
 
 LAME = 0.5 / (1 + NU), NU / ((1 + NU) * (1 - 2 * NU))
 

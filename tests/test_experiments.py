@@ -11,7 +11,8 @@ from phy124.__main__ import main
 from phy124.commands import validate
 from phy124.commands.validate import Validate
 from phy124.errors import Cancelled, InputError
-from phy124.experiments import (
+from phy124.progress import silent
+from phy124.studies.validation.experiments import (
     EXPERIMENTS,
     Experiment,
     Quantity,
@@ -27,14 +28,20 @@ from phy124.experiments import (
     sand_column,
     terminal_speed,
 )
-from phy124.experiments import page as page_module
-from phy124.experiments import running as running_module
-from phy124.experiments.bodies import brick, shells
-from phy124.experiments.elastic_ball import Law, law
-from phy124.experiments.outcome import Outcome, found
-from phy124.experiments.page import data, details, save_page, summary
-from phy124.experiments.running import Measured, Run, measure, outcome, outcomes, runs
-from phy124.progress import silent
+from phy124.studies.validation.experiments import page as page_module
+from phy124.studies.validation.experiments import running as running_module
+from phy124.studies.validation.experiments.bodies import brick, shells
+from phy124.studies.validation.experiments.elastic_ball import Law, law
+from phy124.studies.validation.experiments.outcome import Outcome, found
+from phy124.studies.validation.experiments.page import data, details, save_page, summary
+from phy124.studies.validation.experiments.running import (
+    Measured,
+    Run,
+    measure,
+    outcome,
+    outcomes,
+    runs,
+)
 
 QUARTER = Quantity.within("a quarter", 0.25, 0.02)
 

@@ -20,7 +20,7 @@ from phy124.forces import (
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
-from phy124.tracks import Sine, Tracks
+from phy124.mpm.tracks import Sine, Tracks
 from support.shapes import block
 from support.solvers import make_solver
 

@@ -15,13 +15,12 @@ from safetensors import SafetensorError
 from bridge.__main__ import main as bridge
 from demo.line import Job, guarded
 from demo.sentences import FAILED, SERVER
-from phy124 import resume
 from phy124.__main__ import main
 from phy124.errors import Cancelled, Incomplete, InputError
-from phy124.failures import Kind, failure
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
-from phy124.pipeline import PAUSE
+from phy124.pipeline import PAUSE, resume
+from phy124.runtime.failures import Kind, failure
 from support.shapes import ball
 
 FULL = OSError(errno.ENOSPC, "No space left on device", "clip.safetensors")

@@ -6,9 +6,9 @@ import os
 import pytest
 
 from phy124.errors import InputError
-from phy124.failures import failure
 from phy124.io import files
 from phy124.io.files import replacing, staged, writable
+from phy124.runtime.failures import failure
 
 
 def names(folder):

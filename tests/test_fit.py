@@ -9,23 +9,23 @@ import pytest
 from phy124.__main__ import main
 from phy124.camera import Camera
 from phy124.errors import Cancelled, InputError
-from phy124.fit.apart import experiment, undetermined, unseen
-from phy124.fit.budget import Budget, Outlook
-from phy124.fit.declaration import Fit, found_in
-from phy124.fit.estimate import estimate
-from phy124.fit.interval import bootstrap, extrapolated, shifted, unexplained
-from phy124.fit.observation import Kind, at_times, refuse_outside
-from phy124.fit.points import Points
-from phy124.fit.problem import Distance, jacobian
-from phy124.fit.refine import refine
-from phy124.fit.runs import Runs
-from phy124.fit.table import Table, read_table
-from phy124.fit.target import Target
 from phy124.gaussians import Gaussians
 from phy124.io.ply import write_ply
-from phy124.parts import WHOLE
 from phy124.progress import silent
 from phy124.scene import Scene
+from phy124.simulation.parts import WHOLE
+from phy124.studies.fit.apart import experiment, undetermined, unseen
+from phy124.studies.fit.budget import Budget, Outlook
+from phy124.studies.fit.declaration import Fit, found_in
+from phy124.studies.fit.estimate import estimate
+from phy124.studies.fit.interval import bootstrap, extrapolated, shifted, unexplained
+from phy124.studies.fit.observation import Kind, at_times, refuse_outside
+from phy124.studies.fit.points import Points
+from phy124.studies.fit.problem import Distance, jacobian
+from phy124.studies.fit.refine import refine
+from phy124.studies.fit.runs import Runs
+from phy124.studies.fit.table import Table, read_table
+from phy124.studies.fit.target import Target
 from support.clips import falling
 from support.pages import PAGES, blocks
 

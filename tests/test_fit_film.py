@@ -7,13 +7,13 @@ from PIL import Image
 
 from phy124.camera import Camera
 from phy124.errors import InputError
-from phy124.fit.aligning import _fitted, laid_on
-from phy124.fit.declaration import Fit
-from phy124.fit.page import figure, write_page
-from phy124.fit.picture import ONLY_FITTED, ONLY_SEEN, Comparison
-from phy124.fit.silhouettes import Silhouettes
-from phy124.fit.target import Target
-from phy124.fit.video import read_film
+from phy124.studies.fit.aligning import _fitted, laid_on
+from phy124.studies.fit.declaration import Fit
+from phy124.studies.fit.page import figure, write_page
+from phy124.studies.fit.picture import ONLY_FITTED, ONLY_SEEN, Comparison
+from phy124.studies.fit.silhouettes import Silhouettes
+from phy124.studies.fit.target import Target
+from phy124.studies.fit.video import read_film
 from support.clips import falling
 from support.photographs import Entry, exif_of, file_of, upright, with_segment
 from support.videos import read_video
@@ -125,7 +125,9 @@ def test_a_film_of_something_else_is_not_laid_on_it(tmp_path):
     "text", ["#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n", "ffconcat version 1"]
 )
 def test_a_list_of_other_files_is_no_video(tmp_path, monkeypatch, text):
-    monkeypatch.setattr("phy124.fit.video.subprocess.run", lambda *_, **__: pytest.fail("decoded"))
+    monkeypatch.setattr(
+        "phy124.studies.fit.video.subprocess.run", lambda *_, **__: pytest.fail("decoded")
+    )
     (tmp_path / "film.mp4").write_text(text)
     with pytest.raises(InputError, match="no video"):
         read_film(tmp_path / "film.mp4")

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from phy124.errors import InputError
-from phy124.fit import Fit, fit
 from phy124.generators.shapes import shape
 from phy124.io.ply import write_ply
 from phy124.pipeline import static
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.studies.fit import Fit, fit
 from support.twins import twin, write_forces, write_points
 
 DUCK, SUNFLOWER = "demo/examples/duck.png", "demo/examples/sunflower.png"

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from phy124.accuracy.problems import angular_momentum, block
 from phy124.errors import InputError
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Scheme
 from phy124.scene import Scene
+from phy124.studies.validation.accuracy.problems import angular_momentum, block
 from support.solvers import make_solver
 
 SOFT = NeoHookean(E=2e4)

@@ -23,8 +23,8 @@ from phy124.forces.held import weights
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import Diagnostics
 from phy124.mpm import Solver
-from phy124.region import Region
-from phy124.tracks import Keyframes, Ramp, Sine
+from phy124.mpm.tracks import Keyframes, Ramp, Sine
+from phy124.schema.region import Region
 from support.shapes import block
 from support.solvers import make_solver
 

@@ -6,8 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
-from phy124.gaussians import Gaussians, quaternions, rotation_matrices
-from phy124.harmonics import sh_basis
+from phy124.gaussians import Gaussians, quaternions, rotation_matrices, sh_basis
 from phy124.io.formats import read_as_is, read_gaussians, spz
 from phy124.io.formats.spz_extensions import SYSTEMS, read_extensions
 from support.quantisation import many

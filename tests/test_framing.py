@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phy124.capture import capture
 from phy124.commands.options import ViewOptions
 from phy124.generators.ply_file import PlyFile, Reading
+from phy124.pipeline.capture import capture
 from phy124.rendering.framing import cameras, departures, framing
 from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM
 from phy124.scene import Scene, View

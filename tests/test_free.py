@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124 import Live, resume
+from phy124 import Live
 from phy124.boundaries import Ground, HalfSpace
 from phy124.errors import InputError
 from phy124.forces import Gravity
@@ -16,6 +16,7 @@ from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import FreeBody
 from phy124.mpm.free import STAGE
 from phy124.particles.scenery import Scenery
+from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation, props
 from support.balls import elements, pressed_on_box

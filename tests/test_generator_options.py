@@ -130,8 +130,8 @@ def test_seconds_are_work_over_speed():
 
 def test_lgm_tells_its_effort_and_passes_its_options_on(monkeypatch):
     pytest.importorskip("torch")
-    from phy124.generators import imagedream
-    from phy124.generators.lgm import generator as lgm
+    from phy124.generators.neural import imagedream
+    from phy124.generators.neural.lgm import generator as lgm
 
     monkeypatch.setattr(imagedream, "ImageDream", SimpleNamespace, raising=False)
 
@@ -154,7 +154,7 @@ def test_lgm_tells_its_effort_and_passes_its_options_on(monkeypatch):
 
 def test_short_memory_uses_half_precision_and_no_cache(monkeypatch):
     torch = pytest.importorskip("torch")
-    from phy124.generators import precision
+    from phy124.generators.neural import precision
 
     monkeypatch.setattr(precision, "multiplies_bfloat16", lambda: False)
     for free, chosen in ((6e9, "float32"), (4e9, "bfloat16")):
@@ -171,7 +171,7 @@ def test_short_memory_uses_half_precision_and_no_cache(monkeypatch):
 
 def test_the_processor_says_whether_it_multiplies_bfloat16(monkeypatch):
     torch = pytest.importorskip("torch")
-    from phy124.generators import precision
+    from phy124.generators.neural import precision
 
     for features, chosen in (
         ({"avx512_bf16": True}, torch.bfloat16),
@@ -210,10 +210,10 @@ def test_the_work_of_the_networks_is_what_torch_counts():
     torch = pytest.importorskip("torch")
     from torch.utils.flop_counter import FlopCounterMode
 
-    from phy124.generators.imagedream import Config, MultiViewUNet, encoders
-    from phy124.generators.imagedream.work import AROUND, PARAMETERS, STEP
-    from phy124.generators.lgm import OPTIONS, LgmModel
-    from phy124.generators.lgm.generator import WORK
+    from phy124.generators.neural.imagedream import Config, MultiViewUNet, encoders
+    from phy124.generators.neural.imagedream.work import AROUND, PARAMETERS, STEP
+    from phy124.generators.neural.lgm import OPTIONS, LgmModel
+    from phy124.generators.neural.lgm.generator import WORK
 
     def counted(network, *shapes, call=None, **more) -> Work:
         network.requires_grad_(False)

@@ -14,7 +14,7 @@ from phy124.boundaries import Container, HalfSpace
 from phy124.forces import Force, Gravity, ParticleForce, SetVelocity
 from phy124.materials import FixedCorotated, Fluid, Hencky, Material, Metal, Plasticine, Sand, Snow
 from phy124.mpm import Solver
-from phy124.region import Region
+from phy124.schema.region import Region
 from reference.material_point import evaluate
 from reference.oracle import TWINS
 from reference.physgaussian import MAPS, Original, Recording

@@ -5,12 +5,12 @@ import pytest
 
 from phy124.accuracy.promises import promise
 from phy124.errors import InputError
-from phy124.experiments import beam, elastica
-from phy124.experiments.bodies import brick
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver, State
 from phy124.scene import Scene
 from phy124.simulation.kernels import kernels
+from phy124.studies.validation.experiments import beam, elastica
+from phy124.studies.validation.experiments.bodies import brick
 
 A = np.array([[0.3, -0.8, 0.2], [0.5, -0.1, 0.4], [-0.6, 0.7, -0.2]])
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from phy124.deform import Deformer
 from phy124.gaussians import Gaussians
 from phy124.materials import Fluid, NeoHookean, Sand
 from phy124.particles.grains import CLEARANCE, SIZE, shaded, with_grains
 from phy124.particles.seeding import make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.simulation.deform import Deformer
 from support.shapes import ball
 
 SPACING = 0.08

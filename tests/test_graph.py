@@ -9,9 +9,9 @@ from phy124.forces import Acceleration, Gravity, Wind
 from phy124.materials import NeoHookean, Sand
 from phy124.monitor.diagnostics import speeds
 from phy124.mpm import MEASURE_EVERY, Solver, Unstable
+from phy124.mpm.tracks import Sine
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.tracks import Sine
 from support.scenes import OF_ONE
 from support.shapes import ball
 from support.solvers import make_solver

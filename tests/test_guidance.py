@@ -9,16 +9,16 @@ import torch
 from safetensors.torch import save_file
 
 from phy124.errors import InputError
-from phy124.generators.dreamgaussian import (
+from phy124.generators.neural.dreamgaussian import (
     WITH_IMAGEDREAM,
     Pose,
     fit,
     sds,
     start,
 )
-from phy124.generators.dreamgaussian.guidance import alphas_cumprod, noised, zero123
-from phy124.generators.dreamgaussian.guidance.multiview import MultiView
-from phy124.generators.imagedream import load_unet
+from phy124.generators.neural.dreamgaussian.guidance import alphas_cumprod, noised, zero123
+from phy124.generators.neural.dreamgaussian.guidance.multiview import MultiView
+from phy124.generators.neural.imagedream import load_unet
 from reference import formula
 
 
@@ -55,7 +55,7 @@ SMALL = {
 
 @pytest.fixture(scope="module")
 def small_zero123(folder):
-    from phy124.generators.imagedream import encoders
+    from phy124.generators.neural.imagedream import encoders
 
     torch.manual_seed(0)
     small_vae = {"block_out_channels": [32, 32, 32, 32], "layers_per_block": 1}

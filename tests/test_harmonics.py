@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from phy124.gaussians import rotation_matrices
-from phy124.harmonics import rotate_sh, sh_basis
+from phy124.gaussians import rotate_sh, rotation_matrices, sh_basis
 
 
 def test_basis_is_orthonormal_on_the_sphere():

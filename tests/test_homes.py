@@ -3,7 +3,7 @@
 import pytest
 
 from phy124.__main__ import main
-from phy124.arguments.homes import from_home
+from phy124.schema.arguments.homes import from_home
 
 
 @pytest.fixture(autouse=True)

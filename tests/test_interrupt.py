@@ -15,19 +15,19 @@ import numpy as np
 import pytest
 
 from phy124 import pipeline
-from phy124 import selftest as stress
 from phy124.__main__ import main
-from phy124.accuracy import verify as verifying
 from phy124.accuracy.choose import Goal
-from phy124.accuracy.verify import Verdict
 from phy124.commands.bars import Bars
-from phy124.deform import THREADS
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.io.files import staged
 from phy124.io.ply import write_ply
 from phy124.mpm.threads import Barrier
 from phy124.scene import Scene
+from phy124.simulation.deform import THREADS
+from phy124.studies.validation import stress
+from phy124.studies.validation.accuracy import verify as verifying
+from phy124.studies.validation.accuracy.verify import Verdict
 from support.shapes import ball
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from phy124.failures import Kind, failure
 from phy124.kernels.build import kernel
 from phy124.runtime import kernel_cache, startup
 from phy124.runtime.compiling import compile_missing, is_compiled
+from phy124.runtime.failures import Kind, failure
 from phy124.runtime.headers import headers_folder
 from phy124.runtime.startup import start
 from phy124.weights.store import hub_cache

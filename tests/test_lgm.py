@@ -11,17 +11,17 @@ from safetensors.torch import load_file, save_file
 
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians, rotation_matrices
-from phy124.generators.lgm import OPTIONS, Lgm, LgmModel, Option, load, to_gaussians
-from phy124.generators.lgm import generator as generator_module
-from phy124.generators.lgm import model as lgm_model
-from phy124.generators.lgm.align import four_views, front
-from phy124.generators.lgm.generator import framed, network_input, over_white
-from phy124.generators.lgm.model import activate
-from phy124.generators.lgm.rays import four_rays, pluecker
-from phy124.generators.lgm.rotations import NOT_ROTATED, draw, judge, unrotated
-from phy124.generators.lgm.unet import UNet
-from phy124.generators.orbit import orbit, to_opencv
-from phy124.generators.splatting import View, project
+from phy124.generators.neural.lgm import OPTIONS, Lgm, LgmModel, Option, load, to_gaussians
+from phy124.generators.neural.lgm import generator as generator_module
+from phy124.generators.neural.lgm import model as lgm_model
+from phy124.generators.neural.lgm.align import four_views, front
+from phy124.generators.neural.lgm.generator import framed, network_input, over_white
+from phy124.generators.neural.lgm.model import activate
+from phy124.generators.neural.lgm.rays import four_rays, pluecker
+from phy124.generators.neural.lgm.rotations import NOT_ROTATED, draw, judge, unrotated
+from phy124.generators.neural.lgm.unet import UNet
+from phy124.generators.neural.orbit import orbit, to_opencv
+from phy124.generators.neural.splatting import View, project
 from phy124.io.ply import read_ply
 from reference import formula
 
@@ -342,7 +342,7 @@ def test_missing_weights_name_the_command(tmp_path, monkeypatch):
 
 def test_from_weight_files_to_gaussians(golden_lgm, tiny, tmp_path, monkeypatch):
     """The files a user has, in small: found, read and run from a picture to Gaussians."""
-    from phy124.generators.imagedream import encoders, pipeline
+    from phy124.generators.neural.imagedream import encoders, pipeline
     from phy124.weights import store as weights
 
     monkeypatch.setattr(encoders, "VAE", encoders.VAE | SMALL["vae"])

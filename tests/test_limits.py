@@ -2,9 +2,9 @@
 
 import pytest
 
-from phy124.cost import demand_of
+from phy124.budget.cost import demand_of
+from phy124.budget.limits import refuse_hopeless, stiffest_part
 from phy124.errors import InputError
-from phy124.limits import refuse_hopeless, stiffest_part
 from phy124.particles import make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -61,7 +61,7 @@ def test_a_gpu_with_too_little_memory_is_named_before_the_run(monkeypatch):
     simulation = run()
     needs = [simulation.gaussians, simulation.particles, simulation.scene]
     free = {"cpu": 1e12, "cuda:1": 1e5}
-    monkeypatch.setattr("phy124.limits.free_memory", lambda device="cpu": free[device])
+    monkeypatch.setattr("phy124.budget.limits.free_memory", lambda device="cpu": free[device])
     with pytest.raises(InputError, match=r"device = cuda:1: .* 0\.0 GB are free\. Use a coarser"):
         refuse_hopeless(*needs, "cuda:1")
     assert refuse_hopeless(*needs, "cpu").state > 1e5
@@ -76,7 +76,7 @@ def test_what_is_too_far_up_for_float32_is_refused():
 
 
 def test_clips_beyond_the_memory_are_refused(monkeypatch):
-    monkeypatch.setattr("phy124.limits.free_memory", lambda: 2e6)
+    monkeypatch.setattr("phy124.budget.limits.free_memory", lambda: 2e6)
     with pytest.raises(InputError, match=r"GB of memory, .* Use at most \d+ frames"):
         run(**{"time.frames": 500})
 

@@ -18,11 +18,11 @@ import pytest
 from phy124 import pipeline
 from phy124.__main__ import main
 from phy124.errors import Cancelled, Incomplete, InputError
-from phy124.failures import failure
 from phy124.io.clip import Clip
 from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
 from phy124.pipeline import making
+from phy124.runtime.failures import failure
 from support.runs import RESULTS, SCENE, names
 from support.shapes import ball
 

@@ -15,7 +15,7 @@ from phy124.kernels.spline import spline
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver, Unstable
 from phy124.mpm.maxima import Maxima
-from phy124.region import Region
+from phy124.schema.region import Region
 from support import shapes
 from support.solvers import make_solver
 

@@ -14,7 +14,7 @@ from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Model, Pair
 from phy124.mpm.pairs import STAGE
-from phy124.region import Region
+from phy124.schema.region import Region
 from support.balls import collision, elements, pressed
 from support.shapes import trimmed_ball
 from support.solvers import make_solver

@@ -4,10 +4,10 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.materials import FixedCorotated, NeoHookean
-from phy124.parts import assign
-from phy124.region import Region
 from phy124.scene import Part, Scene
+from phy124.schema.region import Region
 from phy124.simulation import Simulation
+from phy124.simulation.parts import assign
 from support.shapes import ball
 from support.solvers import make_solver
 

@@ -5,8 +5,8 @@ import pytest
 
 from phy124.gaussians import joined
 from phy124.particles import Particles
-from phy124.placing import among_all, belongs, place, placing, renumbered
 from phy124.scene import Scene
+from phy124.simulation.placing import among_all, belongs, place, placing, renumbered
 from support.shapes import ball
 
 SIGMA = 0.05

@@ -8,9 +8,9 @@ import torch
 
 from phy124.gaussians import Gaussians
 from phy124.generators import GENERATORS, make
-from phy124.generators.dreamgaussian import Density, DreamGaussian, Settings, Splats
-from phy124.generators.lgm import Lgm, LgmModel, Option, load, to_gaussians
-from phy124.generators.orbit import TO_WORLD
+from phy124.generators.neural.dreamgaussian import Density, DreamGaussian, Settings, Splats
+from phy124.generators.neural.lgm import Lgm, LgmModel, Option, load, to_gaussians
+from phy124.generators.neural.orbit import TO_WORLD
 from phy124.generators.ply_file import PlyFile
 from phy124.io.axes import DIALECTS, turned
 from phy124.io.ply import write_ply

@@ -21,17 +21,18 @@ from bridge.info import diagnose
 from bridge.options import Options
 from demo.catalogue import catalogue
 from demo.settings import Settings
-from phy124 import generators, pipeline, plugins
+from phy124 import generators, pipeline
 from phy124.__main__ import main
 from phy124.boundaries import Ground
-from phy124.effects import Effects
+from phy124.budget.effects import Effects
 from phy124.errors import InputError
 from phy124.forces import Force, Gravity
 from phy124.materials import FixedCorotated
 from phy124.mpm import Stage
 from phy124.scene import Part, Scene
-from phy124.scene.declaration import read_declaration
 from phy124.scene.reference import format_reference, format_schema
+from phy124.schema import plugins
+from phy124.schema.declaration import read_declaration
 from phy124.simulation import Simulation
 from support.clips import random_clip
 from support.shapes import ball

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from phy124.errors import InputError
-from phy124.gaussians import SH_C0, Gaussians
-from phy124.harmonics import sh_basis
+from phy124.gaussians import SH_C0, Gaussians, sh_basis
 from phy124.io import ply
 from phy124.io.axes import DIALECTS, orientation
 from phy124.io.ply import read_ply, write_ply

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from phy124.accuracy.promises import promise
-from phy124.capture import capture
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io.axes import orientation, turned
 from phy124.io.formats import read_as_is, read_gaussians, write_gaussians
 from phy124.io.ply import raw_table, read_ply
 from phy124.io.precision import COARSE, centred, in_place, too_coarse
+from phy124.pipeline.capture import capture
 from phy124.scene import Scene
 from support.captures import captured
 from support.plys import ply_of

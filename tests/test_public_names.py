@@ -59,7 +59,7 @@ def test_type_checkers_see_each_name_where_it_is_imported_from():
 
 
 def test_no_name_is_that_of_a_module():
-    """`import phy124.capture` would put the module in its place."""
+    """`import phy124.pipeline.capture` would put the module in its place."""
     modules = {module.name for module in pkgutil.iter_modules(phy124.__path__)}
     assert not modules & set(phy124.__all__)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from phy124.region import Region
+from phy124.schema.region import Region
 
 
 def test_a_cylinder_is_as_wide_as_the_shorter_side_of_its_box(rng):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from phy124.remedies import KNOWN, SLOW, advice, hurry, listed, remedies
+from phy124.budget.remedies import KNOWN, SLOW, advice, hurry, listed, remedies
 from phy124.scene import Scene, preset_names
 
 

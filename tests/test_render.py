@@ -9,8 +9,7 @@ import warp as wp
 
 from phy124.camera import Camera
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, quaternions, rotation_matrices
-from phy124.harmonics import rotate_sh, sh_basis
+from phy124.gaussians import Gaussians, quaternions, rotate_sh, rotation_matrices, sh_basis
 from phy124.rendering import render
 from phy124.rendering.render import Renderer
 from support.shapes import splats as cloud

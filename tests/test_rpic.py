@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from phy124.accuracy.problems import angular_momentum, block
 from phy124.accuracy.promises import promise
-from phy124.cost import longest_substeps
+from phy124.budget.cost import longest_substeps
 from phy124.errors import InputError
 from phy124.generators.shapes import shape
 from phy124.materials import NeoHookean
@@ -17,6 +16,7 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.kernels import kernels
+from phy124.studies.validation.accuracy.problems import angular_momentum, block
 from reference.physgaussian import Original, Recording
 from support.solvers import make_solver
 from test_golden_mpm import run, solver_of

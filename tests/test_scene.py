@@ -8,8 +8,8 @@ from pydantic import BaseModel, ValidationError
 from phy124.boundaries import Sphere
 from phy124.errors import InputError
 from phy124.forces import Wind
+from phy124.mpm.tracks import Sine
 from phy124.scene import PRESETS, AccuracyName, Scene, Timing, parse_value, preset_names, summarise
-from phy124.tracks import Sine
 from reference.material_point import KINDS
 
 EXPECTED = {

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phy124 import Live, pipeline, resume
-from phy124.deform import Deformer
+from phy124 import Live, pipeline
 from phy124.errors import InputError
 from phy124.gaussians import Frame, as_objects
 from phy124.generators.shapes import shape
@@ -19,10 +18,12 @@ from phy124.io.ply import read_ply, write_ply
 from phy124.monitor.pieces import Pieces
 from phy124.particles import Particles, bounds
 from phy124.particles.scenery import Scenery
+from phy124.pipeline import resume
 from phy124.scene import Pair, Scene
 from phy124.scene.objects import find_pair
 from phy124.simulation import Simulation
 from phy124.simulation.bodies import notes
+from phy124.simulation.deform import Deformer
 from support.clips import random_clip
 from support.pages import ROOT
 from support.shapes import ball

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from phy124 import resume
-from phy124.effects import Effects
+from phy124.budget.effects import Effects
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.particles import make_particles
-from phy124.parts import with_materials
+from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.simulation.parts import with_materials
 from support.shapes import ball
 
 COUNT = 300

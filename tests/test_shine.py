@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phy124.effects import Effects
+from phy124.budget.effects import Effects
 from phy124.gaussians import Gaussians
 from phy124.rendering.film import film
 from phy124.rendering.framing import cameras

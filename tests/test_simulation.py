@@ -5,12 +5,12 @@ import re
 import numpy as np
 import pytest
 
-from phy124 import resume
-from phy124.cost import demand_of
+from phy124.budget.cost import demand_of
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.mpm import Unstable
 from phy124.mpm.timestep import CFL
+from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from support.scenes import each_preset

@@ -10,13 +10,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from phy124 import resume
 from phy124.boundaries import Ground, Sphere
 from phy124.errors import Cancelled, InputError
 from phy124.forces import Gravity, ParticleForce, Wind
 from phy124.materials import LAWS, NeoHookean, Sand
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Unstable
+from phy124.pipeline import resume
 from phy124.runtime.cores import MOST_THREADS
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from phy124 import resume
 from phy124.gaussians import Gaussians
 from phy124.monitor.sleep import STILL, Sleep, next_change
+from phy124.mpm.tracks import Constant, Keyframes, Ramp, Sine, Track
+from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.tracks import Constant, Keyframes, Ramp, Sine, Track
 from support.shapes import ball, lattice
 
 UP = (0.0, 0.0, 1.0)

@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from phy124.generators import splatting
-from phy124.generators.orbit import orbit, to_opencv
-from phy124.generators.splatting import View, orbit_view, project, rasterize, rotation_matrices
+from phy124.generators.neural import splatting
+from phy124.generators.neural.orbit import orbit, to_opencv
+from phy124.generators.neural.splatting import (
+    View,
+    orbit_view,
+    project,
+    rasterize,
+    rotation_matrices,
+)
 
 
 def random_splats(count: int, dtype=torch.float64, seed: int = 0) -> list[torch.Tensor]:

@@ -8,19 +8,19 @@ import pytest
 import warp as wp
 
 from phy124.boundaries import BOUNDARIES, Boundary, HalfSpace
+from phy124.budget.effects import Effects
 from phy124.camera import Camera
-from phy124.effects import Effects
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.io.clip import Clip
 from phy124.kernels.splat.glass import FACE, TINT
+from phy124.mpm.tracks import Tracks
 from phy124.rendering.film import film
 from phy124.rendering.frames import render_frames
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame, bounds
 from phy124.scene import Scene, View
-from phy124.tracks import Tracks
 from support.clips import flight
 from support.shapes import ball
 

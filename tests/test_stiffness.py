@@ -8,10 +8,10 @@ from phy124.errors import InputError
 from phy124.forces import TotalForce, Wind
 from phy124.imaging.painted import WHOLE
 from phy124.materials import Fluid, NeoHookean, Plasticine, Rigid
-from phy124.region import Region
+from phy124.properties.stiffness import Gradient, Picture
 from phy124.scene import Scene
+from phy124.schema.region import Region
 from phy124.simulation import Simulation
-from phy124.stiffness import Gradient, Picture
 from support.shapes import ball, lattice
 from support.solvers import make_solver
 

@@ -13,7 +13,7 @@ import pytest
 from phy124.errors import Cancelled, InputError
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
-from phy124.sweep import (
+from phy124.studies.sweep import (
     Dataset,
     Item,
     Plan,
@@ -26,14 +26,14 @@ from phy124.sweep import (
     run,
     running,
 )
-from phy124.sweep.archives import pack
-from phy124.sweep.keys import key_of
-from phy124.sweep.manifest import read_manifest
-from phy124.sweep.needs import needs_of
-from phy124.sweep.report import lines, write_page
-from phy124.sweep.seen import Seen
-from phy124.sweep.storage import Storage
-from phy124.sweep.work import write_row
+from phy124.studies.sweep.archives import pack
+from phy124.studies.sweep.keys import key_of
+from phy124.studies.sweep.manifest import read_manifest
+from phy124.studies.sweep.needs import needs_of
+from phy124.studies.sweep.report import lines, write_page
+from phy124.studies.sweep.seen import Seen
+from phy124.studies.sweep.storage import Storage
+from phy124.studies.sweep.work import write_row
 from support.killing import clips_of
 from support.pages import ROOT, blocks
 from support.shapes import ball

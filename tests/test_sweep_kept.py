@@ -10,9 +10,9 @@ from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.pipeline import PAUSE, recording
 from phy124.simulation import Simulation
-from phy124.sweep import Plan, Sweep, run, running, work
-from phy124.sweep.manifest import read_manifest
-from phy124.sweep.storage import Storage
+from phy124.studies.sweep import Plan, Sweep, run, running, work
+from phy124.studies.sweep.manifest import read_manifest
+from phy124.studies.sweep.storage import Storage
 from support.killing import clips_of
 from support.shapes import ball
 

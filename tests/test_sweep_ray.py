@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 
 from phy124.io.ply import write_ply
-from phy124.sweep import Dataset, Plan, Sweep, run
-from phy124.sweep.manifest import read_manifest
-from phy124.sweep.needs import Needs
-from phy124.sweep.storage import Storage
-from phy124.sweep.work import Order
+from phy124.studies.sweep import Dataset, Plan, Sweep, run
+from phy124.studies.sweep.manifest import read_manifest
+from phy124.studies.sweep.needs import Needs
+from phy124.studies.sweep.storage import Storage
+from phy124.studies.sweep.work import Order
 from support.killing import clips_of, killer, made
 from support.shapes import ball
 
@@ -87,7 +87,7 @@ def test_several_tasks_share_a_gpu(sweep):
     """A GPU that Ray believes in: each task gets its part of it, and its memory."""
     import ray
 
-    from phy124.sweep.on_ray import _Tasks
+    from phy124.studies.sweep.on_ray import _Tasks
 
     ray.init(num_cpus=2, num_gpus=1, include_dashboard=False, log_to_driver=False)
     try:

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 from pydantic import TypeAdapter, ValidationError
 
-from phy124.tracks import AnyProfile, Constant, Keyframes, Ramp, Sine, Table, Track, Tracks
+from phy124.mpm.tracks import AnyProfile, Constant, Keyframes, Ramp, Sine, Table, Track, Tracks
 
 REALS = [wp.float32, wp.float64]
 

@@ -13,7 +13,7 @@ from phy124.materials import (
     Sand,
 )
 from phy124.mpm import Solver
-from phy124.region import Region
+from phy124.schema.region import Region
 from reference.material_point import KINDS, evaluate
 from support.shapes import lattice
 from support.solvers import make_solver

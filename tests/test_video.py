@@ -12,11 +12,11 @@ from PIL import Image
 
 from phy124.camera import Camera
 from phy124.errors import InputError
-from phy124.failures import Kind, failure
 from phy124.gaussians import Frame
 from phy124.io import video
 from phy124.io.video import write_animation, write_mp4
 from phy124.rendering.frames import render_frames
+from phy124.runtime.failures import Kind, failure
 from support.videos import ffmpeg, read_video, stream
 
 

@@ -17,10 +17,10 @@ from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Solver, Unstable
-from phy124.region import Region
+from phy124.mpm.tracks import Sine
 from phy124.scene import Scene
+from phy124.schema.region import Region
 from phy124.simulation import Simulation
-from phy124.tracks import Sine
 from support.shapes import ball, block
 from support.solvers import make_solver
 

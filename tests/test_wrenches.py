@@ -6,15 +6,15 @@ import runpy
 import numpy as np
 import pytest
 
-from phy124 import resume
 from phy124.boundaries import Box, Container, Gripper, Ground, base
 from phy124.io.clip import Clip
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
 from phy124.monitor.wrenches import Wrenches, names, summary
-from phy124.region import Region
+from phy124.pipeline import resume
 from phy124.scene import Scene
+from phy124.schema.region import Region
 from phy124.simulation import Simulation
 from support.pages import ROOT
 from support.shapes import ball, block

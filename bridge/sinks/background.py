@@ -12,8 +12,8 @@ import threading
 from contextlib import suppress
 from types import TracebackType
 
-from phy124.failures import failure
 from phy124.gaussians import Frame
+from phy124.runtime.failures import failure
 
 from ..sink import Recorder
 from ..topics import Message

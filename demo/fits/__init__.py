@@ -1,6 +1,7 @@
 """Fits: a visitor's video goes back to the softness of a finished result.
 
-    upload -> video.py (decoded in a process) -> search.py (`phy124.fit`, in a process) -> shown.py
+    upload -> video.py (decoded in a process)
+           -> search.py (`phy124.studies.fit`, in a process) -> shown.py
 
 `jobs.py` is who may: one fit of each visitor, and a total for the server.
 """

@@ -7,8 +7,8 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from phy124.errors import InputError
-from phy124.scene.refusals import explain, shorten
-from phy124.section import Section
+from phy124.schema.refusals import explain, shorten
+from phy124.schema.section import Section
 
 from ..settings import Settings
 

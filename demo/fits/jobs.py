@@ -11,8 +11,8 @@ from typing import Any
 from phy124.accuracy.forecast import GUESS
 from phy124.accuracy.load import spoken
 from phy124.errors import InputError
-from phy124.fit.budget import FEWEST, USUAL
 from phy124.runtime.isolated import Deadline
+from phy124.studies.fit.budget import FEWEST, USUAL
 
 from ..events import Step
 from ..forecast import Estimator

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from phy124.cost import Rates, Work
+from phy124.budget.cost import Rates, Work
 from phy124.errors import InputError
-from phy124.fit import Fit, Outlook, fit
-from phy124.fit.apart import Undecided
-from phy124.fit.runs import FOLDER
 from phy124.io.clip import scene_in
 from phy124.io.files import replacing
 from phy124.runtime import isolated
 from phy124.runtime.isolated import Deadline, Unfinished
 from phy124.scene import Scene
 from phy124.scene.files import files_named
+from phy124.studies.fit import Fit, Outlook, fit
+from phy124.studies.fit.apart import Undecided
+from phy124.studies.fit.runs import FOLDER
 
 from ..studies import on_grid
 from ..work import Done

@@ -11,10 +11,10 @@ from pathlib import Path
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.fit.video import is_film, read_film
 from phy124.io.files import staged
 from phy124.runtime import isolated
 from phy124.runtime.isolated import Deadline, Unfinished
+from phy124.studies.fit.video import is_film, read_film
 
 from ..settings import Settings
 

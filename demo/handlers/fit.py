@@ -7,7 +7,7 @@ from typing import Any
 import gradio as gr
 
 from phy124.errors import InputError
-from phy124.fit.page import figure
+from phy124.studies.fit.page import figure
 
 from ..fits import Asked, Found, newest
 from ..fits.search import NAME

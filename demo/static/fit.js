@@ -130,7 +130,7 @@
 
     found({ sentences, figure, film, material }) {
       const shown = h('div', {});
-      shown.innerHTML = figure; // made by phy124/fit/page.py, which escapes all text
+      shown.innerHTML = figure; // made by phy124/studies/fit/page.py, which escapes all text
       shown.querySelector('video').src = film.url;
       globalThis.Phy124Compare(shown.firstChild);
       const [first, ...rest] = sentences;

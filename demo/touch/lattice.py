@@ -16,9 +16,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.deform import CARRIERS, carriers
 from phy124.gaussians import Gaussians
 from phy124.live import Live
+from phy124.simulation.deform import CARRIERS, carriers
 
 MOST = 5000
 """Nodes that are sent; at 24 frames per second they take 2.9 MB/s."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phy124.cost import BYTES_PER_GAUSSIAN
+from phy124.budget.cost import BYTES_PER_GAUSSIAN
 from phy124.scene import Scene
 
 from ..settings import Settings

@@ -17,9 +17,9 @@ from phy124.generators.relief import relief
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.particles.thinning import asked_for
-from phy124.parts import crop_of
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.simulation import Simulation
+from phy124.simulation.parts import crop_of
 
 from ..events import Reused, Step, Tell
 from ..pictures import HOW, how_cut

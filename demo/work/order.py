@@ -8,7 +8,7 @@ from typing import Any
 
 from PIL import Image
 
-from phy124.cost import BYTES_PER_GAUSSIAN, GAUSSIANS
+from phy124.budget.cost import BYTES_PER_GAUSSIAN, GAUSSIANS
 from phy124.imaging.image import read_picture_size
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from phy124.accuracy.study import Study
 from phy124.errors import InputError
 from phy124.io.files import replacing
-from phy124.parts import crop_of
+from phy124.simulation.parts import crop_of
+from phy124.studies.validation.accuracy.study import Study
 
 from ..events import Measured, Reused, Step
 from ..studies import Measurement, on_grid

@@ -17,7 +17,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from phy124 import pipeline
-from phy124.capture import capture
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import PlyFile, Reading
@@ -25,6 +24,7 @@ from phy124.generators.relief import relief
 from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
 from phy124.materials import LAWS
+from phy124.pipeline.capture import capture
 from phy124.rendering.frames import render_frames
 from phy124.rendering.shine import shine_of
 from phy124.rendering.stage.build import stage_of

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from phy124.gaussians import Gaussians, quaternions
-from phy124.harmonics import spread_directions
+from phy124.gaussians import Gaussians, quaternions, spread_directions
 
 FLATNESS = 0.15
 """Thickness of the discs on its surface, relative to their width."""

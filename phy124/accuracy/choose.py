@@ -32,10 +32,10 @@ from phy124.accuracy.difference import pixel_distance
 from phy124.accuracy.forecast import Forecast, Forecaster
 from phy124.accuracy.goal import MARGIN, UNIT, Goal, too_long
 from phy124.accuracy.goal import said as said
+from phy124.budget.limits import duration
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
-from phy124.limits import duration
 from phy124.progress import Progress, silent
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene

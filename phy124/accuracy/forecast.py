@@ -20,11 +20,11 @@ from phy124.accuracy.pilot import Pilot, coarsened, fly
 from phy124.accuracy.probe import SubstepCost, probe, time_film, time_shapes
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
-from phy124.parts import WHOLE, Crop
 from phy124.rendering.nearest import ROOM
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation
+from phy124.simulation.parts import WHOLE, Crop
 
 UNSURE = 0.1
 """Fraction of substeps limited by motion instead of stiffness above which there is no promise."""
@@ -51,7 +51,7 @@ class Forecast:
     """Limit of the substep -> fraction of the substeps."""
     rates: SubstepCost
     memory: float = 0.0
-    """Approximate memory (`phy124.limits`) [bytes]."""
+    """Approximate memory (`phy124.budget.limits`) [bytes]."""
     caveat: str | None = None
     """Why the seconds are only a guess."""
     load: Load = QUIET

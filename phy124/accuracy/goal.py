@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from phy124.accuracy.forecast import Forecast, pixels_per_size
+from phy124.budget.remedies import plain
 from phy124.errors import InputError, Remedy
-from phy124.remedies import plain
 from phy124.scene import Scene
 
 Kind = Literal["pixels", "fraction", "metres", "seconds"]

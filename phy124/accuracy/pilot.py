@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from phy124.boundaries.base import THINNEST
 from phy124.gaussians import Gaussians
 from phy124.mpm import Unstable
-from phy124.parts import WHOLE, Crop
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.simulation.parts import WHOLE, Crop
 
 CELLS = 16
 """Cells across the object in the pilot."""

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from phy124.deform import Deformer
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.mpm import Solver
@@ -19,6 +18,7 @@ from phy124.rendering.film import film
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.simulation.deform import Deformer
 
 PROBE, MIN_PROBE = 20, 6
 """Largest and smallest number of substeps of a probe."""

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from phy124.boundaries.motion import AnyMotion
-from phy124.bounds import Name
 from phy124.errors import InputError
 from phy124.kernels.collide import FLAT, make_collider, make_contact, make_settle
 from phy124.kernels.reduction import along_rows
 from phy124.kernels.transfer import types
 from phy124.mpm import Grid, Model, Stage, State
-from phy124.region import Vector
-from phy124.section import Section
-from phy124.tracks import Track, Tracks
+from phy124.mpm.tracks import Track, Tracks
+from phy124.schema.bounds import Name
+from phy124.schema.region import Vector
+from phy124.schema.section import Section
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15

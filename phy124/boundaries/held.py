@@ -8,10 +8,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from phy124.boundaries.base import Contact, Corners, Movable, Rest, box_of, half_bounds, vector
-from phy124.bounds import LONGEST, SHORTEST, Position
 from phy124.mpm import Model
-from phy124.region import AxisName, Vector, cylinder
-from phy124.tracks import Track
+from phy124.mpm.tracks import Track
+from phy124.schema.bounds import LONGEST, SHORTEST, Position
+from phy124.schema.region import AxisName, Vector, cylinder
 
 
 class Clamp(Movable):

@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from phy124.bounds import LONGEST, Instant, Position
-from phy124.section import Section
-from phy124.tracks import Key, Sine, Track, check_times
+from phy124.mpm.tracks import Key, Sine, Track, check_times
+from phy124.schema.bounds import LONGEST, Instant, Position
+from phy124.schema.section import Section
 
 EASE = 16
 """Number of straight pieces for each leg of a smooth path."""

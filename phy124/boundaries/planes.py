@@ -10,10 +10,10 @@ from pydantic import Field, model_validator
 
 from phy124.boundaries.base import Boundary, Corners, Movable, Rest, half_bounds, vector
 from phy124.boundaries.motion import Path
-from phy124.bounds import FARTHEST, LONGEST, SHORTEST, Direction, Position
 from phy124.mpm import Model, Stage, State
-from phy124.region import Region, Vector
-from phy124.tracks import Track, Tracks
+from phy124.mpm.tracks import Track, Tracks
+from phy124.schema.bounds import FARTHEST, LONGEST, SHORTEST, Direction, Position
+from phy124.schema.region import Region, Vector
 
 
 class Plane(Boundary):

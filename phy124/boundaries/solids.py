@@ -10,10 +10,10 @@ from pydantic import Field, model_validator
 
 from phy124.boundaries.base import Boundary, Corners, Movable, Rest, box_of, vector
 from phy124.boundaries.motion import Path
-from phy124.bounds import LONGEST, SHORTEST, Position
 from phy124.mpm import Model, Stage, State
-from phy124.region import Vector
-from phy124.tracks import Tracks
+from phy124.mpm.tracks import Tracks
+from phy124.schema.bounds import LONGEST, SHORTEST, Position
+from phy124.schema.region import Vector
 
 Axis = Literal["x", "y"]
 

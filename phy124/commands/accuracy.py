@@ -18,10 +18,10 @@ from phy124.gaussians import Gaussians
 from phy124.generators.effort import Effort
 from phy124.imaging.cutout import Cutout
 from phy124.io.formats import is_file_of_gaussians
-from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, parse_changes
+from phy124.simulation.parts import WHOLE, Crop
 from phy124.weights.store import looking_in
 
 KEPT = "the results are those of the settings that were run"
@@ -65,7 +65,7 @@ class ShowAccuracy:
         return self._study(Scene.named(self.scene).replaced(parse_changes(self.set)))
 
     def _verify(self) -> int:
-        from phy124.accuracy.verify import verify
+        from phy124.studies.validation.accuracy.verify import verify
 
         rows = []
         with Bars(quiet=True, keeps=True) as bars, bars.keeping():
@@ -82,9 +82,9 @@ class ShowAccuracy:
         return bars.status(f"{len(rows)} checks were made") or (0 if good else 1)
 
     def _study(self, scene: Scene) -> int:
-        from phy124.accuracy.plots import save_page, save_picture
-        from phy124.accuracy.study import Study
         from phy124.io.files import staged, write_whole
+        from phy124.studies.validation.accuracy.plots import save_page, save_picture
+        from phy124.studies.validation.accuracy.study import Study
 
         device, levels = pick_device(self.device), self._sorted_levels(scene)
         name = Path(str(self.scene)).stem

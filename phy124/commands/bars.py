@@ -12,7 +12,7 @@ from types import FrameType
 from tqdm import tqdm
 
 from phy124.errors import Cancelled, Incomplete
-from phy124.failures import failure
+from phy124.runtime.failures import failure
 from phy124.runtime.signals import handled, interrupt
 
 _silent: ContextVar[bool] = ContextVar("_silent", default=False)
@@ -138,7 +138,7 @@ class Bars:
         seconds = self.left() if self.left is not None else None
         if not seconds:
             return ""
-        from phy124.limits import duration
+        from phy124.budget.limits import duration
 
         return f", about {duration(seconds)} left"
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import tyro
 
+from phy124.budget.effects import Effects
 from phy124.commands.options import Device
-from phy124.effects import Effects
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene
 

@@ -12,11 +12,11 @@ import tyro
 from phy124.commands.bars import Bars
 from phy124.commands.options import help_of
 from phy124.errors import Cancelled, InputError
-from phy124.fit import Fit as Declared
-from phy124.fit import Outlook, fit, forecast
-from phy124.fit.declaration import found_in
 from phy124.runtime.cores import cores
 from phy124.scene import parse_changes
+from phy124.studies.fit import Fit as Declared
+from phy124.studies.fit import Outlook, fit, forecast
+from phy124.studies.fit.declaration import found_in
 
 
 @dataclass(frozen=True)

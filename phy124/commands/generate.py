@@ -14,7 +14,6 @@ import tyro
 from phy124 import pipeline
 from phy124.accuracy.choose import Goal, said
 from phy124.accuracy.promises import Promise
-from phy124.capture import Capture, capture, changed
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import IF_WRONG, described, doubt
 from phy124.commands.options import SceneOptions, default_out
@@ -29,6 +28,7 @@ from phy124.imaging.painted import WHOLE
 from phy124.io.clip import Clip
 from phy124.io.video import refuse_missing_encoder
 from phy124.particles.thinning import check_count
+from phy124.pipeline.capture import Capture, capture, changed
 from phy124.progress import Progress, silent
 from phy124.runtime.device import pick_device
 from phy124.runtime.stopwatch import Stopwatch

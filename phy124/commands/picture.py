@@ -16,7 +16,7 @@ from phy124.generators.effort import Effort
 from phy124.generators.options import GeneratorOptions
 from phy124.generators.other_views import OtherViews
 from phy124.generators.ply_file import Reading
-from phy124.section import Section
+from phy124.schema.section import Section
 
 
 @dataclass(frozen=True)

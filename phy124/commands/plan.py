@@ -9,11 +9,11 @@ from typing import Any
 from phy124.accuracy import Forecaster
 from phy124.accuracy.choose import Goal, in_time
 from phy124.accuracy.promises import promise
+from phy124.budget.limits import stiffest_part
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.effort import Effort
 from phy124.imaging.painted import Crop
-from phy124.limits import stiffest_part
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, summarise
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from phy124 import selftest as stress
 from phy124.commands.bars import Bars
+from phy124.studies.validation import stress
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ from phy124.commands.options import Device
 from phy124.errors import InputError
 from phy124.runtime.cores import cores
 from phy124.runtime.device import pick_device
-from phy124.sweep import Counts, Plan, expected, refused, run
-from phy124.sweep import Sweep as Declared
-from phy124.sweep.archives import pack
-from phy124.sweep.report import lines, write_page
-from phy124.sweep.storage import Storage
+from phy124.studies.sweep import Counts, Plan, expected, refused, run
+from phy124.studies.sweep import Sweep as Declared
+from phy124.studies.sweep.archives import pack
+from phy124.studies.sweep.report import lines, write_page
+from phy124.studies.sweep.storage import Storage
 
 
 @dataclass(frozen=True)

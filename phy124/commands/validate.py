@@ -14,12 +14,12 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.errors import InputError
-from phy124.experiments import EXPERIMENTS, Experiment, Outcome, named
-from phy124.experiments.page import data, details, save_page, summary
-from phy124.experiments.plots import refuse_missing_plots
-from phy124.experiments.running import outcomes
 from phy124.io.files import staged, write_whole
 from phy124.runtime.cores import cores, refuse_threads
+from phy124.studies.validation.experiments import EXPERIMENTS, Experiment, Outcome, named
+from phy124.studies.validation.experiments.page import data, details, save_page, summary
+from phy124.studies.validation.experiments.plots import refuse_missing_plots
+from phy124.studies.validation.experiments.running import outcomes
 
 DOCS = Path("docs/results/experiments.md"), Path("docs/images/experiments")
 """The page and its plots in a clone."""

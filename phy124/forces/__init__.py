@@ -19,7 +19,7 @@ from phy124.forces.velocity import SetVelocity
 from phy124.forces.wind import Wind
 from phy124.forces.wrench import WrenchForce
 from phy124.forces.zone import ZoneForce
-from phy124.plugins import Kinds
+from phy124.schema.plugins import Kinds
 
 Kind = (
     Gravity
@@ -38,7 +38,7 @@ Kind = (
 FORCES = Kinds(Force, "kind", "forces", Kind)
 """`FORCES.by_name` maps the name of a force to its class."""
 AnyForce = SerializeAsAny[Annotated[Kind, Field(discriminator="kind"), FORCES]]
-"""A force of one of the `FORCES`, or of a registered kind (phy124/plugins.py)."""
+"""A force of one of the `FORCES`, or of a registered kind (phy124/schema/plugins.py)."""
 
 __all__ = [
     "FORCES",

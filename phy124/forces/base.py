@@ -10,13 +10,13 @@ import warp as wp
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from phy124.bounds import LONGEST, Name
 from phy124.errors import InputError
 from phy124.kernels import push as kernels
 from phy124.mpm import Grid, Model, Stage, State
-from phy124.region import Region, Vector
-from phy124.section import Section
-from phy124.tracks import FOREVER, AnyProfile, Constant, Over, Track, Tracks
+from phy124.mpm.tracks import FOREVER, AnyProfile, Constant, Over, Track, Tracks
+from phy124.schema.bounds import LONGEST, Name
+from phy124.schema.region import Region, Vector
+from phy124.schema.section import Section
 
 
 class Force(Section):

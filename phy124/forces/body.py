@@ -7,11 +7,11 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from phy124.bounds import SHORTEST, Push
 from phy124.forces.base import Force, accelerate, per_mass
 from phy124.mpm import Model, Stage, State
-from phy124.region import Vector
-from phy124.tracks import Track, Tracks
+from phy124.mpm.tracks import Track, Tracks
+from phy124.schema.bounds import SHORTEST, Push
+from phy124.schema.region import Vector
 
 
 class Gravity(Force):

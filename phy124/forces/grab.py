@@ -7,12 +7,12 @@ from typing import ClassVar, Literal
 import warp as wp
 from pydantic import Field, model_validator
 
-from phy124.bounds import Instant, Position
 from phy124.forces.base import Force
 from phy124.forces.held import Part
 from phy124.kernels import held as kernels
 from phy124.mpm import Grid, Model, Stage, State
-from phy124.tracks import FOREVER, Track, Tracks, check_times
+from phy124.mpm.tracks import FOREVER, Track, Tracks, check_times
+from phy124.schema.bounds import Instant, Position
 
 
 class Grab(Force):

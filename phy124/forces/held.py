@@ -14,8 +14,8 @@ from phy124.forces.base import of_object
 from phy124.kernels import held as kernels
 from phy124.kernels.reduction import shared_out
 from phy124.mpm import Grid, Model, Stage, State
-from phy124.region import Vector
-from phy124.tracks import Tracks
+from phy124.mpm.tracks import Tracks
+from phy124.schema.region import Vector
 
 
 def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.float64]:

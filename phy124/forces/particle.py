@@ -6,10 +6,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from phy124.bounds import Push
 from phy124.forces.base import Force, push
 from phy124.mpm import Model, Stage, State
-from phy124.tracks import Tracks
+from phy124.mpm.tracks import Tracks
+from phy124.schema.bounds import Push
 
 
 class ParticleForce(Force):

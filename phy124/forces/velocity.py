@@ -7,13 +7,13 @@ from typing import ClassVar, Literal
 import warp as wp
 from pydantic import Field
 
-from phy124.bounds import Position, Velocity
 from phy124.forces.base import Force, within
 from phy124.kernels import push
 from phy124.kernels.transfer import types
 from phy124.mpm import Grid, Model, Stage, State
-from phy124.region import Vector
-from phy124.tracks import Tracks
+from phy124.mpm.tracks import Tracks
+from phy124.schema.bounds import Position, Velocity
+from phy124.schema.region import Vector
 
 UNIT: Vector = (1.0, 0.0, 0.0)
 """Value of a track that holds nothing but the profile."""

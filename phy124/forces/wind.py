@@ -6,11 +6,11 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from phy124.bounds import Velocity
 from phy124.forces.base import Force, stage
 from phy124.kernels import push
 from phy124.mpm import Model, Stage, State
-from phy124.tracks import Tracks
+from phy124.mpm.tracks import Tracks
+from phy124.schema.bounds import Velocity
 
 
 class Wind(Force):

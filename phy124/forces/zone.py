@@ -8,13 +8,13 @@ from typing import Any, ClassVar, Literal
 import warp as wp
 from pydantic import Field, model_validator
 
-from phy124.bounds import Push
 from phy124.forces.base import Force
 from phy124.kernels import push
 from phy124.kernels.transfer import types
 from phy124.mpm import Grid, Model, Stage, State
-from phy124.region import Region, cylinder
-from phy124.tracks import Tracks
+from phy124.mpm.tracks import Tracks
+from phy124.schema.bounds import Push
+from phy124.schema.region import Region, cylinder
 
 
 class ZoneForce(Force):

@@ -14,14 +14,15 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Protocol, cast
 
 from phy124.errors import InputError
 from phy124.generators.options import UNCHANGED, GeneratorOptions, Precision, Sampler
-from phy124.plugins import names, registered
 from phy124.progress import Progress
 from phy124.runtime.installation import install_command
+from phy124.schema.plugins import names, registered
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,15 +57,13 @@ def _lgm(
     precision: Precision | None = None,
     align: bool = False,
 ) -> Generator:
-    from phy124.generators.lgm import Lgm
-
-    return Lgm(device=device, steps=steps, sampler=sampler, precision=precision, align=align)
+    lgm = import_module("phy124.generators.neural.lgm")
+    return lgm.Lgm(device=device, steps=steps, sampler=sampler, precision=precision, align=align)
 
 
 def _dreamgaussian(*, device: str | None = None, steps: int | None = None) -> Generator:
-    from phy124.generators.dreamgaussian import DreamGaussian
-
-    return DreamGaussian(device=device, steps=steps)
+    dreamgaussian = import_module("phy124.generators.neural.dreamgaussian")
+    return dreamgaussian.DreamGaussian(device=device, steps=steps)
 
 
 GENERATORS: dict[str, Callable[..., Generator]] = {
@@ -73,7 +72,7 @@ GENERATORS: dict[str, Callable[..., Generator]] = {
     "lgm-aligned": partial(_lgm, align=True),
     "dreamgaussian": _dreamgaussian,
 }
-"""Name -> factory; each imports its generator only when it is called.
+"""Name -> factory; each imports its generator only when it is called, the neural ones by name.
 
 A factory's keywords are those fields of `GeneratorOptions` that its generator takes, and `device`
 if it can use one.

@@ -16,7 +16,7 @@ from phy124.errors import InputError
 from phy124.imaging.decoding import MAX_PIXELS
 from phy124.imaging.image import open_levels
 from phy124.io.opening import obstacle
-from phy124.section import Section
+from phy124.schema.section import Section
 
 ASPECT = 0.02
 """How much width to height may differ from the picture's, as a fraction."""

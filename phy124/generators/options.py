@@ -13,7 +13,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from phy124.errors import InputError
-from phy124.section import Section
+from phy124.schema.section import Section
 
 Sampler = Literal["ddim", "dpmsolver++"]
 SAMPLER: Sampler = "ddim"

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from phy124.errors import InputError
 from phy124.imaging.cutout import Cutout
-from phy124.section import Section
+from phy124.schema.section import Section
 
 
 class OtherViews(Section):

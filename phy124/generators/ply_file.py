@@ -19,7 +19,7 @@ from phy124.io.content import Y_DOWN, Content
 from phy124.io.dialect import likely_dialect
 from phy124.io.formats import read_as_is, recognised, rotation_of
 from phy124.progress import Progress, silent
-from phy124.section import Section
+from phy124.schema.section import Section
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -105,7 +105,7 @@ class Opened(NamedTuple):
 class PlyFile:
     """The generator that reads a file instead of looking at the picture.
 
-    Finding the floor and what stands on it is done by `phy124.capture`, which knows the scene.
+    `phy124.pipeline.capture`, which knows the scene, finds the floor and what stands on it.
     """
 
     path: str
@@ -126,7 +126,9 @@ class PlyFile:
         del image_rgba, seed
         if self.reading.floor:
             limit = "A floor is part of a scene, and there is none here."
-            raise InputError("floor", "wanted", limit, "Call phy124.capture.capture instead.")
+            raise InputError(
+                "floor", "wanted", limit, "Call phy124.pipeline.capture.capture instead."
+            )
         opened = self.open(progress)
         for note in opened.notes:
             warnings.warn(f"{self.path}: {note}", stacklevel=2)

@@ -8,8 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from phy124.gaussians import Gaussians, quaternions
-from phy124.harmonics import spread_directions
+from phy124.gaussians import Gaussians, quaternions, spread_directions
 
 COUNT = 8000
 """About how many Gaussians a shape has."""

@@ -10,7 +10,7 @@ from pydantic import Field
 from phy124.errors import InputError
 from phy124.imaging.cutout import METHODS
 from phy124.imaging.objects import Point
-from phy124.section import Section
+from phy124.schema.section import Section
 
 
 class Cutting(Section):

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, quaternions, rotation_matrices
-from phy124.harmonics import rotate_sh
+from phy124.gaussians import Gaussians, quaternions, rotate_sh, rotation_matrices
 
 DIALECTS = {
     "3dgs": ("-y", "-z"),

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from phy124.errors import InputError
-from phy124.gaussians import Array, Frame, Gaussians, of_walls, stacked
-from phy124.harmonics import rotate_sh
+from phy124.gaussians import Array, Frame, Gaussians, of_walls, rotate_sh, stacked
 from phy124.io.files import replacing
 from phy124.io.opening import obstacle
 from phy124.io.tensors import save_tensors

@@ -29,11 +29,11 @@ from phy124.live.limits import (
     number,
     vector,
 )
-from phy124.region import Vector
+from phy124.properties.stiffness import SOFTEST, STIFFEST
 from phy124.scene import Scene
+from phy124.schema.region import Vector
 from phy124.simulation import Simulation, Stopped
 from phy124.simulation.appearance import Appearance
-from phy124.stiffness import SOFTEST, STIFFEST
 
 FOREVER = 1e8
 """A live run has no budget of time of its own [s]; what shows it has."""

@@ -12,9 +12,9 @@ from typing import Any
 from phy124.boundaries.base import Movable
 from phy124.boundaries.motion import Path
 from phy124.forces import AnyForce, Grab, Gravity, WrenchForce
-from phy124.region import Vector
+from phy124.mpm.tracks import Keyframes
 from phy124.scene import Scene
-from phy124.tracks import Keyframes
+from phy124.schema.region import Vector
 
 
 @dataclass

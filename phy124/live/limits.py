@@ -14,8 +14,8 @@ import numpy as np
 
 from phy124.errors import InputError
 from phy124.particles import Particles
-from phy124.region import Vector
 from phy124.scene import Scene
+from phy124.schema.region import Vector
 
 STANDARD_GRAVITY = 9.81
 LIFTS = 3.0

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.monitor.wrenches import pair_names
-from phy124.region import Vector
 from phy124.scene import Scene
+from phy124.schema.region import Vector
 from phy124.simulation import Simulation
 
 

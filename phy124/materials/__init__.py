@@ -13,14 +13,14 @@ from phy124.materials.elastic import FixedCorotated, Hencky, NeoHookean, Rigid
 from phy124.materials.fluid import Fluid
 from phy124.materials.granular import Sand, Snow
 from phy124.materials.plastic import Foam, Metal, Plasticine
-from phy124.plugins import Kinds
+from phy124.schema.plugins import Kinds
 
 Law = NeoHookean | FixedCorotated | Hencky | Rigid | Metal | Plasticine | Foam | Sand | Snow | Fluid
 """The one list of phy124's laws, from which all others are derived."""
 LAWS = Kinds(Material, "law", "materials", Law)
 """`LAWS.by_name` maps the name of a law to its class."""
 AnyMaterial = SerializeAsAny[Annotated[Law, Field(discriminator="law"), LAWS]]
-"""A material of one of the `LAWS`, or of a registered law (phy124/plugins.py)."""
+"""A material of one of the `LAWS`, or of a registered law (phy124/schema/plugins.py)."""
 
 __all__ = [
     "LAWS",

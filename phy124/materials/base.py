@@ -8,7 +8,7 @@ from typing import ClassVar
 from pydantic import Field
 
 from phy124.kernels.transfer import Law
-from phy124.section import Section
+from phy124.schema.section import Section
 
 FEW = 1.5
 """Particles per cell and axis of plastic and granular materials, which cannot tear. With 2 a run

@@ -21,9 +21,9 @@ from phy124.kernels import contacts as kernels
 from phy124.monitor.external_work import Measured
 from phy124.monitor.near import NodesNear
 from phy124.mpm import Attachable, Grid, Model, Stage, State
+from phy124.mpm.tracks import Tracks
 from phy124.particles import Particles
 from phy124.particles.scenery import Scenery
-from phy124.tracks import Tracks
 
 STAGE = "contacts"
 """Name of the stages that sum them."""

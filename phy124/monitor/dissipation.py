@@ -20,8 +20,8 @@ from phy124.kernels.transfer import Law
 from phy124.mpm import Model, State
 from phy124.mpm.stage import Recorded
 from phy124.mpm.state import part_of
+from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
-from phy124.tracks import Tracks
 
 STAGE = "dissipation"
 """Name of its stages."""

@@ -22,7 +22,7 @@ from phy124.kernels.reduction import shared_out
 from phy124.monitor.near import NodesNear
 from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
 from phy124.mpm.state import part_of
-from phy124.tracks import Tracks
+from phy124.mpm.tracks import Tracks
 
 STAGE = "external work"
 """Name of the stages that sum external work."""

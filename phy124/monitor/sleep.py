@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.mpm import Clock, Model, State
-from phy124.tracks import FOREVER, Track, Tracks
+from phy124.mpm.tracks import FOREVER, Track, Tracks
 
 STILL = 3e-4
 """Largest error by sleeping, in object sizes: a tenth of a pixel if the object fills 300."""

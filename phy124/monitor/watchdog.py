@@ -53,7 +53,7 @@ rounding omits strains the body. Measured: 3e-10 per substep in float32, 7e-10 w
 """
 FAST = ("push", "cells")
 ROUNDED = ("precision",)
-"""Causes of violations (`phy124.remedies`): of a run too fast for its window, of rounding."""
+"""Causes (`phy124.budget.remedies`) of violations: a run too fast for its window, rounding."""
 SWOLLEN = 2.0
 """Volume ratio above which a solid would have broken."""
 SQUEEZED = 0.5
@@ -66,7 +66,7 @@ class Violation(NamedTuple):
     what: str
     """A clause that says what is wrong."""
     causes: tuple[str, ...]
-    """Possible causes, for `phy124.remedies`, the likeliest first."""
+    """Possible causes, for `phy124.budget.remedies`, the likeliest first."""
 
 
 @dataclass

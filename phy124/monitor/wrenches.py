@@ -22,7 +22,7 @@ from phy124.kernels import wrenches as kernels
 from phy124.kernels.external_work import make_wall_copy
 from phy124.monitor.near import NodesNear
 from phy124.mpm import Attachable, Grid, Model, Solver, Stage, State
-from phy124.tracks import Tracks
+from phy124.mpm.tracks import Tracks
 
 STAGE = "wrenches"
 """Name of the stages that sum them."""

@@ -22,7 +22,7 @@ from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.pairs import fill_of
 from phy124.mpm.stage import Recorded
-from phy124.tracks import Track, Tracks
+from phy124.mpm.tracks import Track, Tracks
 
 STAGE = "free"
 """Name of the stages of free bodies."""

@@ -21,8 +21,8 @@ from phy124.mpm.grid import MARGIN, Grid
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Recorded
 from phy124.mpm.state import State
+from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
-from phy124.tracks import Tracks
 
 MAX_NODES = 2**25
 """Largest number of nodes of a window."""

@@ -22,7 +22,7 @@ from phy124.mpm.model import Model
 from phy124.mpm.stage import Stage, Sums
 from phy124.mpm.state import State
 from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
-from phy124.tracks import Tracks
+from phy124.mpm.tracks import Tracks
 
 TRIES = 100
 """Largest number of tries; each is at most half as long as the one before."""

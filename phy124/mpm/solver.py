@@ -35,8 +35,8 @@ from phy124.mpm.state import State
 from phy124.mpm.substep import Gathered, Recorder
 from phy124.mpm.threads import Team
 from phy124.mpm.timestep import MEMORY
+from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import GATHER, Timings, lone_worker, timed, usable_workers
-from phy124.tracks import Tracks
 
 MEASURE = -2
 """Given instead of a phase to measure the limits."""

@@ -10,7 +10,7 @@ import warp as wp
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.state import State
-from phy124.tracks import Tracks
+from phy124.mpm.tracks import Tracks
 
 
 class Stage(NamedTuple):

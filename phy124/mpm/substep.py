@@ -27,8 +27,8 @@ from phy124.mpm.pairs import Pairs
 from phy124.mpm.slabs import Slabs
 from phy124.mpm.stage import Named, Recorded, Stage, Sums, launches
 from phy124.mpm.state import State, part_of
+from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import GATHER, Part, Worker
-from phy124.tracks import Tracks
 
 
 class Transfers(NamedTuple):

@@ -1,10 +1,11 @@
 """Turns Gaussians into material particles: cleaning, size, interior, volume, mass.
 
 There are two ways to bind them. With `lattice` a regular lattice through the solid carries the
-physics, and the Gaussians are interpolated from it (`phy124.deform`), so that their number hardly
-affects the simulation; where the object is thin, there are particles at its Gaussians, too, half as
-far apart. `particles` is the paper's form (Phy124, arXiv 2409.07179): every Gaussian is an MPM
-particle, and the closed interior is filled with more (as PhysGaussian, arXiv 2311.12198, does).
+physics, and the Gaussians are interpolated from it (`phy124.simulation.deform`), so that their
+number hardly affects the simulation; where the object is thin, there are particles at its
+Gaussians, too, half as far apart. `particles` is the paper's form (Phy124, arXiv 2409.07179): every
+Gaussian is an MPM particle, and the closed interior is filled with more (as PhysGaussian, arXiv
+2311.12198, does).
 """
 
 from phy124.particles.cleaning import Cleaning, bounds, clean, shown, sizing, to_size

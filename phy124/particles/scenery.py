@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Array, Frame, Gaussians, rotation_matrices
-from phy124.tracks import Track
+from phy124.mpm.tracks import Track
 
 IDENTITY = np.array([1, 0, 0, 0], np.float32)
 """The identity rotation, wxyz."""

@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from phy124 import resume
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.forecast import Forecaster
 from phy124.errors import InputError
@@ -22,7 +21,7 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.cutout import Cutout
 from phy124.io.clip import Clip
 from phy124.io.files import staged as staged
-from phy124.parts import WHOLE, Crop
+from phy124.pipeline import resume
 from phy124.pipeline.composing import into_photograph as into_photograph
 from phy124.pipeline.gaussians import Static as Static
 from phy124.pipeline.making import CUTOUT, PAUSE, Making
@@ -46,6 +45,7 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.scene.files import refuse_missing
 from phy124.simulation import Simulation
+from phy124.simulation.parts import WHOLE, Crop
 
 PathLike = str | os.PathLike[str]
 

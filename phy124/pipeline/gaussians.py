@@ -11,7 +11,6 @@ from typing import Any
 
 from PIL import Image
 
-from phy124.capture import capture
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators import Generator, needs_image
@@ -24,11 +23,12 @@ from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
 from phy124.imaging.objects import Point
 from phy124.particles.thinning import asked_for, thinned
-from phy124.parts import Crop, crop_of
+from phy124.pipeline.capture import capture
 from phy124.progress import Progress, silent
 from phy124.runtime.isolated import Deadline
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
+from phy124.simulation.parts import Crop, crop_of
 
 PathLike = str | os.PathLike[str]
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from phy124.errors import Incomplete
-from phy124.failures import failure
+from phy124.runtime.failures import failure
 
 CLIP = "clip.safetensors"
 

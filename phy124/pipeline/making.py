@@ -13,7 +13,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from phy124 import resume
 from phy124.accuracy.forecast import Forecast
 from phy124.accuracy.promises import promise
 from phy124.errors import Cancelled, Incomplete, InputError
@@ -22,7 +21,7 @@ from phy124.io.files import deliver, replacing, write_whole
 from phy124.io.files import staged as staged
 from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
-from phy124.pipeline import earlier
+from phy124.pipeline import earlier, resume
 from phy124.pipeline.losses import broken_off, moved_away, nothing_kept, unfilmed, with_cause
 from phy124.pipeline.recording import PAUSE as PAUSE
 from phy124.pipeline.recording import Recording, sweep

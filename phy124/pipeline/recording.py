@@ -18,11 +18,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from phy124 import resume
 from phy124.errors import InputError
 from phy124.io import locks
 from phy124.io.clip import Clip
 from phy124.io.growing import Growing, Unlike
+from phy124.pipeline import resume
 from phy124.simulation import Simulation
 
 PAUSE = "pause.safetensors"

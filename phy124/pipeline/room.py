@@ -7,7 +7,7 @@ import shutil
 import warnings
 from pathlib import Path
 
-from phy124.cost import BYTES_PER_GAUSSIAN
+from phy124.budget.cost import BYTES_PER_GAUSSIAN
 from phy124.simulation import Simulation
 
 PLY = 4 * 17

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from phy124.bounds import FileName
 from phy124.errors import InputError
 from phy124.io.axes import orientation
 from phy124.properties.table import Table, read_table
-from phy124.section import Section
+from phy124.schema.bounds import FileName
+from phy124.schema.section import Section
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 ALIKE = 0.2

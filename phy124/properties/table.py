@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.io.ply import read_rows
-from phy124.stiffness import MINIMUM
+from phy124.properties.stiffness import MINIMUM
 
 COLUMNS = ("E", "nu", "density", "damping")
 """Columns that a file may have besides the law: fields of a material [Pa, 1, kg/m^3, Pa s]."""

@@ -7,7 +7,7 @@ from phy124.scene.scene import Scene, preset_names
 from phy124.scene.sections import Checks, Object, Part, Timing
 from phy124.scene.summary import summarise
 from phy124.scene.view import Format, View, ViewName
-from phy124.section import Section
+from phy124.schema.section import Section
 
 __all__ = [
     "GOOD_FOR",

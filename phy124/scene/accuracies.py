@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from phy124.mpm.timestep import beside_rpic
-from phy124.section import Section
+from phy124.schema.section import Section
 
 
 class Accuracy(Section):

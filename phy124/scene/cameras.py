@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from phy124.bounds import Instant
-from phy124.section import Section
+from phy124.schema.bounds import Instant
+from phy124.schema.section import Section
 
 Values = NDArray[np.float64]
 Turn = Annotated[float, Field(ge=-3600, le=3600)]

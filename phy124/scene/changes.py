@@ -8,8 +8,8 @@ from typing import Any
 from phy124.errors import InputError
 from phy124.scene.accuracies import PRESETS
 from phy124.scene.files import DEEPEST, check_depth
-from phy124.scene.refusals import shorten
 from phy124.scene.renamed import rename_item
+from phy124.schema.refusals import shorten
 
 if sys.version_info >= (3, 11):
     import tomllib

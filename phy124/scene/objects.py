@@ -12,11 +12,11 @@ from pydantic import Field, model_validator
 from phy124.boundaries import Box, Capsule, Container, Ground, HalfSpace, Press, Sphere
 from phy124.boundaries.base import Movable, vector
 from phy124.boundaries.motion import Free, OwnMotion, Path, Swing
-from phy124.bounds import FileName, Name
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.scene.sections import FLOOR, Object, Part
 from phy124.scene.view import Background
-from phy124.section import Section
+from phy124.schema.bounds import FileName, Name
+from phy124.schema.section import Section
 
 ShapeName = Literal["sphere", "box", "capsule"]
 _Side = Annotated[float, Field(ge=0.01, le=1)]

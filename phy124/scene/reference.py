@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 
-from phy124.scene.declaration import Declaration, Node, format_number, read_declaration
 from phy124.scene.scene import Scene
+from phy124.schema.declaration import Declaration, Node, format_number, read_declaration
 
 HEAD = """# Scene reference
 

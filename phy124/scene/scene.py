@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from phy124.boundaries import BOUNDARIES, AnyBoundary, Ground
-from phy124.bounds import LONGEST, Text
 from phy124.errors import InputError, did_you_mean
 from phy124.forces import FORCES, AnyForce, Gravity
 from phy124.materials import LAWS, AnyMaterial, NeoHookean
+from phy124.mpm.tracks import AnyProfile, Track
 from phy124.properties import Properties
+from phy124.properties.stiffness import AnyStiffness, check_profile
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName, check_transfer
 from phy124.scene.changes import apply
 from phy124.scene.files import check_depth, read_toml
@@ -34,13 +35,12 @@ from phy124.scene.objects import (
     check_objects,
     check_pairs,
 )
-from phy124.scene.refusals import explain
 from phy124.scene.renamed import rename_keys
 from phy124.scene.sections import Checks, Object, Part, Timing, check_energy
 from phy124.scene.view import View
-from phy124.section import Section
-from phy124.stiffness import AnyStiffness, check_profile
-from phy124.tracks import AnyProfile, Track
+from phy124.schema.bounds import LONGEST, Text
+from phy124.schema.refusals import explain
+from phy124.schema.section import Section
 
 MOST_OBJECTS = 16
 """Largest number of objects in a scene. Each has its own velocity field where it meets another."""

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from phy124.bounds import FileName, Name, Spot, Velocity
 from phy124.materials import AnyMaterial, NeoHookean
-from phy124.region import PartRegion
-from phy124.section import Section
+from phy124.schema.bounds import FileName, Name, Spot, Velocity
+from phy124.schema.region import PartRegion
+from phy124.schema.section import Section
 
 Number = Annotated[int, Field(ge=0, le=10_000_000)]
 """The index of a Gaussian."""

@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable
 
 from phy124.materials import AnyMaterial
-from phy124.scene.declaration import format_number
 from phy124.scene.scene import Scene
+from phy124.schema.declaration import format_number
 
 BINDINGS = {
     "lattice": "Gaussians on a lattice of particles",

@@ -14,10 +14,10 @@ from pydantic import (
     model_validator,
 )
 
-from phy124.bounds import Colour, FileName
 from phy124.camera import FOV_Y
 from phy124.scene.cameras import AnyCamera
-from phy124.section import Section
+from phy124.schema.bounds import Colour, FileName
+from phy124.schema.section import Section
 
 ViewName = Literal["front", "right", "back", "left", "orbit"]
 Format = Literal["mp4", "webp", "gif", "png", "usd", "ply"]

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.deform import of_gaussians
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.materials import AnyMaterial
@@ -17,6 +16,7 @@ from phy124.monitor.tearing import APART
 from phy124.particles import Particles
 from phy124.particles.grains import shaded, with_grains
 from phy124.scene import Scene
+from phy124.simulation.deform import of_gaussians
 
 
 class Appearance(NamedTuple):

@@ -20,11 +20,11 @@ from phy124.generators.shapes import shape
 from phy124.imaging.painted import Crop
 from phy124.materials import AnyMaterial
 from phy124.particles import Cleaning, Particles, clean, make_particles
-from phy124.parts import with_materials
-from phy124.placing import among_all, belongs, place, renumbered, stacked
 from phy124.scene import Scene, SceneObject
 from phy124.simulation.appearance import Appearance, appearance
 from phy124.simulation.materials import varied
+from phy124.simulation.parts import with_materials
+from phy124.simulation.placing import among_all, belongs, place, renumbered, stacked
 
 DEEPEST = 1.0
 """Largest overlap of two objects at the start [cells]: as deep as surfaces are known."""

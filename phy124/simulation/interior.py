@@ -16,13 +16,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from phy124.deform import by_object
 from phy124.gaussians import Gaussians, joined
 from phy124.io.clip import Clip
 from phy124.materials import AnyMaterial
 from phy124.monitor.tearing import APART
 from phy124.particles import Particles
 from phy124.particles.grains import grains_at
+from phy124.simulation.deform import by_object
 
 NEIGHBOURS = 7
 """Particles that count as neighbours at rest: in a lattice six, and itself."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from phy124 import deform, tracks
 from phy124.monitor import contacts, diagnostics, dissipation, external_work, tearing, wrenches
-from phy124.mpm import fluctuation, free, pairs, repair, substep
+from phy124.mpm import fluctuation, free, pairs, repair, substep, tracks
 from phy124.mpm.model import PRECISIONS, form_of
 from phy124.scene import Scene
+from phy124.simulation import deform
 from phy124.simulation.solver import scheme_of
 
 

@@ -16,7 +16,7 @@ from phy124.materials import AnyMaterial
 from phy124.particles import Particles
 from phy124.properties import COLUMNS, FRACTION
 from phy124.scene import Scene
-from phy124.scene.refusals import explain
+from phy124.schema.refusals import explain
 
 
 def varied(

@@ -15,11 +15,11 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions
 from phy124.io.axes import euler
 from phy124.mpm import FreeBody
+from phy124.mpm.tracks import Track
 from phy124.particles.scenery import Scenery
 from phy124.scene import Scene
 from phy124.scene.objects import ANY, find_pair
 from phy124.simulation.bodies import DEEPEST
-from phy124.tracks import Track
 
 
 def tracks(scene: Scene) -> Iterator[tuple[int, Track]]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from phy124.effects import Effects
+from phy124.budget.effects import Effects
+from phy124.budget.limits import stiffest_part
 from phy124.io.clip import Clip
-from phy124.limits import stiffest_part
 from phy124.monitor.wrenches import pair_names, summary
 from phy124.mpm.timestep import CFL, beside_elastic
 from phy124.simulation import bodies, buried, softening

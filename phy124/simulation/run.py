@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.deform import Deformer
+from phy124.budget.limits import refuse_hopeless
+from phy124.budget.remedies import hurry, remedies
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip, joined
-from phy124.limits import refuse_hopeless
 from phy124.monitor import diagnosis
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.dissipation import Dissipation
@@ -27,7 +27,6 @@ from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.workers import timed, usable_workers
 from phy124.progress import Progress, silent
-from phy124.remedies import hurry, remedies
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import one_at_a_time
@@ -35,6 +34,7 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import props
 from phy124.simulation.bodies import bodies
+from phy124.simulation.deform import Deformer
 from phy124.simulation.interior import Interior
 from phy124.simulation.kernels import kernels
 from phy124.simulation.ordering import axis_of, ordered
@@ -46,7 +46,7 @@ from phy124.simulation.stopped import Stopped
 
 
 class Interrupted(Cancelled):
-    """A run was cancelled; its frames so far are good, and `phy124.resume` can save its state."""
+    """A run was cancelled; its frames are good, and `phy124.pipeline.resume` can save its state."""
 
     def __init__(self, run: Simulation) -> None:
         self.run = run
@@ -56,7 +56,7 @@ class Interrupted(Cancelled):
 class Simulation:
     """One run; iterate over it to get its frames. Leave the loop to pause, iterate again to go on.
 
-    `phy124.resume` saves a paused run and continues it later, bit for bit.
+    `phy124.pipeline.resume` saves a paused run and continues it later, bit for bit.
     """
 
     def __init__(

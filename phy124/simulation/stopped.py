@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from phy124.budget.remedies import advice
 from phy124.errors import Remedy
-from phy124.remedies import advice
 
 
 class Stopped(RuntimeError):

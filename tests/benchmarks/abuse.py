@@ -22,8 +22,9 @@ from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Solver
-from phy124.selftest import Setting
-from phy124.selftest.bodies import (
+from phy124.simulation import Simulation
+from phy124.studies.validation.stress import Setting
+from phy124.studies.validation.stress.bodies import (
     Array,
     assign,
     finite,
@@ -31,8 +32,7 @@ from phy124.selftest.bodies import (
     turning,
     volume_ratios,
 )
-from phy124.selftest.inputs import quick
-from phy124.simulation import Simulation
+from phy124.studies.validation.stress.inputs import quick
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.shapes import ball, block

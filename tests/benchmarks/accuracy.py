@@ -21,9 +21,6 @@ from phy124.accuracy.ball import ball
 from phy124.accuracy.choose import CELLS, Goal, reach
 from phy124.accuracy.convergence import distances
 from phy124.accuracy.difference import pixel_distance, video
-from phy124.accuracy.plots import save_picture
-from phy124.accuracy.study import Report, Row, Study
-from phy124.accuracy.verify import verify
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
@@ -31,6 +28,9 @@ from phy124.io.ply import write_ply
 from phy124.metrics import psnr
 from phy124.scene import preset_names
 from phy124.simulation import Simulation
+from phy124.studies.validation.accuracy.plots import save_picture
+from phy124.studies.validation.accuracy.study import Report, Row, Study
+from phy124.studies.validation.accuracy.verify import verify
 
 sys.path.insert(0, str(Path(__file__).parent))
 from presets import beginning

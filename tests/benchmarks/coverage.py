@@ -17,11 +17,11 @@ from scipy.stats import beta
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from phy124.fit import Fit, fit
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.pipeline import static
 from phy124.scene import Scene
+from phy124.studies.fit import Fit, fit
 from support.twins import twin, write_points
 
 DUCK = str(Path(__file__).parents[2] / "demo/examples/duck.png")

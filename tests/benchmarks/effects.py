@@ -33,11 +33,11 @@ from phy124.materials import FixedCorotated, NeoHookean
 from phy124.metrics import psnr
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Solver
-from phy124.region import Region
+from phy124.mpm.tracks import Sine
 from phy124.rendering.render import Renderer
 from phy124.scene import Scene
+from phy124.schema.region import Region
 from phy124.simulation import Simulation
-from phy124.tracks import Sine
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support import cubin

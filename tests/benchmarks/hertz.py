@@ -1,7 +1,7 @@
 """Force of a ball pressed between two plates, against finite elements of the whole ball.
 
-They are those of phy124/experiments/elastic_ball.py; Hertz (1882) takes both bodies for
-half-spaces.
+They are those of phy124/studies/validation/experiments/elastic_ball.py; Hertz (1882) takes both
+bodies for half-spaces.
 
     python tests/benchmarks/hertz.py 48 float64      # cells across the ball: a line per depth
     python tests/benchmarks/hertz.py --convergence   # grid by grid, and the order
@@ -13,8 +13,8 @@ import argparse
 import math
 from typing import Any
 
-from phy124.experiments.elastic_ball import law
-from phy124.experiments.hertz import NU, RADIUS, E, hertz, pressed
+from phy124.studies.validation.experiments.elastic_ball import law
+from phy124.studies.validation.experiments.hertz import NU, RADIUS, E, hertz, pressed
 
 DEPTHS = (0.02, 0.035, 0.05)
 """How far each plate presses [m]."""

@@ -16,10 +16,10 @@ import numpy as np
 
 from phy124.materials import FixedCorotated, Material, NeoHookean
 from phy124.mpm import Unstable
-from phy124.selftest import CASES, Setting, examine
-from phy124.selftest.bodies import DX, Array, body, host, steps
-from phy124.selftest.impact import hit
-from phy124.selftest.limits import heavy_on_light
+from phy124.studies.validation.stress import CASES, Setting, examine
+from phy124.studies.validation.stress.bodies import DX, Array, body, host, steps
+from phy124.studies.validation.stress.impact import hit
+from phy124.studies.validation.stress.limits import heavy_on_light
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.shapes import block, lattice

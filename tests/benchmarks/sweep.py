@@ -20,10 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phy124.sweep import Counts, Plan, Sweep, run
-from phy124.sweep.manifest import read_manifest
-from phy124.sweep.running import _orders
-from phy124.sweep.storage import Storage
+from phy124.studies.sweep import Counts, Plan, Sweep, run
+from phy124.studies.sweep.manifest import read_manifest
+from phy124.studies.sweep.running import _orders
+from phy124.studies.sweep.storage import Storage
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.killing import clips_of, killer

@@ -9,15 +9,15 @@ from functools import cache
 
 import numpy as np
 
-from phy124.accuracy.problems import angular_momentum, block
 from phy124.boundaries import Ground
-from phy124.experiments.bodies import brick, shells
 from phy124.generators.shapes import shape
 from phy124.materials import NeoHookean, Rigid
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Model, Scheme, Solver, State
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.studies.validation.accuracy.problems import angular_momentum, block
+from phy124.studies.validation.experiments.bodies import brick, shells
 
 SCHEMES = {
     "apic": Scheme(),

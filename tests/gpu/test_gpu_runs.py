@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from phy124 import resume
 from phy124.accuracy.pilot import fly
 from phy124.errors import Cancelled
+from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Interrupted, Simulation
 from support.shapes import ball

@@ -23,12 +23,12 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 def choose() -> None:
     """Choose them; before anything else of phy124 is imported, as names are bound then."""
     reduction.shared_out, reduction.along_rows = shared_out, along_rows
-    from phy124 import deform
     from phy124.kernels.deform import deform_shapes
     from phy124.kernels.splat.shadow import cover
     from phy124.mpm import model
     from phy124.rendering import render
     from phy124.rendering.stage import shadow
+    from phy124.simulation import deform
 
     model.form_of = lambda precision, device, gradient="affine": (
         "spline" if gradient == "spline" else "plain"

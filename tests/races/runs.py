@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from phy124.accuracy import problems
 from phy124.camera import Camera
 from phy124.generators.relief.hull import Hull
 from phy124.generators.relief.surface import Surface, settled
@@ -19,9 +18,10 @@ from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene, View
 from phy124.scene.scene import preset_names
-from phy124.selftest.case import Setting
-from phy124.selftest.laws import every_deformation
 from phy124.simulation import Simulation
+from phy124.studies.validation.accuracy import problems
+from phy124.studies.validation.stress.case import Setting
+from phy124.studies.validation.stress.laws import every_deformation
 from support.scenes import FORCES, LAWS, OTHER_SOLIDS, SOLIDS, SWING
 from support.shapes import ball, splats
 from support.solvers import make_solver

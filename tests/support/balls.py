@@ -1,7 +1,7 @@
 """Two equal balls, pressed on each other or colliding: by particles and by finite elements.
 
-Finite elements (phy124/experiments/elastic_ball.py) give the force of a ball between two
-plates, which by symmetry is the force between two balls.
+Finite elements (phy124/studies/validation/experiments/elastic_ball.py) give the force of a ball
+between two plates, which by symmetry is the force between two balls.
 """
 
 import math
@@ -10,10 +10,10 @@ import numpy as np
 
 from phy124.boundaries import HalfSpace
 from phy124.boundaries.motion import Path
-from phy124.experiments.elastic_ball import Elements, law, mesh
-from phy124.experiments.hertz import HOLD, MOVE, NU, RADIUS, E
 from phy124.materials import NeoHookean
 from phy124.mpm import FreeBody, Model, Pair, Solver
+from phy124.studies.validation.experiments.elastic_ball import Elements, law, mesh
+from phy124.studies.validation.experiments.hertz import HOLD, MOVE, NU, RADIUS, E
 from support.shapes import trimmed_ball
 
 RUBBER = NeoHookean(E=E, nu=NU, damping=30.0)
@@ -96,8 +96,8 @@ COURANT = 0.3
 def collision(radius, approach, *, E, nu, density, fine=6):
     """Largest force [N], and how long one acts [s], of neo-Hookean balls.
 
-    Explicit central differences of the mesh of phy124/experiments/elastic_ball.py; nodes that pass
-    the plate are put back on it. Force and places have the radius and E as units, means over 5 ms.
+    Explicit central differences of the mesh of `experiments.elastic_ball`; nodes beyond the plate
+    are put back on it. Force and places have the radius and E as units, means over 5 ms.
 
     Args:
         approach: Speed of one ball towards the other [m/s].

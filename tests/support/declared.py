@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from phy124.scene import Scene
-from phy124.scene.declaration import Declaration, Node
+from phy124.schema.declaration import Declaration, Node
 
 Wrap = Callable[[Any], Any]
 DECLARED = Declaration(Scene)

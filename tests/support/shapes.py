@@ -6,8 +6,8 @@ from itertools import product
 import numpy as np
 
 from phy124.gaussians import Gaussians
-from phy124.selftest.bodies import block as block
-from phy124.selftest.inputs import shell
+from phy124.studies.validation.stress.bodies import block as block
+from phy124.studies.validation.stress.inputs import shell
 
 
 def ball(count: int = 2000, radius: float = 0.5) -> Gaussians:

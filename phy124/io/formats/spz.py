@@ -35,8 +35,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from phy124.gaussians import Gaussians
-from phy124.harmonics import mirror_signs
+from phy124.gaussians import Gaussians, mirror_signs
 from phy124.io.content import (
     DEGREE_4,
     LARGEST_SH,

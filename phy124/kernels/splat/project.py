@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from phy124 import harmonics
-from phy124.gaussians import SH_C0
+from phy124.gaussians import SH_C0, SH_C1, SH_C2, SH_C3
 from phy124.kernels.build import kernel
 from phy124.kernels.native import code, constants, native_func
 from phy124.kernels.reduction import finite
@@ -11,14 +10,14 @@ from phy124.kernels.splat.screen import MIN_ALPHA, Splat, View, tiles_of
 
 LOG2_E = wp.constant(1.4426950408889634)
 C0 = wp.constant(SH_C0)
-C1 = wp.constant(harmonics.C1)
-C2 = wp.constant(wp.types.vector(5, float)(*harmonics.C2))
-C3 = wp.constant(wp.types.vector(7, float)(*harmonics.C3))
+C1 = wp.constant(SH_C1)
+C2 = wp.constant(wp.types.vector(5, float)(*SH_C2))
+C3 = wp.constant(wp.types.vector(7, float)(*SH_C3))
 
 
 @wp.func
 def colour_towards(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, d: wp.vec3) -> wp.vec3:
-    """Colour of Gaussian i along the unit direction d, unclamped; signs as in phy124.harmonics."""
+    """Colour of Gaussian i along the unit direction d, unclamped; signs as in phy124.gaussians."""
     rgb = wp.vec3(0.5, 0.5, 0.5) + C0 * sh[i, 0]
     if degree > 0:
         x = d[0]

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from phy124.boundaries import BOUNDARIES, Boundary
 from phy124.gaussians import Array, Frame
 from phy124.io.clip import Clip
-from phy124.plugins import registered
 from phy124.rendering.stage.backdrop import backdrop
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame, bounds
 from phy124.rendering.stage.ground import floor_heights
 from phy124.rendering.stage.shadow import GLASS, SLOPE, Caster, Glass
 from phy124.rendering.stage.solids import placed
 from phy124.scene import Scene, View
+from phy124.schema.plugins import registered
 
 SAMPLE = 1024
 """Number of Gaussians whose path decides how much of the floor the shadow map covers."""

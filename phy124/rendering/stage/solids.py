@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary, Container
 from phy124.boundaries.base import AtRest
+from phy124.mpm.tracks import Track
 from phy124.rendering.stage.frame import Solid
-from phy124.tracks import Track
 
 LEVEL = 0.999
 """Cosine of the largest slope of a plane that counts as a floor."""

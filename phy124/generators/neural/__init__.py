@@ -1,0 +1,1 @@
+"""Generators with trained networks, which nothing outside this folder imports."""

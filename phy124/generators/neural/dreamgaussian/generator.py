@@ -1,0 +1,257 @@
+"""The first stage of DreamGaussian: Gaussians fitted to one picture and to a guidance model.
+
+Tang et al. 2024, "DreamGaussian: Generative Gaussian Splatting for Efficient 3D Content Creation".
+It optimises instead of predicting, so it needs a GPU in practice; results of the original program
+can be read as PLY (docs/guide/plugins.md).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.generators.neural.dreamgaussian.density import (
+    Density,
+    Pull,
+    densify,
+    normal_draw,
+    prune,
+    reset_opacity,
+)
+from phy124.generators.neural.dreamgaussian.guidance import Guidance, Pose
+from phy124.generators.neural.dreamgaussian.splats import Rates, Splats, ball
+from phy124.generators.neural.precision import torch_device
+from phy124.generators.neural.splatting import View, orbit_view
+from phy124.generators.ply_file import normalised
+from phy124.imaging.u2net import multiply_mask
+from phy124.progress import Progress, silent
+from phy124.weights.store import require
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The settings of DreamGaussian's image.yaml."""
+
+    steps: int = 500
+    points: int = 5000
+    ball_radius: float = 0.5
+    radius: float = 2.0
+    """Distance of the cameras; with radius 2 the result spans about +-0.9."""
+    known_size: int = 256
+    """Side of the known view, pixels; 0 for no known view."""
+    rgb_weight: float = 10_000.0
+    alpha_weight: float = 1_000.0
+    guidance_weight: float = 1.0
+    elevations: tuple[int, int] = (-30, 30)
+    """Range of the guided views, degrees; positive is below the object."""
+    sizes: tuple[int, ...] = (128, 256, 512)
+    """Sides of the guided views, pixels: below 30 % of the steps, below 60 %, and after."""
+    rates: Rates = field(default_factory=Rates)
+    density: Density = field(default_factory=Density)
+    final_extent: float = 1.0
+    """Extent used by the last pruning."""
+
+    def guided_size(self, ratio: float) -> int:
+        """Side of the guided views at `ratio` of the steps, pixels."""
+        return self.sizes[min((ratio >= 0.3) + (ratio >= 0.6), len(self.sizes) - 1)]
+
+
+WITH_IMAGEDREAM = Settings(
+    radius=2.5,
+    known_size=0,
+    elevations=(-5, 0),
+    rates=Rates(steps=300),
+    density=Density(start=50, every=50),
+)
+"""The settings of DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
+
+There the guidance is silently off for an empty prompt, the only prompt used here; here it is on.
+"""
+
+
+class DreamGaussian:
+    """Turns an image into Gaussians by optimisation.
+
+    `guidance` makes the guidance for a picture [3,S,S] over white; without it the weights of
+    Zero123 are searched for as `phy124.weights.store` describes.
+    """
+
+    def __init__(
+        self,
+        *,
+        weights: str | os.PathLike[str] | None = None,
+        guidance: Callable[[Tensor], Guidance] | None = None,
+        settings: Settings | None = None,
+        steps: int | None = None,
+        device: str | None = None,
+    ) -> None:
+        self.weights, self.guidance = weights, guidance
+        settings = settings or Settings()
+        self.settings = replace(settings, steps=steps) if steps else settings
+        self.device = torch_device(device)
+
+    def __call__(
+        self,
+        image_rgba: Image.Image | NDArray[np.uint8],
+        *,
+        seed: int = 0,
+        progress: Progress = silent,
+    ) -> Gaussians:
+        """Gaussians of the cut-out `image_rgba [H,W,4]` with a longest side of 1 m.
+
+        `progress` is called before every step; if it raises Cancelled, that passes through.
+
+        Raises:
+            InputError: If weights are missing or the picture is not a cut-out.
+        """
+        settings = self.settings
+        pixels = torch.from_numpy(framed(np.asarray(image_rgba)).astype(np.float32) / 255)
+        pixels = pixels.permute(2, 0, 1).to(self.device)
+        rgb, alpha = pixels[:3] * pixels[3:] + (1 - pixels[3:]), pixels[3]
+        guidance = (self.guidance or self._zero123)(rgb)
+        draw = torch.Generator().manual_seed(seed)
+        splats = start(settings, draw, self.device)
+        fit(splats, guidance, settings, draw, known=(rgb, alpha), progress=progress)
+        if not len(splats):
+            raise InputError(
+                "generator",
+                "dreamgaussian",
+                "no Gaussian was left: all became transparent or too large.",
+                "Use more points or steps, or another seed.",
+            )
+        return normalised(splats.gaussians(), "DreamGaussian")
+
+    def _zero123(self, image: Tensor) -> Guidance:
+        require("zero123", self.weights)  # before the libraries, which take seconds
+        from phy124.generators.neural.dreamgaussian.guidance.zero123 import Zero123, trained
+
+        dtype = torch.float16 if self.device.startswith("cuda") else torch.float32
+        return Zero123(image, trained(self.weights, self.device, dtype))
+
+
+def start(settings: Settings, draw: torch.Generator, device: str = "cpu") -> Splats:
+    """Grey Gaussians spread in a ball, with a little colour noise as in the original."""
+    points = ball(settings.points, settings.ball_radius, draw).to(device)
+    colors = 0.5 + torch.rand(len(points), 3, generator=draw).to(device) / 255
+    return Splats.from_points(points, colors, settings.rates)
+
+
+def fit(
+    splats: Splats,
+    guidance: Guidance,
+    settings: Settings,
+    draw: torch.Generator,
+    *,
+    known: tuple[Tensor, Tensor] | None = None,
+    progress: Progress = silent,
+) -> None:
+    """Optimise `splats` in place.
+
+    Args:
+        splats: The Gaussians.
+        guidance: Judges new views.
+        settings: Steps, rates and weights.
+        draw: Source of normal samples.
+        known: The picture over white [3,S,S] and its coverage [S,S], seen from the front.
+        progress: Called before every step, as in `phy124.progress`.
+    """
+    pull = Pull(len(splats), splats.parameters["xyz"].device)
+    samples, view = normal_draw(draw), settings.density
+    for step in range(1, settings.steps + 1):
+        progress("dreamgaussian", step - 1, settings.steps)
+        splats.set_step(step)
+        ratio = step / settings.steps
+        loss = _known_loss(splats, settings, ratio, known)
+        guided, renderings = _guided_loss(splats, guidance, settings, ratio, draw)
+        (loss + settings.guidance_weight * guided).backward()
+        # The original counts the rendering it made last, and no other.
+        if view.start <= step <= view.end:
+            pull.add_rendering(renderings[-1])
+        splats.step()
+        if view.start <= step <= view.end and step % view.every == 0:
+            densify(splats, pull.mean, view, samples)
+            pull = Pull(len(splats), splats.parameters["xyz"].device)
+        if step % view.reset_every == 0:
+            reset_opacity(splats)
+    prune(splats, opacity_min=view.opacity_min, extent=settings.final_extent)
+    progress("dreamgaussian", settings.steps, settings.steps)
+
+
+def _known_loss(
+    splats: Splats, settings: Settings, ratio: float, known: tuple[Tensor, Tensor] | None
+) -> Tensor:
+    """Difference from the picture, with a weight that grows over time."""
+    zero = splats.parameters["xyz"].new_zeros(())
+    if known is None or not settings.known_size:
+        return zero
+    rgb, alpha = known
+    size = settings.known_size
+    drawn = splats.render(orbit_view(0, 0, settings.radius, size), rgb.new_ones(3))
+    wanted = torch.cat([rgb, alpha[None]])[None]
+    wanted = interpolate(wanted, (size, size), mode="bilinear", align_corners=False)[0]
+    rgb_loss = (drawn.rgb.permute(2, 0, 1) - wanted[:3]).square().mean()
+    alpha_loss = (drawn.alpha - wanted[3]).square().mean()
+    return ratio * (settings.rgb_weight * rgb_loss + settings.alpha_weight * alpha_loss)
+
+
+def _guided_loss(
+    splats: Splats, guidance: Guidance, settings: Settings, ratio: float, draw: torch.Generator
+) -> tuple[Tensor, list]:
+    """The guidance's loss for new views, and their renderings."""
+    low, high = settings.elevations
+    elevation = int(torch.randint(low, high + 1, (), generator=draw))
+    azimuth = int(torch.randint(-180, 180, (), generator=draw))
+    white = bool(torch.rand((), generator=draw) > 0.5)
+    like = splats.parameters["xyz"]
+    background = like.new_ones(3) if white else like.new_zeros(3)
+    poses, renderings = [], []
+    for i in range(guidance.views):
+        pose = Pose(elevation, azimuth + i * 360 / guidance.views, 0.0)
+        view = _view(pose, settings, settings.guided_size(ratio))
+        poses.append(pose)
+        renderings.append(splats.render(view, background))
+    images = torch.stack([r.rgb.permute(2, 0, 1) for r in renderings])
+    return guidance(images, poses, ratio, draw).to(like), renderings
+
+
+def _view(pose: Pose, settings: Settings, size: int) -> View:
+    return orbit_view(pose.elevation, pose.azimuth, settings.radius + pose.radius, size)
+
+
+def framed(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:
+    """The cut-out [H,W,4] in the middle of a square [size,size,4], as process.py makes it.
+
+    Unlike LGM's it is resampled in 8 bits. rembg gives colours multiplied by alpha.
+
+    Raises:
+        InputError: If there is no alpha channel or nothing is opaque.
+    """
+    if image_rgba.ndim != 3 or image_rgba.shape[2] != 4:
+        raise InputError(
+            "image", list(image_rgba.shape), "a cut-out has four channels.", "Cut it out first."
+        )
+    cut = multiply_mask(image_rgba[..., :3], image_rgba[..., 3])
+    rows, columns = np.nonzero(cut[..., 3])
+    if not len(rows) or np.ptp(rows) == 0 or np.ptp(columns) == 0:
+        raise InputError("image", "no object", "nothing in it is opaque.", "Give a cut-out object.")
+    top, bottom, left, right = rows.min(), rows.max(), columns.min(), columns.max()
+    scale = int(size * 0.8) / max(bottom - top, right - left)
+    height, width = max(1, int((bottom - top) * scale)), max(1, int((right - left) * scale))
+    y, x = (size - height) // 2, (size - width) // 2
+    part = np.ascontiguousarray(cut[top:bottom, left:right])
+    square = np.zeros((size, size, 4), np.uint8)
+    square[y : y + height, x : x + width] = cv2.resize(
+        part, (width, height), interpolation=cv2.INTER_AREA
+    )
+    return square

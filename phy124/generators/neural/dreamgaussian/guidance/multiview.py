@@ -1,0 +1,62 @@
+"""Guidance by ImageDream: four views a quarter turn apart, judged together.
+
+Wang & Shi 2023, "ImageDream". As in DreamGaussian the noise difference is not weighted, and the
+loss is divided by the number of views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from phy124.generators.neural.dreamgaussian.guidance import Pose, noised, sds, timestep
+from phy124.generators.neural.imagedream.cameras import pose_row
+from phy124.generators.neural.imagedream.pipeline import SIZE, Condition, Parts, guided, look
+
+
+class MultiView:
+    """Score distillation with the networks and the condition of the ImageDream generator."""
+
+    views = 4
+
+    def __init__(self, unet: Any, vae: Any, condition: Condition, *, guidance: float = 5.0) -> None:
+        self.unet, self.vae, self.condition = unet, vae, condition
+        self.guidance = guidance
+
+    @classmethod
+    @torch.no_grad()
+    def looking_at(cls, image: Tensor, parts: Parts, *, seed: int = 0) -> MultiView:
+        """With the networks `parts` (see `imagedream.pipeline.TrainedParts`) and one picture."""
+        condition = look(parts, image, torch.Generator().manual_seed(seed))
+        return cls(parts.unet, parts.vae, condition)
+
+    def __call__(
+        self, images: Tensor, poses: Sequence[Pose], ratio: float, draw: torch.Generator
+    ) -> Tensor:
+        """SDS loss of four views; see `Guidance`."""
+        level = timestep(ratio)
+        latents = self._latents(images, draw)
+        noise = torch.randn(latents.shape, generator=draw).to(latents)
+        with torch.no_grad():
+            predicted = self._noise(noised(latents, noise, level), level, poses)
+        return sds(latents, predicted, noise, 1.0) / self.views
+
+    def _latents(self, images: Tensor, draw: torch.Generator) -> Tensor:
+        square = interpolate(images, (SIZE, SIZE), mode="bilinear", align_corners=False)
+        posterior = self.vae.encode(2 * square.to(self.condition.latents) - 1).latent_dist
+        noise = torch.randn(posterior.mean.shape, generator=draw).to(posterior.mean)
+        return (posterior.mean + posterior.std * noise) * self.vae.config.scaling_factor
+
+    def _noise(self, latents: Tensor, level: int, poses: Sequence[Pose]) -> Tensor:
+        rows = [pose_row(pose.elevation, pose.azimuth) for pose in poses]
+        cameras = torch.tensor([*rows, [0.0] * 16]).to(self.condition.cameras)
+        told = Condition(
+            self.condition.text, self.condition.tokens, self.condition.latents, cameras
+        )
+        # The fifth frame is replaced by the picture inside the network; its noise is not used.
+        frames = torch.cat([latents, self.condition.latents])
+        return guided(self.unet, frames, torch.tensor(level), told, self.guidance)[: self.views]

@@ -1,0 +1,167 @@
+"""The Gaussians being optimised: parameters before activation, and their Adam optimiser.
+
+Kerbl et al. 2023, "3D Gaussian Splatting", section 5, with the learning rates of Tang et al. 2024,
+"DreamGaussian". Colours do not depend on the direction (spherical harmonics of degree 0).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from phy124.gaussians import SH_C0, Gaussians
+from phy124.generators.neural.orbit import to_world
+from phy124.generators.neural.splatting import Rendering, View, rasterize
+
+Parameters = dict[str, Tensor]
+"""xyz [N,3]; f_dc [N,1,3] harmonics; opacity [N,1] logits; scaling [N,3] logs; rotation [N,4]."""
+NEIGHBOURS = 3
+SMALLEST = 1e-7
+"""Lower bound of the mean squared distance to neighbours, so that its logarithm is finite."""
+START_OPACITY = 0.1
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Learning rates of Adam; the rate of the centres falls from `xyz` to `xyz_last`."""
+
+    xyz: float = 0.01
+    xyz_last: float = 0.0002
+    f_dc: float = 0.01
+    opacity: float = 0.05
+    scaling: float = 0.005
+    rotation: float = 0.005
+    steps: int = 500
+    """Steps until `xyz_last` is reached."""
+
+    def position(self, step: int) -> float:
+        """Rate of the centres at a step; its logarithm changes linearly."""
+        t = min(1.0, step / self.steps)
+        return math.exp((1 - t) * math.log(self.xyz) + t * math.log(self.xyz_last))
+
+
+class Splats:
+    """Gaussians that can be drawn, optimised, and changed in number."""
+
+    def __init__(self, parameters: Parameters, rates: Rates | None = None) -> None:
+        self.rates = rates or Rates()
+        self.parameters = {
+            name: value.detach().clone().requires_grad_() for name, value in parameters.items()
+        }
+        groups = [
+            {"params": [value], "lr": getattr(self.rates, name), "name": name}
+            for name, value in self.parameters.items()
+        ]
+        self.optimizer = torch.optim.Adam(groups, lr=0.0, eps=1e-15)
+
+    @classmethod
+    def from_points(cls, points: Tensor, colors: Tensor, rates: Rates | None = None) -> Splats:
+        """Round Gaussians at `points [N,3]`, as wide as their neighbours are far; colours 0..1."""
+        n = len(points)
+        mean = neighbour_distances(points).clamp(min=SMALLEST)
+        parameters = {
+            "xyz": points,
+            "f_dc": ((colors - 0.5) / SH_C0)[:, None, :],
+            "opacity": torch.full_like(
+                points[:, :1], math.log(START_OPACITY / (1 - START_OPACITY))
+            ),
+            "scaling": (0.5 * mean.log())[:, None].repeat(1, 3),
+            "rotation": torch.eye(4, dtype=points.dtype, device=points.device)[:1].repeat(n, 1),
+        }
+        return cls(parameters, rates)
+
+    def __len__(self) -> int:
+        return len(self.parameters["xyz"])
+
+    @property
+    def scales(self) -> Tensor:
+        """Standard deviations [N,3]."""
+        return self.parameters["scaling"].exp()
+
+    @property
+    def opacities(self) -> Tensor:
+        """Opacities [N], 0..1."""
+        return self.parameters["opacity"][:, 0].sigmoid()
+
+    def render(self, view: View, background: Tensor) -> Rendering:
+        """A picture with gradients; negative colours are clipped as in 3DGS."""
+        p = self.parameters
+        colors = (0.5 + SH_C0 * p["f_dc"][:, 0]).clamp(min=0)
+        return rasterize(
+            p["xyz"], p["rotation"], self.scales, self.opacities, colors, view, background
+        )
+
+    def set_step(self, step: int) -> None:
+        """Set the centres' learning rate for this step."""
+        for group in self.optimizer.param_groups:
+            if group["name"] == "xyz":
+                group["lr"] = self.rates.position(step)
+
+    def step(self) -> None:
+        """One step of Adam with the present gradients, which are then cleared."""
+        self.optimizer.step()
+        self.optimizer.zero_grad()
+
+    def keep(self, mask: Tensor) -> None:
+        """Drop the Gaussians where `mask [N]` is false, with their momenta."""
+        self._replace({k: (v[mask], lambda m: m[mask]) for k, v in self.parameters.items()})
+
+    def append(self, more: Parameters) -> None:
+        """Add Gaussians with zero momenta."""
+        self._replace(
+            {
+                name: (
+                    torch.cat([value, more[name]]),
+                    lambda m, new=more[name]: torch.cat([m, torch.zeros_like(new)]),
+                )
+                for name, value in self.parameters.items()
+            }
+        )
+
+    def overwrite(self, name: str, value: Tensor) -> None:
+        """Replace one parameter and clear its momenta."""
+        self._replace({name: (value, torch.zeros_like)})
+
+    def _replace(self, changes: dict) -> None:
+        """Swap parameters inside Adam: name -> (value, function of each momentum)."""
+        for group in self.optimizer.param_groups:
+            if group["name"] not in changes:
+                continue
+            value, momentum = changes[group["name"]]
+            (old,) = group["params"]
+            state = self.optimizer.state.pop(old, {})
+            new = value.detach().clone().requires_grad_()
+            for key in ("exp_avg", "exp_avg_sq"):
+                if key in state:
+                    state[key] = momentum(state[key])
+            group["params"] = [new]
+            if state:
+                self.optimizer.state[new] = state
+            self.parameters[group["name"]] = new
+
+    @torch.no_grad()
+    def gaussians(self) -> Gaussians:
+        """The result in our world."""
+        p = self.parameters
+        quats = torch.nn.functional.normalize(p["rotation"])
+        parts = (p["xyz"], quats, self.scales, self.opacities, p["f_dc"])
+        return to_world(Gaussians(*(np.asarray(part.cpu()) for part in parts)))
+
+
+def neighbour_distances(points: Tensor) -> Tensor:
+    """Mean squared distance [N] of each point [N,3] to its three nearest neighbours."""
+    squared = torch.cdist(points, points).square().fill_diagonal_(math.inf)
+    return squared.topk(min(NEIGHBOURS, len(points) - 1), largest=False).values.mean(dim=1)
+
+
+def ball(count: int, radius: float, draw: torch.Generator) -> Tensor:
+    """Points [count,3] spread evenly in a ball."""
+    u, v, w = torch.rand(3, count, generator=draw)
+    azimuth, z = 2 * math.pi * u, 2 * v - 1
+    ring = torch.sqrt(1 - z * z)
+    directions = torch.stack([ring * azimuth.cos(), ring * azimuth.sin(), z], dim=1)
+    return radius * w[:, None] ** (1 / 3) * directions

@@ -1,0 +1,221 @@
+"""The multi-view U-Net of ImageDream, and of MVDream if there is no picture.
+
+A latent diffusion U-Net (Rombach et al. 2022) whose self-attention spans all views of an object and
+whose time embedding carries each view's camera. Wang & Shi 2023, "ImageDream"; Shi et al. 2023,
+"MVDream".
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from phy124.errors import InputError
+from phy124.generators.neural.imagedream.attention import GROUPS, SpatialTransformer
+from phy124.generators.neural.imagedream.blocks import Downsample, ResBlock, Stage, Upsample
+from phy124.generators.neural.imagedream.resampler import Resampler
+from phy124.weights.checkpoints import StateDict, fill, read_tensors, without_prefix
+
+CLIP_WIDTH = 1280
+"""Width of the picture's tokens: CLIP ViT-H/14."""
+ORIGINAL_PREFIX = "model.diffusion_model."
+"""Prefix of every name in the checkpoint of ImageDream's authors."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Sizes of the network; defaults are ImageDream's, names are those of its config.json."""
+
+    in_channels: int = 4
+    out_channels: int = 4
+    model_channels: int = 320
+    channel_mult: Sequence[int] = (1, 2, 4, 4)
+    num_res_blocks: int = 2
+    attention_resolutions: Sequence[int] = (4, 2, 1)
+    """Attention is used where the picture is smaller by one of these factors."""
+    num_head_channels: int = 64
+    transformer_depth: int = 1
+    context_dim: int = 1024
+    camera_dim: int = 16
+    ip_dim: int = 16
+    """Number of picture tokens; 0 for MVDream."""
+    ip_weight: float = 1.0
+    image_size: int = 32
+    """Side of the latents in training; has no effect."""
+    use_checkpoint: bool = False
+    """Recomputation in training; has no effect."""
+
+
+class MultiViewUNet(nn.Module):
+    """Noise in the latents of F views of each object: [B*F,4,h,w] -> [B*F,4,h,w]."""
+
+    def __init__(self, config: Config) -> None:
+        super().__init__()
+        self.config = config
+        width = config.model_channels
+        embedding = 4 * width
+        if config.ip_dim:
+            self.image_embed = Resampler(CLIP_WIDTH, config.context_dim, config.ip_dim)
+        self.time_embed = _two_layers(width, embedding)
+        self.camera_embed = _two_layers(config.camera_dim, embedding)
+        first = nn.Conv2d(config.in_channels, width, 3, padding=1)
+        self.input_blocks = nn.ModuleList([Stage(first)])
+        channels, skips = self._build_inputs(embedding)
+        self.middle_block = Stage(
+            ResBlock(channels, channels, embedding),
+            self._transformer(channels),
+            ResBlock(channels, channels, embedding),
+        )
+        self.output_blocks = nn.ModuleList()
+        channels = self._build_outputs(channels, skips, embedding)
+        last = nn.Conv2d(channels, config.out_channels, 3, padding=1)
+        self.out = nn.Sequential(nn.GroupNorm(GROUPS, channels), nn.SiLU(), last)
+
+    def _transformer(self, channels: int) -> SpatialTransformer:
+        c = self.config
+        return SpatialTransformer(
+            channels,
+            c.context_dim,
+            channels // c.num_head_channels,
+            depth=c.transformer_depth,
+            picture_tokens=c.ip_dim,
+            picture_weight=c.ip_weight,
+        )
+
+    def _layers(self, inputs: int, outputs: int, embedding: int, level: int) -> list[nn.Module]:
+        layers: list[nn.Module] = [ResBlock(inputs, outputs, embedding)]
+        if 2**level in self.config.attention_resolutions:
+            layers.append(self._transformer(outputs))
+        return layers
+
+    def _build_inputs(self, embedding: int) -> tuple[int, list[int]]:
+        """Append the descending stages; return the last width and the widths of all skips."""
+        c = self.config
+        channels, skips = c.model_channels, [c.model_channels]
+        for level, factor in enumerate(c.channel_mult):
+            for _ in range(c.num_res_blocks):
+                width = factor * c.model_channels
+                self.input_blocks.append(Stage(*self._layers(channels, width, embedding, level)))
+                channels = width
+                skips.append(channels)
+            if level < len(c.channel_mult) - 1:
+                self.input_blocks.append(Stage(Downsample(channels)))
+                skips.append(channels)
+        return channels, skips
+
+    def _build_outputs(self, channels: int, skips: list[int], embedding: int) -> int:
+        """Append the ascending stages; return the last width."""
+        c = self.config
+        for level in reversed(range(len(c.channel_mult))):
+            for i in range(c.num_res_blocks + 1):
+                width = c.channel_mult[level] * c.model_channels
+                layers = self._layers(channels + skips.pop(), width, embedding, level)
+                channels = width
+                if level and i == c.num_res_blocks:
+                    layers.append(Upsample(channels))
+                self.output_blocks.append(Stage(*layers))
+        return channels
+
+    def forward(
+        self,
+        x: Tensor,
+        timesteps: Tensor,
+        context: Tensor,
+        num_frames: int = 1,
+        camera: Tensor | None = None,
+        ip: Tensor | None = None,
+        ip_img: Tensor | None = None,
+    ) -> Tensor:
+        """Predict the noise.
+
+        Args:
+            x: Latents [B*F,4,h,w]; the views of an object follow each other.
+            timesteps: [B*F], 0 to 999.
+            context: Text tokens [B*F,77,context_dim].
+            num_frames: F; with `ip` it counts the additional frame that holds the picture.
+            camera: Camera to world [B*F,16], row by row; zeros for that frame.
+            ip: CLIP tokens of the picture [B*F,257,1280].
+            ip_img: Latents of the picture [B,4,h,w], which replace each object's last frame.
+        """
+        if ip is not None and ip_img is not None:
+            x = with_picture(x, ip_img, num_frames)
+            context = torch.cat([context, self.image_embed(ip)], dim=1)
+        dtype = x.dtype
+        embedding = self.time_embed(
+            timestep_embedding(timesteps, self.config.model_channels).to(dtype)
+        )
+        if camera is not None:
+            embedding = embedding + self.camera_embed(camera.to(dtype))
+        skips = []
+        for stage in self.input_blocks:
+            x = stage(x, embedding, context, num_frames)
+            skips.append(x)
+        x = self.middle_block(x, embedding, context, num_frames)
+        for stage in self.output_blocks:
+            x = stage(torch.cat([x, skips.pop()], dim=1), embedding, context, num_frames)
+        return self.out(x)
+
+
+def with_picture(x: Tensor, ip_img: Tensor, num_frames: int) -> Tensor:
+    """`x [B*F,4,h,w]` with each object's last frame replaced by `ip_img [B,4,h,w]`."""
+    x = x.clone()
+    x[num_frames - 1 :: num_frames] = ip_img.to(x.dtype)
+    return x
+
+
+def timestep_embedding(timesteps: Tensor, width: int) -> Tensor:
+    """Sinusoids [N,width] of `timesteps [N]`: cosines, then sines, float32."""
+    half = width // 2
+    steps = torch.arange(half, dtype=torch.float32, device=timesteps.device)
+    angles = timesteps[:, None].float() * torch.exp(-math.log(10000) * steps / half)
+    return torch.cat([torch.cos(angles), torch.sin(angles)], dim=-1)
+
+
+def _two_layers(inputs: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, outputs), nn.SiLU(), nn.Linear(outputs, outputs))
+
+
+def load_unet(
+    state_dict_or_path: StateDict | str | os.PathLike[str],
+    *,
+    device: str | torch.device = "cpu",
+    dtype: torch.dtype = torch.float32,
+    **config: Any,
+) -> MultiViewUNet:
+    """Build the network and fill it strictly.
+
+    Both the names of the diffusers repository and those of the authors' checkpoint are accepted;
+    without tensors for a picture it is MVDream.
+
+    Args:
+        state_dict_or_path: Tensors, or a file of them.
+        device: Where the network runs.
+        dtype: Its precision.
+        **config: Fields of `Config` that differ from ImageDream's.
+
+    Raises:
+        InputError: If a field is unknown or the tensors do not fit this network.
+    """
+    tensors = state_dict_or_path
+    if isinstance(tensors, (str, os.PathLike)):
+        tensors = read_tensors(tensors)
+    tensors = without_prefix(tensors, ORIGINAL_PREFIX)
+    if not any(key.startswith("image_embed.") for key in tensors):
+        config.setdefault("ip_dim", 0)
+    try:
+        chosen = Config(**config)
+    except TypeError as error:
+        known = ", ".join(Config.__dataclass_fields__)
+        raise InputError(
+            "config", ", ".join(config), f"a field is unknown; there are {known}.", "Leave it out."
+        ) from error
+    with torch.device("meta"):
+        unet = MultiViewUNet(chosen)
+    fill(unet, tensors, "ImageDream's U-Net" if chosen.ip_dim else "MVDream's U-Net")
+    return unet.to(device=device, dtype=dtype).eval().requires_grad_(False)

@@ -1,0 +1,235 @@
+"""LGM as a generator: a cut-out, four views of it, Gaussians in this project's world.
+
+Tang et al. 2024, "LGM". The four views come from ImageDream or from the user.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.generators.effort import Effort, Work, speed_of
+from phy124.generators.neural.imagedream.work import AROUND, PARAMETERS, STEP, STEPS
+from phy124.generators.neural.lgm.align import four_views, front
+from phy124.generators.neural.lgm.model import LgmModel, Option, load
+from phy124.generators.neural.lgm.rays import four_rays
+from phy124.generators.neural.lgm.rotations import judge, unrotated
+from phy124.generators.neural.orbit import to_world
+from phy124.generators.neural.precision import dtype_of, is_short, torch_device
+from phy124.generators.options import SAMPLER, Precision, Sampler
+from phy124.generators.ply_file import normalised
+from phy124.imaging.image import recenter
+from phy124.imaging.u2net import multiply_mask
+from phy124.progress import Progress, silent
+from phy124.weights.store import have, require
+
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""ImageNet's colour statistics, by which the input is normalised."""
+OPACITY_MIN = 0.005
+"""Fainter Gaussians are dropped, as the original does when saving."""
+VIEW_ORDER = (1, 2, 3, 0)
+"""LGM's front is ImageDream's second view."""
+OLD_GENERATION = (
+    "These LGM weights are of the first generation, whose quaternions mean nothing: the Gaussians "
+    "are left unrotated, as that generation drew them. `phy124 weights fetch lgm` gets the "
+    "corrected ones."
+)
+WORK = Work(98.8e9, 1486.6e9, 194.9e9)
+"""Arithmetic of the option `big`, counted as in `phy124.generators.neural.imagedream.work`."""
+MEMORY = 650_000_000
+"""Numbers that the option `big` keeps in memory, weights and intermediate ones."""
+Views = Callable[..., Tensor]
+"""`(image [3,H,W] over white, *, seed, progress) -> views [5,3,256,256]` in ImageDream's order."""
+
+
+class Lgm:
+    """Turns an image into Gaussians; weights are read on the first call and kept.
+
+    `model` and `multiview` may be passed in, for tests and for other weights; otherwise they are
+    found as `phy124.weights.store` describes. `align` rotates the result to match the picture
+    (`lgm.align`), at the price of a small rendering every `align_step` degrees and a second pass.
+    `steps`, `sampler` and `precision` are those of ImageDream's diffusion
+    (`phy124.generators.options`).
+    """
+
+    def __init__(
+        self,
+        *,
+        weights: str | os.PathLike[str] | None = None,
+        option: str | Option = "big",
+        device: str | None = None,
+        dtype: torch.dtype | None = None,
+        align: bool = False,
+        align_step: int = 1,
+        steps: int | None = None,
+        sampler: Sampler | None = None,
+        precision: Precision | None = None,
+        model: LgmModel | None = None,
+        multiview: Views | None = None,
+    ) -> None:
+        self.weights, self.option = weights, option
+        self.align, self.align_step = align, align_step
+        self.steps = steps or STEPS
+        self.sampler: Sampler = sampler or SAMPLER
+        self.device = torch_device(device)
+        # On a CPU LGM itself takes a small part of the time, and its positions show each bit.
+        gpu = self.device.startswith("cuda")
+        self.dtype = dtype or (torch.float16 if gpu else torch.float32)
+        self.diffusion_dtype = dtype_of(precision, self.device, PARAMETERS)
+        self.model, self.multiview = model, multiview
+        self._finds_views = multiview is None
+
+    def __call__(
+        self,
+        image_rgba: Image.Image | NDArray[np.uint8],
+        *,
+        seed: int = 0,
+        progress: Progress = silent,
+    ) -> Gaussians:
+        """Gaussians of the cut-out `image_rgba [H,W,4]` with a longest side of 1 m.
+
+        If `progress` raises Cancelled, that passes through.
+
+        Raises:
+            InputError: If weights are missing or the picture is not a cut-out.
+        """
+        image = over_white(framed(np.asarray(image_rgba)))
+        self._prepare_multiview()
+        assert self.multiview is not None
+        views = self.multiview(image, seed=seed, progress=progress)
+        self._make_room()
+        return self.from_views(views[list(VIEW_ORDER)], image=image, progress=progress)
+
+    def from_views(
+        self, views: Tensor, *, image: Tensor | None = None, progress: Progress = silent
+    ) -> Gaussians:
+        """Gaussians from `views [4,3,H,W]` over white in 0..1: front, then quarter turns.
+
+        The longest side is 1 m. Alignment compares with `image [3,H,W]`; without it nothing is
+        aligned.
+
+        Raises:
+            InputError: If weights are missing.
+        """
+        self._prepare_model()
+        rows, views = self._reconstruct(views, progress)
+        if self.align and image is not None:
+            azimuth = front(rows, image, step=self.align_step, progress=progress)
+            if azimuth:
+                rows, _ = self._reconstruct(four_views(rows, azimuth, views.shape[-1]), progress)
+        return normalised(to_gaussians(rows.float().cpu().numpy()), "LGM")
+
+    @torch.inference_mode()
+    def _reconstruct(self, views: Tensor, progress: Progress) -> tuple[Tensor, Tensor]:
+        model = self.model
+        assert model is not None
+        progress("lgm", 0, 1)
+        size = model.option.input_size
+        views = interpolate(
+            views.float().to(self.device), (size, size), mode="bilinear", align_corners=False
+        )
+        rows = model(network_input(views)[None])[0]
+        if model.rotations is None:
+            model.rotations = judge(rows, views)
+        if model.rotations == "all":
+            warnings.warn(OLD_GENERATION, stacklevel=2)
+        progress("lgm", 1, 1)
+        return (unrotated(rows) if model.rotations == "all" else rows), views
+
+    def _prepare_model(self) -> None:
+        if self.model is None:
+            self.model = load(self._file(), self.option, device=self.device, dtype=self.dtype)
+
+    def _file(self) -> Path:
+        """LGM's weights.
+
+        Raises:
+            InputError: There are none.
+        """
+        single = have("lgm-fp32", self.weights) and not have("lgm", self.weights)
+        (path,) = require("lgm-fp32" if single else "lgm", self.weights).values()
+        return path
+
+    def _prepare_multiview(self) -> None:
+        """Make sure of all weights before anything large is read; LGM's is read last."""
+        if self.multiview is not None:
+            return
+        require("imagedream", self.weights)
+        if self.model is None:
+            self._file()
+        from phy124.generators.neural.imagedream import ImageDream
+
+        self.multiview = ImageDream(
+            weights=self.weights, device=self.device, dtype=self.dtype,
+            unet_dtype=self.diffusion_dtype, steps=self.steps, sampler=self.sampler,
+        )  # fmt: skip
+
+    def effort(self) -> Effort:
+        """What making one object will take."""
+        fast = speed_of(self.device, self.diffusion_dtype)
+        exact = fast if self.dtype == self.diffusion_dtype else speed_of(self.device, self.dtype)
+        seconds = STEP.times(self.steps).at(fast)
+        seconds += AROUND.at(exact) + WORK.times(1 + self.align).at(exact)
+        precision = str(self.diffusion_dtype).removeprefix("torch.")
+        settings = {
+            "steps": self.steps, "sampler": self.sampler, "precision": precision,
+            "device": self.device,
+        }  # fmt: skip
+        words = f"{self.steps} steps of {self.sampler} in {precision} on {self.device}"
+        return Effort(seconds, settings, words)
+
+    def _make_room(self) -> None:
+        """Release ImageDream's networks if LGM's would not fit beside them."""
+        room = MEMORY * self.dtype.itemsize
+        if self._finds_views and self.model is None and is_short(room, self.device):
+            self.multiview = None
+
+
+def framed(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The cut-out [H,W,4] in the middle of a square [S,S,4], as LGM's program makes it.
+
+    That program receives colours already multiplied by alpha and multiplies them again later, which
+    darkens soft edges. The network was used that way, so this is kept.
+
+    Raises:
+        InputError: If there is no alpha channel or nothing is opaque.
+    """
+    if image_rgba.ndim != 3 or image_rgba.shape[2] != 4:
+        raise InputError(
+            "image", list(image_rgba.shape), "a cut-out has four channels.", "Cut it out first."
+        )
+    cut = multiply_mask(image_rgba[..., :3], image_rgba[..., 3])
+    return recenter(cut, cut[..., 3] > 0)
+
+
+def over_white(image_rgba: NDArray[np.uint8]) -> Tensor:
+    """Colours [3,H,W] in 0..1 of `image_rgba [H,W,4]` over white."""
+    pixels = torch.from_numpy(image_rgba.astype(np.float32) / 255)
+    rgb, alpha = pixels[..., :3], pixels[..., 3:]
+    return (rgb * alpha + (1 - alpha)).permute(2, 0, 1)
+
+
+def network_input(views: Tensor) -> Tensor:
+    """Normalised colours and rays [4,9,S,S] of `views [4,3,S,S]` in 0..1."""
+    mean, std = (views.new_tensor(v)[:, None, None] for v in (MEAN, STD))
+    rays = torch.from_numpy(four_rays(views.shape[-1])).to(views)
+    return torch.cat([(views - mean) / std, rays], dim=1)
+
+
+def to_gaussians(rows: NDArray, *, opacity_min: float = OPACITY_MIN) -> Gaussians:
+    """Our Gaussians from LGM's rows [N,14], without those fainter than `opacity_min`."""
+    rows = rows[rows[:, 3] >= opacity_min]
+    return to_world(
+        Gaussians.from_rgb(rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14])
+    )

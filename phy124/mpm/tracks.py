@@ -1,0 +1,289 @@
+"""Tracks: quantities that vary in time, evaluated on the device once per substep.
+
+Every time profile becomes a piecewise linear table, so that kernels need not know its kind.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from phy124.kernels.profile import DRIFT, JOINS, KICK, LIMITED, MEAN, make_sampler
+from phy124.kernels.transfer import types
+from phy124.schema.bounds import LONGEST, SHORTEST, Factor, Instant
+from phy124.schema.region import Vector
+from phy124.schema.section import Section
+
+SEGMENTS = 64
+"""Straight pieces per period of a sine: its largest error is 0.12 % of the amplitude."""
+FOREVER = 1e30
+"""Beyond any run [s]; finite, so that it survives float32."""
+Key = tuple[float, Vector]
+"""Time [s] and value."""
+Over = Literal["", "kick", "drift"]
+"""The time over which a value is averaged."""
+OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
+"""Flags of these."""
+
+
+class Table(Section):
+    """Base class of time profiles: a table of times [s] and factors, used once or repeated."""
+
+    def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Times since the start [s] and the factors at them, linear in between."""
+        raise NotImplementedError
+
+    @property
+    def period(self) -> float:
+        """Time after which it repeats [s]; 0: never."""
+        return 0.0
+
+
+class Constant(Table):
+    """The full value at all times."""
+
+    kind: Literal["constant"] = "constant"
+
+    def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """One key."""
+        return np.zeros(1), np.ones(1)
+
+
+class Ramp(Table):
+    """Linear from one factor to another, then constant."""
+
+    kind: Literal["ramp"] = "ramp"
+    duration: float = Field(default=0.5, ge=SHORTEST, le=LONGEST, description="Time it takes [s].")
+    first: Factor = Field(default=0.0, description="Factor at the start.")
+    last: Factor = Field(default=1.0, description="Factor at the end and after.")
+
+    def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Two keys."""
+        return np.array([0.0, self.duration]), np.array([self.first, self.last])
+
+
+class Sine(Table):
+    """offset + sin(2 pi (frequency t + phase / 360))."""
+
+    kind: Literal["sine"] = "sine"
+    frequency: float = Field(default=1.0, ge=1e-5, le=1e4, description="Turns per second [Hz].")
+    phase: float = Field(default=0.0, ge=-360, le=360, description="Phase at the start [degrees].")
+    offset: Factor = Field(default=0.0, description="Factor around which it swings.")
+
+    @property
+    def period(self) -> float:
+        """One period [s]."""
+        return 1 / self.frequency
+
+    def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """One period."""
+        parts = np.linspace(0, 1, SEGMENTS + 1)
+        wave = np.sin(2 * math.pi * (parts + self.phase / 360))
+        return parts / self.frequency, self.offset + wave
+
+
+class Keyframes(Table):
+    """Factors at given times, linear in between."""
+
+    kind: Literal["keyframes"] = "keyframes"
+    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
+    factors: tuple[Factor, ...] = Field(default=(1.0, 1.0), description="Factors at these times.")
+    repeat: bool = Field(default=False, description="Begin anew after the last.")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Keyframes:
+        check_times(self.times, len(self.factors), "factors")
+        return self
+
+    @property
+    def period(self) -> float:
+        """The last time [s], if it repeats."""
+        return self.times[-1] if self.repeat else 0.0
+
+    def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The keys."""
+        return np.array(self.times), np.array(self.factors)
+
+
+AnyProfile = Annotated[Constant | Ramp | Sine | Keyframes, Field(discriminator="kind")]
+
+
+def check_times(times: Sequence[float], values: int, name: str) -> None:
+    """Check that times begin at 0 or later, increase and match their values.
+
+    Raises:
+        ValueError: If they do not.
+    """
+    if len(times) != values or len(times) < 2:
+        raise ValueError(
+            f"{len(times)} times and {values} {name} do not match; give as many, at least two"
+        )
+    if times[0] < 0 or any(a >= b for a, b in itertools.pairwise(times)):
+        raise ValueError(f"times {times} must increase from 0 on; sort them")
+
+
+@dataclass(frozen=True)
+class Track:
+    """Keys in order of time, linear between them and constant outside."""
+
+    keys: tuple[Key, ...]
+    """Times since the origin [s] and values."""
+    start: float = -FOREVER
+    """Active from here on [s]."""
+    end: float = FOREVER
+    """Active until here [s]."""
+    origin: float = 0.0
+    """Zero of the keys' times [s]."""
+    period: float = 0.0
+    """The keys repeat after this time [s]; 0: never."""
+    mean: bool = False
+    """Averaged over each kick and zero while inactive; else as its slot says."""
+
+    @classmethod
+    def constant(cls, value: Sequence[float]) -> Track:
+        """A track with the same value at all times."""
+        x, y, z = value
+        return cls(((0.0, (x, y, z)),))
+
+    @classmethod
+    def scaled(
+        cls, value: Sequence[float], profile: Table, start: float, end: float, *, mean: bool
+    ) -> Track:
+        """A value times a profile.
+
+        A track that starts at time 0 counts as having acted before as well, so that the first kick
+        is whole.
+
+        Args:
+            value: The value at factor 1.
+            profile: Factors since the start.
+            start: When it becomes active [s].
+            end: Until when it is active [s].
+            mean: Whether it is averaged over each kick.
+        """
+        times, factors = profile.table()
+        keys = np.multiply.outer(factors, np.asarray(value, float)).tolist()
+        return cls(
+            tuple((t, (x, y, z)) for t, (x, y, z) in zip(times.tolist(), keys, strict=True)),
+            -FOREVER if start <= 0 else start, end, start, profile.period, mean,
+        )  # fmt: skip
+
+    @property
+    def varies(self) -> bool:
+        """Whether it changes in time."""
+        return len(self.keys) > 1 or self.start > -FOREVER or self.end < FOREVER
+
+    def acts(self, start: float, end: float) -> bool:
+        """Whether it is active at any time from `start` to `end` [s]."""
+        return start < self.end and end > self.start
+
+    def changes(self, start: float, end: float) -> bool:
+        """Whether its value may change from `start` to `end` [s].
+
+        What changes at `end` itself acts from then on: a run that is pushed while it goes on, which
+        does not know yet, must take the very substeps of one that does.
+        """
+        begins_or_ends = start <= self.start < end or start <= self.end < end
+        return begins_or_ends or (len(self.keys) > 1 and self.acts(start, end))
+
+    def largest(self, start: float, end: float) -> float:
+        """Upper bound of the norm of its values from `start` to `end` [s]; 0 if it is inactive."""
+        if not self.acts(start, end):
+            return 0.0
+        return max(math.hypot(*value) for _, value in self.keys)
+
+    def fastest(self, start: float, end: float) -> float:
+        """Largest norm of its rate from `start` to `end` [s]."""
+        fastest, start, end = 0.0, start - self.origin, end - self.origin
+        for (t, a), (u, b) in itertools.pairwise(self.keys):
+            if u > t and (self.period > 0 or (t < end and u > start)):
+                fastest = max(fastest, math.dist(a, b) / (u - t))
+        return fastest
+
+    def values(self, times: NDArray) -> NDArray[np.float64]:
+        """Values at some instants [T,3], whether active or not; what the device samples."""
+        since = np.asarray(times, float) - self.origin
+        if self.period > 0:
+            since = np.where(since > 0, since % self.period, since)
+        at, keys = np.array([key[0] for key in self.keys]), np.array([key[1] for key in self.keys])
+        return np.stack([np.interp(since, at, column) for column in keys.T], axis=1)
+
+
+class Tracks:
+    """All tracks of a run on one device; slot 0 is the sum of the uniform accelerations."""
+
+    def __init__(self, *, real: type, device: str) -> None:
+        self.tracks: list[Track] = [Track.constant((0, 0, 0))]
+        self.flags: list[int] = [0]
+        self.real, self.device = real, device
+
+    def add(self, track: Track, *, limited: bool = False, over: Over = "") -> int:
+        """Add a track and return its slot.
+
+        Args:
+            track: What varies in time.
+            limited: Whether a stage with a limit reads it, so that its values bound nothing.
+            over: Of a track that is no mean: average its value over the kick, or over the substep
+                ahead, also where these reach beyond its window; empty: the present value.
+        """
+        averaged = MEAN if track.mean else OVER[over]
+        return self._append(track, averaged | (LIMITED if limited else 0))
+
+    def accelerate(self, track: Track) -> None:
+        """Add a uniform acceleration [m/s^2] to slot 0, where the grid update reads it."""
+        self._append(track, MEAN | JOINS)
+
+    def _append(self, track: Track, flag: int) -> int:
+        self.tracks.append(track)
+        self.flags.append(flag)
+        return len(self.tracks) - 1
+
+    @property
+    def vary(self) -> bool:
+        """Whether anything changes in time; if not, the tracks are sampled only once."""
+        return any(track.varies for track in self.tracks)
+
+    def upload(self, clock: wp.array) -> None:
+        """Copy the tables to the device."""
+        t, tracks = types(self.real), self.tracks
+        keys = [key for track in tracks for key in track.keys]
+        counts = [len(track.keys) for track in tracks]
+        spans = [(track.start, track.end, track.origin, track.period) for track in tracks]
+
+        def array(values: object, dtype: object) -> wp.array:
+            return wp.array(np.array(values), dtype=dtype, device=self.device)
+
+        self.starts = array(np.concatenate([[0], np.cumsum(counts)]).astype(np.int32), int)
+        self.times = array([key[0] for key in keys], self.real)
+        self.keys = array([key[1] for key in keys], t.vec3)
+        self.spans = array(spans, t.vec4)
+        self.flag_array = array(np.array(self.flags, np.int32), int)
+        self.values = wp.zeros(len(counts), dtype=t.vec4, device=self.device)
+        self.rates = wp.zeros(len(counts), dtype=t.vec4, device=self.device)
+        self.clock = clock
+
+    def record(self) -> wp.Launch:
+        """The launch that samples every track at the present time."""
+        tables = [self.starts, self.times, self.keys, self.spans, self.flag_array]
+        launch = wp.launch(
+            make_sampler(self.real),
+            len(self.tracks),
+            inputs=[*tables, self.clock],
+            outputs=[self.values, self.rates],
+            device=self.device,
+            record_cmd=True,
+        )
+        return cast("wp.Launch", launch)
+
+
+def kernels(real: type) -> list[wp.Kernel]:
+    """The kernel that samples tracks."""
+    return [make_sampler(real)]

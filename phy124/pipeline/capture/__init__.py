@@ -1,0 +1,232 @@
+"""Turns a 3DGS capture of a real place into an object that stands on the floor found in it.
+
+The floor is scenery: it is visible and never moves. What the object touches is the scene's ground,
+at the same height. The object's longest side is the scene's `object.size`, whatever the file's
+unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians, joined, quaternions, rotation_matrices
+from phy124.generators.ply_file import Opened, PlyFile, normalised, robust_bounds
+from phy124.io.axes import turned, upright
+from phy124.particles import clean
+from phy124.particles.thinning import thinned
+from phy124.pipeline.capture.floor import Floor, find_floor
+from phy124.progress import Progress, silent
+from phy124.scene import Part, Scene
+from phy124.schema.region import EVERYWHERE, PartRegion
+from phy124.simulation.placing import placing
+
+VISIBLE = 0.1
+"""Opacity from which a Gaussian is used to find the floor."""
+NEIGHBOURS = 8
+USUAL, OWN = 6.0, 3.0
+"""Whose 8th neighbour is so many times farther off than is usual, and than it is long itself, is
+a floater."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Gaussians ready to be simulated, and the scene to simulate them in."""
+
+    gaussians: Gaussians
+    """The Gaussians of the object, followed by those of the floor."""
+    scene: Scene
+    """The scene with the floor as a static part and all regions in metres."""
+    cleaning: list[str]
+    """What was left out of the file, as sentences."""
+    about: dict[str, Any]
+    """How the file was rotated and what floor was found, for the report."""
+    notes: tuple[str, ...] = ()
+    """What of the file is read in another way than usual, or passed over, as sentences."""
+
+
+def capture(
+    file: PlyFile, scene: Scene, *, count: int | None = None, progress: Progress = silent
+) -> Capture:
+    """Read a file for a scene; stand the object on its floor if its `reading` asks for that.
+
+    Args:
+        file: The file and how to read it.
+        scene: The scene to prepare.
+        count: Largest number of Gaussians to keep; None for all.
+        progress: Called as in `phy124.progress`.
+
+    Raises:
+        InputError: If the file cannot be read, or no floor is found.
+    """
+    opened = file.open(progress)
+    opened = opened._replace(gaussians=thinned(opened.gaussians, count, seed=scene.seed))
+    told = file.reading.up is not None or file.reading.rotate is not None
+    read = _on_floor(opened, told=told) if file.reading.floor else _alone(opened, file.path)
+    scene = _with_floor(scene, read)
+    about = {"capture": {**read.about, "coarse": opened.coarse}}
+    metres = _in_metres(scene, read, opened.origin)
+    return Capture(read.gaussians, metres, read.cleaning, about, opened.notes)
+
+
+def changed(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
+    """The scene as `capture` makes it; the file is read only if the scene depends on it.
+
+    Raises:
+        InputError: If the file cannot be read, or no floor is found.
+    """
+    if file.reading.floor or in_file_units(scene):
+        return capture(file, scene, count=count).scene
+    return scene
+
+
+def in_file_units(scene: Scene) -> bool:
+    """Whether the region of some part is given in the units of the object's file."""
+    return any(part.region and part.region.units == "file" for part in scene.parts)
+
+
+@dataclass(frozen=True)
+class _Read:
+    """Gaussians in the default place and size: x = scale * rotation @ (x - origin) + offset, where
+    x on the right is a place in the file.
+    """
+
+    gaussians: Gaussians
+    own: int
+    """Number of Gaussians, from the first, that are the object."""
+    rotation: NDArray[np.float64]
+    scale: float
+    offset: NDArray[np.float64]
+    cleaning: list[str]
+    about: dict[str, Any]
+
+
+def _alone(opened: Opened, name: str) -> _Read:
+    """Without a floor: everything is the object."""
+    placed = normalised(opened.gaussians, name)
+    low, high = robust_bounds(opened.gaussians)
+    scale = 1 / float((high - low).max())
+    about = {"rotation": opened.rotation.tolist(), "floor": None}
+    offset = -scale * (low + high) / 2
+    return _Read(placed, len(placed), opened.rotation, scale, offset, opened.cleaning, about)
+
+
+def _on_floor(opened: Opened, *, told: bool) -> _Read:
+    """The object upright on its floor, whose height becomes z = 0; floaters are left out."""
+    given = opened.gaussians
+    seen = given.means[given.opacities >= VISIBLE]
+    found = find_floor(seen, np.array([0.0, 0.0, 1.0]) if told else None)
+    lies = found.heights(given.means) <= found.tolerance
+    if lies.all():
+        raise InputError(
+            "floor", "wanted", "nothing stands on the floor that was found.",
+            "Take more of the scene into --crop, or leave --floor out.",
+        )  # fmt: skip
+    turn = upright(found.normal)
+    standing = turned(given, turn)
+    above = standing.select(~lies)
+    alone = isolated(above)
+    own, cleaned = clean(above.select(~alone))
+    low, high = robust_bounds(own)
+    scale = 1 / float((high - low).max())
+    offset = -scale * (low + high) / 2
+    offset[2] = -scale * found.offset
+    both = joined([own, standing.select(lies)]).moved(scale, offset)
+    sentences = [*opened.cleaning, *cleaned.sentences]
+    if alone.any():
+        count = f"{alone.sum()} of {len(above)} Gaussians above the floor"
+        sentences.append(f"{count} floated far from all others and were dropped.")
+    about = {"rotation": (turn @ opened.rotation).tolist(), "floor": _said(found, opened, lies)}
+    return _Read(both, len(own), turn @ opened.rotation, scale, offset, sentences, about)
+
+
+def isolated(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """Floaters [N]: Gaussians with few others near them, however large they are."""
+    few = min(NEIGHBOURS, len(gaussians) - 1)
+    means = gaussians.means.astype(np.float64)
+    near = scipy.spatial.KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
+    return near > np.maximum(USUAL * np.median(near), OWN * gaussians.scales.max(axis=1))
+
+
+def _said(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, Any]:
+    """The floor for the report, in the file's axes and units."""
+    return {
+        "normal": (opened.rotation.T @ floor.normal).tolist(),
+        "offset": floor.offset + float(floor.normal @ opened.rotation @ opened.origin),
+        "tolerance": floor.tolerance,
+        "gaussians": int(lies.sum()),
+        "fraction": float(lies.mean()),
+        "tilt": float(np.degrees(np.arccos(np.clip(floor.normal[2], -1, 1)))),
+    }
+
+
+def _with_floor(scene: Scene, read: _Read) -> Scene:
+    """The scene with the Gaussians after the object's as a static part that is no part of it."""
+    if read.own == len(read.gaussians):
+        return scene
+    floor = Part(static=True, surroundings=True, gaussians=(read.own, len(read.gaussians)))
+    return scene.model_copy(update={"parts": (*scene.parts, floor)})
+
+
+def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) -> Scene:
+    """The scene with regions given in the file's units as rotated boxes in metres.
+
+    Args:
+        scene: The scene.
+        read: The Gaussians in the default place and size.
+        origin: Place in the file that was the origin before that.
+    """
+    if not in_file_units(scene):
+        return scene
+    kept, cleaned = clean(read.gaussians)
+    assert cleaned.survivors is not None
+    own = np.flatnonzero(cleaned.survivors) < read.own
+    scale, offset = placing(kept, scene, own)
+    offset = offset + scale * read.offset + [*scene.object.place, scene.object.lift]
+    scale *= read.scale
+    parts = []
+    for number, part in enumerate(scene.parts):
+        if part.region is not None and part.region.units == "file":
+            near = _moved(part.region, origin)
+            region = _region_in_metres(near, scale, read.rotation, offset, number)
+            part = part.model_copy(update={"region": region})
+        parts.append(part)
+    return scene.model_copy(update={"parts": tuple(parts)})
+
+
+def _moved(region: PartRegion, origin: tuple[float, float, float]) -> PartRegion:
+    """The region as it is seen from an origin, in the file's axes and units."""
+    if not any(origin):
+        return region
+    # The corners are in axes that may be turned.
+    shift = rotation_matrices(np.array([region.turn]))[0].T @ origin
+    ends = {name: tuple(getattr(region, name) - shift) for name in ("lower", "upper")}
+    return region.model_copy(update=ends)
+
+
+def _region_in_metres(
+    told: PartRegion,
+    scale: float,
+    rotation: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    number: int,
+) -> PartRegion:
+    """The box or cylinder of a part, rotated with the file's axes and shifted along them."""
+    # What `told` is turned by itself comes first: rotation @ (scale * own @ box) + offset.
+    both = rotation @ rotation_matrices(np.array([told.turn]))[0]
+    corners = scale * np.array([told.lower, told.upper]) + both.T @ offset
+    corners = np.clip(corners, -EVERYWHERE, EVERYWHERE)
+    if (corners[0] >= corners[1]).any():
+        raise InputError(
+            f"parts.{number}.region", told.model_dump(exclude_defaults=True),
+            "nothing of the object is that far away.",
+            "Give corners near the places of the file's Gaussians.",
+        )  # fmt: skip
+    lower, upper = corners.tolist()
+    turn = quaternions(both[None])[0].tolist()
+    return PartRegion(lower=lower, upper=upper, cylinder=told.cylinder, turn=turn)

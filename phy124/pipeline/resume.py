@@ -1,0 +1,271 @@
+"""Saves a paused simulation as one safetensors file and continues it later.
+
+On a CPU that is bit for bit; on a GPU, which sums in no fixed order, to within rounding.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+
+from phy124.errors import InputError
+from phy124.gaussians import Frame, Gaussians, of_walls, rotate_sh, stacked
+from phy124.io.files import replacing
+from phy124.io.growing import MOVING, SHAPES, Growing
+from phy124.io.opening import obstacle
+from phy124.io.tensors import save_tensors
+from phy124.monitor.wrenches import pair_names
+from phy124.progress import Progress, silent
+from phy124.runtime.stopwatch import Stopwatch
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+
+FORMAT = "phy124-pause-5"
+GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
+OBJECTS = "given.object_id"
+FILE = "file."
+"""What the names of files begin with that are saved with a run."""
+Tensors = dict[str, NDArray]
+ARRAY = "array"
+"""In place of an array, which is stored beside."""
+
+
+def save(
+    run: Simulation,
+    path: str | os.PathLike[str],
+    *,
+    about: dict[str, Any] | None = None,
+    frames: Growing | None = None,
+    files: Mapping[str, bytes] | None = None,
+) -> None:
+    """Write a paused run, as it was after its last frame.
+
+    Args:
+        run: The run.
+        path: Where to write it.
+        about: What `read_about` returns.
+        frames: The file in the same folder that holds the frames; None: they are written, too.
+        files: What `read_files` returns.
+
+    Raises:
+        InputError: If the folder is missing or no file can be made there.
+        OSError: If there is no room.
+    """
+    run.scene.require_serialisable()
+    tensors: Tensors = {f"given.{name}": getattr(run.given, name) for name in GAUSSIANS}
+    if run.given.object_id is not None:
+        tensors[OBJECTS] = run.given.object_id
+    tensors |= _frames(run) if frames is None else {}
+    for name, content in (files or {}).items():
+        tensors[FILE + name] = np.frombuffer(content, np.uint8)
+    place = {"growing": frames.place()} if frames is not None else {}
+    facts = {
+        "run": _plain(run.snapshot(), tensors, "run"),
+        "scene": run.scene.data(),
+        "threads": len(run.solver.workers),
+        "along": run.along,
+        "frames": {"count": run.count, "keep": run.keep, **place},
+        "crop": run.crop,
+        "about": about or {},
+        "spent": {"stages": run.watch.seconds, "total": run.watch.total},
+    }
+    facts["checksum"] = _checksum(tensors)
+    metadata = {"format": FORMAT, **{name: json.dumps(fact) for name, fact in facts.items()}}
+    with replacing(path) as temporary:
+        save_tensors(tensors, temporary, metadata)
+
+
+def load(
+    path: str | os.PathLike[str],
+    *,
+    device: str = "cpu",
+    threads: int | None = None,
+    progress: Progress = silent,
+    watch: Stopwatch | None = None,
+    frames: Growing | None = None,
+) -> Simulation:
+    """A saved run, ready to be iterated on.
+
+    Args:
+        path: The file.
+        device: Warp's name of the device.
+        threads: CPU threads; None: as many as before the pause, so that the run goes on bit for
+            bit. With another number it goes on to within rounding, which its report notes.
+        progress: Called as ("simulate", frames done, frames in all).
+        watch: A stopwatch to which the seconds spent before the pause are added.
+        frames: The file of its frames, if it is open already (`frames_of`).
+
+    Raises:
+        InputError: If the file is missing, cut short or not a paused run.
+    """
+    metadata, tensors = _read(Path(path))
+    kept = _kept(metadata, tensors, frames or frames_of(path))
+    means, quats, scales, opacities, sh = (tensors[f"given.{name}"] for name in GAUSSIANS)
+    given = Gaussians(means, quats, scales, opacities, sh, tensors.get(OBJECTS))
+    left, top, right, bottom = metadata["crop"]
+    watch = watch or Stopwatch()
+    run = Simulation(
+        given,
+        Scene.from_data(metadata["scene"], str(path)),
+        device=device,
+        progress=progress,
+        watch=watch,
+        crop=(left, top, right, bottom),
+        threads=metadata["threads"] if threads is None else threads,
+        along=metadata["along"],
+        keep=metadata["frames"]["keep"],
+    )
+    watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])
+    run.restore(_whole(metadata["run"], tensors, "run"))
+    run.remarks += _threads_differ(metadata["threads"], len(run.solver.workers))
+    _put_frames(run, kept)
+    _turn_last(run)
+    return run
+
+
+def frames_of(path: str | os.PathLike[str]) -> Growing | None:
+    """The file of a paused run's frames, open; None if they are in the run's own file.
+
+    Raises:
+        InputError: It is missing, or another process is going on with the run.
+    """
+    place = read_frames(path)
+    return None if place is None else Growing.there(Path(path).parent, place)
+
+
+def read_frames(path: str | os.PathLike[str]) -> dict[str, Any] | None:
+    """Which file a paused run's frames are in; None if they are in the run's own file."""
+    return _read(Path(path), tensors=False)[0]["frames"].get("growing")
+
+
+def read_files(path: str | os.PathLike[str]) -> dict[str, bytes]:
+    """Files that were saved with a run, by name."""
+    tensors = _read(Path(path))[1]
+    found = {name: array for name, array in tensors.items() if name.startswith(FILE)}
+    return {name.removeprefix(FILE): array.tobytes() for name, array in found.items()}
+
+
+def _kept(metadata: dict[str, Any], tensors: Tensors, frames: Growing | None) -> Tensors:
+    """The frames so far: each array's rows."""
+    if frames is not None:
+        count = metadata["frames"]["count"]
+        return {name: rows[:count] for name, rows in frames.arrays.items() if name in MOVING}
+    own = "frames."
+    return {name.removeprefix(own): a for name, a in tensors.items() if name.startswith(own)}
+
+
+def _threads_differ(before: int, now: int) -> list[str]:
+    """A note if a run goes on with another number of threads."""
+    if before == now:
+        return []
+    return [
+        f"The run was paused with {before} CPU thread(s) and went on with {now}: from there on it "
+        "is what it would have been to within rounding, not bit for bit."
+    ]
+
+
+def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """What was saved about a run: its `scene`, the `frames` so far, and what the caller added."""
+    metadata, _ = _read(Path(path), tensors=False)
+    return {**metadata["about"], "scene": metadata["scene"], "frames": metadata["frames"]["count"]}
+
+
+def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
+    """A snapshot without its arrays, which go to `tensors` under their path."""
+    if isinstance(tree, dict):
+        return {key: _plain(value, tensors, f"{name}.{key}") for key, value in tree.items()}
+    if isinstance(tree, (np.ndarray, wp.array)):
+        tensors[name] = np.asarray(tree if isinstance(tree, np.ndarray) else tree.numpy())
+        return {ARRAY: True}
+    return tree
+
+
+def _whole(tree: Any, tensors: Tensors, name: str) -> Any:
+    """A snapshot with its arrays."""
+    if not isinstance(tree, dict):
+        return tree
+    if ARRAY in tree:
+        return tensors[name]
+    return {key: _whole(value, tensors, f"{name}.{key}") for key, value in tree.items()}
+
+
+def _frames(run: Simulation) -> Tensors:
+    """The frames so far."""
+    tensors: Tensors = {"frames.times": np.array([f.time for f in run.frames])}
+    if run.frames:
+        for name in ("means", "quats", "scales"):
+            stack = [getattr(frame.gaussians, name) for frame in run.frames]
+            tensors[f"frames.{name}"] = np.stack(stack)
+        for name in ("velocities", "contacts"):
+            kept = [getattr(f, name) for f in run.frames if getattr(f, name) is not None]
+            if kept:
+                tensors[f"frames.{name}"] = np.stack(kept)
+    if run.frames and run.frames[-1].wrenches is not None:
+        tensors["frames.wrenches"] = stacked(run.frames)
+    if run.rotations:
+        tensors["frames.rotations"] = np.stack(run.rotations)
+    return tensors
+
+
+def _put_frames(run: Simulation, kept: Tensors) -> None:
+    """Give a run its frames so far, of which each array has a row."""
+    walls = kept.get("wrenches")
+    names = (*(run.wrenches.walls if run.wrenches.asked else ()), *pair_names(run.solver))
+    times = kept["times"].tolist()
+    for index, time in enumerate(times):
+        shape = {name: kept[name][index] for name in SHAPES}
+        more = {name: kept[name][index] for name in ("velocities", "contacts") if name in kept}
+        wrenches = None if walls is None else of_walls(names, np.array(walls[index]))
+        gaussians, place = replace(run.shown, **shape), run.count - len(times) + index
+        run.frames.append(Frame(place, time, gaussians, **more, wrenches=wrenches))
+    run.rotations = list(kept.get("rotations", []))
+
+
+def _turn_last(run: Simulation) -> None:
+    """Rotate the colours of the last frame with the material: it is shown again if all rests."""
+    if run.frames and run.rotations:
+        last = run.frames[-1]
+        turned = replace(last.gaussians, sh=rotate_sh(last.gaussians.sh, run.rotations[-1]))
+        run.frames[-1] = replace(last, gaussians=turned)
+
+
+def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]:
+    """The facts and the arrays of a file."""
+    remedy = "Give a file that a stopped run left, or run without --resume."
+    if hindrance := obstacle(path):
+        raise InputError("paused run", path, hindrance[0], remedy)
+    try:
+        with safe_open(path, framework="np") as file:
+            metadata = dict(file.metadata() or {})
+            names = file.keys() if tensors else ()
+            arrays = {name: file.get_tensor(name) for name in names}
+    except (SafetensorError, OSError) as error:
+        raise InputError("paused run", path, f"it cannot be read ({error}).", remedy) from error
+    found = metadata.pop("format", "")
+    if found != FORMAT and found.startswith(FORMAT.rpartition("-")[0]):
+        limit = "another version of phy124 wrote it, which computes otherwise."
+        raise InputError("paused run", path, limit, "Run it anew, without --resume.")
+    if found != FORMAT:
+        raise InputError("paused run", path, "it is not a paused run.", remedy)
+    facts = {name: json.loads(text) for name, text in metadata.items()}
+    if tensors and facts.get("checksum") not in (None, _checksum(arrays)):
+        raise InputError("paused run", path, "it was changed or damaged.", remedy)
+    return facts, arrays
+
+
+def _checksum(tensors: Tensors) -> int:
+    """CRC-32 of all arrays in the order of their names; older files have none."""
+    total = 0
+    for name in sorted(tensors):
+        total = zlib.crc32(np.ascontiguousarray(tensors[name]).data, total)
+    return total

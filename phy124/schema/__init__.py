@@ -1,0 +1,1 @@
+"""How options are declared, bounded, described and read from command lines."""

@@ -1,0 +1,130 @@
+"""Plugins: classes and functions from outside phy124, by instance or by name.
+
+In Python a material, force or boundary of your own is passed as an instance. A package gives it a
+name that scene files and the command line know by an entry point of one of the `GROUPS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, get_args
+
+from pydantic_core import core_schema
+
+from phy124.errors import InputError
+from phy124.schema.section import Section
+
+GROUPS = ("materials", "forces", "boundaries", "generators", "sinks")
+"""Entry points are phy124.materials, phy124.forces and so on; the bridge reads phy124.sinks."""
+
+
+@cache
+def installed(group: str) -> dict[str, EntryPoint]:
+    """What packages have registered in one of the `GROUPS`, by name.
+
+    It is read once: packages' metadata takes milliseconds, and a scene may name thousands of kinds.
+    """
+    points = entry_points(group=f"phy124.{group}")
+    return {point.name: point for point in reversed(list(points))}
+
+
+def registered(group: str, name: str) -> Any:
+    """What a package has registered under a name in one of the `GROUPS`; None if nothing.
+
+    Raises:
+        InputError: It cannot be loaded.
+    """
+    point = installed(group).get(name)
+    if point is None:
+        return None
+    try:
+        return point.load()
+    except Exception as error:
+        limit = f"the entry point {point.value} cannot be loaded ({error})."
+        remedy = "Install what it needs, or remove the package that names it."
+        raise InputError(f"phy124.{group}", name, limit, remedy) from error
+
+
+def names(group: str) -> list[str]:
+    """All names that packages have registered in a group, in alphabetical order."""
+    return sorted(installed(group))
+
+
+def registered_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
+    """The classes that packages have registered, by name; those that are broken are left out.
+
+    They are refused when a scene names them, so that one broken package stops nothing else.
+    """
+    found = {}
+    for name in names(group):
+        try:
+            kind = registered(group, name)
+        except InputError:
+            continue
+        if isinstance(kind, type) and issubclass(kind, base):
+            found[name] = kind
+    return found
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """The kinds of section that a field of a scene takes: those of phy124, and registered ones.
+
+    As an annotation of the field it validates registered kinds and adds them to the JSON schema.
+    """
+
+    base: type[Section]
+    """Base class of all kinds."""
+    tag: str
+    """The field that names the kind, "law" or "kind"."""
+    group: str
+    """The entry points that register kinds, one of the `GROUPS`."""
+    union: Any
+    """Union of phy124's own kinds, which a plugin cannot replace."""
+
+    @cached_property
+    def by_name(self) -> dict[str, type[Any]]:
+        """Name -> class of phy124's own kinds, in the order of the union."""
+        return {kind.model_fields[self.tag].default: kind for kind in get_args(self.union)}
+
+    def is_foreign(self, section: Section) -> bool:
+        """Return whether the class of a section is not one of phy124's own."""
+        return type(section) not in get_args(self.union)
+
+    def has_name(self, section: Section) -> bool:
+        """Return whether a file can name the kind of a section: phy124's own, or registered."""
+        if not self.is_foreign(section):
+            return True
+        return registered(self.group, getattr(section, self.tag, "")) is type(section)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        return core_schema.no_info_wrap_validator_function(self._accept, handler(source))
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
+        schema = handler(core)
+        for name, kind in registered_kinds(self.group, self.base).items():
+            if name not in self.by_name:
+                # As an item of a list a class gets an entry under "$defs" and a reference to it.
+                items = core_schema.list_schema(kind.__pydantic_core_schema__)
+                item = handler(items)["items"]
+                schema["oneOf"].append(item)
+                schema["discriminator"]["mapping"][name] = item["$ref"]
+        return schema
+
+    def _accept(self, value: Any, usual: Callable[[Any], Any]) -> Any:
+        if isinstance(value, self.base):
+            return value
+        name = value.get(self.tag) if isinstance(value, dict) else None
+        if not isinstance(name, str) or name in self.by_name:
+            return usual(value)
+        kind = registered(self.group, name)
+        if kind is None:
+            return usual(value)
+        if not (isinstance(kind, type) and issubclass(kind, self.base)):
+            limit = f"the class registered under this name is no subclass of {self.base.__name__}."
+            remedy = "Correct or remove the package that registers it."
+            raise InputError(f"phy124.{self.group}", name, limit, remedy)
+        return kind.model_validate(value)

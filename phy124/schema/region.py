@@ -1,0 +1,102 @@
+"""Region: a box or cylinder in space on which a force, a boundary or a material acts."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from phy124.gaussians import rotation_matrices
+from phy124.schema.section import Section
+
+Vector = tuple[float, float, float]
+EVERYWHERE = 1e9
+"""Beyond any scene [m]; finite, so that scenes can be written as JSON."""
+_Side = Annotated[float, Field(ge=-EVERYWHERE, le=EVERYWHERE)]
+_Fraction = Annotated[float, Field(ge=-1, le=1)]
+_Corner = tuple[_Side, _Side, _Side]
+
+
+AxisName = Literal["x", "y", "z"]
+
+
+class Region(Section):
+    """An axis-aligned box [m], or the cylinder that fits it; sides left out are open."""
+
+    lower: _Corner = Field(
+        default=(-EVERYWHERE, -EVERYWHERE, -EVERYWHERE), description="Lowest corner [m]."
+    )
+    upper: _Corner = Field(
+        default=(EVERYWHERE, EVERYWHERE, EVERYWHERE), description="Highest corner [m]."
+    )
+
+    cylinder: AxisName | None = Field(
+        default=None,
+        description="Axis of the cylinder that fits the box, to mean that alone; absent: the box.",
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Region:
+        if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise ValueError(
+                f"lower {self.lower} must be below upper {self.upper} on each axis; swap them"
+            )
+        sides = zip("xyz", self.lower, self.upper, strict=True)
+        if self.cylinder and any(
+            name != self.cylinder and max(-low, high) >= EVERYWHERE for name, low, high in sides
+        ):
+            raise ValueError(
+                f"a cylinder along {self.cylinder} needs lower and upper on the two other axes; "
+                "give both corners"
+            )
+        return self
+
+    def contains(self, x: NDArray) -> NDArray[np.bool_]:
+        """Mask [N] of the points x [N,3] inside."""
+        inside: NDArray[np.bool_] = np.all((x >= self.lower) & (x <= self.upper), axis=1)
+        if self.cylinder:
+            axis, middle, radius = cylinder(self.lower, self.upper, self.cylinder)
+            across = np.delete(x - middle, axis, axis=1)
+            inside &= (across**2).sum(axis=1) <= radius**2
+        return inside
+
+
+def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector, float]:
+    """Axis, middle [m] and radius [m] of the cylinder that fits a box: as wide as its shorter side.
+
+    Along an open axis the middle has no meaning.
+    """
+    axis = "xyz".index(along)
+    x, y, z = ((low + high) / 2 for low, high in zip(lower, upper, strict=True))
+    sides = [upper[i] - lower[i] for i in range(3) if i != axis]
+    return axis, (x, y, z), min(sides) / 2
+
+
+class PartRegion(Region):
+    """A box that picks a part of the object; it may be turned, or told as in its file."""
+
+    units: Literal["metres", "file"] = Field(
+        default="metres",
+        description="metres: of the object as placed; file: units and axes of its .ply file.",
+    )
+    turn: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
+        default=(1.0, 0.0, 0.0, 0.0),
+        description="Turn of the box about the origin, a unit quaternion w, x, y, z.",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _plain(cls, given: Any) -> Any:
+        return given.model_dump() if type(given) is Region else given
+
+    @model_validator(mode="after")
+    def _unit(self) -> PartRegion:
+        if abs(np.linalg.norm(self.turn) - 1) > 1e-3:
+            raise ValueError("turn is not a unit quaternion; write [1, 0, 0, 0] for no turn")
+        return self
+
+    def contains(self, x: NDArray) -> NDArray[np.bool_]:
+        """Mask [N] of the points x [N,3], m, inside."""
+        return super().contains(x @ rotation_matrices(np.array([self.turn]))[0])

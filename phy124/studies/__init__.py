@@ -1,0 +1,1 @@
+"""Work on top of the public interface: fits, sweeps and validation."""

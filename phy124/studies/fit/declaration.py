@@ -1,0 +1,148 @@
+"""A fit: what was seen, of which object in which scene, and what is to be found."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, field_validator
+
+from phy124.errors import InputError
+from phy124.scene.files import read_toml
+from phy124.schema.refusals import explain
+from phy124.schema.section import Section
+from phy124.studies.sweep.axes import LogUniform, Uniform
+
+DECADE = 10.0
+"""A range written as 1e4..1e6 is even in the logarithm if its ends differ by this factor."""
+
+
+def ranged(data: Any) -> Any:
+    """Plain data of a range: text such as 1e4..1e6, or a table as in a sweep.
+
+    Raises:
+        ValueError: It is neither.
+    """
+    if not isinstance(data, str):
+        return data
+    try:
+        low, high = (float(end) for end in data.split(".."))
+    except ValueError:
+        raise ValueError("it is no range. Write 1e4..1e6, say.") from None
+    if not low < high:
+        raise ValueError(f"{low:g} is not below {high:g}. Give the smaller one first.")
+    log = low > 0 and high >= DECADE * low
+    return {"log_uniform" if log else "uniform": (low, high)}
+
+
+def _kind(data: Any) -> str:
+    """Which kind of range plain data is; what is neither is refused as the first."""
+    log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
+    return "log" if log else "even"
+
+
+Range = Annotated[
+    Annotated[
+        Annotated[LogUniform, Tag("log")] | Annotated[Uniform, Tag("even")], Discriminator(_kind)
+    ],
+    BeforeValidator(ranged),
+]
+Cells = Annotated[int, Field(ge=4, le=256)]
+
+
+class Fit(Section):
+    """What is to be found, and from what."""
+
+    target: str = Field(
+        description="What was seen: a clip or its folder, a .csv file of tracked points, or a "
+        "video or folder of pictures."
+    )
+    object: str | None = Field(
+        default=None,
+        description="Picture or file of Gaussians, or a clip at rest with its scene; a clip as "
+        "the target brings its own.",
+    )
+    scene: str | None = Field(
+        default=None, description="Preset or .toml file; a clip brings its own."
+    )
+    set: dict[str, Any] = Field(
+        default={}, description="Other values of the scene by their dotted path."
+    )
+    find: dict[str, Range] = Field(
+        min_length=1,
+        max_length=8,
+        description='Dotted path in the scene -> range, such as "1e4..1e6".',
+    )
+    forces: str | None = Field(
+        default=None,
+        description="A .csv file of the forces measured on walls: time, wall, fx, fy, fz.",
+    )
+    side: str = Field(
+        default="front", description="Where pixels and videos are seen from, as the view names it."
+    )
+    fps: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        description="Pictures per second of a video or folder; absent: as the file says, else as "
+        "the scene [1/s].",
+    )
+    align: bool = Field(
+        default=False,
+        description="Lay a video's first picture on the object at rest, as its camera is unknown.",
+    )
+    gaussians: int | None = Field(default=None, ge=1, description="Largest number of Gaussians.")
+    grids: tuple[Cells, ...] = Field(
+        default=(16, 24),
+        min_length=1,
+        max_length=4,
+        description="Cells across the object: searched on the first, refined on the others.",
+    )
+    seconds: float = Field(default=300.0, ge=1, le=1e7, description="How long it may take [s].")
+    seed: int = Field(default=0, ge=0, le=2**31 - 1, description="Seed of search and intervals.")
+
+    @field_validator("grids")
+    @classmethod
+    def _finer(cls, grids: tuple[int, ...]) -> tuple[int, ...]:
+        if list(grids) != sorted(set(grids)):
+            raise ValueError("each grid must be finer than the one before; sort them")
+        return grids
+
+    @classmethod
+    def from_data(cls, data: dict[str, Any], source: str = "fit") -> Fit:
+        """Validate plain data.
+
+        Raises:
+            InputError: It is no fit; the message names field, value, limit and remedy.
+        """
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            raise explain(error, source, cls) from None
+
+    @classmethod
+    def from_toml(cls, path: str | os.PathLike[str]) -> dict[str, Any]:
+        """The plain data of a file, which options may still change.
+
+        Raises:
+            InputError: It is missing or is not TOML.
+        """
+        return read_toml(path, "fit")
+
+
+def found_in(texts: tuple[str, ...]) -> dict[str, str]:
+    """Texts such as material.E=1e4..1e6 as a dict of paths and ranges.
+
+    Raises:
+        InputError: One is no such text, or names a path twice.
+    """
+    ranges: dict[str, str] = {}
+    for text in texts:
+        path, equals, given = (part.strip() for part in text.partition("="))
+        if not (path and equals):
+            limit = "it is not PATH=LEAST..LARGEST."
+            raise InputError("find", text, limit, "Write material.E=1e4..1e6, say.")
+        if path in ranges:
+            raise InputError("find", text, f"{path} is given twice.", "Give it once.")
+        ranges[path] = given
+    return ranges

@@ -1,0 +1,124 @@
+"""Tracked points: places of points of the object, in space or in pixels, at some instants."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.camera import Camera
+from phy124.errors import InputError
+from phy124.io.clip import Clip
+from phy124.studies.fit.observation import Groups, at_times
+from phy124.studies.fit.table import Table, Values
+
+NEIGHBOURS = 4
+"""Gaussians that a point moves with."""
+FAR = 0.2
+"""Farthest a point may be from the object, as a fraction of its size."""
+FEW = 8
+"""With fewer points than this, each instant of a point is taken to err by itself."""
+
+
+class Points:
+    """Points that move with the Gaussians nearest to them at the start.
+
+    Where a point is within the object is known no better than its first place was measured, so each
+    track is compared after its mean was taken away.
+    """
+
+    def __init__(self, table: Table, rest: Values, cameras: Sequence[Camera] | None = None) -> None:
+        """Attach the points to the object.
+
+        Args:
+            table: Where they were: x, y, z in metres, or u, v in pixels.
+            rest: The object's Gaussians in the first frame [N,3], m.
+            cameras: What sees the pixels, for each frame; None for places in metres.
+
+        Raises:
+            InputError: A point is not seen in the first frame, or is not on the object.
+        """
+        self.unit, self.cameras = "m" if cameras is None else "px", cameras
+        self.name = "points" if cameras is None else "pixels"
+        names, self._track = np.unique(table.names, return_inverse=True)
+        self._times, self.last = table.times, float(table.times.max())
+        first = _first(table, names, self._track)
+        chosen = _nearest(first, rest) if cameras is None else _seen(first, rest, cameras[0])
+        self.chosen, self.weights = chosen
+        width = table.values.shape[1]
+        self.measured = self._shape(table.values)
+        single = len(names) < FEW
+        self.groups: Groups = np.repeat(
+            np.arange(len(table.times)) if single else self._track, width
+        )
+
+    def predicted(self, clip: Clip) -> Values:
+        """Where a clip has them."""
+        means = clip.means[:, self.chosen.ravel()].astype(np.float64)
+        shape = (len(means), *self.chosen.shape, 3)
+        tracks = (means.reshape(shape) * self.weights[None, :, :, None]).sum(2)
+        if self.cameras is not None:
+            seen = zip(self.cameras, tracks, strict=False)
+            tracks = np.stack([camera.project(points)[0] for camera, points in seen])
+        instants, row = np.unique(self._times, return_inverse=True)
+        return self._shape(at_times(clip.times, tracks, instants)[row, self._track])
+
+    def _shape(self, values: Values) -> Values:
+        """Values [R,C] without the mean of each track, as a vector."""
+        counts = np.bincount(self._track)[:, None]
+        sums = np.stack([np.bincount(self._track, column) for column in values.T], axis=1)
+        return (values - (sums / counts)[self._track]).ravel()
+
+
+def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
+    """The place of each point at the first instant [K,C]."""
+    start = np.flatnonzero(table.times <= table.times.min() + 1e-9)
+    places = {int(track[row]): table.values[row] for row in start}
+    missing = [name for number, name in enumerate(names) if number not in places]
+    if missing:
+        limit = f"point {missing[0]} is not seen at the first instant, {table.times.min():g} s."
+        raise InputError("target", f"{len(names)} points", limit, "Leave out what appears later.")
+    if len(np.unique(table.times)) < 2:
+        limit = "there is only one instant."
+        raise InputError("target", f"{len(names)} points", limit, "Give at least two.")
+    return np.stack([places[number] for number in range(len(names))])
+
+
+def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
+    """The Gaussians nearest to each point, and their weights [K,NEIGHBOURS]."""
+    from scipy.spatial import KDTree
+
+    count = min(NEIGHBOURS, len(rest))
+    distance, chosen = KDTree(rest).query(first, k=count)
+    distance, chosen = distance.reshape(-1, count), chosen.reshape(-1, count)
+    size = float(np.ptp(rest, axis=0).max())
+    _refuse_far(distance[:, 0] / size, "of the object's size")
+    weights = 1 / (distance + 1e-6 * size)
+    return chosen, weights / weights.sum(1, keepdims=True)
+
+
+def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64], Values]:
+    """The Gaussians in front where each pixel is, and their weights [K,NEIGHBOURS]."""
+    from scipy.spatial import KDTree
+
+    pixels, depth = camera.project(rest)
+    around = min(8 * NEIGHBOURS, len(rest))
+    distance, near = KDTree(pixels).query(first, k=around)
+    distance, near = distance.reshape(-1, around), near.reshape(-1, around)
+    across = float(np.ptp(pixels, axis=0).max())
+    _refuse_far(distance[:, 0] / across, "of the object's size in the picture")
+    deep = depth[near]
+    front = deep <= deep.min(1, keepdims=True) + np.median(np.ptp(deep, axis=1)) / 4
+    order = np.argsort(np.where(front, distance, np.inf), axis=1)[:, :NEIGHBOURS]
+    chosen = np.take_along_axis(near, order, 1)
+    weights = np.take_along_axis(np.where(front, 1 / (distance + 1.0), 0.0), order, 1)
+    return chosen, weights / weights.sum(1, keepdims=True)
+
+
+def _refuse_far(distance: Values, of_what: str) -> None:
+    worst = int(distance.argmax())
+    if distance[worst] > FAR:
+        limit = f"a point is {distance[worst]:.2g} {of_what} away from it at the first instant."
+        remedy = "Give metres of the scene (z up, the object over the origin), or pixels of --side."
+        raise InputError("target", f"{len(distance)} points", limit, remedy)

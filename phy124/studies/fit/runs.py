@@ -1,0 +1,186 @@
+"""Runs of a scene with other values, in several processes; each is kept and made only once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from phy124.gaussians import Gaussians
+from phy124.io.clip import Clip
+from phy124.io.files import replacing
+from phy124.progress import Progress, silent
+from phy124.runtime.processes import as_done, processes
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.simulation.parts import Crop
+from phy124.studies.fit.budget import Budget
+from phy124.studies.fit.declaration import Fit
+from phy124.studies.fit.observation import Observations
+from phy124.studies.fit.problem import Distance, Places
+from phy124.studies.fit.table import Values
+from phy124.studies.fit.target import Target
+from phy124.studies.sweep.keys import code
+
+FOLDER = "runs"
+"""Where predictions are kept."""
+DIGITS = 6
+"""Significant digits of a value in a scene."""
+
+Played = tuple[Values | None, float]
+"""A prediction, None if the run stopped early, and the processor time it took [s]."""
+
+
+class Tried(NamedTuple):
+    """A place that was tried, and how far off it was."""
+
+    level: int
+    """Which grid."""
+    values: dict[str, float]
+    misfits: list[float] | None
+    """Root mean square difference of each kind; None if the run stopped early."""
+
+
+@dataclass(frozen=True)
+class Player:
+    """Plays a scene and says what would have been measured."""
+
+    gaussians: Gaussians
+    crop: Crop
+    observations: Observations
+
+    def __call__(self, scene: dict[str, Any]) -> Played:
+        """Play a scene, given as plain data."""
+        begun = time.process_time()
+        clip = self.clip(scene)
+        found = self.observations.predicted(clip) if clip.report["complete"] else None
+        return found, time.process_time() - begun
+
+    def clip(self, scene: dict[str, Any]) -> Clip:
+        """Play a scene, given as plain data, on one thread, so that equal ones give equal clips."""
+        run = Simulation(self.gaussians, Scene.from_data(scene), crop=self.crop, threads=1)
+        return run.run().surface
+
+
+class Runs:
+    """The `Problem` of a fit: predictions come from runs of its scene."""
+
+    def __init__(
+        self, target: Target, folder: Path, budget: Budget, progress: Progress = silent
+    ) -> None:
+        """Prepare; no run is made yet.
+
+        Args:
+            target: What was measured, and on what.
+            folder: Where predictions are kept.
+            budget: How long all may take.
+            progress: Called with ("fit", runs made, runs that are expected); may raise Cancelled.
+
+        Raises:
+            InputError: A path does not exist in the scene, or a range leaves its bounds.
+        """
+        declared, seen = target.declared, target.observations
+        self.names, self._ranges = tuple(declared.find), tuple(declared.find.values())
+        self.measured, self.groups, self.kinds = seen.measured, seen.groups, seen.kinds
+        self.grids = declared.grids
+        self.scene, self._budget, self._progress = target.played, budget, progress
+        self.player = Player(target.gaussians, target.crop, seen)
+        self.made, self.kept, self.seconds = [0] * len(self.grids), 0, 0.0
+        """Runs made on each grid, those an earlier fit had left, and their processor time [s]."""
+        self.tried: list[Tried] = []
+        """All places so far, in their order."""
+        self._folder, self._play = folder / FOLDER, self._alone
+        for end in (0.0, 1.0):
+            self.scene_at(np.full(len(self.names), end), 0)
+        self._known = _digest(self.player, target.declared)
+
+    def values(self, place: Values) -> dict[str, float]:
+        """The values at a place of the unit cube."""
+        pairs = zip(self.names, self._ranges, place, strict=True)
+        return {name: float(f"{axis.drawn(float(part)):.{DIGITS}g}") for name, axis, part in pairs}
+
+    def scene_at(self, place: Values, level: int) -> Scene:
+        """The scene with the values at a place, on the grid of a level."""
+        return self.scene.replaced({**self.values(place), "accuracy.cells": self.grids[level]})
+
+    def predict(self, places: Places, level: int) -> list[Values | None]:
+        """What would be measured at each place; None where the run stops early."""
+        scenes = [self.scene_at(place, level).data() for place in places]
+        files = [self._folder / f"{self._key(scene)}.npy" for scene in scenes]
+        missing = {f: s for f, s in zip(files, scenes, strict=True) if not f.is_file()}
+        self.kept += len(files) - len(missing)
+        for file, (found, seconds) in self._play(missing):
+            self.made[level] += 1
+            self.seconds += seconds
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(file) as temporary, open(temporary, "wb") as out:
+                np.save(out, np.empty(0) if found is None else found.astype(np.float32))
+        kept = [np.load(file).astype(np.float64) for file in files]
+        seen = [one if len(one) else None for one in kept]
+        off = Distance(self).misfits
+        for place, one in zip(places, seen, strict=True):
+            found = None if one is None else off(one)
+            self.tried.append(Tried(level, self.values(place), found))
+        return seen
+
+    def late(self, part: float) -> bool:
+        """Whether more than a part of the time is spent."""
+        return self._budget.late(part)
+
+    @contextmanager
+    def workers(self, count: int) -> Iterator[None]:
+        """Within this context, runs are made by so many processes; 0 and 1: by this one."""
+        if count < 2:
+            yield
+            return
+        with processes(count) as pool:
+            self._play = partial(self._together, pool)
+            try:
+                yield
+            finally:
+                self._play = self._alone
+
+    def _alone(self, missing: dict[Path, dict[str, Any]]) -> Iterator[tuple[Path, Played]]:
+        for file, scene in missing.items():
+            self._beat()
+            yield file, self.player(scene)
+
+    def _together(
+        self, pool: ProcessPoolExecutor, missing: dict[Path, dict[str, Any]]
+    ) -> Iterator[tuple[Path, Played]]:
+        work = partial(_play, self.player)
+        for (file, _), played in as_done(pool, work, missing.items(), self._beat):
+            yield file, played
+
+    def _beat(self) -> None:
+        made = sum(self.made)
+        self._progress("fit", made, max(made + 1, self._budget.expected))
+
+    def _key(self, scene: dict[str, Any]) -> str:
+        text = self._known + json.dumps(scene, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def _digest(player: Player, declared: Fit) -> str:
+    """A digest of all that a prediction depends on besides the scene."""
+    seen = player.gaussians
+    arrays = (seen.means, seen.quats, seen.scales, player.observations.measured)
+    whole = hashlib.sha256(code().encode())
+    for array in arrays:
+        whole.update(np.ascontiguousarray(array).tobytes())
+    whole.update(repr((player.crop, declared.side, declared.forces)).encode())
+    return whole.hexdigest()
+
+
+def _play(player: Player, kept: tuple[Path, dict[str, Any]]) -> Played:
+    """A run for a worker: the scene that belongs to a file."""
+    return player(kept[1])

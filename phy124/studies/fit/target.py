@@ -1,0 +1,188 @@
+"""The target: what was seen, brought together with the object and the scene."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phy124.camera import Camera
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.generators import needs_image
+from phy124.io.clip import Clip
+from phy124.monitor.wrenches import names as wall_names
+from phy124.particles.thinning import thinned
+from phy124.pipeline import static
+from phy124.rendering.framing import cameras
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.simulation.parts import WHOLE, Crop
+from phy124.studies.fit.aligning import Laid, laid_on
+from phy124.studies.fit.declaration import Fit
+from phy124.studies.fit.forces import Forces
+from phy124.studies.fit.observation import ROUNDED, Observation, Observations, refuse_outside
+from phy124.studies.fit.points import Points
+from phy124.studies.fit.silhouettes import Silhouettes
+from phy124.studies.fit.table import Table, read_table
+from phy124.studies.fit.video import FILMS, Film, read_film
+
+TRACKED = 256
+"""Gaussians of a clip that are taken as tracked points."""
+PLACE_COLUMNS = (("x", "y", "z"), ("u", "v"))
+FORCE_COLUMNS = (("fx", "fy", "fz"),)
+
+
+class Target:
+    """The object, the scene without what is to be found, and what was measured."""
+
+    def __init__(self, declared: Fit) -> None:
+        """Read everything.
+
+        Raises:
+            InputError: Something cannot be read, or does not fit together.
+        """
+        self.declared = declared
+        path = Path(declared.target)
+        clip = _clip_of(path)
+        self.film: Film | None = None
+        self.laid: Laid | None = None
+        """How the film was laid on what the camera sees, if it was."""
+        kinds = {".csv": "table", **dict.fromkeys(FILMS, "film")}
+        kind = "clip" if clip else "film" if path.is_dir() else kinds.get(path.suffix.lower())
+        if kind is None or not path.exists():
+            limit = "it is no clip, .csv file, video or folder, or is not there."
+            raise InputError("target", path, limit, "Give one of these.")
+        if declared.align and kind != "film":
+            raise InputError("align", True, "the target is no video.", "Leave it out.")
+        self.scene, self.gaussians, self.crop = _given(declared, clip)
+        table = read_table(path, "target", "id", PLACE_COLUMNS) if kind == "table" else None
+        if kind == "film":
+            self.film = read_film(path)
+        measured = self._forces(clip)
+        self._end(clip, table, measured)
+        self.rest = Simulation(
+            self.gaussians, self.scene.replaced({"time.frames": 1}), crop=self.crop, threads=1
+        ).run().surface  # fmt: skip
+        parts = [self._seen(clip, table)]
+        if measured is not None:
+            self.scene = self.scene.model_copy(update={"wrenches": True})
+            parts.append(Forces(measured, tuple(wall_names(self.scene.boundaries))))
+        self.observations = Observations(parts)
+
+    @property
+    def played(self) -> Scene:
+        """The scene as long as it must be played to be compared."""
+        timing = self.scene.time
+        frames = int(np.ceil((self.observations.last - ROUNDED) * timing.fps)) + 1
+        return self.scene.replaced({"time.frames": min(frames, timing.frames), "grains": False})
+
+    def seen_by(self) -> list[Camera]:
+        """The camera of each frame.
+
+        Raises:
+            InputError: The view has no such side.
+        """
+        view = self.scene.view
+        frames = self.scene.time.frames
+        try:
+            chosen = view.only(self.declared.side)
+        except ValueError:
+            limit = "the view has no such side."
+            remedy = "Give front, right, back, left, azimuth-45, or the name of a camera."
+            raise InputError("side", self.declared.side, limit, remedy) from None
+        means = np.broadcast_to(self.rest.means[0], (frames, *self.rest.means.shape[1:]))
+        quats = np.broadcast_to(self.rest.quats[0], (frames, *self.rest.quats.shape[1:]))
+        scales = np.broadcast_to(self.rest.scales[0], means.shape)
+        still = Clip(
+            means, quats, scales, self.rest.opacities, self.rest.sh,
+            np.arange(frames) / self.scene.time.fps, scene=self.scene.data(),
+        )  # fmt: skip
+        return cameras(still, chosen.model_copy(update={"fit": False}), self.declared.side)
+
+    def times_of(self, film: Film) -> np.ndarray:
+        """When the pictures of a film were taken [T], s."""
+        return np.arange(len(film.masks)) * self.scene.view.speed / self.rate_of(film)
+
+    def rate_of(self, film: Film) -> float:
+        """Pictures of a film per second, as it is shown."""
+        return self.declared.fps or film.fps or self.scene.time.fps
+
+    def _seen(self, clip: Clip | None, table: Table | None) -> Observation:
+        """What was seen of the object."""
+        rest = self.rest.means[0].astype(np.float64)
+        if self.film is not None:
+            if self.declared.align:
+                first = self.rest.frame(0).gaussians
+                self.film, self.laid = laid_on(self.film, first, self.seen_by()[0])
+            return Silhouettes(self.film, self.times_of(self.film), self.seen_by())
+        table = _tracks(clip) if clip is not None else table
+        assert table is not None
+        return Points(table, rest, self.seen_by() if "u" in table.columns else None)
+
+    def _forces(self, clip: Clip | None) -> Table | None:
+        """The forces that were measured, if any."""
+        if self.declared.forces is not None:
+            return read_table(self.declared.forces, "forces", "wall", FORCE_COLUMNS)
+        if clip is None or clip.wrenches is None or not clip.walls:
+            return None
+        count, walls = len(clip), len(clip.walls)
+        times, names = np.repeat(clip.times, walls), np.tile(clip.walls, count)
+        return Table(
+            times, names, clip.wrenches[:, :, 0].reshape(-1, 3).astype(float), FORCE_COLUMNS[0]
+        )
+
+    def _end(self, clip: Clip | None, table: Table | None, forces: Table | None) -> None:
+        """Refuse what was measured when the scene is not played."""
+        length = (self.scene.time.frames - 1) / self.scene.time.fps
+        tables = {"target": table, "forces": forces}
+        sources = {"target": self.declared.target, "forces": self.declared.forces}
+        for field, found in tables.items():
+            if found is not None:
+                refuse_outside(field, sources[field], found.times, length)
+        if clip is not None:
+            refuse_outside("target", self.declared.target, clip.times, length)
+        if self.film is not None:
+            refuse_outside("target", self.declared.target, self.times_of(self.film), length)
+
+
+def _clip_of(path: Path) -> Clip | None:
+    """The clip at a path, if there is one."""
+    inside = path / "clip.safetensors"
+    if inside.is_file():
+        return Clip.load(inside)
+    return Clip.load(path) if path.suffix == ".safetensors" else None
+
+
+def _given(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Crop]:
+    """Scene, object, and where that is in its picture."""
+    changes = {**declared.set}
+    source = clip if declared.object is None else _clip_of(Path(declared.object))
+    told = clip or source
+    if told is not None and declared.scene is None:
+        scene = Scene.from_data(told.scene, declared.target).replaced(changes)
+    else:
+        scene = Scene.named(declared.scene or "press").replaced(changes)
+    if source is not None:
+        gaussians = source.surface.frame(0).gaussians
+        return scene, thinned(gaussians, declared.gaussians, seed=scene.seed), WHOLE
+    if declared.object is None:
+        limit = "nothing says which object was seen."
+        raise InputError("object", None, limit, "Give its picture or file of Gaussians.")
+    options: dict[str, Any] = {"count": declared.gaussians}
+    path = os.fspath(declared.object)
+    made = static(path, scene, generator="relief" if needs_image(path) else path, **options)
+    return made.scene, made.gaussians, made.crop
+
+
+def _tracks(clip: Clip) -> Table:
+    """Some Gaussians of a clip, as if they had been tracked."""
+    surface, own = clip.surface, np.flatnonzero(clip.surface.own)
+    chosen = own[np.linspace(0, len(own) - 1, min(TRACKED, len(own))).astype(int)]
+    count = len(clip)
+    times = np.repeat(np.asarray(clip.times, float), len(chosen))
+    names = np.tile(chosen.astype(str), count)
+    values = surface.means[:, chosen].reshape(-1, 3).astype(float)
+    return Table(times, names, values, PLACE_COLUMNS[0])

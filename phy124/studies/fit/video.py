@@ -1,0 +1,191 @@
+"""Videos as masks: where the object is in each picture of a film or of a folder."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from phy124.errors import InputError
+from phy124.imaging.decoding import turn_upright
+from phy124.studies.fit.table import Values
+
+FILMS = (".mp4", ".webm", ".mov", ".mkv", ".avi", ".gif", ".webp")
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+DIFFERS = 20.0
+"""Distance of a colour from the background's from which it is the object's, of 442."""
+MOST = 2000
+"""Largest number of pictures."""
+SIDE = 256
+"""Longest side of the pictures as they are kept [pixels]: several times what is compared, and 2,000
+of them take 400 MB."""
+LONGEST = 600
+"""Longest time in which a video is read [s]."""
+FIRST = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
+"""What stands in the fifth byte of MP4 and MOV."""
+SAFE = ("-protocol_whitelist", "file,pipe", "-format_whitelist", "mov,matroska,avi")
+"""A playlist, which could name other files and addresses, is no video here."""
+PPM = re.compile(rb"P6\s(\d+)\s(\d+)\s255\s")
+"""What each picture of a stream of PPM files begins with."""
+FPS = re.compile(rb"Video: .* ([\d.]+) fps")
+
+
+class Film(NamedTuple):
+    """Where the object is in each picture."""
+
+    masks: NDArray[np.bool_]
+    """[T,H,W]."""
+    pictures: NDArray[np.uint8]
+    """[T,H,W,3]."""
+    fps: float | None
+    """Pictures per second, if the file says so."""
+
+
+def read_film(path: Path) -> Film:
+    """Read a video, or a folder of pictures in the order of their names.
+
+    Raises:
+        InputError: It cannot be read, its pictures differ in size, or one shows nothing.
+    """
+    drawn, fps = (list(_folder(path)), None) if path.is_dir() else _frames(path)
+    if len(drawn) < 2:
+        limit = f"it has {len(drawn)} pictures that can be read."
+        raise InputError("target", path, limit, "Give a video, or a folder of PNG files.")
+    if len({picture.shape[:2] for picture in drawn}) > 1:
+        raise InputError("target", path, "its pictures differ in size.", "Give all the same size.")
+    masks = np.stack([_mask(picture) for picture in drawn])
+    empty = np.flatnonzero(~masks.any(axis=(1, 2)))
+    if len(empty):
+        limit = f"picture {empty[0]} shows nothing before its background."
+        remedy = "Film before one plain colour, or give a folder of PNG files with transparency."
+        raise InputError("target", path, limit, remedy)
+    return Film(masks, np.stack([_on_white(picture) for picture in drawn]), fps)
+
+
+def _frames(path: Path) -> tuple[list[NDArray], float | None]:
+    """The pictures of a video, and how many there are per second."""
+    if path.suffix.lower() in (".gif", ".webp"):
+        return _animated(path)
+    _refuse_other(path)
+    import imageio_ffmpeg
+
+    program = imageio_ffmpeg.get_ffmpeg_exe()
+    command = [program, "-v", "error", *SAFE, "-i", str(path), "-frames:v", str(MOST + 1)]
+    fitting = f"scale=w='min({SIDE},iw)':h='min({SIDE},ih)':force_original_aspect_ratio=decrease"
+    command += ["-vf", fitting, "-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
+    try:
+        # Without an output file it says what is in the video, and complains.
+        told = subprocess.run(
+            [program, *SAFE, "-i", str(path)], check=False, capture_output=True, timeout=LONGEST
+        )
+        made = subprocess.run(command, capture_output=True, check=True, timeout=LONGEST)
+    except (OSError, RuntimeError, subprocess.SubprocessError):
+        raise _unreadable(path) from None
+    found = list(_pictures(made.stdout))
+    _refuse_endless(path, len(found))
+    fps = FPS.search(told.stderr)
+    return found, float(fps[1]) if fps else None
+
+
+def _pictures(stream: bytes) -> Iterator[NDArray]:
+    """The pictures of a stream of PPM files."""
+    place = 0
+    while match := PPM.match(stream, place):
+        width, height = int(match[1]), int(match[2])
+        place = match.end() + 3 * width * height
+        flat = np.frombuffer(stream[match.end() : place], np.uint8)
+        yield flat.reshape(height, width, 3)
+
+
+def _animated(path: Path) -> tuple[list[NDArray], float | None]:
+    from PIL import ImageSequence
+
+    try:
+        with Image.open(path) as file:
+            seconds = [
+                frame.info.get("duration", 0) / 1000 for frame in ImageSequence.Iterator(file)
+            ]
+            _refuse_endless(path, len(seconds))
+            found = [_small(f) for f in ImageSequence.Iterator(file)]
+    except InputError:
+        raise
+    except Exception:  # Pillow raises many types.
+        raise _unreadable(path) from None
+    return found, len(seconds) / sum(seconds) if sum(seconds) else None
+
+
+def is_film(path: Path) -> bool:
+    """Whether a file begins as a video or an animated picture does, whatever its name is."""
+    with open(path, "rb") as file:
+        head = file.read(12)
+    within = (head[:4], head[8:12])
+    inside = within in ((b"RIFF", b"AVI "), (b"RIFF", b"WEBP"))
+    return inside or head[4:8] in FIRST or head[:4] in (b"\x1a\x45\xdf\xa3", b"GIF8")
+
+
+def _refuse_other(path: Path) -> None:
+    if not is_film(path):
+        raise _unreadable(path)
+
+
+def _unreadable(path: Path) -> InputError:
+    return InputError("target", path, "it is no video that can be read.", "Give an MP4.")
+
+
+def _folder(path: Path) -> Iterator[NDArray]:
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
+    _refuse_endless(path, len(files))
+    for file in files:
+        try:
+            with Image.open(file) as image:
+                image.load()
+                picture = _small(turn_upright(image))
+        except Exception:  # Pillow raises many types.
+            limit = "it is no picture that can be read."
+            raise InputError("target", file, limit, "Leave it out.") from None
+        yield picture
+
+
+def _small(image: Image.Image) -> NDArray[np.uint8]:
+    """A picture with transparency, no larger than pictures are kept."""
+    kept = image.convert("RGBA")
+    kept.thumbnail((SIDE, SIDE), reducing_gap=None)
+    return np.asarray(kept)
+
+
+def _refuse_endless(path: Path, count: int) -> None:
+    if count > MOST:
+        raise InputError("target", path, f"it has more than {MOST} pictures.", "Shorten it.")
+
+
+def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Where the object is: by transparency if there is any, else by the colour of the border."""
+    if picture.shape[2] == 4 and picture[..., 3].min() < 255:
+        return picture[..., 3] > 127
+    colour = picture[..., :3].astype(np.float32)
+    border = np.concatenate([colour[0], colour[-1], colour[:, 0], colour[:, -1]])
+    apart = np.linalg.norm(colour - np.median(border, axis=0), axis=2) > DIFFERS
+    from scipy.ndimage import binary_fill_holes
+
+    return np.asarray(binary_fill_holes(apart))
+
+
+def _on_white(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The picture without transparency."""
+    if picture.shape[2] == 3:
+        return picture
+    part = picture[..., 3:].astype(np.float32) / 255
+    return (picture[..., :3] * part + 255 * (1 - part)).round().astype(np.uint8)
+
+
+def shrunk(masks: NDArray[np.bool_], size: tuple[int, int]) -> Values:
+    """Fraction of each pixel of smaller pictures that is covered [T,h,w]; `size` is (w, h)."""
+    small = [cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA) for m in masks]
+    return np.stack(small).astype(np.float64)

@@ -1,0 +1,174 @@
+"""The manifest: a row per clip, one small file each while a sweep runs, then one Parquet table.
+
+The table is put together from columns, as a row of Python takes ten times as much memory.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from phy124.errors import InputError
+from phy124.runtime.installation import install_command
+from phy124.studies.sweep.seen import Seen
+from phy124.studies.sweep.storage import Storage
+from phy124.studies.sweep.work import FAILED, Row
+
+MANIFEST = "manifest.parquet"
+"""Name of the table."""
+BATCH = 2048
+"""Rows that are read as Python's before they become columns."""
+FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
+"""Where the rows are: by the first digit of their keys, so that no listing is the whole."""
+
+
+def keys_in(storage: Storage) -> Iterator[str]:
+    """Keys of the clips that need not be made again; the names of their rows tell."""
+    return (_key(name) for name in _names(storage) if not name.endswith(FAILED))
+
+
+def sweep_rows(storage: Storage) -> None:
+    """Remove the half-written files that killed processes left beside rows and manifest."""
+    for folder in ("", *FOLDERS):
+        storage.sweep(folder)
+
+
+def refuse_missing_tables() -> None:
+    """Make sure that the manifest can be written.
+
+    Raises:
+        InputError: pyarrow is not installed.
+    """
+    _arrow()
+
+
+def flat(row: Row) -> Row:
+    """A row as columns: what was set and the seconds of each stage have a column each."""
+    plain = {key: value for key, value in row.items() if key not in ("set", "seconds")}
+    set_ = {f"set.{path}": _cell(value) for path, value in row.get("set", {}).items()}
+    seconds = {f"seconds.{stage}": value for stage, value in row.get("seconds", {}).items()}
+    return {**plain, **set_, **seconds}
+
+
+def write_manifest(storage: Storage) -> int:
+    """Write the table of all clips there are, in the order of their numbers; returns how many.
+
+    Of a clip that was made again, by another version or from a mended picture, the last row counts.
+    """
+    arrow, parquet = _arrow()
+    tables = list(_tables(storage, arrow))
+    if not tables:
+        return 0
+    whole = arrow.concat_tables(_alike(tables, arrow), promote_options="permissive")
+    whole = whole.take(_last(whole))
+    written = io.BytesIO()
+    parquet.write_table(whole, written)
+    storage.write(MANIFEST, written.getvalue())
+    return len(whole)
+
+
+def read_manifest(storage: Storage) -> list[Row]:
+    """The rows of the table.
+
+    Raises:
+        InputError: There is none.
+    """
+    table = _read(storage)
+    if table is None:
+        limit = "it holds no results of a sweep."
+        raise InputError("folder", storage.address, limit, "Give the --out of a sweep.")
+    return table.to_pylist()
+
+
+def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
+    """All rows, some at a time: those that count are taken from the table that is there."""
+    known = Seen()
+    if (table := _read(storage)) is not None:
+        there, rows = Seen(keys_in(storage)), table.select(["key", "status"]).to_pylist()
+        # What failed may have been made since.
+        table = table.filter([r["status"] != "failed" and r["key"] in there for r in rows])
+        known = Seen(table["key"].to_pylist())
+        yield table
+    new = (name for name in _names(storage) if name.endswith(FAILED) or _key(name) not in known)
+    while rows := [flat(json.loads(storage.read(name))) for name in islice(new, BATCH)]:
+        columns = dict.fromkeys(key for row in rows for key in row)
+        yield arrow.table({name: _column([row.get(name) for row in rows]) for name in columns})
+
+
+def _alike(tables: list[Any], arrow: Any) -> list[Any]:
+    """The tables with a column as text in all of them if it is in one and not in another."""
+    kinds: dict[str, set[bool]] = {}
+    for field in (field for table in tables for field in table.schema):
+        if field.type != arrow.null():
+            kinds.setdefault(field.name, set()).add(field.type == arrow.string())
+    mixed = {name for name, found in kinds.items() if len(found) > 1}
+    return [
+        table.cast(arrow.schema(
+            field.with_type(arrow.string()) if field.name in mixed else field
+            for field in table.schema
+        ))
+        for table in tables
+    ]  # fmt: skip
+
+
+def _last(table: Any) -> Any:
+    """Places of the last row of each clip that was asked for, in the order of their numbers."""
+    asked = table["asked"].to_numpy().astype("S")
+    order = np.lexsort((table["written"].to_numpy(), asked))
+    newest = np.append(asked[order][1:] != asked[order][:-1], True)
+    places = order[newest]
+    return places[np.argsort(table["index"].to_numpy()[places], kind="stable")]
+
+
+def _names(storage: Storage) -> Iterator[str]:
+    """Names of all rows."""
+    return (name for folder in FOLDERS for name in storage.names(folder))
+
+
+def _key(name: str) -> str:
+    """The key of the clip that a row is of."""
+    return PurePosixPath(name).name.partition(".")[0]
+
+
+def _read(storage: Storage) -> Any:
+    """The table; None if there is none."""
+    _, parquet = _arrow()
+    try:
+        return parquet.read_table(io.BytesIO(storage.read(MANIFEST)))
+    except FileNotFoundError:
+        return None
+
+
+def _cell(value: object) -> object:
+    """A value as a table can hold it: vectors and sections as JSON."""
+    return json.dumps(value) if isinstance(value, (list, tuple, dict)) else value
+
+
+def _column(values: list[object]) -> list[object]:
+    """One column, all of one type: text if its values differ in kind."""
+    kinds = {type(value) for value in values if value is not None}
+    if len(kinds) <= 1:
+        return values
+    kind = float if kinds == {int, float} else str
+    return [None if value is None else kind(str(value)) for value in values]
+
+
+def _arrow() -> tuple[Any, Any]:
+    """pyarrow and its Parquet.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        limit = "tables need the package pyarrow, which is not installed."
+        raise InputError("sweep", MANIFEST, limit, f"Run `{install_command('sweep')}`.") from error
+    return pyarrow, parquet

@@ -1,0 +1,167 @@
+"""The report of a sweep: a table for the terminal, and one page with pictures of all clips."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from phy124.studies.sweep.manifest import read_manifest
+from phy124.studies.sweep.storage import Storage
+from phy124.studies.sweep.work import Row
+
+PAGE = "report.html"
+"""Name of the page."""
+SHOWN = 600
+"""Clips that are shown as pictures, evenly chosen if there are more."""
+BARS = 12
+"""Bars of a distribution."""
+MEASURES = (
+    ("seconds.clip", "seconds of one core per clip"),
+    ("largest_force", "largest force on a wall [N]"),
+    ("energy_gain", "energy gained, of the work done (below 0: lost)"),
+    ("bytes", "bytes per clip"),
+)
+STYLE = """
+:root { color-scheme: light dark; font: 15px/1.45 system-ui, sans-serif; }
+body { margin: 2rem auto; max-width: 70rem; padding: 0 1rem; overflow-wrap: anywhere; }
+table { border-collapse: collapse; margin: 1rem 0; }
+td, th { padding: .2rem .8rem; text-align: right; border-bottom: 1px solid #8884; }
+td:first-child, th:first-child { text-align: left; }
+.sheet { display: grid; grid-template-columns: repeat(auto-fill, minmax(96px, 1fr)); gap: 6px; }
+.sheet figure { margin: 0; } .sheet img { width: 100%; border-radius: 4px; background: #fff; }
+figcaption { font-size: 11px; overflow-wrap: anywhere; }
+.bars { display: flex; align-items: end; height: 90px; gap: 2px; max-width: 36rem; }
+.bars i { flex: 1; background: #4a7fb5; min-height: 1px; }
+"""
+
+
+def lines(storage: Storage) -> list[str]:
+    """The table for the terminal.
+
+    Raises:
+        InputError: There are no results.
+    """
+    rows = read_manifest(storage)
+    done = [row for row in rows if row["status"] == "done"]
+    found = [f"{len(rows)} clips: {_counted(rows)}"]
+    for name, words in MEASURES:
+        values = _values(done, name)
+        if len(values):
+            low, mid, high = np.percentile(values, [5, 50, 95])
+            found.append(f"  {words:<42} median {mid:.4g}, 5 to 95 %: {low:.4g} to {high:.4g}")
+    for name, groups in _by_axis(done):
+        found.append(f"  by {name}:")
+        for value, group in groups.items():
+            cost = np.mean(_values(group, "seconds.clip"))
+            found.append(f"    {value:<40.40} {len(group):6} clips, {cost:.3g} s each")
+    found += [f"  {count} x {why}" for why, count in _reasons(rows).most_common(10)]
+    return found
+
+
+def write_page(storage: Storage) -> str:
+    """Write the page; returns its address.
+
+    Raises:
+        InputError: There are no results.
+    """
+    rows = read_manifest(storage)
+    done = [row for row in rows if row["status"] == "done"]
+    parts = [
+        f"<h1>{len(rows)} clips</h1><p>{html.escape(_counted(rows))}</p>",
+        *(_distribution(words, _values(done, name)) for name, words in MEASURES),
+        *(_table(name, groups) for name, groups in _by_axis(done)),
+        _refusals(_reasons(rows)),
+        _sheet(storage, done),
+    ]
+    page = (
+        '<!doctype html><html lang="en"><meta charset="utf-8"><title>Sweep</title>'
+        '<meta name="viewport" content="width=device-width">'
+        f"<style>{STYLE}</style><body>{''.join(parts)}</body></html>"
+    )
+    storage.write(PAGE, page.encode())
+    return storage.place(PAGE)
+
+
+def _counted(rows: Iterable[Row]) -> str:
+    counts = Counter(row["status"] for row in rows)
+    return ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
+
+
+def _values(rows: Iterable[Row], name: str) -> Any:
+    """The numbers of a column that are there."""
+    return np.array([row[name] for row in rows if row.get(name) is not None], dtype=float)
+
+
+def _by_axis(rows: list[Row]) -> Iterator[tuple[str, dict[str, list[Row]]]]:
+    """For each axis of few values, its clips by their value."""
+    columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
+    for name in ("picture", "generator", *columns):
+        groups: defaultdict[str, list[Row]] = defaultdict(list)
+        for row in rows:
+            groups[_said(row.get(name))].append(row)
+        if 1 < len(groups) <= 20:
+            yield name.removeprefix("set."), dict(groups)
+
+
+def _reasons(rows: Iterable[Row]) -> Counter[str]:
+    return Counter(f"{row['status']}: {row['sentence']}" for row in rows if row.get("sentence"))
+
+
+def _distribution(words: str, values: Any) -> str:
+    """Bars of how often which value occurs."""
+    if not len(values):
+        return ""
+    counts, edges = np.histogram(values, BARS)
+    bars = "".join(
+        f'<i style="height:{100 * count / counts.max():.0f}%" '
+        f'title="{low:.4g} to {high:.4g}: {count}"></i>'
+        for count, low, high in zip(counts, edges[:-1], edges[1:], strict=True)
+    )
+    ends = f"{edges[0]:.4g} to {edges[-1]:.4g}, median {np.median(values):.4g}"
+    return f'<h2>{html.escape(words)}</h2><div class="bars">{bars}</div><p>{ends}</p>'
+
+
+def _table(name: str, groups: dict[str, list[Row]]) -> str:
+    rows = "".join(
+        f"<tr><td>{html.escape(value)}</td><td>{len(group)}</td>"
+        f"<td>{np.mean(_values(group, 'seconds.clip')):.3g}</td></tr>"
+        for value, group in groups.items()
+    )
+    head = f"<tr><th>{html.escape(name)}</th><th>clips</th><th>seconds each</th></tr>"
+    return f"<table>{head}{rows}</table>"
+
+
+def _refusals(reasons: Counter[str]) -> str:
+    if not reasons:
+        return ""
+    items = "".join(
+        f"<li>{count} x {html.escape(why)}</li>" for why, count in reasons.most_common(50)
+    )
+    return f"<h2>Not made, or stopped early</h2><ul>{items}</ul>"
+
+
+def _sheet(storage: Storage, rows: list[Row]) -> str:
+    """Pictures of the clips, each with what tells it from the others."""
+    chosen = rows if len(rows) <= SHOWN else [rows[i * len(rows) // SHOWN] for i in range(SHOWN)]
+    columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
+    differ = [name for name in columns if len({str(row.get(name)) for row in rows}) > 1]
+    figures = []
+    for row in chosen:
+        picture = base64.b64encode(storage.read(f"{row['folder']}/thumbnail.webp")).decode()
+        told = [f"{name.removeprefix('set.')} {_said(row.get(name))}" for name in differ]
+        words = html.escape(", ".join([f"{row['index']}", *told]))
+        figures.append(
+            f'<figure><img loading="lazy" alt="clip {row["index"]}" '
+            f'src="data:image/webp;base64,{picture}"><figcaption>{words}</figcaption></figure>'
+        )
+    return f'<h2>The clips</h2><div class="sheet">{"".join(figures)}</div>'
+
+
+def _said(value: object) -> str:
+    """A value as people write it."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,1 @@
+"""Whether the solver is right: experiments, hard cases and known solutions."""

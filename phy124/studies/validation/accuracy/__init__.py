@@ -1,0 +1,1 @@
+"""Known solutions, and one scene on a series of grids."""

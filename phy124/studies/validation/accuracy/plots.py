@@ -1,0 +1,223 @@
+"""Pareto plots of error over time, as a picture and as a web page.
+
+A setting is dominated if another one is both faster and more accurate; such settings are grey. The
+page needs no network: it contains its figures, and a few lines of script draw them.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from phy124.errors import InputError
+from phy124.io.files import replacing
+from phy124.runtime.installation import install_command
+from phy124.scene import PRESETS
+from phy124.studies.validation.accuracy.study import Report, Row
+
+PathLike = str | os.PathLike[str]
+BLUE, GREY, ORANGE = "#2563a8", "#9aa3ad", "#c2571a"
+
+
+def dominated(rows: Sequence[Row]) -> set[str]:
+    """Names of the settings for which another one is better in both time and error."""
+    known = [row for row in rows if _error(row) is not None]
+    return {
+        row.name
+        for row in known
+        if any(
+            other.seconds <= row.seconds and (_error(other) or 0) <= (_error(row) or 0)
+            for other in known
+            if other.name != row.name
+        )
+    }
+
+
+def save_picture(report: Report, path: PathLike, *, title: str = "") -> None:
+    """Draw error over time and PSNR over time into one PNG.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise InputError(
+            "plots",
+            "PNG",
+            "this needs matplotlib, which is not installed.",
+            f"Run `{install_command('plots')}`; accuracy.html shows the same.",
+        ) from None
+    figure = Figure(figsize=(9, 4), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    _draw_errors(left, report)
+    _draw_psnr(right, report)
+    figure.suptitle(title or report.recommendation, fontsize=10)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def _draw_errors(axes: Any, report: Report) -> None:
+    worse = dominated(report.rows)
+    known = [row for row in report.rows if _error(row) is not None]
+    for row in known:
+        colour = GREY if row.name in worse else BLUE if row.level else ORANGE
+        _mark(axes, row, _error(row) or 0, colour, report)
+    front = sorted((r.seconds, _error(r) or 0) for r in known if r.name not in worse)
+    if front:
+        axes.plot(*zip(*front, strict=True), "-", color=BLUE, linewidth=1, zorder=0)
+        axes.set(yscale="log")
+    else:
+        axes.text(0.5, 0.5, report.convergence.why_not, ha="center", transform=axes.transAxes)
+    _label_axes(axes, "error [% of the object's size]")
+
+
+def _draw_psnr(axes: Any, report: Report) -> None:
+    for row in report.rows:
+        if row.from_finest is not None and not row.torn and math.isfinite(row.from_finest.psnr):
+            colour = BLUE if row.level else ORANGE
+            _mark(axes, row, row.from_finest.psnr, colour, report)
+    _label_axes(axes, "PSNR against the finest [dB]")
+
+
+def _mark(axes: Any, row: Row, value: float, colour: str, report: Report) -> None:
+    """Draw a point with its name on the side where there is room."""
+    times = [math.log(other.seconds) for other in report.rows]
+    late = math.log(row.seconds) > (min(times) + max(times)) / 2
+    axes.plot(row.seconds, value, "o" if row.level else "s", color=colour)
+    axes.annotate(
+        _label(row), (row.seconds, value), xytext=(-6 if late else 6, 5 if row.level else -12),
+        textcoords="offset points", fontsize=8, ha="right" if late else "left",
+    )  # fmt: skip
+
+
+def _label_axes(axes: Any, what: str) -> None:
+    from matplotlib.ticker import LogFormatter
+
+    axes.set(xscale="log", xlabel="seconds", ylabel=what)
+    scales = [axes.xaxis] + [axes.yaxis] * (axes.get_yscale() == "log")
+    for axis in scales:
+        axis.set_major_formatter(LogFormatter())
+        axis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
+    axes.margins(0.12)
+    axes.grid(alpha=0.3, which="both")
+
+
+def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time") -> None:
+    """Write the plot of errors as a web page that needs no network."""
+    worse = dominated(report.rows)
+    points = [
+        {
+            "name": _label(row),
+            "seconds": row.seconds,
+            "error": _error(row),
+            "pixels": row.pixels,
+            "psnr": row.from_finest.psnr if row.from_finest else None,
+            "particles": row.particles,
+            "substeps": row.substeps,
+            "level": row.level,
+            "dominated": row.name in worse,
+        }
+        for row in report.rows
+    ]
+    # "</" would end the script element early.
+    data = json.dumps(points).replace("</", "<\\/")
+    said = [*report.sentences, *(f"{n}: {s}" for n, s in report.promises.items())]
+    page = PAGE.format(
+        title=html.escape(title),
+        said="".join(f"<p>{html.escape(sentence)}</p>" for sentence in said),
+        data=data,
+    )
+    with replacing(path) as temporary:
+        Path(temporary).write_text(page, "utf-8")
+
+
+def _label(row: Row) -> str:
+    """The name of a setting, with that of its preset if it has one."""
+    preset = {accuracy.cells: name for name, accuracy in PRESETS.items()}.get(row.cells)
+    return f"{row.name} ({preset})" if row.level and preset else row.name
+
+
+def _error(row: Row) -> float | None:
+    return None if row.error is None else 100 * row.error
+
+
+PAGE = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>{title}</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>
+:root {{ color-scheme: light dark; --ink: #222; --paper: #fff; --grid: #8884; }}
+@media (prefers-color-scheme: dark) {{ :root {{ --ink: #ddd; --paper: #16181b; }} }}
+body {{ font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper);
+  max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }}
+svg {{ width: 100%; height: auto; }} text {{ fill: var(--ink); font-size: 13px; }}
+line {{ stroke: var(--grid); }} circle {{ cursor: pointer; }}
+circle:focus {{ outline: 2px solid currentColor; }} #about {{ min-height: 3em; }}
+</style>
+<h1>{title}</h1>{said}
+<svg id="plot" viewBox="0 0 800 440" role="img"
+  aria-label="error in per cent of the object's size over seconds, both logarithmic"></svg>
+<p id="about" aria-live="polite">Point at a setting, or reach it with the Tab key.</p>
+<script>
+const points = {data};
+const svg = document.getElementById("plot"), about = document.getElementById("about");
+const add = (name, set, text) => {{
+  const e = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const k in set) e.setAttribute(k, set[k]);
+  if (text) e.textContent = text;
+  return svg.appendChild(e);
+}};
+const shown = points.filter(p => p.error > 0 && p.seconds > 0);
+const span = f => {{
+  const v = shown.map(f).map(Math.log10);
+  const a = Math.min(...v), b = Math.max(...v), m = 0.1 + 0.1 * (b - a);
+  return [a - m, b + m];
+}};
+if (!shown.length) 
+  add("text", {{x: 400, y: 220, "text-anchor": "middle"}}, "no errors: not converging");
+else {{
+  const [x0, x1] = span(p => p.seconds), [y0, y1] = span(p => p.error);
+  const X = s => 70 + 700 * (Math.log10(s) - x0) / (x1 - x0);
+  const Y = e => 390 - 360 * (Math.log10(e) - y0) / (y1 - y0);
+  const ticks = (a, b) => {{
+    const t = [];
+    for (let d = Math.floor(a); d <= b; d++) for (const m of [1, 2, 5]) {{
+      const v = m * 10 ** d;
+      if (Math.log10(v) >= a && Math.log10(v) <= b) t.push(v);
+    }}
+    return t;
+  }};
+  for (const t of ticks(x0, x1)) {{
+    add("line", {{x1: X(t), x2: X(t), y1: 30, y2: 390}});
+    add("text", {{x: X(t), y: 408, "text-anchor": "middle"}}, t + " s");
+  }}
+  for (const t of ticks(y0, y1)) {{
+    add("line", {{x1: 70, x2: 770, y1: Y(t), y2: Y(t)}});
+    add("text", {{x: 62, y: Y(t) + 4, "text-anchor": "end"}}, t + " %");
+  }}
+  const front = shown.filter(p => !p.dominated).sort((a, b) => a.seconds - b.seconds);
+  add("polyline", {{fill: "none", stroke: "#2563a8", "stroke-width": 2,
+    points: front.map(p => X(p.seconds) + "," + Y(p.error)).join(" ")}});
+  for (const p of shown) {{
+    const colour = p.dominated ? "#9aa3ad" : p.level ? "#2563a8" : "#c2571a";
+    const c = add("circle", {{cx: X(p.seconds), cy: Y(p.error), r: 7, fill: colour, tabindex: 0}});
+    const text = p.name + ": " + p.error.toFixed(2) + " % of the size"
+      + (p.pixels ? ", " + p.pixels.toFixed(1) + " pixels" : "")
+      + (p.psnr ? ", " + p.psnr.toFixed(1) + " dB against the finest" : "")
+      + " in " + p.seconds.toFixed(1) + " s; " + p.particles + " particles, "
+      + p.substeps + " substeps" + (p.dominated ? "; another setting is faster and better" : "");
+    c.setAttribute("aria-label", text);
+    for (const on of ["pointerenter", "focus", "click"])
+      c.addEventListener(on, () => {{ about.textContent = text; }});
+    if (p.level) add("text", {{x: X(p.seconds) + 10, y: Y(p.error) - 8}}, p.name);
+  }}
+}}
+</script></html>
+"""

@@ -1,0 +1,313 @@
+"""Problems with known solutions, each solved by the solver that makes the clips.
+
+Every function runs one problem at one grid spacing and returns the error of the result. Bars and
+columns are one particle thick: with nu = 0, or with both sides held, nothing varies across them, so
+a row of particles represents the whole body.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.boundaries import Ground, HalfSpace
+from phy124.forces import Gravity
+from phy124.kernels.manufactured import make_vortex
+from phy124.kernels.transfer import types
+from phy124.materials import Fluid, NeoHookean
+from phy124.mpm import Grid, Model, Solver, Stage, State
+from phy124.mpm.tracks import Tracks
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from phy124.mpm import Stage
+
+Array = NDArray[np.float64]
+GRAVITY = 9.81
+FLOOR_NODE = 0.75
+"""Depth of the lowest plane of nodes below a floor [cells], as in every simulation."""
+
+
+def block(cells: float, dx: float, per_axis: int = 2) -> Array:
+    """Positions [P,3], m, of a cube of particles around the origin, `cells` * dx [m] wide."""
+    n = round(cells * per_axis)
+    line = (np.arange(n) + 0.5) * dx / per_axis - cells * dx / 2
+    return np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def angular_momentum(solver: Solver) -> Array:
+    """Sum of m (x cross v + dx^2/4 axial(C)) [3], kg m^2/s, which APIC conserves exactly."""
+    m, x = solver.model.mass.numpy().astype(float)[:, None], solver.state.x.numpy().astype(float)
+    v, C = solver.state.v.numpy().astype(float), solver.state.C.numpy().astype(float)
+    axial = np.stack(
+        [C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], axis=1
+    )
+    return (m * (np.cross(x, v) + solver.model.dx**2 / 4 * axial)).sum(axis=0)
+
+
+# --- free fall -----------------------------------------------------------------------------------
+
+
+def fall(position: Array, velocity: Array, time: float) -> Array:
+    """Exact solution: x + v t - g t^2 / 2 along z."""
+    return position + velocity * time - np.array([0, 0, GRAVITY * time**2 / 2])
+
+
+def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
+    """A thrown body: largest error of any particle, relative to its displacement."""
+    x, v = block(4, 0.1) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
+    volume = np.full(len(x), (0.1 / 2) ** 3)
+    model = Model.of(x, volume, [NeoHookean(E=1e4)], dx=0.1, precision=precision)
+    solver = Solver(model, State.of(model, np.tile(v, (len(x), 1))), forces=[Gravity()])
+    solver.advance(time)
+    error = solver.state.x.numpy() - fall(x, v, time)
+    return float(np.abs(error).max() / np.linalg.norm(fall(x, v, time) - x, axis=1).max())
+
+
+# --- rigid spin ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Spin:
+    """Relative changes of conserved quantities after some turns."""
+
+    angular_momentum: float
+    energy: float
+
+
+def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spin:
+    """A stiff cube rotating freely: |change| of angular momentum and of kinetic energy."""
+    dx = 0.1
+    x = block(4, dx)
+    gradient = np.array([[0, -omega, 0], [omega, 0, 0], [0, 0, 0]])
+    C = np.broadcast_to(gradient, (len(x), 3, 3))
+    material = NeoHookean(E=2e5, nu=0.3)
+    volume = np.full(len(x), (dx / 2) ** 3)
+    model = Model.of(x, volume, [material], dx=dx, precision=precision)
+    solver = Solver(model, State.of(model, x @ gradient.T, C))
+    momentum, energy = angular_momentum(solver), _kinetic(solver)
+    solver.advance(turns * 2 * math.pi / omega)
+    change = np.linalg.norm(angular_momentum(solver) - momentum) / np.linalg.norm(momentum)
+    return Spin(float(change), abs(_kinetic(solver) / energy - 1))
+
+
+def _kinetic(solver: Solver) -> float:
+    """Kinetic energy [J], including the part that APIC stores in C."""
+    m, v = solver.model.mass.numpy().astype(float), solver.state.v.numpy().astype(float)
+    C = solver.state.C.numpy().astype(float)
+    return float((m * ((v**2).sum(1) + solver.model.dx**2 / 4 * (C**2).sum((1, 2)))).sum() / 2)
+
+
+# --- vibrating bar -------------------------------------------------------------------------------
+
+
+def bar_frequency(E: float, density: float, length: float) -> float:
+    """Exact: omega = pi c / L [rad/s] of the first mode of a free bar, with c^2 = E / rho."""
+    return math.pi / length * math.sqrt(E / density)
+
+
+def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> float:
+    """A free bar of `cells` cells over one period: relative error of its frequency, signed."""
+    E, density, length = 1e4, 1000.0, 1.0
+    dx = length / cells
+    z = (np.arange(cells * per_axis) + 0.5) * dx / per_axis
+    x = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
+    wave = math.pi / length
+    exact, speed = bar_frequency(E, density, length), math.sqrt(E / density)
+    v, C = np.zeros_like(x), np.zeros((len(x), 3, 3))
+    v[:, 2] = strain * speed * np.cos(wave * z)
+    C[:, 2, 2] = -strain * speed * wave * np.sin(wave * z)
+    material = NeoHookean(E=E, nu=0.0, density=density)
+    volume = np.full(len(x), dx**3 / per_axis)
+    model = Model.of(x, volume, [material], dx=dx, precision="float64")
+    solver = Solver(model, State.of(model, v, C))
+    period, times, modes = 2 * math.pi / exact, [0.0], [0.0]
+
+    def record() -> None:
+        times.append(solver.clock.time)
+        modes.append(float((np.cos(wave * z) * (solver.state.x.numpy()[:, 2] - z)).sum()))
+
+    solver.advance(1.1 * period, after=record)
+    return _zero_crossing(times, modes, period) ** -1 * period - 1
+
+
+def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float) -> float:
+    """The time near `near` at which a smooth signal rises through zero [s]."""
+    t, y = np.array(times), np.array(values)
+    rising = np.flatnonzero((y[1:] > 0) & (y[:-1] <= 0) & (t[1:] > near / 2))
+    at = int(rising[np.abs(t[rising] - near).argmin()])
+    span = slice(max(at - 1, 0), at + 3)
+    # Time as a cubic of the signal is far more exact than a straight line between two substeps.
+    return float(np.polyval(np.polyfit(y[span] / np.abs(y).max(), t[span], 3), 0.0))
+
+
+# --- generalised vortex --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Vortex:
+    """A ring whose radii rotate to and fro for one second (Kamojjala et al. 2015)."""
+
+    amplitude: float = 0.1
+    inner: float = 0.75
+    outer: float = 1.25
+    material: NeoHookean = NeoHookean(E=1000.0, nu=0.3, density=1000.0)  # noqa: RUF009
+
+    def angle(self, radius: Array, time: float) -> Array:
+        """Exact: the angle by which a radius has rotated [rad]."""
+        s = (radius - (self.inner + self.outer) / 2) / (self.outer - self.inner)
+        rise = self.amplitude * (1 - math.cos(2 * math.pi * time)) / 2
+        return (1 - 8 * s**2 + 16 * s**4) * rise
+
+    def position(self, x: Array, time: float) -> Array:
+        """Exact: the positions of the points x [P,3] at a time [s]."""
+        turn = self.angle(np.hypot(x[:, 0], x[:, 1]), time)
+        cosine, sine = np.cos(turn), np.sin(turn)
+        columns = (cosine * x[:, 0] - sine * x[:, 1], sine * x[:, 0] + cosine * x[:, 1], x[:, 2])
+        return np.stack(columns, axis=1)
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """The body force that makes this motion an exact solution."""
+        stiffness = self.material.lame[0] / self.material.density
+        middle, width = (self.inner + self.outer) / 2, self.outer - self.inner
+        ring = types(model.real).vec4(middle, width, self.amplitude, stiffness)
+        kernel = make_vortex(model.real)
+
+        def record(grid: Grid) -> wp.Launch | None:
+            del grid
+            inputs = [ring, tracks.clock, state.x]
+            return model.launch(kernel, len(model), inputs, [state.v])
+
+        return [Stage("vortex", record)]
+
+
+def vortex(
+    cells: int, *, time: float = 0.5, per_axis: int = 4, problem: Vortex | None = None
+) -> float:
+    """The ring with `cells` cells across: RMS error of position / RMS displacement.
+
+    Args:
+        cells: Cells across the ring.
+        time: Time of the comparison [s].
+        per_axis: Particles per cell and axis.
+        problem: The ring; None: the default one.
+    """
+    problem = problem or Vortex()
+    dx = 2 * problem.outer / cells
+    line = (np.arange(cells * per_axis) + 0.5) * dx / per_axis - problem.outer
+    plane = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    radius = np.hypot(plane[:, 0], plane[:, 1])
+    plane = plane[(radius > problem.inner) & (radius < problem.outer)]
+    x = np.column_stack([plane, np.zeros(len(plane))])
+    volume = np.full(len(x), (dx / per_axis) ** 2 * dx)
+    model = Model.of(x, volume, [problem.material], dx=dx, precision="float64")
+    solver = Solver(model, forces=[problem])
+    solver.advance(time)
+    exact = problem.position(x, time)
+    return float(_rms(solver.state.x.numpy() - exact) / _rms(exact - x))
+
+
+def _rms(vectors: Array) -> float:
+    return float(np.sqrt((vectors**2).sum(axis=-1).mean()))
+
+
+# --- hydrostatic column --------------------------------------------------------------------------
+
+
+def column_pressure(depth: Array, density: float) -> Array:
+    """Exact: the pressure rho g h [Pa] at depths h [m] of material at rest."""
+    return density * GRAVITY * depth
+
+
+@dataclass(frozen=True)
+class Column:
+    """Errors of the pressure in a settled column, relative to rho g h at its foot."""
+
+    mean: float
+    """Error of the mean pressure; it comes from the cells at the floor, so it scales with dx."""
+    inside: float
+    """RMS error of the pressure more than three cells above the floor."""
+
+
+def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
+    """Liquid at rest between held sides, on a floor that cuts the kernels of the lowest particles.
+
+    It settles by kinetic damping: whenever its motion is fastest, it is stopped.
+    """
+    height, material = 1.0, Fluid()
+    dx = height / cells
+    z = (np.arange(cells * per_axis) + 0.5) * dx / per_axis
+    walls = [
+        HalfSpace(point=(1e3, 0, 0), normal=(1.0, 0, 0), contact="slip"),
+        HalfSpace(point=(0, 1e3, 0), normal=(0, 1.0, 0), contact="slip"),
+    ]
+    x, origin = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1), (0, 0, -FLOOR_NODE * dx)
+    volume = np.full(len(z), dx**3 / per_axis)
+    model = Model.of(x, volume, [material], dx=dx, origin=origin, precision="float64")
+    solver = Solver(model, forces=[Gravity()], boundaries=[Ground(contact="slip"), *walls])
+    _settle(solver, height / material.wave_speed())
+    J = np.linalg.det(np.asarray(solver.state.F.numpy(), float))
+    pressure = material.bulk_modulus / material.gamma * (J**-material.gamma - 1)
+    foot = float(column_pressure(np.array(height), material.density))
+    error = (pressure - column_pressure(height - z, material.density)) / foot
+    return Column(abs(float(error.mean())), _rms(error[z > 3 * dx, None]))
+
+
+def _settle(solver: Solver, crossing: float) -> None:
+    """Stop the motion whenever it is fastest, twelve times."""
+    stops, last = 0, 0.0
+    while stops < 12:
+        solver.advance(solver.clock.time + crossing / 20)
+        now = _kinetic(solver)
+        if now < last:
+            solver.state.v.zero_()
+            solver.state.C.zero_()
+            stops, now = stops + 1, 0.0
+        last = now
+
+
+# --- bouncing ball -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Bounce:
+    """A soft ball dropped on a smooth floor: no exact solution, but a series of finer grids."""
+
+    diameter: float = 0.4
+    drop: float = 0.2
+    material: NeoHookean = NeoHookean(E=5e4, nu=0.3)  # noqa: RUF009
+    seconds: float = 0.5
+    frames: int = 20
+
+    def particles(self, spacing: float) -> Array:
+        """A lattice of positions [P,3], m, in the ball at its initial height."""
+        n = round(self.diameter / spacing)
+        line = (np.arange(n) + 0.5) * spacing - self.diameter / 2
+        cube = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+        inside = (cube**2).sum(axis=1) < (self.diameter / 2) ** 2
+        return np.asarray(cube[inside] + [[0, 0, self.drop + self.diameter / 2]], float)
+
+    def run(self, cells: int, spacing: float) -> Array:
+        """Positions [T,P,3], m, of the same particles with a grid spacing of diameter / cells."""
+        x, dx = self.particles(spacing), self.diameter / cells
+        volume, origin = np.full(len(x), spacing**3), (0, 0, -FLOOR_NODE * dx)
+        model = Model.of(x, volume, [self.material], dx=dx, origin=origin)
+        solver = Solver(model, forces=[Gravity()], boundaries=[Ground(friction=0.0)])
+        frames = []
+        for frame in range(1, self.frames + 1):
+            solver.advance(self.seconds * frame / self.frames)
+            frames.append(solver.state.x.numpy().astype(float))
+        return np.array(frames)
+
+
+def bouncing_ball(cells: Sequence[int], problem: Bounce | None = None) -> list[Array]:
+    """Positions of the same particles (two per cell and axis on the finest grid) on each grid."""
+    problem = problem or Bounce()
+    spacing = problem.diameter / (2 * max(cells))
+    return [problem.run(each, spacing) for each in cells]

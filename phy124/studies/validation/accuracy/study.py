@@ -1,0 +1,412 @@
+"""The study: one scene at several grid spacings, with the time and the error of each.
+
+The error of a setting is its distance from the extrapolation of all levels, by Richardson with the
+observed order, plus the uncertainty of that (`convergence`). If finer grids do not come closer to
+each other, there is no error: "not converging".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from phy124.accuracy.convergence import TRUSTED, Convergence, distances, richardson
+from phy124.accuracy.difference import Difference, difference
+from phy124.accuracy.forecast import QUIET, Forecaster, pixels_per_size
+from phy124.accuracy.promises import kept, promise, torn
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.io.clip import Clip
+from phy124.monitor.diagnostics import Diagnostics, diagnose
+from phy124.monitor.dissipation import Loss, split_seconds
+from phy124.progress import Progress, silent
+from phy124.runtime.failures import failure, is_stop
+from phy124.scene import PRESETS, Accuracy, Scene
+from phy124.simulation import Simulation, Stopped
+from phy124.simulation.parts import WHOLE, Crop
+
+LEVELS = (16, 24, 32, 48)
+"""Cells across the object, from coarse to fine; draft, standard and fine among them."""
+MIN_PARTICLES_PER_AXIS = 1.5
+"""Median particles per cell and axis below which a level is skipped."""
+VARIED = 24
+"""The level at which the other settings are varied, one at a time."""
+GOOD = 0.04
+"""Largest error, as a fraction of the size, with which a setting is recommended."""
+SIZE = 256
+"""Largest width and height of the compared videos [pixels]."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setting, its time and its error."""
+
+    name: str
+    cells: int
+    precision: str
+    cfl: float
+    binding: str
+    particles: int
+    particles_per_axis: float
+    """Median number of particles per axis in the cells that hold any."""
+    substeps: int
+    predicted: float | None
+    """Predicted time of simulation and shapes [s]; None without a forecast."""
+    seconds: float
+    """Measured time of simulation and shapes, without splitting the energy lost [s]."""
+    limiters: dict[str, float]
+    """Limit of the substep -> fraction of the substeps."""
+    energy_lost: float
+    """Energy lost beyond the work of forces and walls, as a fraction of all energy turned over."""
+    lost_to: dict[str, float] | None
+    """The same by where it went: material, contact, numerical; None where that cannot be told."""
+    angular_momentum_lost: float | None
+    """Relative change; None if forces or walls change it."""
+    from_finest: Difference | None = None
+    """Distance to the finest level; None for that level."""
+    error: float | None = None
+    """Estimated error as a fraction of the object's size; None if the levels do not converge."""
+    pixels: float | None = None
+    """The same error in the video [pixels]."""
+    torn: str = ""
+    """Why the grid may have torn the material; such a row has no error."""
+
+    @property
+    def level(self) -> bool:
+        """Whether it is one of the levels, not a variation."""
+        return self.name.startswith("D/")
+
+
+@dataclass(frozen=True)
+class Report:
+    """The result of a study."""
+
+    rows: tuple[Row, ...]
+    skipped: tuple[str, ...]
+    """Sentences about levels that were left out or torn, and why."""
+    convergence: Convergence
+    object_size: float
+    """Longest side at rest [m]."""
+    recommendation: str
+    promises: dict[str, str]
+    """Preset -> whether its promise holds in this scene, in words."""
+    interrupted: bool = False
+    """Whether Ctrl-C or an error ended it before all settings had been run."""
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Sentences about the result, each once."""
+        said = (*self.skipped, self.convergence.why_not, self.recommendation)
+        return tuple(sentence for sentence in dict.fromkeys(said) if sentence)
+
+    def data(self) -> dict[str, Any]:
+        """Plain data for accuracy.json; infinities become None."""
+        return _plain(asdict(self))
+
+
+@dataclass
+class Study:
+    """Runs one scene at several settings; the Gaussians are the same in all of them."""
+
+    gaussians: Gaussians
+    scene: Scene
+    device: str = "cpu"
+    levels: tuple[int, ...] = LEVELS
+    crop: Crop = WHOLE
+    progress: Progress = silent
+    """Called with ("study", setting, settings), also in the middle of a setting; may raise
+    Cancelled, or Stopped, which leaves this setting out."""
+    thorough: bool = True
+    """Also vary the other settings, forecast each and compare videos: about three times as long."""
+    told: Callable[[Row], None] = lambda row: None
+    """Called with each setting as soon as it is finished, before errors are known."""
+    keep: bool = False
+    """Whether finished settings are evaluated when `progress` cancels or a later one fails."""
+    ended: Exception | None = field(default=None, init=False)
+    """What ended it before all was done, if `keep` has kept the rest."""
+    clips: dict[str, Clip] = field(default_factory=dict, repr=False)
+    _forecaster: Forecaster = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._forecaster = Forecaster(self.device)
+        self._splits = self.thorough and _can_split(self.scene)
+
+    def run(self) -> Report:
+        """Run all settings; raises InputError or Cancelled."""
+        rows, skipped = [], []
+        plan = list(self._plan())
+        for number, (name, scene) in enumerate(plan):
+            still = partial(self._still, number, len(plan))
+            try:
+                still()
+                row, reason = self._row(name, scene, still)
+            except Stopped as stop:
+                row, reason = None, f"{name} is left out: {stop}"
+            except Exception as problem:
+                if not (self.keep and rows):
+                    raise
+                self.ended = problem
+                why = "interrupted." if is_stop(problem) else str(failure(problem))
+                skipped += [f"{late} was not run: {why}" for late, _ in plan[number:]]
+                break
+            if reason:
+                skipped.append(reason)
+            if row:
+                rows.append(row)
+                self.told(row)
+        else:
+            self.progress("study", len(plan), len(plan))
+        report = self._kept(rows, tuple(skipped))
+        return replace(report, interrupted=self.ended is not None)
+
+    def _kept(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
+        """The report of finished settings, without errors if they cannot be compared."""
+        try:
+            return self._judged(rows, skipped)
+        except Exception as problem:
+            if not (self.keep and rows):
+                raise
+            self.ended = problem
+            why = "the settings were not compared"
+            return self._unjudged(rows, (*skipped, f"{why}: {failure(problem)}"), why)
+
+    def _still(self, number: int, count: int, stage: str = "study", *steps: int) -> None:
+        """Report progress in the middle of a setting."""
+        if stage == "compile":
+            self.progress(stage, *steps)
+        self.progress("study", number, count)
+
+    def _plan(self) -> Iterator[tuple[str, Scene]]:
+        """Every setting by name: the levels, then one thing varied at a time."""
+        base = self.scene.resolution
+        for cells in self.levels:
+            yield f"D/{cells}", self._with(base.model_copy(update={"cells": cells}))
+        if not self.thorough:
+            return
+        middle = base.model_copy(update={"cells": min(VARIED, max(self.levels))})
+        here = f"at D/{middle.cells}"
+        yield (
+            f"half the substep {here}",
+            self._with(middle.model_copy(update={"cfl": middle.cfl / 2})),
+        )
+        other = "float64" if middle.precision == "float32" else "float32"
+        yield f"{other} {here}", self._with(middle.model_copy(update={"precision": other}))
+        binding = "lattice" if self.scene.binding == "particles" else "particles"
+        bound = self._with(middle).model_copy(update={"binding": binding})
+        yield f"binding {binding} {here}", bound
+
+    def _with(self, accuracy: Accuracy) -> Scene:
+        """The scene at another accuracy, with the checks on that show the energy lost."""
+        asked = {"balance": True, "energy": self._splits}
+        checks = self.scene.checks.model_copy(update=asked)
+        return self.scene.model_copy(update={"accuracy": accuracy, "checks": checks})
+
+    def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
+        """Run one setting; returns its row, and why there is none or why to doubt it."""
+        simulation = Simulation(
+            self.gaussians, scene, device=self.device, crop=self.crop, progress=progress
+        )
+        particles_per_axis = _particles_per_axis(simulation)
+        if particles_per_axis < MIN_PARTICLES_PER_AXIS:
+            return None, (
+                f"{name} is skipped: {particles_per_axis:.1f} particles per cell and axis are "
+                f"fewer than {MIN_PARTICLES_PER_AXIS}, so a finer grid would be less accurate."
+            )
+        predicted = self._predicted(simulation) if self.thorough else None
+        before = diagnose(simulation.solver)
+        clip = simulation.run()
+        if not clip.report["complete"]:
+            return None, f"{name} is left out: {clip.report['stopped']}"
+        self.clips[name] = clip.surface
+        solver, accuracy = simulation.solver, scene.resolution
+        seconds, torn = simulation.watch.seconds, simulation.watchdog.tearing.note() or ""
+        counts = solver.clock.limiters
+        return Row(
+            name=name,
+            cells=accuracy.cells,
+            precision=accuracy.precision,
+            cfl=accuracy.cfl,
+            binding=scene.binding,
+            particles=len(simulation.particles),
+            particles_per_axis=particles_per_axis,
+            substeps=solver.clock.substeps,
+            predicted=predicted,
+            seconds=seconds["simulate"] + seconds["deform"] - split_seconds(solver.timings),
+            limiters={key: count / sum(counts.values()) for key, count in counts.items()},
+            energy_lost=-clip.report["balance"]["energy_gain"],
+            lost_to=_lost_to(clip.report.get("energy")),
+            angular_momentum_lost=_momentum_lost(scene, before, diagnose(solver)),
+            torn=torn,
+        ), f"{name}: {torn}" if torn else ""
+
+    def _predicted(self, simulation: Simulation) -> float:
+        """The time of the scene as a user would run it, without the split of the energy lost."""
+        scene = simulation.scene
+        if scene.checks.energy:
+            checks = scene.checks.model_copy(update={"energy": False})
+            plain = scene.model_copy(update={"checks": checks})
+            simulation = Simulation(self.gaussians, plain, device=self.device, crop=self.crop)
+        forecast = self._forecaster.of(simulation, filming=False, load=QUIET)
+        return forecast.stages["simulate"] + forecast.stages["deform"]
+
+    def _judged(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
+        """Add errors relative to the finest level and draw conclusions; torn levels are ignored."""
+        levels = [row for row in rows if row.level and not row.torn]
+        size = self.scene.object.size
+        if not levels:
+            torn = any(row.level for row in rows)
+            why = (
+                "on every level the grid may tear the material" if torn else "no level could be run"
+            )
+            return self._unjudged(rows, skipped, why)
+        names = [row.name for row in levels]
+        clips = [self.clips[name] for name in names]
+        apart = distances([clip.means for clip in clips]) / size
+        found = _without_torn(rows, richardson([1 / row.cells for row in levels], apart))
+        known = dict(zip(names, found.errors, strict=False))
+        judged = tuple(self._compared(row, clips, found, known) for row in rows)
+        return Report(
+            judged,
+            skipped,
+            found,
+            size,
+            recommend(judged, found),
+            kept_promises(self.scene, judged, found),
+        )
+
+    def _unjudged(self, rows: list[Row], skipped: tuple[str, ...], why: str) -> Report:
+        """The rows without errors, and why they have none."""
+        none, size = Convergence(None, why_not=why), self.scene.object.size
+        promises = kept_promises(self.scene, tuple(rows), none)
+        return Report(tuple(rows), skipped, none, size, why, promises)
+
+    def _compared(
+        self, row: Row, levels: list[Clip], found: Convergence, known: dict[str, float]
+    ) -> Row:
+        """The row with its distance from the finest level and its error; a torn one unchanged."""
+        if row.torn:
+            return row
+        view, clip, size = self.scene.view, self.clips[row.name], self.scene.object.size
+        shrink = min(1.0, SIZE / max(view.size))
+        small = view.model_copy(update={"size": tuple(round(side * shrink) for side in view.size)})
+        apart = None
+        if clip is not levels[-1] and self.thorough:
+            apart = difference(clip, levels[-1], small, device=self.device)
+            apart = replace(apart, pixels=apart.pixels / shrink)
+        each = [distances([clip.means, level.means])[0, 1] / size for level in levels]
+        error = known.get(row.name, found.error_of(np.array(each)))
+        if error is None:
+            return replace(row, from_finest=apart)
+        seen = apart.pixels / apart.relative if apart and apart.relative else None
+        scale = pixels_per_size(self.scene) if seen is None else seen
+        return replace(row, from_finest=apart, error=error, pixels=error * scale)
+
+
+def _can_split(scene: Scene) -> bool:
+    """Whether it can be told where the energy goes that a scene loses."""
+    try:
+        scene.replaced({"checks.balance": True, "checks.energy": True})
+    except InputError:
+        return False
+    return True
+
+
+def _lost_to(energy: dict[str, float] | None) -> dict[str, float] | None:
+    """Fractions of all energy turned over, of what a report says in joules."""
+    if energy is None or not energy["turnover"] > 0:
+        return None
+    return {name: float(energy[name] / energy["turnover"]) for name in Loss._fields}
+
+
+def _without_torn(rows: list[Row], found: Convergence) -> Convergence:
+    """The convergence of the levels; if there are no errors because some are torn, it says so."""
+    torn = ", ".join(row.name for row in rows if row.level and row.torn)
+    if not torn or not found.why_not:
+        return found
+    return replace(found, why_not=f"{found.why_not} ({torn} may be torn and do not count)")
+
+
+def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
+    """Error on a grid, from those of a study's levels.
+
+    Between two levels it is that of the coarser one; beyond the finest it falls with the observed
+    order (clamped to `TRUSTED`), or not at all if there is none. None on grids coarser than all.
+
+    Args:
+        cells: Cells of the grid.
+        errors: Cells of each level -> its error.
+        order: The observed order, if any.
+    """
+    within = [level for level in errors if level <= cells]
+    if not within:
+        return None
+    nearest = max(within)
+    if order is None or nearest < max(errors):
+        return errors[nearest]
+    return errors[nearest] * (nearest / cells) ** min(max(order, TRUSTED[0]), TRUSTED[1])
+
+
+def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
+    """A sentence: which level to choose, and what the next finer one would take."""
+    levels = [row for row in rows if row.level and not row.torn]
+    if found.error is None:
+        return f"No setting can be recommended by its error: {found.why_not}."
+    good = [row for row in levels if row.error is not None and row.error <= GOOD]
+    best = min(good or levels[-1:], key=lambda row: row.seconds)
+    said = f"Take {best.name}: {best.error or 0:.1%} of the object's size in {best.seconds:.1f} s"
+    finer = [row for row in levels if row.cells > best.cells]
+    if not good:
+        return f"{said}; no level reached {GOOD:.0%}, which needs a finer grid."
+    if not finer:
+        return f"{said}; it is the finest that was tried."
+    ratio = finer[0].seconds / best.seconds
+    better = f"{finer[0].error or 0:.1%}"
+    return f"{said}; {finer[0].name} would take {ratio:.1f} times as long for {better}."
+
+
+def kept_promises(scene: Scene, rows: tuple[Row, ...], found: Convergence) -> dict[str, str]:
+    """For each preset whose level was run: whether the promised error holds here, in words."""
+    said = {}
+    for name, accuracy in PRESETS.items():
+        row = next((row for row in rows if row.level and row.cells == accuracy.cells), None)
+        if row is None:
+            said[name] = "not tried"
+        elif row.torn:
+            said[name] = f"none: {torn([row.name])}"
+        elif found.error is None or row.error is None:
+            said[name] = f"cannot be judged: {found.why_not}"
+        else:
+            promised = promise(scene.model_copy(update={"accuracy": name}))
+            said[name] = kept(promised, row.error)
+    return said
+
+
+def _particles_per_axis(simulation: Simulation) -> float:
+    """Median number of particles in the cells that hold any, per axis."""
+    cells = np.floor(simulation.particles.x / simulation.solver.model.dx).astype(np.int64)
+    _, counts = np.unique(cells, axis=0, return_counts=True)
+    return float(np.median(counts) ** (1 / 3))
+
+
+def _momentum_lost(scene: Scene, before: Diagnostics, after: Diagnostics) -> float | None:
+    """Relative change of angular momentum, if neither forces nor walls may change it."""
+    start = float(np.linalg.norm(before.angular))
+    if scene.acting or scene.boundaries or start == 0:
+        return None
+    return float(np.linalg.norm(after.angular - before.angular)) / start
+
+
+def _plain(value: Any) -> Any:
+    """A copy that can be written as JSON."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

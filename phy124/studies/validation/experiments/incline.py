@@ -1,0 +1,106 @@
+"""A block on an incline: Coulomb's friction, along the grid and across it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from phy124.boundaries import HalfSpace
+from phy124.forces import Gravity
+from phy124.materials import NeoHookean
+from phy124.mpm import Model, Solver
+from phy124.studies.validation.accuracy.problems import FLOOR_NODE, GRAVITY
+from phy124.studies.validation.experiments.bodies import brick, mean_along
+from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+
+CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
+"""Slope tan(angle) of the incline and coefficient of friction; the last block stays."""
+SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
+"""Edge of the block [m], seconds for which it settles, and for which it slides."""
+
+SAMPLES = 41
+"""Instants at which its place is taken; a parabola is fitted to them, so rocking averages out."""
+
+
+def acceleration(slope: float, friction: float) -> float:
+    """sin - mu cos, at least 0: in units of gravity."""
+    angle = math.atan(slope)
+    return max(0.0, math.sin(angle) - friction * math.cos(angle))
+
+
+def published() -> tuple[Quantity, ...]:
+    """Accelerations, once with gravity tilted and once with the wall tilted."""
+    return tuple(
+        Quantity(f"tan θ = {slope:g}, μ = {mu:g}, {how}", exact, exact - 0.002, exact + 0.002)
+        for how in ("along the grid", "across it")
+        for slope, mu in CASES
+        for exact in [acceleration(slope, mu)]
+    )
+
+
+def slid(cells: int, slope: float, friction: float, *, across: bool) -> float:
+    """Acceleration along the incline, in units of gravity.
+
+    Args:
+        cells: Cells across the block.
+        slope: Tangent of its angle.
+        friction: Coefficient of friction.
+        across: Tilt the wall through the grid instead of gravity.
+    """
+    dx, angle = SIZE / cells, math.atan(slope)
+    along, up = (math.cos(angle), 0.0, -math.sin(angle)), (math.sin(angle), 0.0, math.cos(angle))
+    x = brick((2 * cells,) * 3, dx / 2, (-SIZE / 2, -SIZE / 2, 0.0))
+    g, way, wall = (GRAVITY * math.sin(angle), 0.0, -GRAVITY * math.cos(angle)), (1.0, 0, 0), None
+    if across:
+        x, g, way, wall = x @ np.array([along, (0, 1, 0), up]), (0.0, 0.0, -GRAVITY), along, up
+    plane = HalfSpace(normal=wall or (0.0, 0.0, 1.0), friction=friction)
+    rubber = NeoHookean(E=2e5, damping=600.0)
+    model = Model.of(
+        x, np.full(len(x), (dx / 2) ** 3), [rubber], dx=dx, origin=(0, 0, -FLOOR_NODE * dx)
+    )
+    solver = Solver(model, forces=[Gravity(g=g)], boundaries=[plane], threads=1)
+    solver.advance(SETTLING)
+    times, places = np.linspace(0, SLIDING, SAMPLES), []
+    for time in times:
+        solver.advance(SETTLING + float(time))
+        places.append(mean_along(solver, "x", way))
+    return float(2 * np.polyfit(times, places, 2)[0] / GRAVITY)
+
+
+def measured(cells: int, more: float) -> Values:
+    """All accelerations; friction is `more` larger than it should be."""
+    return tuple(
+        slid(cells, slope, mu + more, across=across)
+        for across in (False, True)
+        for slope, mu in CASES
+    )
+
+
+def run(cells: int) -> Values:
+    """With the right friction."""
+    return measured(cells, 0.0)
+
+
+def control(cells: int) -> Values:
+    """With a friction that is 0.05 too large."""
+    return measured(cells, 0.05)
+
+
+EXPERIMENT = Experiment(
+    name="incline",
+    title="Incline: Coulomb's friction",
+    source="Coulomb: a = g (sin θ − μ cos θ), or rest",
+    measured="Acceleration of a block in units of gravity; the incline lies along the grid "
+    "(gravity is tilted) or across it (the wall is).",
+    band="±0.002 g: the block still rocks",
+    published=published,
+    run=run,
+    control=control,
+    mistake="friction is 0.05 too large",
+    grids=(6, 8, 10),
+    across="the block",
+    unit="g",
+    quick=True,
+    seconds=40,
+)

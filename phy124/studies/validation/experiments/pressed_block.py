@@ -1,0 +1,127 @@
+"""A block between smooth plates: Poisson's ratio, Young's, the confined and the bulk modulus."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from phy124.boundaries import HalfSpace
+from phy124.boundaries.motion import Path
+from phy124.materials import NeoHookean
+from phy124.monitor.wrenches import Wrenches
+from phy124.mpm import Model, Solver
+from phy124.studies.validation.experiments.bodies import brick, mirrors
+from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+from phy124.studies.validation.experiments.roots import root
+
+E, NU, SIZE = 1e5, 0.3, 1.0
+"""Pa, and the edge of the block [m], an eighth of which is simulated."""
+STRAIN = 0.01
+"""How far plates press, as a fraction of the block."""
+PRESS, HOLD = 0.5, 1.0
+"""Seconds to press and to hold."""
+
+
+def law(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
+    """Axial and lateral Cauchy stress over E of a neo-Hookean block with these stretches.
+
+    Args:
+        axial: Stretch along the axis.
+        lateral: Stretch across it.
+        nu: Poisson's ratio.
+    """
+    mu, lam = 1 / (2 * (1 + nu)), nu / ((1 + nu) * (1 - 2 * nu))
+    J = axial * lateral**2
+    bulk = lam * math.log(J)
+    return (mu * (axial**2 - 1) + bulk) / J, (mu * (lateral**2 - 1) + bulk) / J
+
+
+def published() -> tuple[Quantity, ...]:
+    """Poisson's ratio, and stress over strain with free sides, with held ones, from all sides."""
+    axial = 1 - STRAIN
+    free = root(lambda lateral: law(axial, lateral)[1], 1.0, 1.02)
+    return tuple(
+        Quantity.within(name, value, 0.005)
+        for name, value in (
+            ("Poisson's ratio", (free - 1) / STRAIN),
+            ("free sides: stress / E strain", -law(axial, free)[0] / STRAIN),
+            ("held sides: stress / E strain", -law(axial, 1.0)[0] / STRAIN),
+            ("from all sides: stress / E strain", -law(axial, axial)[0] / STRAIN),
+        )
+    )
+
+
+def pressed(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]:
+    """Stress over axial strain [Pa], and lateral over axial strain.
+
+    Args:
+        cells: Cells across half the block.
+        moving: Number of plates that press, along z, y and x.
+        fixed: Number of plates that stand still, along the next axes.
+        nu: Poisson's ratio.
+    """
+    half, dx = SIZE / 2, SIZE / 2 / cells
+    x = brick((2 * cells,) * 3, dx / 2)
+    plates = [_plate(axis, moves=n < moving) for n, axis in enumerate((2, 1, 0)[: moving + fixed])]
+    wrenches = Wrenches()
+    model = Model.of(
+        x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=E, nu=nu, damping=200.0)], dx=dx,
+        origin=(-0.75 * dx,) * 3,
+    )  # fmt: skip
+    walls = wrenches.boundaries([*plates, *mirrors(0, 1, 2)])
+    solver = Solver(model, boundaries=walls, accumulators=[wrenches], threads=1)
+    solver.advance(PRESS + HOLD / 2)
+    wrenches.begin()
+    solver.advance(PRESS + HOLD)
+    forces = wrenches.contacts(solver, 2 / HOLD) or {}
+    end = solver.state.x.numpy().astype(float)
+    slopes = [1 - np.polyfit(model.rest[:, axis], end[:, axis], 1)[0] for axis in range(3)]
+    area = half**2 * (1 - slopes[0]) * (1 - slopes[1])
+    return abs(forces["half_space"].force[2]) / area / slopes[2], float(-slopes[0] / slopes[2])
+
+
+def _plate(axis: int, *, moves: bool) -> HalfSpace:
+    """A smooth plate on the far side of the block along an axis."""
+    normal = -np.eye(3)[axis]
+    low = tuple((STRAIN * SIZE / 2 * normal).tolist())
+    path = Path(times=(0.0, PRESS), points=((0.0, 0.0, 0.0), low)) if moves else None
+    point = tuple((-SIZE / 2 * normal).tolist())
+    return HalfSpace(point=point, normal=tuple(normal.tolist()), friction=0.0, motion=path)
+
+
+def measured(cells: int, nu: float) -> Values:
+    """Poisson's ratio, and the three stresses over E times the strain."""
+    free, ratio = pressed(cells, 1, 0, nu)
+    confined, _ = pressed(cells, 1, 2, nu)
+    bulk, _ = pressed(cells, 3, 0, nu)
+    return ratio, float(free / E), float(confined / E), float(bulk / E)
+
+
+def run(cells: int) -> Values:
+    """Of the right material."""
+    return measured(cells, NU)
+
+
+def control(cells: int) -> Values:
+    """Of one with another Poisson's ratio."""
+    return measured(cells, NU + 0.03)
+
+
+EXPERIMENT = Experiment(
+    name="pressed-block",
+    title="Pressed block: Poisson's ratio and bulk response",
+    source="the neo-Hookean law in closed form; at small strain ν, E, E(1−ν)/(1+ν)(1−2ν) and "
+    "E/(1−2ν)",
+    measured="A block between smooth plates is pressed by 1 %: with free sides, with held sides, "
+    "from all sides. Strains from the particles, forces from the impulses that a plate gives.",
+    band="±0.5 %",
+    published=published,
+    run=run,
+    control=control,
+    mistake=f"Poisson's ratio is {NU + 0.03:g} instead of {NU:g}",
+    grids=(4, 6, 8),
+    across="half the block",
+    quick=True,
+    seconds=10,
+)

@@ -1,0 +1,116 @@
+"""Columns of sand that are let go in a channel: Lube et al. and Lajeunesse et al. 2005."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from phy124.boundaries import Ground
+from phy124.forces import Gravity
+from phy124.materials import Sand
+from phy124.mpm import Model, Solver
+from phy124.studies.validation.accuracy.problems import FLOOR_NODE, GRAVITY
+from phy124.studies.validation.experiments.bodies import brick, connected_end, mirrors, plane
+from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+
+ASPECTS = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""Height over width at the start."""
+LUBE = (1.2, 1.9, 2.3)
+"""Run-out l1 a below the aspect a0 and l2 a^(2/3) above it: (l1, l2, a0); sand, rice, sugar."""
+LAJEUNESSE = (1.8, 2.3, 3.0)
+"""The same of glass beads."""
+WIDTH = 0.1
+"""Of the column [m]."""
+SLOPE = 31.0
+"""Angle of friction of the sand in a channel [degrees]."""
+STIFF = 300.0
+"""E over the weight of the column on its foot: it is compressed by a third of a per cent."""
+DURATION = 6.0
+"""Of a run, in sqrt(H / g): the collapse itself takes about 3."""
+
+
+def plane_strain(angle: float) -> float:
+    """The `friction_angle` with which sand between two walls slides as a Mohr-Coulomb angle says.
+
+    Drucker and Prager's cone touches Mohr and Coulomb's pyramid where two stresses are equal. In a
+    plane the middle stress is the mean of the others, and sin(angle) = 2 sqrt(3) s / (3 - s) there.
+
+    Args:
+        angle: Of friction in plane strain [degrees].
+    """
+    sine = math.sin(math.radians(angle))
+    return math.degrees(math.asin(3 * sine / (2 * math.sqrt(3) + sine)))
+
+
+def run_out(aspect: float, law: tuple[float, float, float]) -> float:
+    """How far a column runs in an experiment, in its widths.
+
+    Args:
+        aspect: Height over width.
+        law: The two factors and the aspect between their regimes.
+    """
+    linear, power, change = law
+    return linear * aspect if aspect < change else power * aspect ** (2 / 3)
+
+
+def published() -> tuple[Quantity, ...]:
+    """Run-out between that of sand (Lube) and of glass beads (Lajeunesse)."""
+    found = []
+    for aspect in ASPECTS:
+        low, high = run_out(aspect, LUBE), run_out(aspect, LAJEUNESSE)
+        found.append(Quantity(f"H/L = {aspect:g}", low, 0.9 * low, high, aspect))
+    return tuple(found)
+
+
+def collapsed(cells: int, aspect: float, angle: float) -> float:
+    """Run-out of a column [widths].
+
+    Args:
+        cells: Cells across a square of its area.
+        aspect: Height over width.
+        angle: `friction_angle` of the sand [degrees].
+    """
+    across, height = round(2 * cells / math.sqrt(aspect)), aspect * WIDTH
+    dx = 2 * WIDTH / across
+    x = brick((across, 1, round(across * aspect)), dx / 2)
+    sand = Sand(friction_angle=angle, E=STIFF * 1600 * GRAVITY * height)
+    model = Model.of(
+        x, np.full(len(x), dx**3 / 4), [sand], dx=dx,
+        origin=(-FLOOR_NODE * dx, 0, -FLOOR_NODE * dx),
+    )  # fmt: skip
+    walls = [Ground(friction=math.tan(math.radians(SLOPE))), *mirrors(0), plane()]
+    solver = Solver(model, forces=[Gravity()], boundaries=walls, threads=1)
+    solver.advance(DURATION * math.sqrt(height / GRAVITY))
+    return connected_end(solver) / WIDTH - 1
+
+
+def run(cells: int) -> Values:
+    """Run-out of each column."""
+    return tuple(collapsed(cells, aspect, plane_strain(SLOPE)) for aspect in ASPECTS)
+
+
+def control(cells: int) -> Values:
+    """The same of sand that hardly slides, for the three lower columns."""
+    some = [collapsed(cells, aspect, 50.0) for aspect in ASPECTS[:3]]
+    return (*some, *[math.nan] * (len(ASPECTS) - len(some)))
+
+
+EXPERIMENT = Experiment(
+    name="sand-column",
+    title="Sand columns: run-out in a channel, in both regimes",
+    source="Lube et al. 2005 (sand, rice, sugar) and Lajeunesse et al. 2005 (glass beads), as "
+    "compared by Lagrée, Staron and Popinet 2011",
+    measured="How far the end of the heap comes to lie, in widths of the column, up to the first "
+    "gap wider than a cell: 1.2 a to 1.8 a in low columns, 1.9 to 2.3 a^(2/3) in high ones.",
+    band="from 0.9 of Lube's law to Lajeunesse's",
+    published=published,
+    run=run,
+    control=control,
+    mistake="friction_angle = 50°, which in a channel is no angle of sand",
+    grids=(10, 14, 20),
+    across="a square of the column's area",
+    axis="height / width",
+    unit="run-out / width",
+    seconds=60,
+)

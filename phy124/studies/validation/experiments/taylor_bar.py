@@ -1,0 +1,84 @@
+"""A copper bar that hits a rigid wall: the Taylor bar of Wilkins and Guinan."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phy124.boundaries import Ground
+from phy124.materials import Metal
+from phy124.mpm import Model, Solver, State
+from phy124.studies.validation.accuracy.problems import FLOOR_NODE
+from phy124.studies.validation.experiments.bodies import brick, mirrors
+from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+
+LENGTH, RADIUS = 32.4e-3, 3.2e-3
+"""Of the bar, m."""
+SPEED, DURATION = 227.0, 80e-6
+"""Of its flight [m/s] and of the impact [s]."""
+COPPER = Metal(E=117e9, nu=0.35, density=8930, yield_stress=400e6, hardening=100e6)
+
+
+def published() -> tuple[Quantity, ...]:
+    """Final length and radius of the struck face, mm."""
+    return (Quantity("length", 21.43, 21.42, 21.48), Quantity("radius", 7.22, 7.11, 7.24))
+
+
+def struck(cells: int, copper: Metal) -> Values:
+    """Length and radius of a quarter of the bar after the impact [mm].
+
+    Args:
+        cells: Cells across its radius.
+        copper: Its metal.
+    """
+    dx = RADIUS / cells
+    count = round(2 * LENGTH / dx)
+    x = brick((2 * cells, 2 * cells, count), dx / 2) * [1, 1, LENGTH / (count * dx / 2)]
+    x = x[np.hypot(x[:, 0], x[:, 1]) < RADIUS]
+    volume = np.full(len(x), np.pi / 4 * RADIUS**2 * LENGTH / len(x))
+    model = Model.of(x, volume, [copper], dx=dx, origin=(-FLOOR_NODE * dx,) * 3)
+    state = State.of(model, np.tile([0, 0, -SPEED], (len(x), 1)))
+    walls = [Ground(friction=0.0), *mirrors(0, 1)]
+    solver = Solver(model, state, boundaries=walls, threads=1)
+    solver.advance(DURATION)
+    end = solver.state.x.numpy().astype(float)
+    F = solver.state.deformation.numpy().astype(float)
+    # A particle reaches as far as its own cube has been stretched.
+    half = dx / 4
+    last = model.rest[:, 2] > LENGTH - 0.4 * dx
+    length = end[last, 2].mean() + half
+    face = (end[:, 2] < dx) & (np.hypot(end[:, 0], end[:, 1]) > RADIUS)
+    out = np.hypot(end[:, 0], end[:, 1])
+    direction = end[:, :2] / np.maximum(out, 1e-12)[:, None]
+    stretch = np.linalg.norm(np.einsum("pi,pij->pj", direction, F[:, :2]), axis=1)
+    rim = np.sort((out + half * stretch)[face])
+    return 1e3 * float(length), 1e3 * float(rim[-max(1, len(rim) // 50) :].mean())
+
+
+def run(cells: int) -> Values:
+    """The bar of copper."""
+    return struck(cells, COPPER)
+
+
+def control(cells: int) -> Values:
+    """The same of a softer copper."""
+    return struck(cells, COPPER.model_copy(update={"yield_stress": 300e6}))
+
+
+EXPERIMENT = Experiment(
+    name="taylor-bar",
+    title="Taylor bar: copper at 227 m/s against a rigid wall",
+    source="Foulk et al. 2021 (7.22 mm), Simo 1992 (7.12 mm), Zienkiewicz et al. 1998 (7.11 mm); "
+    "lengths of Sierra/SM and Carina (21.42 to 21.48 mm), as kept with Carina's benchmark",
+    measured="Length of the bar and radius of the face that struck, 80 µs after the impact, of a "
+    "quarter of the bar between two planes of symmetry; no friction.",
+    band="between the lowest and highest of the codes",
+    published=published,
+    run=run,
+    control=control,
+    mistake="a yield stress of 300 MPa instead of 400",
+    grids=(4, 6, 8),
+    across="the radius",
+    unit="mm",
+    quick=True,
+    seconds=28,
+)

@@ -1,0 +1,88 @@
+"""A body that falls through a stream: it comes to the speed at which drag carries its weight."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from phy124.forces import Gravity, Wind
+from phy124.materials import NeoHookean
+from phy124.mpm import Model, Solver
+from phy124.studies.validation.accuracy.problems import GRAVITY
+from phy124.studies.validation.experiments.bodies import brick, mean_along
+from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+
+RATE, STREAM = 5.0, 1.0
+"""Of the drag [1/s], and speed of the stream upwards [m/s]."""
+TIMES = (0.5, 1.0, 2.0, 6.0)
+"""In units of 1 / rate."""
+LIMIT = STREAM - GRAVITY / RATE
+"""The speed upwards at the end [m/s]: u - g / rate."""
+
+
+def way(time: float) -> float:
+    """Way upwards [m]: (u - g / rate) (t - (1 - exp(-rate t)) / rate).
+
+    Args:
+        time: In units of 1 / rate.
+    """
+    return LIMIT / RATE * (time - 1 + math.exp(-time))
+
+
+def published() -> tuple[Quantity, ...]:
+    """Ways, and the speed at the end."""
+    ways = [
+        Quantity.within(f"way at t = {time:g} / rate [m]", way(time), 0.002, time) for time in TIMES
+    ]
+    speed = LIMIT * (1 - math.exp(-TIMES[-1]))
+    return (*ways, Quantity.within("speed at the end [m/s]", speed, 0.002, TIMES[-1]))
+
+
+def blown(cells: int, rate: float) -> Values:
+    """Ways upwards of a falling block [m], and its speed at the end [m/s].
+
+    Args:
+        cells: Cells across it.
+        rate: Of the drag [1/s].
+    """
+    dx = 0.4 / cells
+    x = brick((2 * cells,) * 3, dx / 2)
+    model = Model.of(x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=1e4)], dx=dx)
+    forces = [Gravity(), Wind(v=(0, 0, STREAM), rate=rate)]
+    solver, up, ways = Solver(model, forces=forces, threads=1), (0, 0, 1), []
+    start = mean_along(solver, "x", up)
+    for time in TIMES:
+        solver.advance(time / RATE)
+        ways.append(mean_along(solver, "x", up) - start)
+    return (*ways, mean_along(solver, "v", up))
+
+
+def run(cells: int) -> Values:
+    """In the right stream."""
+    return blown(cells, RATE)
+
+
+def control(cells: int) -> Values:
+    """With a drag of another rate."""
+    return blown(cells, 1.1 * RATE)
+
+
+EXPERIMENT = Experiment(
+    name="terminal-speed",
+    title="Terminal speed in `wind`",
+    source="dv/dt = rate (u − v) − g",
+    measured="Way of a soft block that falls through a stream against it, upwards, and its speed "
+    "at the end.",
+    band="±0.2 %",
+    published=published,
+    run=run,
+    control=control,
+    mistake="the rate is 10 % too large",
+    grids=(4, 6, 8),
+    across="the block",
+    axis="rate × time",
+    unit="m, m/s",
+    quick=True,
+    seconds=2,
+)

@@ -1,0 +1,117 @@
+"""Case 30: following the advice of an error message helps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from phy124.errors import InputError, Remedy
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.studies.validation.stress.inputs import shell
+
+SMALL: dict[str, Any] = {
+    "accuracy": {"cells": 6, "particles_per_axis": 2.0},
+    "time": {"frames": 4, "fps": 24.0}, "binding": "lattice",
+}  # fmt: skip
+LONG: dict[str, Any] = {"frames": 400, "fps": 24.0, "budget": 60.0}
+REFUSED: dict[str, dict[str, Any]] = {
+    "stiff": {"material": {"law": "neo_hookean", "E": 1e12}, "time": LONG},
+    "rubbing": {"material": {"law": "neo_hookean", "damping": 1e7}, "time": LONG},
+    "viscous": {"material": {"law": "fluid", "density": 1.0, "viscosity": 1e5}, "time": LONG},
+    "ceiling": {"time": {**LONG, "substep": 1e-8}},
+    "rigid": {"material": {"law": "rigid", "speed": 1000.0, "strain": 1e-4}, "time": LONG},
+}
+"""Scenes that would take longer than their time budget."""
+TOO_LONG = 2.5
+"""A multiple of the stable substep, which no scene can ask for: the run explodes."""
+
+
+def advice(setting: Setting) -> list[Check]:
+    """Every remedy of every stop and refusal, each applied by itself."""
+    checks = []
+    for name, changes in REFUSED.items():
+        scene = Scene.from_data({**SMALL, **changes})
+        checks += list(_accepted(name, scene, setting))
+    checks += list(_lasts("explodes", _exploding(setting), setting))
+    checks += list(_hurries(_violent(setting), setting))
+    return checks
+
+
+def _accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
+    """Scenes changed as a refusal advises are accepted."""
+    try:
+        _run(scene, setting)
+    except InputError as refusal:
+        yield at_least(f"{name}: remedies given", len(refusal.remedies), 2)
+        for remedy in refusal.remedies:
+            yield equal(f"{name}: {remedy.words} is accepted", _starts(scene, remedy, setting))
+        return
+    yield equal(f"{name}: is refused", False)
+
+
+def _starts(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
+    try:
+        _run(scene.replaced(remedy.changes), setting)
+    except InputError:
+        return False
+    return True
+
+
+def _lasts(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
+    """Scenes changed as a stop advises run to the end, or at least further."""
+    stopped = _run(scene, setting)
+    stopped.run()
+    yield equal(f"{name}: it stops", stopped.stopped is not None)
+    yield at_least(f"{name}: remedies given", len(stopped.remedies), 1)
+    for remedy in stopped.remedies:
+        again = _run(scene.replaced(remedy.changes), setting)
+        again.run()
+        better = again.stopped is None or again.count > stopped.count
+        yield equal(f"{name}: {remedy.words} helps", better)
+
+
+def _hurries(scene: Scene, setting: Setting) -> Iterator[Check]:
+    """A run out of time that follows the advice needs fewer substeps, or finishes."""
+    name, stopped = "outruns its time budget", _run(scene, setting)
+    stopped.run()
+    yield equal(f"{name}: it stops", stopped.stopped is not None)
+    yield at_least(f"{name}: remedies given", len(stopped.remedies), 2)
+    few = {"time.frames": 3, "time.budget": 1000.0}
+    usual = _substeps(scene.replaced(few), setting)
+    for remedy in stopped.remedies:
+        helped = scene.replaced(remedy.changes)
+        if "time.budget" in remedy.changes:
+            patient = _run(helped, setting)
+            patient.run()
+            yield equal(f"{name}: {remedy.words} helps", patient.stopped is None)
+        else:
+            fraction = _substeps(helped.replaced(few), setting) / usual
+            yield at_most(f"{name}: {remedy.words}: fraction of the substeps", fraction, 0.8)
+
+
+def _substeps(scene: Scene, setting: Setting) -> int:
+    run = _run(scene, setting)
+    run.run()
+    return run.solver.clock.substeps
+
+
+def _run(scene: Scene, setting: Setting) -> Simulation:
+    return Simulation(shell(40), scene, device=setting.device)
+
+
+def _exploding(setting: Setting) -> Scene:
+    scene = Scene.from_data({**SMALL, "object": {"spin": [0.0, 0.0, 3.0]}, "forces": []})
+    wrong = scene.resolution.model_copy(update={"cfl": TOO_LONG, "precision": setting.precision})
+    return scene.model_copy(update={"accuracy": wrong})
+
+
+def _violent(setting: Setting) -> Scene:
+    """A scene whose forecast is based on its stiffness, but whose speed limits the substep."""
+    accuracy = {**SMALL["accuracy"], "precision": setting.precision}
+    return Scene.from_data({
+        **SMALL, "accuracy": accuracy, "time": {"frames": 12, "fps": 24.0, "budget": 0.01},
+        "object": {"velocity": [0.0, 500.0, 0.0]}, "material": {"law": "neo_hookean", "E": 100.0},
+        "forces": [], "boundaries": [],
+    })  # fmt: skip

@@ -1,0 +1,214 @@
+"""Bodies and measurements that the hard cases share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.transfer import types
+from phy124.materials import Material, NeoHookean
+from phy124.monitor.diagnostics import diagnose
+from phy124.mpm import Model, Solver, State
+from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
+
+Array = NDArray[np.float64]
+REORDERED = {"float32": 1e-5, "float64": 1e-12}
+"""Relative difference that another order of sums may make in these short runs."""
+DX = 0.125
+"""Grid spacing of the bodies [m], a power of two."""
+JELLY = NeoHookean(E=1e4, nu=0.3)
+
+
+def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 0, 0)) -> Array:
+    """Positions [P,3], m, of a cube of particles; two per cell and axis by default.
+
+    Args:
+        per_axis: Number of particles along each axis.
+        size: Side of the cube [m].
+        middle: Centre of the cube [m].
+    """
+    line = (np.arange(per_axis) + 0.5) / per_axis * size - size / 2
+    grid = np.meshgrid(line, line, line, indexing="ij")
+    return np.stack(grid, axis=-1).reshape(-1, 3) + np.asarray(middle, float)
+
+
+def body(
+    x: Array, setting: Setting, material: Material = JELLY, *, size: float = 0.375, **options: Any
+) -> Solver:
+    """A solver whose particles divide the volume of a cube evenly.
+
+    Args:
+        x: Positions [P,3], m.
+        setting: Device and precision.
+        material: Material of all particles.
+        size: Side of the cube [m].
+        **options: Options of `solver`.
+    """
+    volume = options.pop("volume", np.full(len(x), size**3 / len(x)))
+    return solver(x, volume, [material], setting, **options)
+
+
+def solver(
+    x: Array,
+    volume: Array,
+    materials: Sequence[Material],
+    setting: Setting,
+    *,
+    dx: float = DX,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    material: Array | None = None,
+    v: Array | None = None,
+    C: Array | None = None,
+    **options: Any,
+) -> Solver:
+    """A solver of particles.
+
+    Args:
+        x: Positions [P,3], m.
+        volume: Volumes [P], m^3.
+        materials: The materials they are made of.
+        setting: Device and precision.
+        dx: Grid spacing [m].
+        origin: Position of node (0, 0, 0) [m].
+        material: Indices into `materials` [P]; None: the first.
+        v: Velocities at the start [P,3], m/s.
+        C: Their gradients [P,3,3], 1/s.
+        **options: Options of `Solver`.
+    """
+    where = {"dx": dx, "origin": origin, "material": material, **setting.options}
+    model = Model.of(x, volume, materials, **where)
+    return Solver(model, State.of(model, v, C), **options)
+
+
+def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
+    """v [P,3] and C [P,3,3] of a rigid rotation about the centre; `omega` [3] in rad/s."""
+    wx, wy, wz = omega
+    C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]], float)
+    return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
+
+
+def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
+    """v [P,3] and C [P,3,3] of a uniform stretching along x at `strain_rate` [1/s].
+
+    The body contracts in y and z.
+    """
+    C = strain_rate * np.diag([1.0, -0.5, -0.5])
+    return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
+
+
+def host(array: wp.array) -> Array:
+    """A copy in float64."""
+    return array.numpy().astype(np.float64)
+
+
+def finite(solver: Solver) -> bool:
+    """Whether the whole state is finite."""
+    return all(bool(np.isfinite(a.numpy()).all()) for a in solver.state.arrays().values())
+
+
+def volume_ratios(solver: Solver) -> Array:
+    """det F [P], in double precision."""
+    return np.linalg.det(host(solver.state.F))
+
+
+def deform(solver: Solver, F: Array) -> None:
+    """Set deformation gradients [P,3,3] or [3,3]."""
+    whole = np.broadcast_to(F, (len(solver.model.rest), 3, 3))
+    t = types(solver.model.real)
+    solver.state.F.assign(wp.array(whole.astype(_scalar(solver)), dtype=t.mat33, device="cpu"))
+
+
+def assign(solver: Solver, name: str, values: Array) -> None:
+    """Overwrite one array of the state."""
+    array = getattr(solver.state, name)
+    array.assign(wp.array(values.astype(_scalar(solver)), dtype=array.dtype, device="cpu"))
+
+
+def stable_dt(solver: Solver) -> float:
+    """dx / sqrt(A / rho0) of the first material at rest: the limit of an isolated particle [s]."""
+    return solver.model.dx / solver.model.materials[0].wave_speed()
+
+
+def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None = None) -> None:
+    """Take substeps of fixed length, the first with half a kick.
+
+    Args:
+        solver: The solver to advance.
+        count: Number of substeps.
+        dt: Their length [s].
+        each: Called after each of them.
+    """
+    for k in range(count):
+        solver.step(dt / 2 if k == 0 and solver.clock.last_dt == 0 else dt, dt)
+        solver.clock.last_dt = dt
+        if each is not None:
+            each()
+
+
+def relative(value: Array, reference: Array) -> float:
+    """Largest difference, as a fraction of the reference's largest entry."""
+    return float(np.abs(value - reference).max() / max(np.abs(reference).max(), math.ulp(0.0)))
+
+
+def alike(what: str, value: Array, reference: Array, setting: Setting) -> Check:
+    """Equal bits on a CPU. A GPU adds to nodes in no fixed order, so there it is to rounding.
+
+    Args:
+        what: What is compared.
+        value: What was measured.
+        reference: What it should be.
+        setting: Device and precision.
+    """
+    if setting.device == "cpu":
+        return equal(f"bitwise equal {what}", np.array_equal(value, reference))
+    difference = relative(value, reference)
+    return at_most(f"{what}: difference / size", difference, REORDERED[setting.precision])
+
+
+def _scalar(solver: Solver) -> type:
+    return np.float32 if solver.model.real is wp.float32 else np.float64
+
+
+class Meter:
+    """Energy and momenta of a run, read now and then.
+
+    Positions are half a substep ahead of velocities, so the kinetic energy at the time of the
+    elastic one is the mean of those before and after it.
+    """
+
+    def __init__(self, solver: Solver) -> None:
+        self.solver = solver
+        start = diagnose(solver)
+        self.first = self.last = start.energy
+        self.start, self.end = start, start
+        self.max_energy, self.min_J = 1.0, start.min_J
+        mass = host(solver.model.mass)[:, None]
+        self.moved = float((mass * np.abs(host(solver.state.v))).sum())
+
+    def read(self, dt: float) -> float:
+        """Take one substep of length `dt` [s]; returns the energy before it / the first one."""
+        before = diagnose(self.solver)
+        steps(self.solver, 1, dt)
+        after = diagnose(self.solver)
+        self.last = before.elastic + (before.kinetic + after.kinetic) / 2
+        fraction = self.last / self.first if math.isfinite(self.last) else math.inf
+        self.max_energy = max(self.max_energy, fraction)
+        self.min_J = min(self.min_J, after.min_J)
+        self.end = after
+        return fraction
+
+    @property
+    def momentum_drift(self) -> float:
+        """Spurious momentum, relative to the sum of all momenta."""
+        return float(np.linalg.norm(self.end.momentum - self.start.momentum) / self.moved)
+
+    @property
+    def angular_drift(self) -> float:
+        """Spurious angular momentum, relative to the sum of all angular momenta."""
+        change = np.linalg.norm(self.end.angular - self.start.angular)
+        return float(change / np.linalg.norm(self.start.angular))

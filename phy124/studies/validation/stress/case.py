@@ -1,0 +1,108 @@
+"""A hard case: what is done, what must hold, and what is measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple, SupportsFloat
+
+from phy124.runtime.failures import failure
+
+
+class Setting(NamedTuple):
+    """The device and precision in which a case runs."""
+
+    device: str = "cpu"
+    precision: str = "float32"
+    long: bool = False
+    """Whether it runs at full length: minutes instead of seconds."""
+
+    @property
+    def double(self) -> bool:
+        """Whether the precision is float64."""
+        return self.precision == "float64"
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Options of `Model.of` for this setting."""
+        return {"device": self.device, "precision": self.precision}
+
+    def __str__(self) -> str:
+        """For example "float32 on cpu"."""
+        return f"{self.precision} on {self.device}"
+
+
+class Check(NamedTuple):
+    """One bound and the measured value."""
+
+    what: str
+    measured: float
+    limit: float
+    at_least: bool = False
+    """Whether the limit is a lower bound."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bound holds; it never does for NaN."""
+        return self.measured >= self.limit if self.at_least else self.measured <= self.limit
+
+    @property
+    def bound(self) -> str:
+        """The bound in words."""
+        return f"{self.what} {'>=' if self.at_least else '<='} {self.limit:.4g}"
+
+
+class Case(NamedTuple):
+    """One hard case; `measure` runs it."""
+
+    number: int
+    name: str
+    measure: Callable[[Setting], list[Check]]
+    precise: bool = True
+    """Whether precision and device matter; otherwise it runs once."""
+
+
+class Row(NamedTuple):
+    """A line of the table."""
+
+    case: str
+    bound: str
+    measured: str
+    verdict: str
+
+
+def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
+    """Run a case; an exception counts as a failure of the case and does not end the suite."""
+    name = f"{case.number:>2} {case.name}"
+    if case.precise:
+        name += f" ({setting})"
+    try:
+        checks = case.measure(setting)
+    except Exception as error:
+        return Row(name, "no error", failure(error).sentence, "fail"), []
+    verdict = "pass" if checks and all(check.holds for check in checks) else "fail"
+    return Row(
+        name,
+        "; ".join(check.bound for check in checks),
+        "; ".join(_number(check.measured) for check in checks),
+        verdict,
+    ), checks
+
+
+def at_most(what: str, measured: SupportsFloat, limit: float) -> Check:
+    """A check that `measured` does not exceed `limit`."""
+    return Check(what, float(measured), limit)
+
+
+def at_least(what: str, measured: SupportsFloat, limit: float) -> Check:
+    """A check that `measured` reaches `limit`."""
+    return Check(what, float(measured), limit, at_least=True)
+
+
+def equal(what: str, holds: bool) -> Check:
+    """A check that is simply true or false."""
+    return Check(what, float(holds), 1.0, at_least=True)
+
+
+def _number(value: float) -> str:
+    return "nan" if math.isnan(value) else f"{value:.3g}"

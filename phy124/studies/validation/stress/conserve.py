@@ -1,0 +1,131 @@
+"""Cases 1 to 5 and 25: what must be conserved, and bodies that must not drift."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phy124.boundaries import Ground
+from phy124.forces import Gravity
+from phy124.materials import FixedCorotated, NeoHookean
+from phy124.monitor.diagnostics import diagnose
+from phy124.studies.validation.stress.bodies import (
+    Meter,
+    alike,
+    block,
+    body,
+    host,
+    stable_dt,
+    steps,
+    turning,
+    vibrating,
+)
+from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
+
+
+def rest(setting: Setting) -> list[Check]:
+    """Without forces, a body does not move by a single bit."""
+    checks = []
+    for law in (NeoHookean, FixedCorotated):
+        s = body(block(), setting, law(E=1e4))
+        start = s.state.x.numpy().copy()
+        steps(s, 20_000 if setting.long else 2000, 0.6 * stable_dt(s))
+        moved = not np.array_equal(s.state.x.numpy(), start) or s.state.v.numpy().any()
+        checks.append(equal(f"{law.__name__} bitwise at rest", not moved))
+    return checks
+
+
+def units(setting: Setting) -> list[Check]:
+    """The motion is the same in units that differ by powers of two: no absolute epsilon."""
+    paths = []
+    for L, M, T in ((1.0, 1.0, 1.0), (2.0**-17, 2.0**-60, 2.0**-8)):
+        x = block(middle=(0, 0, 0.25)) * L
+        material = NeoHookean(E=2.0**30 * M / (L * T * T), nu=0.25, density=1024 * M / L**3)
+        s = body(
+            x,
+            setting,
+            material,
+            size=0.375 * L,
+            dx=0.125 * L,
+            v=np.tile([3.0 * L / T, 0, -100.0 * L / T], (len(x), 1)),
+            forces=[Gravity(g=(0, 0, -2048.0 * L / T**2))],
+            boundaries=[Ground(contact="separate")],
+        )
+        s.advance(2.0**-6 * T)
+        paths.append((s.clock.substeps, s.state.x.numpy() / L, s.state.F.numpy()))
+    (n, x, F), (m, y, G) = paths
+    return [
+        equal("equal substeps", n == m and n > 50),
+        alike("positions", y, x, setting),
+        alike("deformations", G, F, setting),
+    ]
+
+
+def free_fall(setting: Setting) -> list[Check]:
+    """Half a kick at the start makes the parabola exact."""
+    x = block()
+    s = body(x, setting, forces=[Gravity()])
+    for until in (0.1, 0.23, 0.5):
+        s.advance(until)
+    error = host(s.state.x) - (x - [0, 0, 9.81 * 0.5**2 / 2])
+    limit = 1e-12 if setting.double else 5e-5
+    return [at_most("error / fall", np.abs(error).max() / (9.81 * 0.5**2 / 2), limit)]
+
+
+def spin(setting: Setting) -> list[Check]:
+    """A rigid rotation through eight turns."""
+    x = block()
+    s = body(x, setting, NeoHookean(E=1e5), **turning(x, (0, 0, 2 * np.pi)))
+    start = diagnose(s)
+    s.advance(8.0)
+    end = diagnose(s)
+    drift = np.linalg.norm(end.angular - start.angular) / np.linalg.norm(start.angular)
+    return [
+        at_most("angular momentum drift", drift, 1e-12 if setting.double else 1e-4),
+        at_most("energy drift", abs(end.energy / start.energy - 1), 0.01),
+    ]
+
+
+def endurance(setting: Setting) -> list[Check]:
+    """Many substeps near the limit: energy never grows, momenta are conserved."""
+    count = 100_000 if setting.long else 2000
+    checks = []
+    for fraction in (0.5, 0.9):
+        meters = [_endure(setting._replace(precision=p), fraction, count) for p in _pair(setting)]
+        meter = meters[0]
+        checks += [
+            at_most(f"k {fraction}: largest / first energy", meter.max_energy, 1.001),
+            at_most(f"k {fraction}: spurious momentum", meter.momentum_drift, 1e-5),
+            at_most(f"k {fraction}: angular momentum drift", meter.angular_drift, 1e-4),
+        ]
+        if len(meters) == 2:
+            apart = abs(meter.last - meters[1].last) / meters[1].first
+            checks.append(at_most(f"k {fraction}: float32 against float64 energy", apart, 1e-3))
+    return checks
+
+
+def _pair(setting: Setting) -> list[str]:
+    return ["float64"] if setting.double else ["float32", "float64"]
+
+
+def _endure(setting: Setting, fraction: float, count: int) -> Meter:
+    x = block(8, 0.5, middle=(0.7, 0.7, 0.7))
+    motion = vibrating(x, 0.3)
+    turn = turning(x, (0.2, 0.5, 1.0))
+    motion = {name: motion[name] + turn[name] for name in motion}
+    s = body(x, setting, size=0.5, **motion)
+    meter, dt = Meter(s), fraction * stable_dt(s)
+    for _ in range(50):
+        steps(s, count // 50 - 1, dt)
+        meter.read(dt)
+    return meter
+
+
+def slow_drift(setting: Setting) -> list[Check]:
+    """A drift so slow that rounding to float32 positions alone would stop it."""
+    x = block(2, 0.125, middle=(0.7, 0.7, 0.7))
+    s = body(x, setting, size=0.125, v=np.tile([1e-3, 0, 0], (8, 1)))
+    count = 100_000 if setting.long else 10_000
+    before = host(s.state.x)
+    steps(s, count, 1e-5)
+    way = (host(s.state.x) - before)[:, 0].mean()
+    return [at_most("relative error of the way", abs(way / (count * 1e-8) - 1), 0.01)]

@@ -1,0 +1,152 @@
+"""Cases 14 and 16 to 18: anything a file may contain, and places where an index could be wrong."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import Gaussians, quaternions, spread_directions
+from phy124.io.ply import raw_table, read_ply
+from phy124.particles import clean, make_particles, solid, to_size
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.simulation.deform import Deformer
+from phy124.studies.validation.stress.bodies import DX, Array, block, body, host, relative
+from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
+
+FIELDS = ("means", "quats", "scales", "opacities", "sh")
+
+
+def shell(count: int = 300, radius: float = 0.5) -> Gaussians:
+    """Flat Gaussians on a sphere, coloured by direction."""
+    normals = spread_directions(count)
+    helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    along = np.cross(normals, helper)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    axes = np.stack([along, np.cross(normals, along), normals], axis=2)
+    width = radius * math.sqrt(4 * math.pi / count)
+    scales = np.tile([0.7 * width, 0.7 * width, 0.1 * width], (count, 1))
+    colours = 0.5 + 0.4 * normals
+    return Gaussians.from_rgb(
+        normals * radius, quaternions(axes), scales, np.full(count, 0.95), colours
+    )
+
+
+def quick(setting: Setting, **changes: object) -> Scene:
+    """A small scene of two frames in which something moves."""
+    resolution = {"cells": 8, "precision": setting.precision}
+    return Scene().replaced({"accuracy": resolution, "time.frames": 2, **changes})
+
+
+def broken_numbers(setting: Setting) -> list[Check]:
+    """NaN, infinity and huge numbers in each value of a PLY file are dropped and counted."""
+    table = raw_table(shell())
+    names = [name for name in table.dtype.names or () if not name.startswith("n")]
+    poisons = [(name, value) for name in names for value in (math.nan, math.inf, -math.inf, 1e38)]
+    unsound = sum(not _sound(_read(table, {5: poison})[0]) for poison in poisons)
+    together = dict(zip(range(0, 3 * len(poisons), 3), poisons, strict=True))
+    _, dropped = _read(table, {5 * k: (name, math.nan) for k, name in enumerate(names)})
+    gaussians, _ = _read(table, together)
+    clip = Simulation(gaussians, quick(setting), device=setting.device).run()
+    return [
+        at_most("files with one bad number that stay unsound", unsound, 0),
+        equal("every row with NaN dropped and counted", dropped == len(names)),
+        equal("clip of a file full of bad numbers complete", clip.report["complete"]),
+        equal("its numbers finite", bool(np.isfinite(clip.means).all())),
+    ]
+
+
+def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[Gaussians, int]:
+    """The Gaussians read from a file with bad values in some rows, and how many were dropped."""
+    table = table.copy()
+    for row, (name, value) in poisons.items():
+        table[name][row] = value
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
+    lines += [*(f"property float {name}" for name in table.dtype.names or ()), "end_header\n"]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "object.ply"
+        path.write_bytes("\n".join(lines).encode() + table.tobytes())
+        found = read_ply(path)
+    kept, cleaning = clean(found.gaussians)
+    return kept, found.dropped + cleaning.dropped
+
+
+def _sound(gaussians: Gaussians) -> bool:
+    return all(bool(np.isfinite(getattr(gaussians, name)).all()) for name in FIELDS)
+
+
+def below_zero(setting: Setting) -> list[Check]:
+    """A body across the grid's origin moves like one far from it: floor, not truncation."""
+
+    def run(cells: int) -> Array:
+        x = block(middle=(cells * DX - 0.05, cells * DX, cells * DX))
+        v = np.tile([1.0, -0.5, 0.25], (len(x), 1))
+        s = body(x, setting, v=v)
+        s.advance(0.3)
+        return host(s.state.x) - cells * DX
+
+    usual = run(16)
+    limit = 1e-12 if setting.double else 1e-5
+    return [at_most(f"moved by {n} cells: difference", relative(run(n), usual), limit)
+            for n in (0, -1, -64)]  # fmt: skip
+
+
+def sizes(setting: Setting) -> list[Check]:
+    """Gaussians of a nanometre and of a kilometre, needles of 1:10,000, and flat ones, at rest."""
+    rng = np.random.default_rng(0)
+    shapes = np.array([[1, 1, 1], [1, 1e-4, 1e-4], [1, 1, 1e-2], [1, 0.3, 1e-3]])
+    error, minimum, finite = 0.0, math.inf, True
+    for size in (1e-9, 1.0, 1e3):
+        scales = size * shapes[rng.integers(0, 4, 400)]
+        quats = rng.normal(size=(400, 4))
+        quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+        grey = np.full((400, 3), 0.5)
+        given = Gaussians.from_rgb(rng.random((400, 3)), quats, scales, np.ones(400), grey)
+        carry = Deformer(given, device=setting.device)
+        identity = np.tile(np.eye(3), (400, 1, 1))
+        found = carry(given.means, identity, index=0, time=0.0).gaussians
+        error = max(error, float(np.abs(found.scales / given.scales - 1).max()))
+        covariances = found.covariances()
+        finite &= bool(np.isfinite(covariances).all())
+        minimum = min(minimum, float(found.scales.min()))
+    return [
+        at_most("relative error of scales at F = I", error, 1e-5),
+        equal("finite", finite),
+        at_least("least standard deviation", minimum, 1e-14),
+    ]
+
+
+def odd_gaussians(setting: Setting) -> list[Check]:
+    """Opacity 0 and 1, all in one point, a single one, no volume: the mass is right."""
+    whole = shell()
+    opacities = whole.opacities.copy()
+    opacities[:50], opacities[50:100] = 0, 1
+    kept, cleaning = clean(replace(whole, opacities=opacities))
+    checks = [equal("opacity 0 dropped and counted", cleaning.invisible == 50)]
+    point = replace(whole, means=np.zeros_like(whole.means))
+    for name, some in (("shell", kept), ("one point", point), ("one", whole.select(np.arange(1)))):
+        some = to_size(clean(some)[0], 1.0)
+        spacing = 1 / 16
+        made = make_particles(some, density=700.0, spacing=spacing)
+        wanted = 700.0 * solid(some, spacing).volume
+        checks += [
+            at_least(f"{name}: least volume", float(made.volume.min()), 1e-12),
+            at_most(f"{name}: mass error", abs(made.mass.sum() / wanted - 1), 1e-6),
+        ]
+    return [*checks, equal("zero volume and mass refused", _refuses_nothing(setting))]
+
+
+def _refuses_nothing(setting: Setting) -> bool:
+    volume = np.full(216, 1e-3)
+    volume[3] = 0
+    try:
+        body(block(), setting, volume=volume)
+    except ValueError as error:
+        return "volume" in str(error)
+    return False

@@ -1,0 +1,209 @@
+"""Cases 6 to 10 and 19: the stability limit is neither too high nor too low for any parameters."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from pydantic import ValidationError
+
+from phy124.boundaries import Ground
+from phy124.forces import Gravity
+from phy124.materials import NeoHookean
+from phy124.mpm import Unstable
+from phy124.mpm.timestep import CFL
+from phy124.studies.validation.stress.bodies import (
+    DX,
+    Array,
+    Meter,
+    block,
+    body,
+    finite,
+    host,
+    relative,
+    solver,
+    stable_dt,
+    steps,
+    vibrating,
+    volume_ratios,
+)
+from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
+
+POISSON = (0.0, 0.3, 0.45, 0.49)
+
+
+def isolated(setting: Setting) -> list[Check]:
+    """One particle is stable at 0.95 dx / sqrt(A / rho), and soon NaN at 1.10 times it."""
+    checks = []
+    for nu in POISSON:
+        points = np.array([[0.013, 0.021, 0.017]])
+        checks += _around_the_limit(f"nu {nu}", points, nu, setting)
+    return checks
+
+
+def coincident(setting: Setting) -> list[Check]:
+    """A hundred particles in one point, at the limit and beyond."""
+    points = np.tile([[0.013, 0.021, 0.017]], (100, 1))
+    return _around_the_limit("100 in one point", points, 0.3, setting)
+
+
+def _around_the_limit(name: str, x: Array, nu: float, setting: Setting) -> list[Check]:
+    count = 20_000 if setting.long else 2000
+    _, growth = disturbed(x, nu, 0.95, setting, count)
+    lasted, _ = disturbed(x, nu, 1.10, setting, count)
+    return [
+        at_most(f"{name}: growth at 0.95 in {count} substeps", growth, 1.05),
+        at_most(f"{name}: substeps it lasts at 1.10", lasted, 100),
+    ]
+
+
+def disturbed(
+    x: Array, nu: float, fraction: float, setting: Setting, count: int
+) -> tuple[int, float]:
+    """Substeps for which a slightly disturbed body stays finite, and the growth of its strain.
+
+    All modes are excited, the volumetric one, which is the stiffest, most of all. The growth is
+    that from the first half of the substeps to the second.
+
+    Args:
+        x: Positions [P,3], m.
+        nu: Poisson's ratio.
+        fraction: The substep as a fraction of the limit of an isolated particle.
+        setting: Device and precision.
+        count: Number of substeps.
+    """
+    material = NeoHookean(E=1e4, nu=nu)
+    dt = fraction * DX * math.sqrt(material.density) / _stiffness(material)
+    mixed = np.random.default_rng(1).normal(size=(3, 3))
+    C = 1e-4 / dt * (np.eye(3) + 0.1 * (mixed + mixed.T))
+    v = (x - x.mean(axis=0)) @ C.T
+    s = body(x, setting, material, size=DX, v=v, C=np.tile(C, (len(x), 1, 1)))
+    strains: list[float] = []
+    while len(strains) < count:
+        try:
+            steps(s, 1, dt)
+        except Unstable:
+            return len(strains), math.inf
+        strains.append(float(np.abs(host(s.state.F) - np.eye(3)).max()))
+        if not math.isfinite(strains[-1]):
+            return len(strains), math.inf
+    half = count // 2
+    return count, max(strains[half:]) / max(strains[:half])
+
+
+def _stiffness(material: NeoHookean) -> float:
+    """sqrt(A) at rest: sqrt(2 mu + 3 lambda), written out independently of the solver."""
+    mu = material.E / (2 * (1 + material.nu))
+    lam = material.E * material.nu / ((1 + material.nu) * (1 - 2 * material.nu))
+    return math.sqrt(2 * mu + 3 * lam)
+
+
+def stiff(setting: Setting) -> list[Check]:
+    """For E from 1e2 to 1e13 the number of substeps is that of the formula, and nothing breaks."""
+    checks = []
+    for E in (1e2, 1e7, 1e9, 1e12, 1e13):
+        x = block(4, 0.25)
+        material = NeoHookean(E=E)
+        dt = CFL * stable_dt(body(x, setting, material))
+        s = body(x, setting, material, size=0.25, **vibrating(x, 1e-3 / dt))
+        until = 200.5 * dt
+        s.advance(until)
+        checks += [
+            equal(f"E {E:.0e}: finite", finite(s)),
+            equal(f"E {E:.0e}: substeps = T / dt", s.clock.substeps == math.ceil(until / dt)),
+        ]
+    return checks
+
+
+def poisson(setting: Setting) -> list[Check]:
+    """Nearly incompressible bodies run; impossible ratios are refused with a sentence."""
+    checks = []
+    for nu in (0.0, 0.3, 0.49, 0.4999):
+        x = block(4, 0.25)
+        s = body(x, setting, NeoHookean(E=1e4, nu=nu), size=0.25, **vibrating(x, 1.0))
+        meter = Meter(s)
+        for _ in range(10):
+            steps(s, 19, 0.6 * stable_dt(s))
+            meter.read(0.6 * stable_dt(s))
+        checks += [
+            at_most(f"nu {nu}: largest / first energy", meter.max_energy, 1.001),
+            at_least(f"nu {nu}: least J", meter.min_J, 0.5),
+        ]
+    for nu in (0.5, 0.6, -0.1, -0.99, math.nan):
+        checks.append(equal(f"nu {nu} is refused", _refused(nu)))
+    return checks
+
+
+def _refused(nu: float) -> bool:
+    try:
+        NeoHookean(nu=nu)
+    except ValidationError:
+        return True
+    return False
+
+
+def user_substep(setting: Setting) -> list[Check]:
+    """A user's substep beyond the limit is split; the result is that of the automatic substep."""
+
+    def run(ceiling: float) -> tuple[Array, dict[str, int]]:
+        x = block(middle=(0, 0, 0.2))
+        v = np.tile([0.5, 0, -1.0], (len(x), 1))
+        world = {"forces": [Gravity()], "boundaries": [Ground()]}
+        s = body(x, setting, v=v, ceiling=ceiling, **world)
+        s.advance(0.2)
+        return host(s.state.x), s.clock.limiters
+
+    usual, _ = run(math.inf)
+    limit = 0.6 * stable_dt(body(block(), setting))
+    checks = []
+    for factor in (10, 1000):
+        path, limiters = run(factor * limit)
+        checks += [
+            at_most(f"{factor} times the limit: difference", relative(path, usual), 1e-3),
+            equal(f"{factor} times the limit: never in force", "user" not in limiters),
+        ]
+    return checks
+
+
+class Stack(NamedTuple):
+    """What happened to two blocks, one on top of the other."""
+
+    min_J: float
+    max_J: float
+    substeps: int
+
+
+def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
+    """A block on another that is `ratio` times lighter, after `until` [s]."""
+    low, high = block(4, 0.25, (0, 0, 0.125)), block(4, 0.25, (0, 0, 0.375))
+    x = np.concatenate([low, high])
+    materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]
+    s = solver(
+        x,
+        np.full(len(x), 0.25**3 / len(low)),
+        materials,
+        setting,
+        material=np.repeat([0, 1], len(low)),
+        forces=[Gravity()],
+        boundaries=[Ground(contact="sticky")],
+        origin=(0, 0, -0.75 * DX),
+    )
+    min_J, max_J = 1.0, 1.0
+    for k in range(1, 11):
+        s.advance(until * k / 10)
+        J = volume_ratios(s)
+        min_J, max_J = min(min_J, float(J.min())), max(max_J, float(J.max()))
+    return Stack(min_J, max_J, s.clock.substeps)
+
+
+def mass_ratio(setting: Setting) -> list[Check]:
+    """A body on another that is 1, 100 and 10,000 times lighter."""
+    checks = []
+    for ratio in (1.0, 1e2, 1e4):
+        stack = heavy_on_light(ratio, setting, 0.4 if setting.long else 0.02)
+        checks += [
+            at_least(f"ratio {ratio:.0e}: smallest J", stack.min_J, 0.9),
+            at_most(f"ratio {ratio:.0e}: largest J", stack.max_J, 1.1),
+        ]
+    return checks

@@ -1,0 +1,97 @@
+"""Case 33: what is thin or pointed stands on the floor as well."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import Gaussians
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.studies.validation.stress.bodies import Array
+from phy124.studies.validation.stress.case import Check, Setting, at_most
+
+DEEPEST = 0.3
+"""Largest depth of a Gaussian below the floor [cells]."""
+COUNT, SIZE = 12_000, 0.008
+"""Number of Gaussians that fill a shape at most, and their standard deviation [m]."""
+Inside = Callable[[Array], NDArray[np.bool_]]
+
+
+def cone(x: Array) -> NDArray[np.bool_]:
+    """Of 25 degrees, on its tip."""
+    return np.hypot(x[:, 0], x[:, 1]) < x[:, 2] * np.tan(np.radians(25))
+
+
+def needle(x: Array) -> NDArray[np.bool_]:
+    """Of 10 degrees, on its tip."""
+    return np.hypot(x[:, 0], x[:, 1]) < x[:, 2] * np.tan(np.radians(10))
+
+
+def edge(x: Array) -> NDArray[np.bool_]:
+    """A roof of 45 degrees, on its ridge."""
+    return (np.abs(x[:, 0]) < x[:, 2]) & (x[:, 2] < 0.5) & (np.abs(x[:, 1]) < 0.4)
+
+
+def table(x: Array) -> NDArray[np.bool_]:
+    """A board on four legs, each a cell thick on 16 cells."""
+    across = np.abs(x[:, :2])
+    leg = (np.abs(across - 0.33).max(axis=1) < 0.03) & (x[:, 2] < 0.6)
+    return leg | ((across.max(axis=1) < 0.4) & (np.abs(x[:, 2] - 0.57) < 0.07))
+
+
+def hairs(x: Array) -> NDArray[np.bool_]:
+    """A ball with sixty hairs, one straight down, each 0.64 cells thick on 16 cells."""
+    ways = np.random.default_rng(1).normal(size=(60, 3))
+    ways = np.vstack([(0, 0, -1), ways / np.linalg.norm(ways, axis=1, keepdims=True)])
+    from_middle = x - (0, 0, 0.5)
+    inside: NDArray[np.bool_] = np.linalg.norm(from_middle, axis=1) < 0.35
+    for way in ways:
+        along = from_middle @ way
+        apart = np.linalg.norm(from_middle - along[:, None] * way, axis=1)
+        inside |= (apart < 0.02) & (along > 0) & (along < 0.5)
+    return inside
+
+
+SHAPES: tuple[Inside, ...] = (cone, needle, edge, table, hairs)
+
+
+def cloud(inside: Inside) -> Gaussians:
+    """A shape of about 1 m, filled with Gaussians."""
+    x = np.random.default_rng(0).uniform((-0.6, -0.6, 0), (0.6, 0.6, 1.0), (100_000, 3))
+    x = x[inside(x)][:COUNT]
+    count, grey = len(x), np.full((len(x), 3), 0.5)
+    quats, scales = np.tile((1.0, 0, 0, 0), (count, 1)), np.full((count, 3), SIZE)
+    return Gaussians.from_rgb(x, quats, scales, np.full(count, 0.9), grey)
+
+
+def depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> float:
+    """How far below the floor a Gaussian of a shape gets [cells].
+
+    Args:
+        inside: Which points [N,3] are inside the shape.
+        lift: Height from which it is dropped [m].
+        accuracy: Name of the scene's accuracy.
+        setting: Device and precision.
+    """
+    scene = Scene.named("drop").replaced(
+        {"object.lift": lift, "accuracy": accuracy, "time.frames": 12}
+    )
+    resolution = scene.resolution.model_copy(update={"precision": setting.precision})
+    scene = scene.model_copy(update={"accuracy": resolution})
+    clip = Simulation(cloud(inside), scene, device=setting.device).run()
+    return -float(clip.means[:, :, 2].min()) / scene.dx
+
+
+def tips(setting: Setting) -> list[Check]:
+    """Tips, edges, legs and hairs of a soft body that stands or lands stay above the floor."""
+    places = (0.0, 0.3) if setting.long else (0.1,)
+    return [
+        at_most(f"{inside.__name__} at {accuracy}, dropped from {lift:g} m [cells]",
+                depth(inside, lift, accuracy, setting), DEEPEST)
+        for accuracy in (("draft", "standard", "fine") if setting.long else ("draft",))
+        for lift in places
+        for inside in SHAPES
+    ]  # fmt: skip
