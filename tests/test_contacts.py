@@ -30,8 +30,8 @@ def test_the_shares_of_all_particles_are_what_the_walls_give(threads):
         dx=0.125,
         v=np.tile((1.0, 0.0, -2.0), (len(x), 1)),
         threads=threads,
-        forces=external.forces([Gravity()]),
-        boundaries=external.boundaries(walls, contacts.boundaries(walls)),
+        forces=external.wrap_forces([Gravity()]),
+        boundaries=external.wrap_walls(walls, contacts.wrap_walls(walls)),
         accumulators=[external, contacts],
         precision="float64",
     )
@@ -39,9 +39,9 @@ def test_the_shares_of_all_particles_are_what_the_walls_give(threads):
     start = solver.state.x.numpy()
     before = np.zeros(3)
     for frame in range(3):
-        contacts.begin()
+        contacts.before_attempt()
         solver.advance((frame + 1) / 20)
-        total = external._total(WALL)[IMPULSES]
+        total = external._sum(WALL)[IMPULSES]
         impulses = contacts.impulses(len(x))
         assert np.allclose(impulses.sum(axis=0), total - before, rtol=1e-9, atol=1e-12)
         assert not impulses[(start[:, 2] > 0.8)].any(), "only what is near"

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from phy124.materials import NeoHookean, Sand
-from phy124.monitor import diagnosis
+from phy124.monitor.diagnostics import (
+    broken_particles,
+    describe_particle,
+    describe_substep,
+    law_of,
+)
 from support.shapes import block
 from support.solvers import make_solver
 
@@ -37,26 +42,26 @@ def spoil(array, index, value) -> None:
 
 
 def test_the_first_broken_particle_is_found_in_any_array(solver):
-    assert diagnosis.first_broken(solver.state) is None
+    assert not len(broken_particles(solver.state))
     spoil(solver.state.F, (9, 1, 1), np.nan)
-    assert diagnosis.first_broken(solver.state) == 9
+    assert broken_particles(solver.state)[0] == 9
     spoil(solver.state.v, (4, 2), np.inf)
-    assert diagnosis.first_broken(solver.state) == 4
+    assert broken_particles(solver.state)[0] == 4
 
 
 def test_a_particle_is_named_by_number_law_place_and_speed(solver):
     flying = len(solver.model) // 2 + 3
-    assert diagnosis.law_of(solver.model, 0) == "neo_hookean"
-    words = diagnosis.particle(solver.model, solver.state, flying)
+    assert law_of(solver.model, 0) == "neo_hookean"
+    words = describe_particle(solver.model, solver.state, flying)
     speed = np.linalg.norm(solver.state.v.numpy()[flying])
     assert words.startswith(f"number {flying} of law sand, at (")
     assert words.endswith(f"with {speed:.3g} m/s") and speed > 0.1
     spoil(solver.state.x, (flying, 0), np.nan)
-    words = diagnosis.particle(solver.model, solver.state, flying)
+    words = describe_particle(solver.model, solver.state, flying)
     assert words.endswith("m at rest"), "a position that is not finite is not written down"
 
 
 def test_what_limits_a_substep_and_who_is_fastest_are_said(solver):
-    words = diagnosis.substep(solver.model, solver.state, solver.clock)
+    words = describe_substep(solver.model, solver.state, solver.clock)
     assert "limited by the stiffness of the material" in words
     assert f"fastest is number {len(solver.model) // 2 + 3} of law sand" in words

@@ -35,7 +35,7 @@ def bar_after_a_period(damping):
         v=v,
         C=C,
         precision="float64",
-        gathered=work,
+        gathered=[work],
     )
     first = diagnose(solver)
     solver.advance(2 / speed)
@@ -75,7 +75,7 @@ def test_metal_loses_its_plastic_work(rng):
         v=x @ C[0].T,
         C=C,
         precision="float64",
-        gathered=work,
+        gathered=[work],
     )
     first = diagnose(solver)
     solver.advance(duration)

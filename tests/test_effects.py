@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.budget.effects import Effects
+from phy124.monitor.sleep import Sleep
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 from support.shapes import ball
@@ -91,10 +92,13 @@ def test_differenced_velocities_match_the_run():
 def test_sleep_and_static_parts_are_named():
     scene = Scene.named("drop")
     assert "sleep while all rests" in Effects.of(scene).ran
-    assert whys(Effects.of(scene, slept=None))["sleep while all rests"].startswith("it was never")
+    sleep = Sleep(size=1.0, frames=20, fps=24.0)
+    never = whys(Effects.of(scene, observers=[sleep]))
+    assert never["sleep while all rests"].startswith("it was never")
     off = Effects.of(scene.replaced({"time.sleep": False}))
     assert whys(off)["sleep while all rests"] == "time.sleep is off"
-    slept = Effects.of(scene, slept="asleep from frame 5, 9 frames, saved 900 substeps")
+    sleep.since, sleep.skipped, sleep.saved = 5, 9, 900
+    slept = Effects.of(scene, observers=[sleep])
     assert "sleep while all rests: asleep from frame 5, 9 frames, saved 900 substeps" in slept.ran
     part = {"static": True, "region": {"upper": [0, 9, 9]}}
     static = scene.replaced({"parts": [part]})

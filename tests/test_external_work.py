@@ -36,8 +36,8 @@ def run(forces=(), boundaries=(), v=(0, 0, 0)):
         [NeoHookean(E=1e4)],
         dx=0.125,
         v=np.tile(v, (len(x), 1)),
-        forces=external.forces(forces),
-        boundaries=external.boundaries(boundaries),
+        forces=external.wrap_forces(forces),
+        boundaries=external.wrap_walls(boundaries),
         accumulators=[external],
         precision="float64",
     )
@@ -47,7 +47,7 @@ def run(forces=(), boundaries=(), v=(0, 0, 0)):
         external.begin(diagnose(solver).momentum)
         solver.advance((frame + 1) / FPS)
     end = diagnose(solver)
-    return solver, external, external.given(solver.clock, end.middle - start.middle), (start, end)
+    return solver, external, external.total(solver.clock, end.middle - start.middle), (start, end)
 
 
 def test_gravity_gives_weight_times_time_and_weight_times_height():
@@ -117,7 +117,7 @@ def test_a_wall_at_rest_takes_momentum_and_does_no_work():
 
 def test_nothing_outside_gives_nothing_and_measures_nothing():
     external = ExternalWork()
-    assert external.forces([]) == [] and external.boundaries([]) == []
+    assert external.wrap_forces([]) == [] and external.wrap_walls([]) == []
     _, _, given, _ = run(v=(1, 2, 3))
     assert not given.impulse.any() and given.work == given.moved == given.turned == 0
 
@@ -126,9 +126,9 @@ def test_a_snapshot_is_plain_data_and_restores_the_sums():
     solver, external, given, (start, end) = run([ParticleForce(f=(1e-3, 0, 0))])
     kept, way = json.loads(json.dumps(external.snapshot())), end.middle - start.middle
     solver.advance(FRAMES / FPS + 0.01)
-    assert external.given(solver.clock, way).impulse[0] > 1.1 * given.impulse[0]
+    assert external.total(solver.clock, way).impulse[0] > 1.1 * given.impulse[0]
     external.restore(kept)
-    np.testing.assert_array_equal(external.given(solver.clock, way).impulse, given.impulse)
+    np.testing.assert_array_equal(external.total(solver.clock, way).impulse, given.impulse)
     fresh = ExternalWork()
     fresh.restore(kept)
     closed = np.sum(list(fresh.snapshot()["closed"].values()), axis=0)

@@ -12,7 +12,6 @@ from phy124.io.axes import euler
 from phy124.materials import Fluid, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
-from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import FreeBody
 from phy124.mpm.free import STAGE
 from phy124.particles.scenery import Scenery
@@ -21,7 +20,7 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, props
 from support.balls import elements, pressed_on_box
 from support.shapes import ball
-from support.solvers import make_solver
+from support.solvers import make_solver, watch_run
 
 DX, G = 0.05, 9.81
 BALL = FreeBody("ball", "sphere", (0.15,) * 3, (0.0, 0.0, 1.0))
@@ -90,10 +89,10 @@ def test_what_the_body_loses_the_material_gets(threads, sticky):
     )
     external = ExternalWork()
     s = world(one, block((0.4, 0.4, 0.3)), g=0, threads=threads, accumulators=[external])
-    before, dog = whole(s), Watchdog(s, external)
-    dog.before()
+    before, dog = whole(s), watch_run(s, external)
+    dog.before_attempt()
     s.free.begin()
-    s.advance(0.1, after=dog.follow())
+    s.advance(0.1, after=dog.after_substep)
     after = whole(s)
     np.testing.assert_allclose(after[0], before[0], atol=1e-13 * np.abs(before[0]).max())
     np.testing.assert_allclose(after[1], before[1], atol=1e-13 * np.abs(before[1]).max())
@@ -103,9 +102,10 @@ def test_what_the_body_loses_the_material_gets(threads, sticky):
     (wrench,) = s.free.wrenches(0.1)
     np.testing.assert_allclose(0.1 * wrench.force, -got, rtol=1e-10)
     assert s.free.names == ("0_on_ball",)
-    assert dog.after() is None, "what the solid gives is in the balance"
+    assert dog.after_attempt() is None, "what the solid gives is in the balance"
     s.free.restore({**s.free.snapshot(), "totals": 0 * s.free._total()})
-    assert "momentum came from nowhere" in dog.after().what or "energy" in dog.after().what
+    what = dog.after_attempt().what
+    assert "momentum came from nowhere" in what or "energy" in what
 
 
 def test_it_slides_by_its_friction_and_rolls():

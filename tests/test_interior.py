@@ -5,13 +5,13 @@ import pytest
 from scipy.spatial import KDTree
 
 from phy124.materials import NeoHookean
+from phy124.monitor.interior import Interior
 from phy124.monitor.tearing import APART
 from phy124.particles import make_particles
 from phy124.particles.grains import SIZE
 from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.simulation.interior import Interior
 from support.shapes import ball
 
 TORN = {

@@ -11,13 +11,12 @@ from phy124.forces import Gravity, ZoneForce
 from phy124.materials import Fluid, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
-from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Model, Pair
 from phy124.mpm.pairs import STAGE
 from phy124.schema.region import Region
 from support.balls import collision, elements, pressed
 from support.shapes import trimmed_ball
-from support.solvers import make_solver
+from support.solvers import make_solver, watch_run
 
 CELL = 0.1
 BOX = np.stack(np.meshgrid(*[(np.arange(8) + 0.5) / 20] * 3, indexing="ij"), -1).reshape(-1, 3)
@@ -73,21 +72,20 @@ def test_bodies_apart_launch_nothing_and_move_as_if_alone():
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_body_that_is_held_takes_what_it_is_given(threads):
     external = ExternalWork()
-    forces = external.forces([Gravity(g=(1.0, 0, -1.0)), ZoneForce()])
+    forces = external.wrap_forces([Gravity(g=(1.0, 0, -1.0)), ZoneForce()])
     s = two(
         0.01,
         held=[1],
         threads=threads,
         forces=forces,
-        boundaries=external.boundaries([Ground(height=0.0)]),
+        boundaries=external.wrap_walls([Ground(height=0.0)]),
         accumulators=[external],
     )
-    dog, start = Watchdog(s, external), momentum(s, 0)
+    dog, start = watch_run(s, external), momentum(s, 0)
     for frame in (1, 2):
-        dog.before()
-        after = dog.follow()
-        s.advance(0.05 * frame, after=after)
-        assert dog.after() is None
+        dog.before_attempt()
+        s.advance(0.05 * frame, after=dog.after_substep)
+        assert dog.after_attempt() is None
     assert dog.balance.momentum_gain < 1e-12 and dog.balance.energy_gain < 1e-9
     assert start[0] - momentum(s, 0)[0] > 10, "it has been stopped"
     assert not s.state.v.numpy()[s.model.particles(1)].any()

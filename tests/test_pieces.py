@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.monitor.pieces import FAR, Pieces, labels
+from phy124.monitor.tearing import FAR, Pieces, labels
 from support.shapes import lattice
 
 

@@ -28,6 +28,7 @@ from phy124.budget.effects import Effects
 from phy124.errors import InputError
 from phy124.forces import Force, Gravity
 from phy124.materials import FixedCorotated
+from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Stage
 from phy124.scene import Part, Scene
 from phy124.scene.reference import format_reference, format_schema
@@ -131,8 +132,9 @@ def test_what_they_are_they_say_themselves():
     assert {"stress rubber", "particle forces", "collider table (separate)"} <= set(ran)
     run = Simulation(ball(300), scene)
     assert run.solver.rejection.sudden(run.solver.clock)
-    run.watchdog._fastest = 2 * scene.material.sound_speed()
-    assert any("may stay squeezed flat" in note for note in run.watchdog.notes())
+    watchdog = run.find(Watchdog)
+    watchdog._fastest = 2 * scene.material.sound_speed()
+    assert any("may stay squeezed flat" in note for note in watchdog.notes())
 
 
 def test_scene_with_unnamed_plugins_is_not_written():

@@ -15,7 +15,7 @@ from phy124.generators.shapes import shape
 from phy124.io.clip import Clip
 from phy124.io.export.usd import write_usd
 from phy124.io.ply import read_ply, write_ply
-from phy124.monitor.pieces import Pieces
+from phy124.monitor.tearing import Pieces
 from phy124.particles import Particles, bounds
 from phy124.particles.scenery import Scenery
 from phy124.pipeline import resume

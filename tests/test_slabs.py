@@ -48,8 +48,8 @@ def solver(threads: int, *, materials=None, material=None, external=None, **opti
         v=v,
         dx=DX,
         material=material,
-        forces=external.forces(forces),
-        boundaries=external.boundaries(walls),
+        forces=external.wrap_forces(forces),
+        boundaries=external.wrap_walls(walls),
         accumulators=[external],
         threads=threads,
         **options,
@@ -66,7 +66,7 @@ def moved(threads: int, time: float = 0.012):
     external.open(s.clock)
     external.begin(np.asarray(s.model.mass.numpy()) @ s.state.v.numpy())
     s.advance(time)
-    given = external.given(s.clock, np.zeros(3))
+    given = external.total(s.clock, np.zeros(3))
     return s.state.x.numpy().copy(), given.impulse, given.work, s.clock.substeps
 
 

@@ -75,12 +75,12 @@ def test_at_rest_it_sleeps_until_a_blow_and_nothing_differs():
     assert np.ptp(a.means[:, 0, 1]) > 1e-3, "the blow woke it"
     assert (a.means[6] == a.means[0]).all() and (a.means[7] != a.means[0]).any()
     # Frames 1 and 2 show that it rests, 3 to 6 end before the blow.
-    assert slept.sleep.report() == {
+    assert slept.report()["sleep"] == {
         "since": 3,
         "frames": 4,
         "substeps": b.report["substeps"] - a.report["substeps"],
     }
-    sentence = f"asleep from frame 3, 4 frames, saved {slept.sleep.saved} substeps"
+    sentence = f"asleep from frame 3, 4 frames, saved {slept.find(Sleep).saved} substeps"
     assert f"sleep while all rests: {sentence}" in a.report["effects"]["ran"]
     (left_out,) = (o for o in b.report["effects"]["left_out"] if "sleep" in o["effect"])
     assert left_out["why"] == "time.sleep is off"
@@ -93,7 +93,7 @@ def test_settled_block_sleeps_within_the_tolerance():
         changes = {"material.E": 4e6, "time.frames": 34, "time.sleep": sleep}
         run = Simulation(cube(), scene(forces=forces, boundaries=floor, **changes))
         clips.append(run.run())
-        report = run.sleep.report()
+        report = run.report()["sleep"]
         if sleep:
             assert report is not None and report["frames"] >= 3 and report["since"] > 3
         else:
@@ -114,7 +114,7 @@ def test_a_thrown_body_never_sleeps_in_the_air(fps, frames):
     run = Simulation(ball(200), scene(**changes, **{"object.lift": 0.5}))
     highest = max((float(f.gaussians.means[:, 2].mean()), f.index) for f in run)[1]
     assert highest == 10
-    assert run.sleep.report() is None
+    assert run.report()["sleep"] is None
 
 
 def test_what_creeps_slowly_does_not_sleep():
@@ -126,7 +126,7 @@ def test_what_creeps_slowly_does_not_sleep():
     per_frame = np.abs(np.diff(clip.means, axis=0)).max(axis=(1, 2))
     assert 0 < per_frame[20:].max() < STILL / 3
     assert np.abs(clip.means[-1] - clip.means[20]).max() > STILL
-    assert run.sleep.report() is None
+    assert run.report()["sleep"] is None
 
 
 def test_something_that_moves_anywhere_keeps_it_awake():
@@ -134,10 +134,10 @@ def test_something_that_moves_anywhere_keeps_it_awake():
     far = {"kind": "sphere", "centre": [0, 0, 90.0], "radius": 1.0, "motion": swing}
     awake = Simulation(ball(300), scene(forces=[], boundaries=[far]))
     awake.run()
-    assert awake.sleep.report() is None
+    assert awake.report()["sleep"] is None
     still = Simulation(ball(300), scene(forces=[], boundaries=[{**far, "motion": None}]))
     still.run()
-    assert still.sleep.report() is not None
+    assert still.report()["sleep"] is not None
     left_out = awake.report()["effects"]["left_out"]
     (why,) = (o["why"] for o in left_out if "sleep" in o["effect"])
     assert why == "it was never at rest for long enough"
@@ -171,7 +171,7 @@ def test_colours_of_a_run_resumed_asleep_stay_turned(tmp_path, rng):
         streamed.append(frame)
         if frame.index == 17:
             resume.save(run, tmp_path / "pause")
-    assert run.sleep.report() is not None and run.sleep.since <= 17
+    assert run.report()["sleep"] is not None and run.find(Sleep).since <= 17
     again = resume.load(tmp_path / "pause")
     for frame in again:
         assert np.array_equal(frame.gaussians.sh, streamed[frame.index].gaussians.sh)
@@ -186,15 +186,23 @@ def left_out(path, frames: int, acts: Track | None = None) -> list[int]:
     values = SimpleNamespace(numpy=lambda: np.zeros((1, 4)))
     clock = SimpleNamespace(recent=SimpleNamespace(speed=0.0, gradient=0.0))
     tracks = SimpleNamespace(tracks=[acts or Track.constant(UP)], values=values)
-    run = (SimpleNamespace(dx=0.1), state, clock, tracks)
-    sleeper, slept = Sleep(*run, size=1.0, frames=frames, fps=fps), []
+    solver = SimpleNamespace(
+        model=SimpleNamespace(dx=0.1),
+        state=state,
+        clock=clock,
+        tracks=tracks,
+        outliers=SimpleNamespace(count=0),
+        free=SimpleNamespace(all=[]),
+    )
+    sleeper, slept = Sleep(size=1.0, frames=frames, fps=fps), []
+    sleeper.bind(solver)
     for index in range(1, frames):
         if sleeper.skip_to(index) is not None:
             slept.append(index)
             continue
         at.x = path(index)
         clock.recent.speed = abs(path(index) - path(index - 1)) * fps
-        sleeper.computed(index, 1)
+        sleeper.observe(index, 1)
     return slept
 
 

@@ -22,7 +22,7 @@ from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation
 from support.shapes import ball, block
-from support.solvers import make_solver
+from support.solvers import make_solver, watch_run
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 5}
 
@@ -35,14 +35,14 @@ def followed(forces=(), boundaries=(), **options) -> tuple[Solver, Watchdog]:
         np.full(len(x), 0.375**3 / len(x)),
         [options.pop("material", NeoHookean(E=1e4))],
         dx=0.125,
-        forces=external.forces(forces),
-        boundaries=external.boundaries(boundaries),
+        forces=external.wrap_forces(forces),
+        boundaries=external.wrap_walls(boundaries),
         accumulators=[external],
         **options,
     )
-    watch = Watchdog(s, external)
+    watch = watch_run(s, external)
     s.repair.begin(s.clock)
-    watch.before()
+    watch.before_attempt()
     return s, watch
 
 
@@ -69,10 +69,10 @@ def test_the_balance_adds_up(world, precision):
     forces, boundaries = WORLDS[world]
     v = np.tile([0, 0.3, -1.0], (216, 1))
     s, watch = followed(forces, boundaries, precision=precision, v=v)
-    follow = watch.follow()
+    watch.before_attempt()
     until = 0.002 if world == "violence" else 0.12
-    s.advance(until, after=follow)
-    assert watch.after() is None
+    s.advance(until, after=watch.after_substep)
+    assert watch.after_attempt() is None
     assert watch.balance.momentum_gain < (2e-5 if precision == "float32" else 1e-12)
     assert watch.balance.energy_gain < 0.005
     if world == "violence":
@@ -84,9 +84,9 @@ def test_energy_of_a_held_body_may_be_rounded(way):
     """A blow of 6 kJ on a body whose velocity is set to zero: what is left is rounding."""
     p = [4000 * (0.7 if way & bit else -1.0) for bit in (1, 2, 4)]
     s, watch = followed((Impulse(p=p), SetVelocity(v=(0, 0, 0))))
-    s.advance(0.05, after=watch.follow())
-    assert watch.after() is None
-    given = watch.external.given(s.clock, np.zeros(3))
+    s.advance(0.05, after=watch.after_substep)
+    assert watch.after_attempt() is None
+    given = watch.external.total(s.clock, np.zeros(3))
     assert 0 < abs(given.work) < 1e-6 * given.turned
 
 
@@ -104,10 +104,10 @@ def test_the_work_of_a_force_that_swings_between_walls(threads):
         momenta.append((m * s.state.v.numpy()).sum(axis=0))
 
     for until in (0.06, 0.12):
-        watch.follow()
+        watch.before_attempt()
         s.advance(until, after=after)
-        assert watch.after() is None
-    given = watch.external._total("uniform")
+        assert watch.after_attempt() is None
+    given = watch.external._sum("uniform")
     assert len(work) > 20 and given[3] == pytest.approx(sum(work), rel=1e-9)
 
 
@@ -121,9 +121,9 @@ def test_two_threads_sum_the_same():
             threads=threads,
             precision="float64",
         )
-        s.advance(0.1, after=watch.follow())
-        assert watch.after() is None
-        runs.append(watch.external.given(s.clock, np.zeros(3)))
+        s.advance(0.1, after=watch.after_substep)
+        assert watch.after_attempt() is None
+        runs.append(watch.external.total(s.clock, np.zeros(3)))
     assert runs[0].impulse == pytest.approx(runs[1].impulse, rel=1e-9)
 
 
@@ -141,7 +141,7 @@ def test_fast_flow_is_stopped_within_a_frame():
     v[:, 0], C[:, 0, 2] = 300 * x[:, 2], 300
     s, watch = followed(material=Fluid(), v=v, C=C)
     s.state.total.fill_(1e30)
-    s.advance(0.01, after=watch.follow())
+    s.advance(0.01, after=watch.after_substep)
     assert np.abs(s.state.total.numpy()).max() < 1e8
 
 
@@ -180,15 +180,15 @@ def test_a_few_particles_thrown_apart_at_mach_1_add_up(law, nu, seed, count):
         dx=dx,
         v=v,
         C=np.tile(spin - spin.T, (count, 1, 1)),
-        boundaries=external.boundaries([Ground(contact="slip")]),
+        boundaries=external.wrap_walls([Ground(contact="slip")]),
         accumulators=[external],
     )
-    watch = Watchdog(s, external)
+    watch = watch_run(s, external)
     while s.clock.substeps < 500:
         s.repair.begin(s.clock)
-        watch.before()
-        s.advance(s.clock.time + 20 * dx / material.wave_speed(), after=watch.follow())
-        assert watch.after() is None
+        watch.before_attempt()
+        s.advance(s.clock.time + 20 * dx / material.wave_speed(), after=watch.after_substep)
+        assert watch.after_attempt() is None
 
 
 def test_energy_from_nowhere_is_noticed():
@@ -197,7 +197,7 @@ def test_energy_from_nowhere_is_noticed():
     v = 2 * s.state.v.numpy()
     v[5] *= 3
     s.state.v.assign(v)
-    problem = watch.after()
+    problem = watch.after_attempt()
     assert problem is not None
     assert re.search(
         r"\d+% of its energy came from nowhere, most of all its energy is in number 5 of law "
@@ -213,7 +213,7 @@ def test_momentum_from_nowhere_is_noticed():
     v = 0.99 * s.state.v.numpy()
     v[9] *= 1.001
     s.state.v.assign(v)
-    problem = watch.after()
+    problem = watch.after_attempt()
     assert problem is not None
     assert re.search(
         r"1.00% of its momentum came from nowhere, the fastest is number 9 of law neo_hookean, at "
@@ -228,7 +228,7 @@ def test_particles_turned_inside_out_are_noticed():
     F = s.state.F.numpy().copy()
     F[:20] = np.diag([1, 1, -1])
     s.state.F.assign(F)
-    problem = watch.after()
+    problem = watch.after_attempt()
     assert problem is not None
     assert re.search(
         r"20 particles are turned inside out, first number 0 of law neo_hookean, at .+",
@@ -242,7 +242,7 @@ def test_numbers_that_are_none_are_noticed_with_their_particle():
     v = s.state.v.numpy().copy()
     v[7] = np.nan
     s.state.v.assign(v)
-    problem = watch.after()
+    problem = watch.after_attempt()
     assert problem is not None
     assert re.search(r"1 particles are NaN or infinite, first number 7 of law", problem.what)
 
@@ -287,7 +287,7 @@ def test_rounding_of_a_stiff_body_is_no_explosion_until_it_shows():
         kicked = math.sqrt(2 * energy / s.model.total_mass) * np.where(np.arange(216) % 2, 1, -1)
         s.state.v.assign(v + kicked[:, None] * [1.0, 0, 0])
         s.clock.substeps = substeps
-        problem = watch.after()
+        problem = watch.after_attempt()
         assert (problem is not None) == stops
         assert any("tremor" in note for note in watch.notes()) != stops
 
@@ -318,7 +318,7 @@ def test_rounding_that_shows_asks_for_more_digits():
     kicked = math.sqrt(2 * watch._strained(1e-3) / s.model.total_mass)
     s.state.v.assign(kicked * np.where(np.arange(216) % 2, 1, -1)[:, None] * [1.0, 0, 0])
     s.clock.substeps = 1_000_000
-    assert watch.after().causes == ("precision",)
+    assert watch.after_attempt().causes == ("precision",)
 
 
 def test_impossible_deformations_are_reset_and_counted():
@@ -345,7 +345,7 @@ def test_a_deformation_beyond_the_law_is_reset_within_the_frame():
         s.clock.time += 0.3
         s.repair.substep(s.clock)
         assert (np.linalg.norm(s.state.F.numpy()[6] - np.eye(3)) == 0) == count
-    assert watch.after() is None
+    assert watch.after_attempt() is None
     s.repair.end()
     assert s.repair.count == 1
 
@@ -358,12 +358,12 @@ def test_the_watchdog_writes_nothing_of_the_state():
     s.state.F.assign(F)
     s.state.total.assign(total)
     before = s.state.snapshot()
-    watch.before()
-    follow = watch.follow()
+    watch.before_attempt()
+    watch.before_attempt()
     s.clock.extremes = s.clock.extremes._replace(gradient=1.0)
     s.clock.time += 2.0
-    follow()
-    watch.after()
+    watch.after_substep()
+    watch.after_attempt()
     for name, array in s.state.snapshot().items():
         np.testing.assert_array_equal(np.asarray(array), np.asarray(before[name]), name)
 
@@ -375,10 +375,10 @@ def test_laws_that_may_stay_flat_say_so(law):
         material = law(E=1e3, nu=0.3)
         v = np.tile([0, 0, mach * material.sound_speed()], (216, 1))
         s, watch = followed(material=material, v=v)
-        follow = watch.follow()
-        s.advance(0.01, after=follow)
+        watch.before_attempt()
+        s.advance(0.01, after=watch.after_substep)
         s.state.v.zero_()
-        watch.after()
+        watch.after_attempt()
         notes = " ".join(watch.notes())
         assert ("may stay squeezed flat without any other sign" in notes) == said
     fast = followed(material=Snow(E=1e3, nu=0.3), v=v * 9)[1]

@@ -11,7 +11,7 @@ from phy124.io.clip import Clip
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
-from phy124.monitor.wrenches import Wrenches, names, summary
+from phy124.monitor.wrenches import Wrenches, summary, wall_names
 from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.schema.region import Region
@@ -34,17 +34,17 @@ def test_they_add_up_to_the_change_of_both_momenta(threads):
         dx=0.125,
         v=np.tile((1.0, 0.3, -2.0), (len(x), 1)),
         threads=threads,
-        boundaries=external.boundaries(walls, wrenches.boundaries(walls)),
+        boundaries=external.wrap_walls(walls, wrenches.wrap_walls(walls)),
         accumulators=[external, wrenches],
         precision="float64",
     )
     external.open(solver.clock)
     fps, given, before = 20, np.zeros(3), diagnose(solver).angular
     for frame in range(3):
-        wrenches.begin()
+        wrenches.before_attempt()
         solver.advance((frame + 1) / fps)
         found = wrenches.contacts(solver, fps)
-        total = external._total(WALL)[IMPULSES]
+        total = external._sum(WALL)[IMPULSES]
         force = sum(wrench.force for wrench in found.values())
         assert np.allclose(-force / fps, total - given, rtol=1e-12, atol=1e-12)
         given, mass = total, solver.model.mass.numpy()
@@ -84,7 +84,7 @@ def test_walls_of_one_boundary_are_told_apart():
     tray = Container(inside=Region(lower=(-1, -1, 0), upper=(1, 1, 1e6)))
     assert tray.part_names() == ["x_low", "x_high", "y_low", "y_high", "z_low"]
     assert Gripper(axis="x").part_names() == ["x_low", "x_high"]
-    assert names([Ground(), Box(), Box()]) == ["ground", "box", "box_2"]
+    assert wall_names([Ground(), Box(), Box()]) == ["ground", "box", "box_2"]
     gripper = {"kind": "gripper", "closed": 0.8, "opening": 1.0, "close": 0.1, "thick": 0.5}
     scene = Scene.named("drop").replaced({**SCENE, "boundaries": [gripper], "time.fps": 24.0})
     clip = Simulation(ball(400), scene).run()
@@ -125,7 +125,9 @@ def test_a_paused_run_goes_on_with_them(tmp_path):
 def test_without_walls_there_are_none():
     run = Simulation(ball(300), Scene.named("spin").replaced({**SCENE, "boundaries": []}))
     clip = run.run()
-    assert clip.wrenches.shape == (4, 0, 2, 3) and summary(run.frames, run.wrenches.walls) == {}
+    assert (
+        clip.wrenches.shape == (4, 0, 2, 3) and summary(run.frames, run.find(Wrenches).walls) == {}
+    )
 
 
 @pytest.fixture(scope="module")

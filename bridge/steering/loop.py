@@ -28,9 +28,9 @@ def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
         accuracy: How exact it is, in a sentence for diagnostics.
         action: Whether the sink has actions.
     """
-    from phy124.monitor.wrenches import names
+    from phy124.monitor.wrenches import wall_names
 
-    walls = names(run.live.scene.with_solids().boundaries)
+    walls = wall_names(run.live.scene.with_solids().boundaries)
     return Controls(
         node=STEERED,
         published=(TF, FACTOR, *(contact(at) for at in (*walls, *run.live.pairs))),

@@ -36,6 +36,7 @@ from phy124.budget.limits import duration
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
+from phy124.monitor.tearing import Tearing
 from phy124.progress import Progress, silent
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
@@ -171,7 +172,8 @@ class _Runs:
     @property
     def torn(self) -> list[int]:
         """Levels on which the grid may have torn the material, which are not used."""
-        return sorted(n for n, (run, _) in self.done.items() if run.watchdog.tearing.likely)
+        tearing = {level: run.find(Tearing) for level, (run, _) in self.done.items()}
+        return sorted(level for level, search in tearing.items() if search and search.likely)
 
     @property
     def whole(self) -> list[int]:
@@ -271,7 +273,8 @@ def _about(
 
 
 def _why_torn(runs: _Runs) -> str:
-    why = runs.done[runs.torn[0]][0].watchdog.tearing.briefly
+    tearing = runs.done[runs.torn[0]][0].find(Tearing)
+    why = "" if tearing is None else tearing.briefly
     return (
         f"on D/{runs.torn[0]} {why}; a larger accuracy.particles_per_axis, more damping, a stiffer "
         "material or a gentler motion helps"

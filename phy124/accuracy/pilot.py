@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from phy124.boundaries.base import THINNEST
 from phy124.gaussians import Gaussians
+from phy124.monitor.softening import Softening
 from phy124.mpm import Unstable
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -96,6 +97,7 @@ def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop =
     cells = coarse.resolution.cells
     simulation = Simulation(gaussians, coarse, device=device, crop=crop)
     solver, timing = simulation.solver, scene.time
+    softening = simulation.find(Softening)
     counts = {name: np.zeros(timing.frames - 1) for name in LIMITERS}
     factors = scene.softnesses(np.arange(timing.frames - 1) / timing.fps)
     nodes, rest = [], 0.0
@@ -106,8 +108,8 @@ def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop =
         rest = math.sqrt(stiffness) / (solver.clock.cfl * solver.model.dx) / timing.fps
         for frame in range(timing.frames - 1):
             before = dict(solver.clock.needed)
-            if scene.stiffness_profile is not None:
-                simulation.softening.follow(float(factors[frame]))
+            if softening is not None:
+                softening.follow(float(factors[frame]))
             solver.advance((frame + 1) / timing.fps)
             for name, needed in solver.clock.needed.items():
                 counts[name][frame] = needed - before.get(name, 0.0)

@@ -13,6 +13,7 @@ import numpy as np
 
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
+from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Solver
 from phy124.rendering.film import film
 from phy124.runtime.stopwatch import Stopwatch
@@ -50,21 +51,20 @@ def probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
     The simulation takes a few times 20 substeps with everything that a frame includes, and is then
     reset to its start.
     """
-    solver, watchdog = simulation.solver, simulation.watchdog
+    solver, watchdog = simulation.solver, simulation.find(Watchdog)
+    after = None if watchdog is None else watchdog.after_substep
     solver.repair.begin(solver.clock)
-    watchdog.before()
-    after = watchdog.follow()
-    start, external = solver.snapshot(), watchdog.external.snapshot()
+    simulation.before_attempt()
+    start = simulation.checkpoint()
     rounds: list[tuple[float, float, int]] = []
     spent = 0.0
     try:
         while len(rounds) < ROUNDS and spent < LONGEST_PROBE:
             spent += timed(lambda: rounds.append(_seconds_per_substep(solver, after)))
-            solver.restore(start)
+            simulation.roll_back(start)
         checks = min(timed(lambda: _empty_frame(simulation)) for _ in range(TRIES))
     finally:
-        solver.restore(start)
-        watchdog.external.restore(external)
+        simulation.roll_back(start)
         _forget_timings(solver)
     seconds, fraction, nodes = sorted(rounds)[len(rounds) // 2]
     return _rates(seconds, fraction, len(solver.model), nodes), nodes, checks
@@ -83,12 +83,12 @@ def _seconds_per_substep(
 
 def _empty_frame(simulation: Simulation) -> None:
     """Do everything that a frame includes besides its substeps."""
-    solver, watchdog = simulation.solver, simulation.watchdog
+    solver = simulation.solver
     solver.repair.begin(solver.clock)
-    watchdog.before()
-    solver.snapshot()
+    simulation.before_attempt()
+    simulation.checkpoint()
     solver.advance(solver.clock.time)
-    watchdog.after()
+    simulation.after_attempt()
     solver.repair.end()
 
 

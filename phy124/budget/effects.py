@@ -9,47 +9,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any
 
 from phy124.materials import AnyMaterial
+from phy124.monitor import OBSERVERS
+from phy124.monitor.observer import UNKNOWN, Cost, Effect, Observer, Subject, find
 from phy124.mpm.model import form_of
 from phy124.scene import Scene
 
-
-class Cost(NamedTuple):
-    """What an effect costs one core [ns per substep]; measured in docs/results/benchmarks.md."""
-
-    fixed: float = 0.0
-    particle: float = 0.0
-    """For each particle."""
-    node: float = 0.0
-    """For each node of the window."""
-
-    def of(self, particles: int, nodes: int) -> float:
-        """Of one substep [ns]."""
-        return self.fixed + self.particle * particles + self.node * nodes
-
-
-UNKNOWN = Cost()
 NODE = 1.8
 """Cost of clearing and updating one node of the grid [ns]."""
-CONTACT = 20
-"""Cost for each particle of sharing out what one wall gives [ns]."""
 SPLINE = 157
 """Cost for each particle of the gradients of the weights, which have no form for vector units."""
+STATIC = "static Gaussians"
+"""Name of the row of parts that never move."""
 DENSE = 100**3
 """Number of nodes of the dense grid that PhysGaussian's scenes use."""
-
-
-class Effect(NamedTuple):
-    """An effect, and what a scene says about it."""
-
-    name: str
-    called_for: bool = True
-    why: str = ""
-    """Why it is left out, if it is."""
-    cost: Cost = UNKNOWN
-    """What it would cost."""
 
 
 @dataclass(frozen=True)
@@ -76,30 +51,25 @@ class Effects:
         sh_degree: int = 0,
         device: str = "cpu",
         static: int | None = None,
-        slept: str | None = "",
         materials: Sequence[AnyMaterial] = (),
+        observers: Sequence[Observer] = (),
     ) -> Effects:
-        """The effects a scene calls for.
+        """Return the effects that a scene calls for, and those that are left out.
 
         Args:
             scene: The scene.
             sh_degree: Degree of the Gaussians' spherical harmonics.
             device: Warp device.
             static: Number of static Gaussians of a finished run; None before a run.
-            slept: A sentence about how a finished run slept, None if it did not; "" before a run.
-            materials: The materials that a file gave the particles; empty: those of the scene.
+            materials: Materials that a file gave the particles; empty: those of the scene.
+            observers: Observers of a finished run.
         """
         ran, left_out = [], []
-        found = {}
-        if static:
-            found["static Gaussians"] = f": {static} never enter the solver"
-        if slept:
-            found["sleep while all rests"] = f": {slept}"
-        for effect in _catalogue(
-            scene, sh_degree, device, slept is not None, materials or scene.materials
-        ):
+        subject = Subject(scene, materials or scene.materials)
+        for effect in _catalogue(subject, sh_degree, device, observers):
             if effect.called_for:
-                ran.append(effect.name + found.get(effect.name, ""))
+                counted = static if effect.name == STATIC else None
+                ran.append(effect.name + (f": {counted} never enter the solver" if counted else ""))
             else:
                 left_out.append(Omission(effect.name, effect.why, effect.cost))
         return cls(tuple(ran), tuple(left_out))
@@ -134,12 +104,13 @@ class Effects:
 
 
 def _catalogue(
-    scene: Scene, sh_degree: int, device: str, rested: bool, materials: Sequence[AnyMaterial]
+    subject: Subject, sh_degree: int, device: str, observers: Sequence[Observer]
 ) -> Iterator[Effect]:
-    """Every effect, in the order of the report."""
-    yield from _of_materials(scene, materials)
+    """Yield every effect, in the order of the report."""
+    scene = subject.scene
+    yield from _of_materials(scene, subject.materials)
     yield from _of_forces(scene)
-    yield from _of_checks(scene, materials or scene.materials)
+    yield from _of_observers(subject, observers)
     for wall in scene.boundaries:
         yield Effect(f"collider {wall.kind} ({wall.contact})")
     yield Effect("colliders", bool(scene.boundaries), "the scene has no boundaries")
@@ -148,7 +119,8 @@ def _catalogue(
     free = [one.name for one in scene.objects if one.free]
     named = f"free rigid solid {' and '.join(free)}" if free else "free rigid solids"
     yield Effect(named, bool(free), "no shape among the objects has the motion free")
-    yield from _of_rest(scene, rested)
+    static = any(part.static for part in scene.parts)
+    yield Effect(STATIC, static, "no part of the scene is static")
     yield from _of_frames(scene, sh_degree)
     yield from _of_pictures(scene)
     yield from _of_numerics(scene, device)
@@ -169,9 +141,6 @@ def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Ef
     loose = any(section.grains for section in materials)
     why = f"{named} does not fall apart" if scene.grains else "grains is off"
     yield Effect("grains inside", loose and scene.grains, why)
-    elastic = any(section.device_law.project is None for section in materials)
-    why = "nothing elastic could be torn" if scene.grains else "grains is off"
-    yield Effect("inside shown once it is torn", elastic and scene.grains, why)
     several = len(laws) > 1 or len(scene.materials) > 1
     yield Effect("several materials", several, "all that moves is of one", Cost(particle=13))
     told = scene.stiffness or scene.properties
@@ -195,40 +164,21 @@ def _of_forces(scene: Scene) -> Iterator[Effect]:
     )
 
 
-def _of_checks(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
-    """Stages that only observe; reports time them as `measure` and `external work`."""
-    yield Effect(f"limits of the substep measured every {scene.checks.measure} substeps or sooner")
-    why = "checks.balance is off: an explosion shows only once values are NaN"
-    if scene.checks.balance:
-        why = "all forces are steady: nothing has to be summed"
-    unsteady = any(not force.uniform or force.varies for force in scene.acting)
-    summed = scene.checks.balance and (bool(scene.boundaries) or unsteady)
-    yield Effect("balance of momentum and energy", summed, why)
-    lost = "checks.energy is off: what is lost is not split into its causes"
-    yield Effect("work of the stress", scene.checks.energy, lost)
-    elastic = any(section.device_law.project is None for section in materials)
-    flows = "all that moves flows, which parts and joins as it should"
-    yield Effect("search for what the grid tears, and for pieces, in each frame", elastic, flows)
+def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[Effect]:
+    """Yield the checks of the substep, then a row for each observer, of phy124 or from outside."""
+    every = subject.scene.checks.measure
+    yield Effect(f"limits of the substep measured every {every} substeps or sooner")
     yield Effect("substeps tried first where one may be too long, and repeated shorter")
-
-
-def _of_rest(scene: Scene, rested: bool) -> Iterator[Effect]:
-    """What does not move is left out."""
-    static = any(part.static for part in scene.parts)
-    yield Effect("static Gaussians", static, "no part of the scene is static")
-    restless = "it was never at rest for long enough" if scene.time.sleep else "time.sleep is off"
-    yield Effect("sleep while all rests", scene.time.sleep and rested, restless)
+    for kind in dict.fromkeys((*OBSERVERS, *map(type, observers))):
+        observer = find(observers, kind)
+        effect = kind.effect(subject) if observer is None else observer.finished_effect(subject)
+        if effect is not None:
+            yield effect
 
 
 def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
     """What frames hold besides places and shapes."""
     yield Effect("velocities", scene.velocities, "not asked for; they follow from the positions")
-    walls = len(scene.boundaries)
-    asked = scene.keeps_contacts and walls > 0
-    cost = Cost(particle=CONTACT * walls)
-    yield Effect("contact forces", asked, "not asked for, or nothing is solid", cost)
-    kept = scene.keeps_wrenches and walls > 0
-    yield Effect("force and torque per wall", kept, "not asked for, or nothing is solid")
     drawn = ", ".join(scene.view.outputs)
     yield Effect(f"outputs {drawn}".strip(), bool(drawn), "not asked for: only colours are drawn")
     turned = sh_degree > 0

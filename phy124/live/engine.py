@@ -309,8 +309,7 @@ class Live:
 
     def contacts(self) -> dict[str, Wrench]:
         """Mean force [N] and torque [N m] over the last frame on each wall and in each pair."""
-        found = self._frame.wrenches or {}
-        return {at: found[at] for at in (*self._run.wrenches.walls, *self.pairs) if at in found}
+        return dict(self._frame.wrenches or {})
 
     @property
     def pairs(self) -> dict[str, str]:

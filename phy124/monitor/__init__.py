@@ -1,1 +1,29 @@
-"""Monitors of a run, which change nothing in it: balance, tearing, rest."""
+"""Observers of a run: one file each, all in the list `OBSERVERS`."""
+
+from phy124.monitor.contacts import Contacts
+from phy124.monitor.dissipation import Dissipation
+from phy124.monitor.external_work import ExternalWork
+from phy124.monitor.interior import Interior
+from phy124.monitor.observer import Observer
+from phy124.monitor.sleep import Sleep
+from phy124.monitor.softening import Softening
+from phy124.monitor.tearing import Tearing
+from phy124.monitor.watchdog import Watchdog
+from phy124.monitor.wrenches import Wrenches
+
+OBSERVERS: tuple[type[Observer], ...] = (
+    Softening,
+    Wrenches,
+    Contacts,
+    ExternalWork,
+    Dissipation,
+    Watchdog,
+    Tearing,
+    Interior,
+    Sleep,
+)
+"""All observers, in the order in which a run asks them.
+
+Each wraps what earlier ones have wrapped, so `ExternalWork` measures all walls as one, outside the
+measurements of single walls. A violation ends an attempt, so `Tearing` looks only at sound frames.
+"""

@@ -7,9 +7,9 @@ kernel of one thread adds its impulse and work at the end of each substep.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 import warp as wp
@@ -19,7 +19,8 @@ from phy124.boundaries import Boundary
 from phy124.kernels import external_work as kernels
 from phy124.kernels import free
 from phy124.kernels.reduction import shared_out
-from phy124.monitor.near import NodesNear
+from phy124.monitor.measured import Measured, NodesNear
+from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
 from phy124.mpm.state import part_of
 from phy124.mpm.tracks import Tracks
@@ -36,7 +37,7 @@ IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
 Sums = NDArray[np.float64]
 
 
-class Given(NamedTuple):
+class Exchange(NamedTuple):
     """External impulse and work since the start."""
 
     impulse: Sums
@@ -48,23 +49,53 @@ class Given(NamedTuple):
     turned: float
     """Sum of the absolute values of all work [J]."""
 
-    def and_more(self, sums: Sums) -> Given:
-        """With the `GIVEN` sums of phy124/kernels/free: what rigid solids have given."""
+    def plus(self, sums: Sums) -> Exchange:
+        """Return the exchange with that of rigid solids, the sums of phy124/kernels/free."""
         work, moved, turned = sums[free.WORK :]
-        return Given(
+        return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned
         )
 
 
-class ExternalWork:
-    """The sums of one run.
+class ExternalWork(Observer):
+    """External impulse and work of one run.
 
-    Give the solver the results of `forces` and `boundaries`, and this object as an accumulator.
-    Call `open` before the first frame and `begin` before every frame.
+    The watchdog calls `open` before the first frame and `begin` before every attempt.
     """
 
+    in_substeps = True
+
+    @classmethod
+    def called_for(cls, subject: Subject) -> bool:
+        """Return whether the balance of energy and momentum is checked."""
+        return subject.scene.checks.balance
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernels that measure walls; those of forces on a region compile in 0.3 s."""
+        if subject.scene.boundaries:
+            yield from wall_kernels(real)
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row of the balance, which steady uniform forces alone do not need."""
+        scene, why = (
+            subject.scene,
+            "checks.balance is off: an explosion shows only once values are NaN",
+        )
+        if scene.checks.balance:
+            why = "all forces are steady: nothing has to be summed"
+        unsteady = any(not force.uniform or force.varies for force in scene.acting)
+        summed = scene.checks.balance and (bool(scene.boundaries) or unsteady)
+        return Effect("balance of momentum and energy", summed, why)
+
+    @classmethod
+    def of(cls, setup: Observed) -> Self:
+        """Make the sums of a run."""
+        return cls(changes=setup.subject.changes)
+
     def __init__(self, *, changes: bool = False) -> None:
-        """Begin with nothing.
+        """Start all sums at zero.
 
         Args:
             changes: Whether other forces and boundaries may act later in the run.
@@ -77,18 +108,18 @@ class ExternalWork:
         """Momentum of the object at the start of the frame, without what the open sums hold
         [kg m/s], and the time up to which velocities had been kicked when counting began [s]."""
 
-    def forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
-        """The forces as one, measured before and after they act."""
+    def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
+        """Return the forces as one, measured before and after they act."""
         return [Measured(forces, self._attach_push)] if forces else []
 
-    def boundaries(
-        self, boundaries: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+    def wrap_walls(
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> list[Attachable]:
-        """The boundaries, or what they are wrapped in, as one, measured before and after."""
-        if not boundaries:
+        """Return the walls as one, measured before and after they act."""
+        if not walls:
             return []
-        inner = boundaries if inner is None else inner
-        return [Measured(inner, partial(self._attach_walls, boundaries))]
+        inner = walls if inner is None else inner
+        return [Measured(inner, partial(self._attach_walls, walls))]
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """The stage that ends each substep; none if the uniform acceleration does not vary."""
@@ -120,14 +151,17 @@ class ExternalWork:
     def begin(self, momentum: Sums) -> None:
         """Start a frame with this momentum [kg m/s]; the work of varying forces depends on it."""
         if self._varies:
-            self._momentum = momentum - self._total()[IMPULSES]
+            self._momentum = momentum - self._sum()[IMPULSES]
             self._set_base()
 
-    def given(self, clock: Clock, way: Sums) -> Given:
-        """Impulse and work so far; `way` is the sum of mass times displacement since the start
-        [kg m].
+    def total(self, clock: Clock, way: Sums) -> Exchange:
+        """Return impulse and work so far.
+
+        Args:
+            clock: Time, for the impulse of a steady acceleration.
+            way: Sum of mass times displacement since the start [3], kg m.
         """
-        total = self._total()
+        total = self._sum()
         if not self._varies:
             values: NDArray[Any] = self._tracks.values.numpy()
             a = values[0, :3].astype(np.float64)
@@ -135,11 +169,11 @@ class ExternalWork:
             work = float(a @ way)
             total = total + np.array([*impulse, work, np.linalg.norm(impulse), abs(work)])
         work, moved, turned = total[[kernels.WORK, kernels.MOVED, kernels.TURNED]].tolist()
-        return Given(total[IMPULSES], work, moved, turned)
+        return Exchange(total[IMPULSES], work, moved, turned)
 
     def of_walls(self) -> float:
         """Work of the walls so far [J]; of those at rest what friction takes, below zero."""
-        return float(self._total(WALL)[kernels.WORK])
+        return float(self._sum(WALL)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
         """The state to continue from, as plain data."""
@@ -163,7 +197,7 @@ class ExternalWork:
             self._device[name].zero_()
         self._momentum, self._opened = np.array(snapshot["momentum"]), snapshot["opened"]
 
-    def _total(self, *names: str) -> Sums:
+    def _sum(self, *names: str) -> Sums:
         """Total of all sums so far, or of those named."""
         total = np.zeros(kernels.GIVEN)
         for name in names or SOURCES:
@@ -238,32 +272,13 @@ class ExternalWork:
 
         def before(grid: Grid) -> wp.Launch | None:
             near.fit(grid)
-            return model.launch(copy, near.threads, near.read, [near.kept])
+            return model.launch(copy, near.threads, near.read, [near.copy])
 
         def after(grid: Grid) -> wp.Launch | None:
-            inputs = [*near.read, near.kept]
+            inputs = [*near.read, near.copy]
             return model.launch(sums, near.threads, inputs, [self._accumulator(WALL, grid)])
 
         return Stage(STAGE, before), Stage(STAGE, after)
-
-
-class Measured:
-    """Forces or boundaries as one, with a stage before and one after theirs if they have any."""
-
-    def __init__(
-        self,
-        inner: Sequence[Attachable],
-        attach: Callable[[Sequence[Stage], Model, State], tuple[Stage, ...]],
-    ) -> None:
-        self._inner, self._attach = inner, attach
-
-    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Their stages, between the first and the others of those that measure."""
-        stages = [stage for one in self._inner for stage in one.attach(model, state, tracks)]
-        if not stages:
-            return []
-        before, *after = self._attach(stages, model, state)
-        return [before, *stages, *after]
 
 
 def push_kernels(real: Any, keeps_C: bool) -> tuple[Any, Any]:

@@ -14,13 +14,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.mpm import Clock, Model, State
-from phy124.mpm.tracks import FOREVER, Track, Tracks
+from phy124.gaussians import Frame
+from phy124.monitor.observer import Effect, Observed, Observer, Subject
+from phy124.mpm import Solver
+from phy124.mpm.tracks import FOREVER, Track
+from phy124.scene import Scene
 
 STILL = 3e-4
 """Largest error by sleeping, in object sizes: a tenth of a pixel if the object fills 300."""
@@ -30,54 +34,90 @@ HELD = 0.1
 """Fraction of a free body's displacement that a body may move and still count as held."""
 
 
-class Sleep:
-    """Decides for one run which frames need no substeps."""
+class Sleep(Observer):
+    """Decides which frames of a run need no substeps."""
 
-    def __init__(
-        self,
-        model: Model,
-        state: State,
-        clock: Clock,
-        tracks: Tracks,
-        *,
-        size: float,
-        frames: int,
-        fps: float,
-    ) -> None:
-        """Bind to a run.
+    absent: ClassVar[dict[str, Any]] = {"sleep": None}
+
+    def __init__(self, *, size: float, frames: int, fps: float) -> None:
+        """Start awake.
 
         Args:
-            model: Its grid spacing converts velocity gradients to speeds.
-            state: The particles.
-            clock: Its extremes include the largest speed.
-            tracks: Say when forces and boundaries change.
-            size: Size of the object [m].
+            size: Size of the smallest object [m].
             frames: Number of frames of the clip.
             fps: Frames per second of simulated time.
         """
-        self._dx, self._state, self._clock, self._tracks = model.dx, state, clock, tracks
         self._frames, self._fps = frames, fps
+        self._stiffness_changes = False
         self._far = STILL * size
         self.anchor: NDArray[np.float64] | None = None
         """Positions of the particles when they last moved [P,3], m."""
         self.drift = 0.0
-        """Largest distance of a particle from there [m]."""
+        """Largest distance of a particle from its anchor [m]."""
         self.speeds: list[float] = []
-        """Largest speed in each frame since then [m/s]."""
+        """Largest speed in each frame since the anchor was set [m/s]."""
         self._fastest, self._last = 0.0, 0
         self.since: int | None = None
         """The first frame that was left out."""
         self.skipped = self.saved = 0
-        """Frames left out, and substeps: as many for each as the last computed frame took."""
+        """Frames left out, and substeps saved: as many per frame as the last computed one took."""
 
-    def look(self) -> None:
-        """Call after a substep: notes the speed of the fastest particle, rotation included."""
-        extremes = self._clock.recent
-        self._fastest = max(self._fastest, extremes.speed, extremes.gradient * self._dx)
+    @classmethod
+    def called_for(cls, subject: Subject) -> bool:
+        """Return whether the scene allows sleep."""
+        return subject.scene.time.sleep
 
-    def computed(self, index: int, substeps: int) -> None:
-        """Call after frame `index`, which took `substeps` substeps."""
-        self.look()
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row of sleep."""
+        sleeps = subject.scene.time.sleep
+        why = "it was never at rest for long enough" if sleeps else "time.sleep is off"
+        return Effect("sleep while all rests", sleeps, why)
+
+    @classmethod
+    def of(cls, setup: Observed) -> Self:
+        """Make the observer of a run."""
+        timing, size = setup.scene.time, min(body.size for body in setup.scene.every_object)
+        sleep = cls(size=size, frames=timing.frames, fps=timing.fps)
+        sleep.change(setup.scene)
+        return sleep
+
+    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, which says when forces and boundaries change."""
+        self._solver, self._state, self._clock = solver, solver.state, solver.clock
+
+    def change(self, scene: Scene) -> None:
+        """Stay awake if the stiffness of the scene changes in time."""
+        self._stiffness_changes = scene.stiffness_profile is not None
+
+    def skip_to(self, index: int) -> float | None:
+        """Return the time [s] of a frame that needs no substeps, and count it; otherwise None."""
+        flying = self._solver.outliers.count or self._solver.free.all
+        if index == 0 or self._stiffness_changes or flying or not self._rests(index):
+            return None
+        self.since = index if self.since is None else self.since
+        self.skipped += 1
+        self.saved += self._last
+        return index / self._fps
+
+    def before_frame(self, time: float) -> None:
+        """Note the number of substeps so far."""
+        self._before = self._clock.substeps
+
+    def after_substep(self) -> None:
+        """Note the speed of the fastest particle, rotation included."""
+        extremes, dx = self._clock.recent, self._solver.model.dx
+        self._fastest = max(self._fastest, extremes.speed, extremes.gradient * dx)
+
+    def after_frame(self, frame: Frame) -> Frame:
+        """Measure how far the particles have moved since they last rested."""
+        if frame.index > 0:
+            self.observe(frame.index, self._clock.substeps - self._before)
+        return frame
+
+    def observe(self, index: int, substeps: int) -> None:
+        """Measure how far the particles have moved, after a frame of a number of substeps."""
+        self.after_substep()
         speed, self._fastest, self._last = self._fastest, 0.0, substeps
         changed = self._quiet_until((index - 1) / self._fps) < index / self._fps
         if changed or self._hidden(speed) > CALM * self._far:
@@ -90,17 +130,8 @@ class Sleep:
         if self.anchor is None or self.drift > CALM * self._far:
             self.anchor, self.drift, self.speeds = x, 0.0, []
 
-    def skip_to(self, index: int) -> float | None:
-        """The time [s] of a frame that needs no substeps, which is counted; otherwise None."""
-        if not self._rests(index):
-            return None
-        self.since = index if self.since is None else self.since
-        self.skipped += 1
-        self.saved += self._last
-        return index / self._fps
-
     def snapshot(self) -> dict[str, Any]:
-        """The state to continue from: arrays and plain data."""
+        """Return the state to continue from: arrays and plain data."""
         return {
             "anchor": self.anchor,
             "drift": self.drift,
@@ -118,20 +149,24 @@ class Sleep:
         self.skipped, self.saved = snapshot["skipped"], snapshot["saved"]
         self._last = snapshot["last"]
 
-    def report(self) -> dict[str, int] | None:
-        """The first frame that was left out, the number of frames, and the substeps saved."""
+    def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
+        """Return the first frame left out, the number of frames, and the substeps saved."""
+        del frames
         if self.since is None:
-            return None
-        return {"since": self.since, "frames": self.skipped, "substeps": self.saved}
+            return {"sleep": None}
+        sleep = {"since": self.since, "frames": self.skipped, "substeps": self.saved}
+        return {"sleep": sleep}
 
-    def sentence(self) -> str | None:
-        """The report as a phrase; None if it never slept."""
+    def finished_effect(self, subject: Subject) -> Effect:
+        """Return the row of sleep, with when and how long the run slept."""
+        row = self.effect(subject)
         if self.since is None:
-            return None
-        return f"asleep from frame {self.since}, {self.skipped} frames, saved {self.saved} substeps"
+            return row._replace(called_for=False)
+        saved = f"{self.skipped} frames, saved {self.saved} substeps"
+        return row._replace(name=f"{row.name}: asleep from frame {self.since}, {saved}")
 
     def _rests(self, index: int) -> bool:
-        """Whether nothing visible would happen from this frame until something changes."""
+        """Return whether nothing visible would happen from this frame until something changes."""
         if not self.speeds:
             return False
         until = self._quiet_until((index - 1) / self._fps)
@@ -145,27 +180,27 @@ class Sleep:
         return reach + self._hidden(max(self.speeds)) <= self._far
 
     def _hidden(self, speed: float) -> float:
-        """Amplitude of a vibration of this speed [m/s] that the frames do not show [m]."""
+        """Return the amplitude [m] of a vibration of this speed [m/s] that frames do not show."""
         return speed / self._fps / (2 * math.pi)
 
     def _held(self) -> bool:
-        """Whether it stayed in place although it is pulled: if free, it would move by a t^2 / 8."""
-        pull: NDArray[Any] = self._tracks.values.numpy()
+        """Return whether it stayed in place under a pull: if free, it would move by a t^2 / 8."""
+        pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8
         return way == 0 or self.drift <= HELD * way
 
     def _grows(self) -> bool:
-        """Whether the last frame was the fastest, as when something starts to topple."""
+        """Return whether the last frame was the fastest, as when something starts to topple."""
         *before, latest = self.speeds
         return latest > max(before, default=0.0)
 
     def _quiet_until(self, time: float) -> float:
-        """The time until which all forces and boundaries stay as they are at `time` [s]."""
-        return min(next_change(track, time) for track in self._tracks.tracks)
+        """Return the time until which all forces and boundaries stay as they are at `time` [s]."""
+        return min(next_change(track, time) for track in self._solver.tracks.tracks)
 
 
 def next_change(track: Track, time: float) -> float:
-    """When a track next changes [s]: `time` itself if it is changing then; infinity: never."""
+    """Return when a track next changes [s]: `time` if it is changing then; infinity if never."""
     edges = [edge for edge in (track.start, track.end) if time <= edge < FOREVER]
     keys = [(track.origin + at, value) for at, value in track.keys]
     changes = [(a, b) for (a, u), (b, w) in itertools.pairwise(keys) if u != w]

@@ -12,18 +12,20 @@ warns of a tear, but misses that of a thin stem; the second is a tear.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import Any
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.gaussians import Frame
 from phy124.kernels.stretch import make_apart
-from phy124.kernels.transfer import Law
-from phy124.monitor import diagnosis
-from phy124.monitor.pieces import Pieces
-from phy124.mpm import Model, State
+from phy124.monitor.diagnostics import describe_particle
+from phy124.monitor.observer import Effect, Observer, Subject
+from phy124.mpm import Solver
 
 APART = 1.2
 """Spacing of particles [cells] from which they may separate."""
@@ -40,39 +42,69 @@ LOOSE, FLAKE = 2e-3, 8
 """Smallest fraction of the elastic particles, and smallest number, that come off in a tear."""
 ALONE, STURDY = 1.0, 1e9
 """Spacing at rest [cells] from which a particle has no neighbours, and a stretch none reaches."""
+FAR = 4096
+"""Number of cubes along an axis above which empty space is left out before labelling."""
+MOST = 50_000_000
+"""Largest number of cubes to label; particles more scattered than that form no pieces."""
 REMEDY = (
     "A larger accuracy.particles_per_axis, binding = particles, a stiffer material, more "
     "material.damping or a gentler motion helps; a finer grid does not."
 )
 
 
-class Tearing:
-    """Checks once per frame how far the particles of elastic materials are stretched apart.
+class Tearing(Observer):
+    """Checks after each frame how far the particles of elastic materials are stretched apart.
 
-    Flowing material (a law with a return mapping) separates and joins as it should and is not
+    Plastic and fluid material (a law with a return mapping) may separate and join, so it is not
     checked.
     """
 
-    def __init__(self, model: Model, state: State) -> None:
-        self._model, self._state = model, state
-        self._elastic = [group for group in model.groups if group.law.project is None]
+    absent: ClassVar[dict[str, Any]] = {
+        "balance": {"tearing": {"apart": 0, "stretch": 1.0, "loose": 0, "likely": False}}
+    }
+
+    def __init__(self) -> None:
         self.count, self.first, self.stretch = 0, 0, 1.0
         """Largest number of particles beyond `APART` in a frame, the first of them, and the largest
         stretch."""
         self.loose = 0
         """Largest number of particles in a frame that were off the piece they belong to."""
+
+    @classmethod
+    def called_for(cls, subject: Subject) -> bool:
+        """Return whether anything is elastic."""
+        return subject.elastic
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernel that measures the stretch."""
+        del subject
+        yield make_apart(real)
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row of the search for tears."""
+        why = "all that moves flows, which parts and joins as it should"
+        name = "search for what the grid tears, and for pieces, in each frame"
+        return Effect(name, subject.elastic, why)
+
+    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
+        """Find the elastic particles and their pieces at rest."""
+        self._model, self._state = solver.model, solver.state
+        model = solver.model
+        self._elastic = [group for group in model.groups if group.law.project is None]
         self._chosen = np.zeros(len(model), bool)
         for group in self._elastic:
             self._chosen[group.particles] = True
         spacing = np.cbrt(model.volume.numpy().astype(np.float64)) / model.dx
-        # What has a cell to itself at rest is held to nothing that it could be torn from.
+        # A particle with a cell to itself at rest has no neighbours to be torn from.
         stretch = np.where(spacing < ALONE, APART / spacing, STURDY)
         self._most = wp.array(stretch**2, dtype=model.real, device=model.device)
         """The square of the stretch from which a particle is beyond `APART` [P]."""
         self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx, self._bodies())
 
     def _bodies(self) -> NDArray[np.int64] | None:
-        """The body of each particle that is checked; None: there is only one."""
+        """Return the body of each particle that is checked; None if there is only one body."""
         model = self._model
         if model.bodies == 1:
             return None
@@ -92,7 +124,7 @@ class Tearing:
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def snapshot(self) -> dict[str, Any]:
-        """The state to continue from, as plain data."""
+        """Return the state to continue from, as plain data."""
         return {
             "count": self.count, "first": self.first, "stretch": self.stretch, "loose": self.loose
         }  # fmt: skip
@@ -102,17 +134,17 @@ class Tearing:
         self.count, self.first = snapshot["count"], snapshot["first"]
         self.stretch, self.loose = snapshot["stretch"], snapshot["loose"]
 
-    def look(self) -> None:
-        """Check the state; call at the end of a frame."""
+    def after_attempt(self) -> None:
+        """Check the state at the end of a frame."""
         model, device = self._model, self._model.device
-        found = wp.array([0, len(model)], dtype=int, device=device)
+        totals = wp.array([0, len(model)], dtype=int, device=device)
         max_stretch = wp.zeros(1, dtype=model.real, device=device)
         for group in self._elastic:
             part = group.particles
             inputs = [self._most[part], group.start, self._state.F[part]]
-            kernel, outputs = make_apart(model.real), [found, max_stretch]
+            kernel, outputs = make_apart(model.real), [totals, max_stretch]
             wp.launch(kernel, len(group), inputs=inputs, outputs=outputs, device=device)
-        count, first = found.numpy().tolist()
+        count, first = totals.numpy().tolist()
         if count > self.count:
             stretch: Any = max_stretch.numpy()
             self.count, self.first = count, first
@@ -121,41 +153,111 @@ class Tearing:
         whole = self._chosen.all()
         self.loose = max(self.loose, self._pieces.loose(x if whole else x[self._chosen]))
 
-    def note(self) -> str | None:
-        """A sentence that the user should know, or None."""
+    def notes(self) -> list[str]:
+        """Return a sentence if something is torn or may be."""
         if not self.likely:
-            return None
+            return []
         if self.torn:
             fraction = self.loose / self._chosen.sum()
-            return (
+            return [
                 f"{self.loose} particles ({fraction:.1%}) came off the piece they belong to: the "
                 f"grid tore what the material holds together. {REMEDY}"
-            )
-        return (
+            ]
+        first = describe_particle(self._model, self._state, self.first)
+        return [
             f"{self.count} particles were stretched, up to {self.stretch:.1f} times, until they "
-            f"lay more than {APART} cells apart, first "
-            f"{diagnosis.particle(self._model, self._state, self.first)}. "
-            f"There the grid may tear what the material holds together. {REMEDY}"
-        )
+            f"lay more than {APART} cells apart, first {first}. There the grid may tear what the "
+            f"material holds together. {REMEDY}"
+        ]
 
     @property
     def briefly(self) -> str:
-        """The note in a few words."""
+        """The note as a short clause."""
         if self.torn:
             return "the grid tears the material"
         return f"the material is stretched {self.stretch:.1f} times and the grid may tear it"
 
-    def report(self) -> dict[str, Any]:
-        """The findings as plain data, for the report of the run."""
-        return {
-            "apart": self.count,
-            "stretch": self.stretch,
-            "loose": self.loose,
-            "likely": self.likely,
-        }
+    def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
+        """Return the section of the report."""
+        del frames
+        tearing = {"apart": self.count, "stretch": self.stretch, "loose": self.loose}
+        return {"balance": {"tearing": {**tearing, "likely": self.likely}}}
 
 
-def kernels(laws: Iterable[Law], real: Any) -> Iterator[Any]:
-    """What looks at particles of these laws: of plastic ones it looks at none."""
-    if any(law.project is None for law in laws):
-        yield make_apart(real)
+class Pieces:
+    """Connected pieces of particles at rest.
+
+    Space is divided into cubes. Particles in the same cube, or in cubes that touch, are connected;
+    an empty layer of cubes separates two pieces. Particles of different objects never belong to the
+    same piece.
+    """
+
+    def __init__(self, rest: NDArray, side: float, object_id: NDArray | None = None) -> None:
+        """Label the pieces at rest.
+
+        Args:
+            rest: Positions at rest [P,3], m.
+            side: Side of a cube [m].
+            object_id: Object of each particle [P]; None: all are of one object.
+        """
+        self._side, self._object = side, object_id
+        self._body = labels(self._spread(rest), side)
+        if self._body is not None:
+            self._sizes = np.bincount(self._body)
+
+    def loose(self, x: NDArray) -> int:
+        """Return the number of particles outside the largest part of their former piece.
+
+        Args:
+            x: Current positions [P,3], m.
+        """
+        now = labels(self._spread(x), self._side)
+        if now is None or self._body is None or now.max() == 0:
+            return 0
+        pairs, counts = np.unique(self._body * (now.max() + 1) + now, return_counts=True)
+        largest = np.zeros(len(self._sizes), int)
+        np.maximum.at(largest, pairs // (now.max() + 1), counts)
+        return int((self._sizes - largest).sum())
+
+    def _spread(self, x: NDArray) -> NDArray:
+        """Return the positions with each object shifted away from the others."""
+        if self._object is None or not np.isfinite(x).all():
+            return x
+        shifted = x.astype(np.float64)
+        shifted[:, 0] += self._object * (np.ptp(shifted[:, 0]) + 3 * self._side)
+        return shifted
+
+
+def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
+    """Return the number of each particle's piece [P]; None if they are scattered too far.
+
+    Args:
+        x: Positions [P,3], m.
+        side: Side of a cube [m].
+    """
+    if len(x) == 0 or not np.isfinite(x).all():
+        return None
+    columns = [_cubes(column, side) for column in x.T]
+    size = tuple(int(column.max()) + 1 for column in columns)
+    if math.prod(size) > MOST:
+        return None
+    at = (columns[0] * size[1] + columns[1]) * size[2] + columns[2]
+    occupied = np.zeros(size, bool)
+    occupied.reshape(-1)[at] = True
+    pieces, count = scipy.ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
+    if count == 1:
+        return np.zeros(len(x), np.int64)
+    return np.asarray(pieces.reshape(-1)[at].astype(np.int64) - 1)
+
+
+def _cubes(column: NDArray, side: float) -> NDArray[np.int64]:
+    """Return the index of each particle's cube along one axis, from 0.
+
+    If particles are scattered far, gaps are narrowed to two cubes, which keeps pieces apart.
+    """
+    cubes = (column - column.min()) / side
+    if cubes.max() < FAR:
+        return cubes.astype(np.int64)
+    occupied, which = np.unique(np.floor(cubes), return_inverse=True)
+    steps = np.minimum(np.diff(occupied, prepend=occupied[:1]), 2)
+    return np.cumsum(steps).astype(np.int64)[which.reshape(-1)]

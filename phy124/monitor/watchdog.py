@@ -1,27 +1,34 @@
-"""The watchdog: checks once per frame whether the state is sound and the balances add up.
+"""Watchdog: checks after each frame that the state is sound and that the balances add up.
 
-A violation is a sentence. What is checked, with the limits below: every number is finite; no
-more than a few particles are turned inside out; volume ratios stay in range; momentum changes by
-what forces and walls gave; energy does not grow beyond the work they did (explicit MPM only loses
-energy, so more means that the run is exploding). Which particle it is and what to change is
-looked for only then (phy124/monitor/diagnosis.py). The watchdog reads the run and writes nothing of
-it: what no law can work with is mended by the solver's own repair (phy124/mpm/repair.py).
+Every number is finite; no more than a few particles are inverted (det F < 0); momentum changes by
+the impulse of forces and walls; energy does not grow beyond their work (explicit MPM only loses
+energy, so a gain means that the run is exploding). The particle to blame and the remedies are
+looked for only after a violation. The watchdog only reads the run: the solver repairs broken
+deformations itself (phy124/mpm/repair.py).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from phy124.monitor import diagnosis
-from phy124.monitor.diagnostics import Diagnostics, energies, speeds
+from phy124.gaussians import Frame
+from phy124.kernels.diagnostics import make_totals
+from phy124.monitor.diagnostics import (
+    Diagnostics,
+    broken_particles,
+    describe_particle,
+    diagnose,
+    energies,
+    speeds,
+)
 from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
-from phy124.monitor.tearing import Tearing
+from phy124.monitor.observer import Observer, Subject, Violation, find
 from phy124.mpm import Solver, Unstable
 
 INSIDE_OUT = 0.01
@@ -60,15 +67,6 @@ SQUEEZED = 0.5
 """Volume ratio below which the law or the push may be the cause of an instability."""
 
 
-class Violation(NamedTuple):
-    """What is wrong with a frame."""
-
-    what: str
-    """A clause that says what is wrong."""
-    causes: tuple[str, ...]
-    """Possible causes, for `phy124.budget.remedies`, the likeliest first."""
-
-
 @dataclass
 class Balance:
     """The balance of energy and momentum of a run, updated frame by frame."""
@@ -85,46 +83,79 @@ class Balance:
     """Fraction of the energy created by rounding, if that exceeds what is otherwise tolerated."""
 
 
-class Watchdog:
-    """Watches one run, whose solver has its forces and boundaries from `external`."""
+class Watchdog(Observer):
+    """Checks one run; the balance is checked if an `ExternalWork` observes it, too."""
 
-    def __init__(
-        self,
-        solver: Solver,
-        external: ExternalWork,
-        *,
-        balance: bool = True,
-        dissipation: Dissipation | None = None,
-    ) -> None:
-        self.model, self.state, self.clock = solver.model, solver.state, solver.clock
-        self._pairs, self._outliers, self._repair = solver.pairs, solver.outliers, solver.repair
-        self.external, self._balanced, self.dissipation = external, balance, dissipation
-        self.tearing = Tearing(solver.model, solver.state)
-        self.first = self.last = self._look()
+    def __init__(self) -> None:
         self.balance = Balance()
+        self._fastest, self._begun, self._closely = 0.0, False, False
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernels that sum over particles."""
+        yield from (make_totals(law, real) for law in subject.laws)
+
+    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver in the state from which the run starts."""
+        self._solver = solver
+        self.model, self.state, self.clock = solver.model, solver.state, solver.clock
+        self.external = find(observers, ExternalWork)
+        self._dissipation = find(observers, Dissipation)
+        self.first = self.last = diagnose(solver)
         self.min_J, self.max_J = self.first.min_J, self.first.max_J
-        self._fastest, self._begun = 0.0, False
-        self._stopped = self._pairs.impulse()
-        self._free = solver.free
-        self._pushed = self._free.given()
+        self._stopped, self._pushed = solver.pairs.impulse(), solver.free.given()
 
-    def before(self) -> None:
-        """Before a frame, whose broken deformations have been mended."""
+    def before_attempt(self, *, closely: bool = False) -> None:
+        """Start to count external work; the first frame also starts the balance.
+
+        Args:
+            closely: Whether each substep is checked for particles that are no longer finite, before
+                they spoil their neighbours.
+        """
+        self._closely = closely
         if not self._begun:
-            self._begin()
+            # Not when it is bound: the run may have been resumed since.
+            self.first = self.last = diagnose(self._solver)
+            turnover = max(self.first.energy, self._strained(math.sqrt(QUIET)))
+            self.balance = Balance(turnover, math.sqrt(2 * self.model.total_mass * turnover))
+            self._stopped = self._solver.pairs.impulse()
+            self._pushed = self._solver.free.given()
+            if self.external is not None:
+                self.external.open(self.clock)
+            self._begun = True
+        if self.external is not None:
+            self.external.begin(self.last.momentum)
 
-    def _begin(self) -> None:
-        """Start the balance with the first frame that is watched, since a run may be resumed."""
-        self.first = self.last = self._look()
-        turnover = max(self.first.energy, self._strained(math.sqrt(QUIET)))
-        self.balance = Balance(turnover, math.sqrt(2 * self.model.total_mass * turnover))
-        self._stopped, self._pushed = self._pairs.impulse(), self._free.given()
-        if self._balanced:
-            self.external.open(self.clock)
-        self._begun = True
+    def after_substep(self) -> None:
+        """Record the largest speed.
+
+        Raises:
+            Unstable: The attempt is checked closely, and a particle is no longer finite.
+        """
+        self._fastest = max(self._fastest, self.clock.recent.speed)
+        if self._closely and (count := len(broken_particles(self.state))):
+            raise Unstable(f"{count} particles are NaN or infinite")
+
+    def after_attempt(self) -> Violation | None:
+        """Return the violation of a frame, or None."""
+        now = diagnose(self._solver)
+        balanced = self.external is not None
+        problem = self._unsound(now) or (self._unbalanced(now) if balanced else None)
+        if problem is None:
+            self.last = now
+            self.min_J, self.max_J = min(self.min_J, now.min_J), max(self.max_J, now.max_J)
+        return problem
+
+    def diagnose(self, problem: str) -> Violation:
+        """Return the violation for a problem that made the solver give up, with the particle."""
+        broken = broken_particles(self.state)
+        if len(broken):
+            return Violation(f"{problem}, first {self._who(int(broken[0]))}", self._unstable())
+        index = int(speeds(self.state).argmax())
+        return Violation(f"{problem}; the fastest is {self._who(index)}", FAST)
 
     def snapshot(self) -> dict[str, Any]:
-        """The state to continue from, as plain data."""
+        """Return the state to continue from, as plain data."""
         return {
             "begun": self._begun,
             "fastest": self._fastest,
@@ -135,67 +166,29 @@ class Watchdog:
             "first": self.first.snapshot(),
             "last": self.last.snapshot(),
             "balance": asdict(self.balance),
-            "tearing": self.tearing.snapshot(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
         self._begun, self._fastest = snapshot["begun"], snapshot["fastest"]
-        self._stopped = np.array(snapshot["stopped"])
-        self._pushed = np.array(snapshot.get("pushed", self._pushed))
+        self._stopped, self._pushed = np.array(snapshot["stopped"]), np.array(snapshot["pushed"])
         self.min_J, self.max_J = snapshot["min_J"], snapshot["max_J"]
         self.first, self.last = (Diagnostics.from_snapshot(snapshot[k]) for k in ("first", "last"))
         self.balance = Balance(**snapshot["balance"])
-        self.tearing.restore(snapshot["tearing"])
-
-    def after(self) -> Violation | None:
-        """Call after a frame: returns what is wrong with it, or None."""
-        now = self._look()
-        problem = self._unsound(now) or (self._unbalanced(now) if self._balanced else None)
-        if problem is None:
-            self.tearing.look()
-            self.last = now
-            self.min_J, self.max_J = min(self.min_J, now.min_J), max(self.max_J, now.max_J)
-        return problem
-
-    def follow(self, closely: bool = False) -> Callable[[], None]:
-        """A function to call after each substep of the next frame, or after some of them.
-
-        Args:
-            closely: Whether it looks each time for a particle that is no longer finite, before that
-                one spoils those around it, and raises Unstable.
-        """
-        if self._balanced:
-            self.external.begin(self.last.momentum)
-
-        def after() -> None:
-            self._fastest = max(self._fastest, self.clock.recent.speed)
-            if closely and (count := len(diagnosis.broken(self.state))):
-                raise Unstable(f"{count} particles are NaN or infinite")
-
-        return after
-
-    def diagnose(self, problem: str) -> Violation:
-        """The violation for a problem that made the solver give up, with the particle."""
-        index = diagnosis.first_broken(self.state)
-        if index is not None:
-            return Violation(f"{problem}, first {self._who(index)}", self._unstable())
-        index = int(speeds(self.state).argmax())
-        return Violation(f"{problem}; the fastest is {self._who(index)}", FAST)
 
     def notes(self) -> list[str]:
-        """Sentences that the user should know about how the run went."""
+        """Return sentences about how the run went."""
         notes = []
-        if self._repair.count:
-            first = self._who(self._repair.first)
+        if self._solver.repair.count:
+            first = self._who(self._solver.repair.first)
             notes.append(
-                f"{self._repair.count} times a particle was deformed beyond what a law can "
+                f"{self._solver.repair.count} times a particle was deformed beyond what a law can "
                 f"describe and was given its shape at rest, first {first}. A gentler "
                 "push or a stiffer material would keep it whole."
             )
-        if self._outliers.most:
+        if self._solver.outliers.most:
             notes.append(
-                f"{self._outliers.most} particles left the simulated space and continued on "
+                f"{self._solver.outliers.most} particles left the simulated space and continued on "
                 "parabolas, without contact."
             )
         fragile = {m.device_law.name: m for m in self.model.materials if m.may_collapse}
@@ -222,30 +215,32 @@ class Watchdog:
                 f"its energy: a tremor of less than {UNSEEN:g} of its size, which no picture "
                 "shows. accuracy.precision = float64 avoids it."
             )
-        torn = self.tearing.note()
-        return [*notes, torn] if torn else notes
+        return notes
 
-    def energy(self) -> dict[str, float] | None:
-        """Where the energy lost has gone [J], and all that was turned over; None if not asked."""
-        if self.dissipation is None:
-            return None
-        gained = self.balance.energy_gain * self.balance.turnover
-        stored = self.last.elastic - self.first.elastic
-        loss = self.dissipation.loss(gained, -self.external.of_walls(), stored)
-        return {"turnover": self.balance.turnover, "lost": loss.total, **loss._asdict()}
-
-    def report(self) -> dict[str, Any]:
-        """The findings as plain data, for the report of the run."""
-        return {
-            "energy_gain": self.balance.energy_gain if self._balanced else None,
-            "momentum_gain": self.balance.momentum_gain if self._balanced else None,
+    def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
+        """Return the sections of the balance and, if asked for, of the energy lost."""
+        del frames
+        balanced = self.external is not None
+        balance = {
+            "energy_gain": self.balance.energy_gain if balanced else None,
+            "momentum_gain": self.balance.momentum_gain if balanced else None,
             "min_J": self.min_J,
             "max_J": self.max_J,
             "inside_out": self.last.inverted,
-            "reset": self._repair.count,
-            "ballistic": self._outliers.most,
-            "tearing": self.tearing.report(),
+            "reset": self._solver.repair.count,
+            "ballistic": self._solver.outliers.most,
         }
+        return {"balance": balance, **self._energy()}
+
+    def _energy(self) -> dict[str, Any]:
+        """Return the energy lost by cause [J], and the largest energy turned over."""
+        if self._dissipation is None or self.external is None:
+            return {}
+        turnover = self.balance.turnover
+        stored = self.last.elastic - self.first.elastic
+        gained, rubbed = self.balance.energy_gain * turnover, -self.external.of_walls()
+        loss = self._dissipation.loss(gained, rubbed, stored)
+        return {"energy": {"turnover": turnover, "lost": loss.total, **loss._asdict()}}
 
     def _unsound(self, now: Diagnostics) -> Violation | None:
         what, index = "", 0
@@ -257,19 +252,20 @@ class Watchdog:
 
     def _unbalanced(self, now: Diagnostics) -> Violation | None:
         """Compare energy and momentum with those at the start plus external work and impulse."""
-        given = self.external.given(self.clock, now.middle - self.first.middle)
-        given = given.and_more(self._free.given() - self._pushed)
+        assert self.external is not None
+        outside = self.external.total(self.clock, now.middle - self.first.middle)
+        outside = outside.plus(self._solver.free.given() - self._pushed)
         turnover = max(
             self.balance.turnover,
             now.energy,
-            abs(given.work),
-            ROUNDING[self.model.precision] * given.turned,
+            abs(outside.work),
+            ROUNDING[self.model.precision] * outside.turned,
         )
-        gained = now.energy - self.first.energy - given.work
-        moved = max(self.balance.moved, self._momentum_scale(now), given.moved)
-        stopped = self._pairs.impulse() - self._stopped
+        gained = now.energy - self.first.energy - outside.work
+        moved = max(self.balance.moved, self._momentum_scale(now), outside.moved)
+        stopped = self._solver.pairs.impulse() - self._stopped
         moved = max(moved, float(np.linalg.norm(stopped)))
-        missing = now.momentum - self.first.momentum - given.impulse - stopped
+        missing = now.momentum - self.first.momentum - outside.impulse - stopped
         momentum_gain = float(np.linalg.norm(missing)) / moved if moved > 0 else 0.0
         problem = self._gained(gained, turnover) or self._drifted(momentum_gain)
         if problem is None:
@@ -318,7 +314,4 @@ class Watchdog:
 
     def _who(self, index: int) -> str:
         """A particle in words."""
-        return diagnosis.particle(self.model, self.state, index)
-
-    def _look(self) -> Diagnostics:
-        return Diagnostics.of(self.model, self.state, self.clock)
+        return describe_particle(self.model, self.state, index)

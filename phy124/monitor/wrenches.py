@@ -1,16 +1,17 @@
-"""Wrenches: force and torque that the object exerts on each wall, if they are asked for.
+"""Wrenches: force and torque that the object exerts on each wall and on other objects.
 
-What a wall gives to the nodes is summed in every substep, as impulse and as its moment. What the
-object exerts on the wall is the opposite. Its torque is taken about the object's centre of mass at
-the instant of the frame.
+The impulse and the angular impulse that a wall gives to the nodes are summed in every substep; the
+object exerts the opposite on the wall. Torques are about the centre of mass of all particles at the
+instant of the frame.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import warp as wp
@@ -20,7 +21,8 @@ from phy124.boundaries import Boundary
 from phy124.gaussians import Frame, Wrench
 from phy124.kernels import wrenches as kernels
 from phy124.kernels.external_work import make_wall_copy
-from phy124.monitor.near import NodesNear
+from phy124.monitor.measured import NodesNear
+from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Grid, Model, Solver, Stage, State
 from phy124.mpm.tracks import Tracks
 
@@ -29,85 +31,136 @@ STAGE = "wrenches"
 Vector3 = NDArray[np.float64]
 
 
-class Wrenches:
-    """The sums of one frame; give the solver the result of `boundaries` and this object."""
+class Wrenches(Observer):
+    """Wrenches of one frame: on walls if they are asked for, and between objects."""
 
-    def __init__(self, *, asked: bool = True) -> None:
-        self.asked = asked
-        """Whether anything is summed."""
+    absent: ClassVar[dict[str, Any]] = {"walls": None}
+    in_substeps = True
+
+    def __init__(self, *, of_walls: bool = True, of_pairs: bool = False, fps: float = 1.0) -> None:
+        """Start without any sums.
+
+        Args:
+            of_walls: Whether walls are measured.
+            of_pairs: Whether the report has a section of pairs of objects.
+            fps: Frames per second.
+        """
+        self._of_walls, self._of_pairs, self._fps = of_walls, of_pairs, fps
         self._sums: dict[str, dict[int, wp.array]] = {}
-        """Sums of each wall, for each worker."""
+        """Sums of each wall, by worker."""
+
+    @classmethod
+    def called_for(cls, subject: Subject) -> bool:
+        """Return whether the scene asks for wrenches, or has objects that may touch."""
+        return subject.scene.keeps_wrenches or bool(subject.scene.objects)
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernels that measure a wall."""
+        if subject.scene.keeps_wrenches and subject.scene.boundaries:
+            yield from wrench_kernels(real)
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row of the wrenches on walls."""
+        asked = subject.scene.keeps_wrenches and bool(subject.scene.boundaries)
+        return Effect("force and torque per wall", asked, "not asked for, or nothing is solid")
+
+    @classmethod
+    def of(cls, setup: Observed) -> Self:
+        """Make the sums of a run."""
+        scene = setup.scene
+        pairs = bool(scene.objects)
+        return cls(of_walls=scene.keeps_wrenches, of_pairs=pairs, fps=scene.time.fps)
 
     @property
     def walls(self) -> tuple[str, ...]:
-        """Names of the walls, in the order of the scene."""
+        """Names of the measured walls, in the order of the scene."""
         return tuple(self._sums)
 
-    def boundaries(self, walls: Sequence[Boundary]) -> list[Attachable]:
-        """The boundaries, each of whose walls is measured before and after it acts."""
-        return [
-            _Separated(self, wall, name) for name, wall in zip(names(walls), walls, strict=True)
-        ]
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all wrenches of a frame, in their order."""
+        return (*self.walls, *pair_names(self._solver))
 
-    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Nothing more: the walls have the stages."""
-        del model, state, tracks
-        return []
+    def wrap_walls(
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+    ) -> Sequence[Attachable]:
+        """Return the boundaries, each of whose walls is measured before and after it acts."""
+        inner = walls if inner is None else inner
+        if not self._of_walls:
+            return inner
+        named = zip(wall_names(walls), walls, inner, strict=True)
+        return [_Separated(self, name, wall, wrapped) for name, wall, wrapped in named]
 
-    def begin(self) -> None:
-        """Start a frame."""
+    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, which sums what objects give each other."""
+        self._solver = solver
+
+    def before_attempt(self, *, closely: bool = False) -> None:
+        """Set the sums to zero."""
         for sums in self._arrays().values():
             sums.zero_()
 
-    def contacts(self, solver: Solver, fps: float) -> dict[str, Wrench] | None:
-        """Mean wrench on each wall since the frame began, and of each object on each other one.
+    def after_frame(self, frame: Frame) -> Frame:
+        """Add the mean wrenches since the frame before."""
+        if not self._of_walls and not self.names:
+            return frame
+        return replace(frame, wrenches=self.contacts(self._solver, self._fps))
 
-        The torques are about the centre of mass of all particles. None if there are no walls that
-        are asked for and no other objects.
+    def contacts(self, solver: Solver, fps: float) -> dict[str, Wrench]:
+        """Return the mean wrench on each wall and in each pair since the frame began.
 
         Args:
-            solver: The particles, and what the objects gave each other.
+            solver: The particles, and the sums of what objects gave each other.
             fps: Frames per second.
         """
-        names = pair_names(solver)
-        if not self.asked and not names:
-            return None
         arrays = (solver.model.mass, solver.state.x)
         mass, x = (np.asarray(array.numpy(), np.float64) for array in arrays)
-        middle = mass @ x / mass.sum()
-        found = {wall: self._wrench(wall, middle, fps) for wall in self._sums} if self.asked else {}
-        given = [*solver.pairs.wrenches(1 / fps).values(), *solver.free.wrenches(1 / fps)]
-        for name, (force, torque) in zip(names, given, strict=True):
-            found[name] = Wrench(force, torque - np.cross(middle, force))
-        return found
+        centre = mass @ x / mass.sum()
+        wrenches = {wall: self._wrench(wall, centre, fps) for wall in self._sums}
+        between = [*solver.pairs.wrenches(1 / fps).values(), *solver.free.wrenches(1 / fps)]
+        for name, (force, torque) in zip(pair_names(solver), between, strict=True):
+            wrenches[name] = Wrench(force, torque - np.cross(centre, force))
+        return wrenches
+
+    def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
+        """Return the sections of walls and, if there are several objects, of pairs."""
+        report = {"walls": summary(frames, self.walls) if self._of_walls else None}
+        if self._of_pairs:
+            report["pairs"] = summary(frames, pair_names(self._solver))
+        return report
 
     def snapshot(self) -> dict[str, Any]:
-        """The sums as they are now."""
+        """Return copies of the sums."""
         return {name: wp.clone(sums) for name, sums in self._arrays().items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the sums back to a snapshot."""
+        """Return to a snapshot."""
         for name, sums in self._arrays().items():
-            kept = snapshot.get(name)
-            sums.zero_() if kept is None else wp.copy(sums, kept)
+            copy = snapshot.get(name)
+            sums.zero_() if copy is None else sums.assign(copy)
 
-    def measured(self, name: str, wall: Boundary, model: Model) -> tuple[Stage, Stage]:
-        """The stages before and after a wall, whose sums have a name."""
+    def measure(self, name: str, wall: Boundary, model: Model) -> tuple[Stage, Stage]:
+        """Return the stages before and after a wall whose sums have this name."""
         self._sums[name] = {}
         near, (copy, wrench) = NodesNear([wall], model), wrench_kernels(model.real)
 
         def before(grid: Grid) -> wp.Launch | None:
             near.fit(grid)
-            return model.launch(copy, near.threads, near.read, [near.kept])
+            return model.launch(copy, near.threads, near.read, [near.copy])
 
         def after(grid: Grid) -> wp.Launch | None:
-            inputs = [grid.lattice, *near.read, near.kept]
-            return model.launch(wrench, near.threads, inputs, [self._own(name, grid, model)])
+            inputs, sums = (
+                [grid.lattice, *near.read, near.copy],
+                self._worker_sums(name, grid, model),
+            )
+            return model.launch(wrench, near.threads, inputs, [sums])
 
         return Stage(STAGE, before), Stage(STAGE, after)
 
-    def _own(self, name: str, grid: Grid, model: Model) -> wp.array:
-        """The sums of a wall and worker, so that two threads never add to the same ones."""
+    def _worker_sums(self, name: str, grid: Grid, model: Model) -> wp.array:
+        """Return the sums of a wall and worker, so that no two threads add to the same array."""
         sums = self._sums[name]
         if grid.worker not in sums:
             sums[grid.worker] = wp.zeros(kernels.SUMS, dtype=wp.float64, device=model.device)
@@ -120,24 +173,24 @@ class Wrenches:
             for worker, array in sums.items()
         }
 
-    def _wrench(self, wall: str, middle: Vector3, fps: float) -> Wrench:
+    def _wrench(self, wall: str, centre: Vector3, fps: float) -> Wrench:
         total = np.zeros(kernels.SUMS)
         for sums in self._sums[wall].values():
             total += sums.numpy()
         impulse, moment = np.split(-total, [kernels.MOMENT])
-        return Wrench(fps * impulse, fps * (moment - np.cross(middle, impulse)))
+        return Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
 
 
 class _Separated:
-    """A boundary with a stage before and one after each of its walls."""
+    """A boundary with a stage before and a stage after each of its walls."""
 
-    def __init__(self, wrenches: Wrenches, wall: Boundary, name: str) -> None:
-        self._wrenches, self._wall, self._name = wrenches, wall, name
+    def __init__(self, wrenches: Wrenches, name: str, wall: Boundary, inner: Attachable) -> None:
+        self._wrenches, self._name, self._wall, self._inner = wrenches, name, wall, inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Its stages between those that measure: each wall by itself if all have as many."""
+        """Return its stages between those that measure, wall by wall if they can be divided."""
         wall = self._wall
-        stages, parts = wall.attach(model, state, tracks), wall.parts()
+        stages, parts = self._inner.attach(model, state, tracks), wall.parts()
         each, more = divmod(len(stages), len(parts))
         if len(parts) == 1 or more:
             return self._between(self._name, wall, stages, model)
@@ -151,53 +204,53 @@ class _Separated:
         ]
 
     def _between(self, name: str, wall: Boundary, stages: list[Stage], model: Model) -> list[Stage]:
-        before, after = self._wrenches.measured(name, wall, model)
+        before, after = self._wrenches.measure(name, wall, model)
         return [before, *stages, after]
 
 
 def pair_names(solver: Solver) -> tuple[str, ...]:
-    """A name for each pair of bodies: that of the one that exerts the wrench comes first.
+    """Return a name for each pair of bodies that may touch, the body that exerts the wrench first.
 
-    Those of bodies of particles, then those of what these exert on free solids.
+    Pairs of bodies of particles come before pairs with rigid solids.
     """
-    called = solver.model.names
-    pairs = (f"{called[p.first]}_on_{called[p.second]}" for p in solver.pairs.all)
+    names = solver.model.names
+    pairs = (f"{names[p.first]}_on_{names[p.second]}" for p in solver.pairs.all)
     return (*pairs, *solver.free.names)
 
 
-def names(walls: Sequence[Boundary]) -> list[str]:
-    """A name for each boundary: its kind, numbered from the second of a kind on."""
-    found: Counter[str] = Counter()
-    named = []
+def wall_names(walls: Sequence[Boundary]) -> list[str]:
+    """Return a name for each boundary: its kind, numbered from the second of a kind on."""
+    counts: Counter[str] = Counter()
+    names = []
     for wall in walls:
         kind = str(getattr(wall, "kind", type(wall).__name__.lower()))
-        found[kind] += 1
-        named.append(kind if found[kind] == 1 else f"{kind}_{found[kind]}")
-    return named
+        counts[kind] += 1
+        names.append(kind if counts[kind] == 1 else f"{kind}_{counts[kind]}")
+    return names
 
 
-def summary(frames: Sequence[Frame], chosen: Sequence[str]) -> dict[str, Any] | None:
-    """For each wall its largest force, when that was, and the wrench of the last frame.
+def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | None:
+    """Return the largest force, its time, and the last wrench under each name.
 
     Args:
         frames: All frames of a run; those before the first substep have no forces.
-        chosen: Names of the walls.
+        names: Names of walls or pairs.
     """
     if not frames or frames[-1].wrenches is None:
         return None
-    found = {}
-    for wall in chosen:
-        last = frames[-1].wrenches[wall]
-        forces = [float(np.linalg.norm(f.wrenches[wall].force)) for f in frames if f.wrenches]
+    rows = {}
+    for name in names:
+        last = frames[-1].wrenches[name]
+        forces = [float(np.linalg.norm(f.wrenches[name].force)) for f in frames if f.wrenches]
         worst = int(np.argmax(forces))
-        found[wall] = {
+        rows[name] = {
             "largest_force": forces[worst],
             "at": frames[worst].time,
             "last": {"force": last.force.tolist(), "torque": last.torque.tolist()},
         }
-    return found
+    return rows
 
 
 def wrench_kernels(real: Any) -> tuple[Any, Any]:
-    """What measures a wall: before and after it acts."""
+    """Return the kernels that measure a wall: one before it acts, one after it."""
     return make_wall_copy(real), kernels.make_wall_wrench(real)

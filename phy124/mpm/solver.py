@@ -61,7 +61,7 @@ class Solver:
         graph: bool | None = None,
         measure_every: int = MEASURE_EVERY,
         scheme: Scheme = APIC,
-        gathered: Gathered | None = None,
+        gathered: Sequence[Gathered] = (),
     ) -> None:
         """Bind forces and boundaries to a model.
 
@@ -79,7 +79,7 @@ class Solver:
             graph: Run frames as one graph on the device; None: on CUDA, with one body only.
             measure_every: Substeps between two measurements of the limits, where that is safe.
             scheme: How velocities come back from the grid.
-            gathered: Looks at every part of the particles after each substep.
+            gathered: Read every part of the particles after each gather.
 
         Raises:
             InputError: The region of a force holds no particle, or a boundary is too thin for the
@@ -99,8 +99,8 @@ class Solver:
         self.slabs = Slabs(model, self.state, self.grids, count) if count > 1 else None
         self.workers = self.slabs.workers if self.slabs else [lone_worker(model, self.grids)]
         self.gathered = gathered
-        if gathered is not None:
-            gathered.begin(model, count)
+        for one in gathered:
+            one.allocate(model, count)
         self.pairs = Pairs(model, pairs, count)
         """How bodies touch, and what they give each other."""
         self.free = FreeBodies(model, free)
@@ -210,7 +210,6 @@ class Solver:
             "windows": [[grid.low.tolist(), grid.size.tolist()] for grid in self.grids],
             "pairs": self.pairs.snapshot(),
             "slabs": self.slabs.snapshot() if self.slabs else {},
-            **({"gathered": self.gathered.snapshot()} if self.gathered else {}),
             **({"free": self.free.snapshot()} if self.free.all else {}),
         }
 
@@ -222,8 +221,6 @@ class Solver:
         self.repair.restore(snapshot["repair"])
         self._stray.zero_()
         self.pairs.restore(snapshot["pairs"])
-        if self.gathered is not None and "gathered" in snapshot:
-            self.gathered.restore(snapshot["gathered"])
         self.free.restore(snapshot.get("free", {}))
         for grid, (low, size) in zip(self.grids, snapshot["windows"], strict=True):
             grid.rebase(np.array(low), np.array(size))

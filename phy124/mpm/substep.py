@@ -25,7 +25,7 @@ from phy124.mpm.model import Model
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pairs
 from phy124.mpm.slabs import Slabs
-from phy124.mpm.stage import Named, Recorded, Stage, Sums, launches
+from phy124.mpm.stage import Named, Recorded, Stage, launches
 from phy124.mpm.state import State, part_of
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import GATHER, Part, Worker
@@ -55,24 +55,24 @@ def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
         yield from Transfers.of(law, real, form)
 
 
-class Gathered(Sums, Protocol):
-    """What looks at every part of the particles after each substep, without changing them."""
+class Gathered(Protocol):
+    """Reads every part of the particles after each gather, without changing them."""
 
-    def begin(self, model: Model, workers: int) -> None:
-        """Prepare for some workers."""
+    def allocate(self, model: Model, workers: int) -> None:
+        """Allocate memory for a number of workers."""
         ...
 
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Its launch for a worker's part.
+        """Record the launch for a worker's part.
 
         Args:
             part: Particles of one law that a worker steps.
             worker: Number of the worker.
             model: The particles' constants.
-            state: What is stepped.
-            tracks: What changes with time.
+            state: The state after the gather.
+            tracks: Quantities that change with time.
         """
         ...
 
@@ -96,8 +96,8 @@ class Recorder:
     """Rigid solids among the particles."""
     fluctuation: Fluctuation | None = None
     """What particles keep beside what the grid carries; None: nothing, which is APIC."""
-    gathered: Gathered | None = None
-    """What looks at a part right after it has gathered."""
+    gathered: Sequence[Gathered] = ()
+    """Read a part right after it has gathered."""
     rpic: float = 0.0
     """Rate at which the symmetric part of C dies away [1/s]."""
 
@@ -263,8 +263,7 @@ class Recorder:
         outputs += [part_of(s.history, run), part_of(s.total, run)]
         record = f"g2p {law.name}", model.launch(kernel, part.count, inputs, outputs)
         found = self.outliers.around(part, record, grid, self.tracks)
-        if self.gathered is not None:
-            found.append(self.gathered.record(part, worker, model, s, self.tracks))
+        found += [one.record(part, worker, model, s, self.tracks) for one in self.gathered]
         if self.fluctuation is not None:
             found.append(self.fluctuation.keep(part))
         return found

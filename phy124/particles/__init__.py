@@ -9,7 +9,14 @@ Gaussian is an MPM particle, and the closed interior is filled with more (as Phy
 """
 
 from phy124.particles.cleaning import Cleaning, bounds, clean, shown, sizing, to_size
-from phy124.particles.seeding import BINDINGS, Particles, fill, in_box, make_particles
+from phy124.particles.seeding import (
+    BINDINGS,
+    Particles,
+    by_object,
+    fill,
+    in_box,
+    make_particles,
+)
 from phy124.particles.solid import Solid, solid
 
 __all__ = [
@@ -18,6 +25,7 @@ __all__ = [
     "Particles",
     "Solid",
     "bounds",
+    "by_object",
     "clean",
     "fill",
     "in_box",

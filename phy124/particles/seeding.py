@@ -8,6 +8,7 @@ not on the volume.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -96,6 +97,17 @@ def make_particles(
         material=np.full(len(x), material, np.int32),
         gaussian=owner.astype(np.int32),
     )
+
+
+def by_object(
+    gaussians: Gaussians, particles: Particles
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Yield the indices of the Gaussians and of the particles of each object."""
+    if particles.body is None or gaussians.object_id is None:
+        yield np.arange(len(gaussians)), np.arange(len(particles.x))
+        return
+    for body in np.unique(gaussians.object_id):
+        yield np.flatnonzero(gaussians.object_id == body), np.flatnonzero(particles.body == body)
 
 
 def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,13 +24,15 @@ from phy124.io.files import replacing
 from phy124.io.growing import MOVING, SHAPES, Growing
 from phy124.io.opening import obstacle
 from phy124.io.tensors import save_tensors
-from phy124.monitor.wrenches import pair_names
+from phy124.monitor import OBSERVERS
+from phy124.monitor.observer import Observer
+from phy124.monitor.wrenches import Wrenches
 from phy124.progress import Progress, silent
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 
-FORMAT = "phy124-pause-5"
+FORMAT = "phy124-pause-6"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 OBJECTS = "given.object_id"
 FILE = "file."
@@ -93,6 +95,7 @@ def load(
     progress: Progress = silent,
     watch: Stopwatch | None = None,
     frames: Growing | None = None,
+    observers: Sequence[type[Observer]] = OBSERVERS,
 ) -> Simulation:
     """A saved run, ready to be iterated on.
 
@@ -104,6 +107,7 @@ def load(
         progress: Called as ("simulate", frames done, frames in all).
         watch: A stopwatch to which the seconds spent before the pause are added.
         frames: The file of its frames, if it is open already (`frames_of`).
+        observers: Classes of observers, as for `Simulation`.
 
     Raises:
         InputError: If the file is missing, cut short or not a paused run.
@@ -124,6 +128,7 @@ def load(
         threads=metadata["threads"] if threads is None else threads,
         along=metadata["along"],
         keep=metadata["frames"]["keep"],
+        observers=observers,
     )
     watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])
     run.restore(_whole(metadata["run"], tensors, "run"))
@@ -220,7 +225,8 @@ def _frames(run: Simulation) -> Tensors:
 def _put_frames(run: Simulation, kept: Tensors) -> None:
     """Give a run its frames so far, of which each array has a row."""
     walls = kept.get("wrenches")
-    names = (*(run.wrenches.walls if run.wrenches.asked else ()), *pair_names(run.solver))
+    wrenches_of = run.find(Wrenches)
+    names = () if wrenches_of is None else wrenches_of.names
     times = kept["times"].tolist()
     for index, time in enumerate(times):
         shape = {name: kept[name][index] for name in SHAPES}

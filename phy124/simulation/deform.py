@@ -12,10 +12,9 @@ with the material, to within 1e-5 of the covariance.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy
@@ -26,30 +25,12 @@ from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians, rotate_sh
 from phy124.kernels import deform as field
 from phy124.kernels.transfer import types
+from phy124.particles import Particles, by_object
 
 THREADS = "shapes"
 """Beginning of the names of the threads that share the Gaussians; they end with their Deformer."""
 CARRIERS = 8
 """Number of particles that carry each Gaussian with the binding `lattice`."""
-
-
-class Bound(Protocol):
-    """The part of `phy124.particles.Particles` that is needed here."""
-
-    @property
-    def x(self) -> NDArray[np.float32]:
-        """Positions at rest [P,3], m."""
-        ...
-
-    @property
-    def gaussian(self) -> NDArray[np.int32]:
-        """Index of the Gaussian that each particle represents [P], or -1."""
-        ...
-
-    @property
-    def body(self) -> NDArray[np.int32] | None:
-        """Which object each particle is of [P], as the Gaussians' `object_id`; None: of one."""
-        ...
 
 
 class Deformer:
@@ -64,7 +45,7 @@ class Deformer:
     def __init__(
         self,
         gaussians: Gaussians,
-        particles: Bound | None = None,
+        particles: Particles | None = None,
         *,
         max_stretch: float | NDArray | None = None,
         rounds: NDArray | None = None,
@@ -252,7 +233,7 @@ class _Field:
     """Gaussians carried by nearby particles: neighbours and weights, found once at rest."""
 
     def __init__(
-        self, gaussians: Gaussians, particles: Bound, flows: NDArray | None, share: _Share
+        self, gaussians: Gaussians, particles: Particles, flows: NDArray | None, share: _Share
     ) -> None:
         self.neighbours, self.weights = _carriers_of(gaussians, particles)
         n, device = len(gaussians), share.device
@@ -285,19 +266,8 @@ class _Field:
         return out.astype(np.float32)
 
 
-def by_object(
-    gaussians: Gaussians, particles: Bound
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Which Gaussians and which particles are of each object."""
-    if particles.body is None or gaussians.object_id is None:
-        yield np.arange(len(gaussians)), np.arange(len(particles.x))
-        return
-    for body in np.unique(gaussians.object_id):
-        yield np.flatnonzero(gaussians.object_id == body), np.flatnonzero(particles.body == body)
-
-
 def _carriers_of(
-    gaussians: Gaussians, particles: Bound
+    gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The carriers of each Gaussian, which are of its own object, and their weights [N,K]."""
     count = min(CARRIERS, len(particles.x))
@@ -335,7 +305,7 @@ def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], ND
     return index[:, :count].astype(np.int32), weights.astype(np.float32)
 
 
-def _own_particles(count: int, particles: Bound | None) -> NDArray[np.int32] | None:
+def _own_particles(count: int, particles: Particles | None) -> NDArray[np.int32] | None:
     """The particle of each Gaussian [N]; None if they are in order, or none has one (`lattice`)."""
     if particles is None or (particles.gaussian < 0).all():
         return None
@@ -363,7 +333,7 @@ def _on(array: Any, dtype: Any, device: str) -> wp.array:
     return wp.array(np.ascontiguousarray(_host(array)), dtype=dtype, device=device)
 
 
-def of_gaussians(gaussians: Gaussians, particles: Bound, values: NDArray) -> NDArray:
+def of_gaussians(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
     """The values of particles [P], for each Gaussian that of its own or of the nearest one [N]."""
     # One for all, as of one material, needs no search.
     if len(values) and (values == values[0]).all():

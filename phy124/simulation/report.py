@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from phy124.budget.effects import Effects
 from phy124.budget.limits import stiffest_part
 from phy124.io.clip import Clip
-from phy124.monitor.wrenches import pair_names, summary
+from phy124.monitor import OBSERVERS
+from phy124.monitor.sleep import Sleep
 from phy124.mpm.timestep import CFL, beside_elastic
-from phy124.simulation import bodies, buried, softening
+from phy124.simulation import bodies, buried
 
 Run = Any
 """A `Simulation`, which is built on this module."""
@@ -23,16 +25,10 @@ def report_of(run: Run) -> dict[str, Any]:
         sh_degree=run.gaussians.sh_degree,
         device=run.device,
         static=run.scenery.count,
-        slept=run.sleep.sentence(),
         materials=run.materials,
+        observers=run.observers,
     )
-    walls = run.keep and run.wrenches.asked
-    energy = run.watchdog.energy()
-    several = {} if energy is None else {"energy": energy}
-    if run.scene.objects:
-        pairs = summary(run.frames, pair_names(solver)) if run.keep else None
-        several |= {"objects": _objects(run), "pairs": pairs}
-    return several | {
+    report = {
         "complete": run.stopped is None and run.count == run.scene.time.frames,
         "stopped": run.stopped,
         "remedies": [remedy.changes for remedy in run.remedies],
@@ -47,11 +43,8 @@ def report_of(run: Run) -> dict[str, Any]:
         "threads": len(solver.workers),
         "limiters": solver.clock.limiters,
         "substep": _substep(run),
-        "balance": run.watchdog.report(),
         "frames": run.count,
         "static": run.scenery.count,
-        "sleep": run.sleep.report(),
-        "walls": summary(run.frames, run.wrenches.walls) if walls else None,
         "effects": effects.data(
             particles=len(run.particles),
             substeps=solver.clock.substeps,
@@ -63,6 +56,21 @@ def report_of(run: Run) -> dict[str, Any]:
             for name, (seconds, launches) in solver.timings.items()
         ],
     }
+    if run.scene.objects:
+        report["objects"] = _objects(run)
+    for section in _sections(run):
+        for key, value in section.items():
+            both = isinstance(value, dict) and isinstance(report.get(key), dict)
+            report[key] = {**report[key], **value} if both else value
+    return report
+
+
+def _sections(run: Run) -> Iterator[dict[str, Any]]:
+    """Yield the section of each observer, and what stands for those that the run does not have."""
+    frames = run.frames if run.keep else ()
+    yield from (observer.report(frames) for observer in run.observers)
+    present = {type(observer) for observer in run.observers}
+    yield from (kind.absent for kind in OBSERVERS if kind not in present)
 
 
 def _objects(run: Run) -> dict[str, Any]:
@@ -99,7 +107,8 @@ def _substep(run: Run) -> dict[str, Any]:
     """How long the substeps were and what limited them."""
     clock, asked = run.solver.clock, run.scene.time.substep
     taken = max(sum(clock.limiters.values()), 1)
-    mean = (clock.time - run.sleep.skipped / run.scene.time.fps) / taken
+    sleep = run.find(Sleep)
+    mean = (clock.time - (sleep.skipped if sleep else 0) / run.scene.time.fps) / taken
     return {
         "mean": mean,
         "asked": asked,
@@ -128,5 +137,6 @@ def _notes(run: Run) -> list[str]:
     notes = [note for section in run.scene.materials for note in section.notes()]
     stiff = stiffest_part(run.scene)
     coarse = bodies.notes(run.scene) + buried.notes(run.scene.boundaries, run.solver.model)
-    coarse += softening.notes(run.scene) + _too_bold(run)
-    return notes + coarse + ([stiff] if stiff else []) + run.watchdog.notes() + run.remarks
+    coarse += _too_bold(run)
+    observed = [note for observer in run.observers for note in observer.notes()]
+    return notes + coarse + ([stiff] if stiff else []) + observed + run.remarks

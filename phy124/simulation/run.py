@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -17,13 +17,18 @@ from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip, joined
-from phy124.monitor import diagnosis
-from phy124.monitor.contacts import Contacts
-from phy124.monitor.dissipation import Dissipation
-from phy124.monitor.external_work import ExternalWork
-from phy124.monitor.sleep import Sleep
-from phy124.monitor.watchdog import Violation, Watchdog
-from phy124.monitor.wrenches import Wrenches
+from phy124.monitor import OBSERVERS
+from phy124.monitor.diagnostics import describe_substep
+from phy124.monitor.observer import (
+    Kind,
+    Observer,
+    Subject,
+    Violation,
+    find,
+    restore_all,
+    snapshots,
+)
+from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.workers import timed, usable_workers
 from phy124.progress import Progress, silent
@@ -35,11 +40,9 @@ from phy124.scene import Scene
 from phy124.simulation import props
 from phy124.simulation.bodies import bodies
 from phy124.simulation.deform import Deformer
-from phy124.simulation.interior import Interior
 from phy124.simulation.kernels import kernels
 from phy124.simulation.ordering import axis_of, ordered
 from phy124.simulation.report import counted, report_of
-from phy124.simulation.softening import Softening
 from phy124.simulation.solver import acting, judged_as, solver_of
 from phy124.simulation.spent import Spent
 from phy124.simulation.stopped import Stopped
@@ -73,6 +76,7 @@ class Simulation:
         keep: bool = True,
         changes: bool = False,
         shapes: bool = True,
+        observers: Sequence[type[Observer]] = OBSERVERS,
     ) -> None:
         """Place the object, make its particles and build the solver.
 
@@ -89,6 +93,7 @@ class Simulation:
             keep: Keep all frames for `clip`; otherwise the frames may exceed the memory.
             changes: Whether `change` may be called.
             shapes: Whether frames show where the Gaussians are; else they show them at rest.
+            observers: Classes of observers; those that the scene calls for observe the run.
 
         Raises:
             InputError: The Gaussians or the scene cannot be used.
@@ -111,26 +116,21 @@ class Simulation:
             free = list(props.free_bodies(scene, self.shown))
             props.refuse_overlap(free, self.particles.x, scene)
             self.scenery = props.scenery(scene, self.shown, look.moves)
-            self.interior = Interior(
-                self.shown, self.particles, self.materials, spacing=scene.spacing, dx=scene.dx
-            )
             judged = judged_as(scene, self.materials)
             self.demand = refuse_hopeless(self.shown, self.particles, judged, device, keep=keep)
         with self.watch.stage("compile"):
             compile_missing(kernels(scene, device), device, progress)
-            external = ExternalWork(changes=changes)
-            self.contacts = Contacts(asked=scene.keeps_contacts)
-            self.wrenches = Wrenches(asked=scene.keeps_wrenches)
-            self.dissipation = Dissipation() if scene.checks.energy else None
+            self.keep, self.shapes, self.count = keep, shapes, 0
+            """Whether all frames are kept, whether they are shaped, and their number so far."""
+            self.subject = Subject(scene, self.materials, changes)
+            self.observers = [kind.of(self) for kind in observers if kind.called_for(self.subject)]
             self.solver = solver_of(
-                self.particles, self.materials, stiffness, scene, device, threads, external,
-                self.contacts, self.wrenches, self.dissipation, free,
+                self.particles, self.materials, stiffness, scene, device, threads, self.observers,
+                free,
             )  # fmt: skip
+            for observer in self.observers:
+                observer.bind(self.solver, self.observers)
             self.spent = Spent(self.solver.team, device)
-            self.softening = Softening(self.solver, external, self.particles.material)
-            self.watchdog = Watchdog(
-                self.solver, external, balance=scene.checks.balance, dissipation=self.dissipation
-            )
             self.deformer = Deformer(
                 self.scenery.moving,
                 self.particles,
@@ -141,13 +141,6 @@ class Simulation:
                 device=device,
                 threads=len(self.solver.workers),
             )
-        s, timing = self.solver, scene.time
-        self.sleep = Sleep(
-            s.model, s.state, s.clock, s.tracks,
-            size=min(one.size for one in scene.every_object), frames=timing.frames, fps=timing.fps,
-        )  # fmt: skip
-        self.keep, self.shapes, self.count = keep, shapes, 0
-        """Whether all frames are kept, whether they are shaped, and how many there are so far."""
         self.frames: list[Frame] = []
         self.rotations: list[NDArray] = []
         self.poses: list[NDArray] = []
@@ -178,11 +171,13 @@ class Simulation:
         """
         index, timing = self.count, self.scene.time
         at = index / timing.fps
-        asleep = index > 0 and self._sleeps(index)
-        if index and not asleep:
+        skipped = next(filter(None, (one.skip_to(index) for one in self.observers)), None)
+        if skipped is not None:
+            self.solver.clock.time = skipped
+        elif index:
             self._advance(index, at)
         with self.watch.stage("deform"):
-            frame = self._again(index, at) if asleep else self._frame(index, at)
+            frame = self._again(index, at) if skipped else self._frame(index, at)
         if not self.keep:
             self.frames.clear()
             del self.rotations[:-1]
@@ -199,21 +194,15 @@ class Simulation:
         """
         rejected = self.solver.rejection.rejected
         whole = scene.with_solids()
-        self.solver.bind(*acting(whole, self.watchdog.external, self.contacts, self.wrenches))
+        self.solver.bind(*acting(whole, self.observers))
         self.solver.rejection.rejected = rejected
         self.scene = scene
+        for observer in self.observers:
+            observer.change(scene)
 
-    def _sleeps(self, index: int) -> bool:
-        """Whether a frame needs no substeps; if so, only the time is advanced."""
-        changes = self.scene.stiffness_profile is not None
-        flies = self.solver.outliers.count or self.solver.free.all
-        if changes or not self.scene.time.sleep or flies:
-            return False
-        time = self.sleep.skip_to(index)
-        if time is None:
-            return False
-        self.solver.clock.time = time
-        return True
+    def find(self, kind: type[Kind]) -> Kind | None:
+        """Return the observer of a class, or None if the scene does not call for it."""
+        return find(self.observers, kind)
 
     def run(self, each: Callable[[Frame], object] = lambda frame: None) -> Clip:
         """All frames as a clip; if the run stops early, the clip holds the good ones and says so.
@@ -248,8 +237,9 @@ class Simulation:
         shown = {"opacities": self.shown.opacities, "sh": self.shown.sh}
         names = self.scene.names if self.scene.objects else ()
         made = replace(made, **shown, scene=self.numbered.data(), objects=names)
-        whole = self.interior.added_to(made)
-        return whole.with_report(self.report() | counted(self, whole))
+        for observer in self.observers:
+            made = observer.complete(made)
+        return made.with_report(self.report() | counted(self, made))
 
     def report(self) -> dict[str, Any]:
         """What the run did; the keys are documented in docs/reference/report.md."""
@@ -263,27 +253,19 @@ class Simulation:
             "spent": self.spent.before,
             "rejected": self.solver.rejection.rejected,
             "solver": self.solver.snapshot(),
-            "softening": self.softening.factor,
-            "watchdog": self.watchdog.snapshot(),
-            "external": self.watchdog.external.snapshot(),
-            "sleep": self.sleep.snapshot(),
             "deformer": self.deformer.snapshot(),
-            "interior": self.interior.snapshot(),
+            "observers": snapshots(self.observers),
             **({"poses": np.array(self.poses)} if self.scenery.free else {}),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to the state at which a snapshot was taken."""
         self.count, self.retried = snapshot["count"], list(snapshot["retried"])
-        self.spent.before = snapshot.get("spent", 0.0)
+        self.spent.before = snapshot["spent"]
         self.solver.rejection.rejected = snapshot["rejected"]
-        self.softening.restore(snapshot.get("softening", 1.0))
         self.solver.restore(snapshot["solver"])
-        self.watchdog.restore(snapshot["watchdog"])
-        self.watchdog.external.restore(snapshot["external"])
-        self.sleep.restore(snapshot["sleep"])
         self.deformer.restore(snapshot["deformer"])
-        self.interior.restore(snapshot["interior"])
+        restore_all(self.observers, snapshot["observers"])
         self.poses = list(snapshot.get("poses", []))
 
     @one_at_a_time
@@ -297,12 +279,9 @@ class Simulation:
             )
         if self.deformer.rotations is not None:
             self.rotations.append(self.scenery.turns(self.deformer.rotations))
-        if self.keep and self.scene.grains and self.watchdog.tearing.likely:
-            self.interior.look(index, state.x.numpy())
-        forces = self.contacts.forces(self.scenery, self.particles, self.scene.time.fps)
-        wrenches = self.wrenches.contacts(self.solver, self.scene.time.fps)
+        for observer in self.observers:
+            frame = observer.after_frame(frame)
         self.poses.append(self.solver.free.poses())
-        frame = replace(frame, contacts=forces, wrenches=wrenches)
         return self.scenery.whole(frame, self.poses, self.solver.free.motions())
 
     def _again(self, index: int, time: float) -> Frame:
@@ -314,9 +293,9 @@ class Simulation:
     @one_at_a_time
     def _advance(self, index: int, until: float) -> None:
         """Take substeps up to a frame's time; after a failure, once more with half the substep."""
-        before = self.solver.clock.substeps
         with self.watch.stage("simulate"), self.spent.counting():
-            self.softening.follow(self.scene.softness((index - 1) / self.scene.time.fps))
+            for observer in self.observers:
+                observer.before_frame((index - 1) / self.scene.time.fps)
             problem = self._try(index, until)
             if problem is not None:
                 self.retried.append(index)
@@ -325,8 +304,6 @@ class Simulation:
             if problem is not None:
                 found = remedies(problem.causes, self.scene)
                 raise Stopped(f"frame {index} is not sound: {problem.what}.", found)
-        if self.scene.time.sleep:
-            self.sleep.computed(index, self.solver.clock.substeps - before)
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
@@ -342,46 +319,62 @@ class Simulation:
 
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
         """Try a frame; returns what is wrong with it, or None. A failure resets the state."""
-        solver, watchdog = self.solver, self.watchdog
+        solver = self.solver
         solver.repair.begin(solver.clock)
-        self.contacts.begin()
-        self.wrenches.begin()
         solver.pairs.begin()
         solver.free.begin()
-        timed(solver.timings, "watchdog", watchdog.before)
-        before = timed(solver.timings, "snapshot", self._rollback_point)
+        timed(solver.timings, "watchdog", lambda: self.before_attempt(closely=closely))
+        before = timed(solver.timings, "snapshot", self.checkpoint)
         try:
-            solver.advance(until, after=self._follower(index, closely), each=closely)
-            problem = timed(solver.timings, "watchdog", watchdog.after)
+            solver.advance(until, after=self._follower(index), each=closely)
+            problem = timed(solver.timings, "watchdog", self.after_attempt)
         except Unstable as error:
-            problem = watchdog.diagnose(str(error))
+            watchdog = self.find(Watchdog)
+            what = str(error)
+            problem = watchdog.diagnose(what) if watchdog else Violation(what, ("substep",))
         except Exception:
-            self._restore(*before)
+            self.roll_back(before)
             raise
         if problem is None:
             solver.repair.end()
         else:
             self._failed_dt = solver.clock.last_dt or math.inf
-            self._restore(*before)
+            self.roll_back(before)
         return problem
 
-    def _rollback_point(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What `_restore` needs to undo a frame."""
-        return self.solver.snapshot(), self.watchdog.external.snapshot()
+    def before_attempt(self, *, closely: bool = False) -> None:
+        """Prepare the observers for an attempt at a frame."""
+        for observer in self.observers:
+            observer.before_attempt(closely=closely)
 
-    def _restore(self, solver: dict[str, Any], external: dict[str, Any]) -> None:
-        """Return to the state before a frame."""
-        self.solver.restore(solver)
-        self.watchdog.external.restore(external)
+    def after_substep(self) -> None:
+        """Let the observers read the state after a substep."""
+        for observer in self.observers:
+            observer.after_substep()
 
-    def _follower(self, index: int, closely: bool) -> Callable[[], None]:
-        """A function to call after each substep: it reports, checks, and ends a run out of time."""
-        report, watch = self._reporter(index), self.watchdog.follow(closely)
-        budget = self.scene.time.budget
+    def after_attempt(self) -> Violation | None:
+        """Return the first violation that an observer finds at the end of a frame."""
+        return next(filter(None, (one.after_attempt() for one in self.observers)), None)
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return what `roll_back` needs to undo substeps."""
+        return {"solver": self.solver.snapshot(), "observers": snapshots(self._summing)}
+
+    def roll_back(self, checkpoint: dict[str, Any]) -> None:
+        """Return to a checkpoint: the solver, and the sums that grow within substeps."""
+        self.solver.restore(checkpoint["solver"])
+        restore_all(self._summing, checkpoint["observers"])
+
+    @property
+    def _summing(self) -> list[Observer]:
+        return [one for one in self.observers if one.in_substeps or one.in_gathers]
+
+    def _follower(self, index: int) -> Callable[[], None]:
+        """Return a function for after each substep: it reports, checks, and limits the time."""
+        budget, frames = self.scene.time.budget, self.scene.time.frames
 
         def after() -> None:
-            watch()
-            self.sleep.look()
+            self.after_substep()
             spent = self.spent.total()
             if spent > 2 * budget:
                 raise Stopped(
@@ -389,19 +382,16 @@ class Simulation:
                     f"{self._slowest()}.",
                     hurry(self.scene, self.solver.clock.stable().limiter, self._fraction_done()),
                 )
-            report()
+            self.progress("simulate", index, frames)
 
         return after
 
     def _slowest(self) -> str:
         """A phrase that says why substeps are so short."""
         solver = self.solver
-        return diagnosis.substep(solver.model, solver.state, solver.clock)
+        return describe_substep(solver.model, solver.state, solver.clock)
 
     def _fraction_done(self) -> float:
         """Fraction of the scene's duration that has been simulated."""
         timing = self.scene.time
         return self.solver.clock.time * timing.fps / max(timing.frames - 1, 1)
-
-    def _reporter(self, index: int) -> Callable[[], None]:
-        return lambda: self.progress("simulate", index, self.scene.time.frames)

@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 
 from phy124.boundaries import Ground
 from phy124.materials import AnyMaterial
-from phy124.monitor.contacts import Contacts
-from phy124.monitor.dissipation import Dissipation
-from phy124.monitor.external_work import ExternalWork
-from phy124.monitor.wrenches import Wrenches
+from phy124.monitor.observer import Observer
 from phy124.mpm import Accumulator, Attachable, Model, Pair, Scheme, Solver, State
 from phy124.mpm.free import FreeBody, Plane
 from phy124.particles import Particles
@@ -35,10 +32,7 @@ def solver_of(
     scene: Scene,
     device: str,
     threads: int | None,
-    external: ExternalWork,
-    contacts: Contacts,
-    wrenches: Wrenches,
-    dissipation: Dissipation | None = None,
+    observers: Sequence[Observer] = (),
     free: Sequence[FreeBody] = (),
 ) -> Solver:
     """The solver at time 0.
@@ -50,10 +44,7 @@ def solver_of(
         scene: What happens to them.
         device: Warp device, "cpu" or "cuda:0".
         threads: CPU threads; None: as many as have a free core and enough particles.
-        external: Adds up what forces and walls give, if the scene's balance is checked.
-        contacts: Adds up what walls give to each particle, if that is asked for.
-        wrenches: Adds up what each wall is given, if that is asked for.
-        dissipation: Adds up the work of the stress, if that is asked for.
+        observers: The observers of the run.
         free: Rigid solids that move freely.
 
     Raises:
@@ -84,13 +75,13 @@ def solver_of(
     return Solver(
         model,
         State.of(model, v, C),
-        **acting(scene, external, contacts, wrenches)._asdict(),
+        **acting(scene, observers)._asdict(),
         pairs=list(pairs_of(model.names, scene)),
         free=free,
         ceiling=ceiling,
         threads=threads,
         measure_every=scene.checks.measure,
-        gathered=dissipation,
+        gathered=[one for one in observers if one.in_gathers],
         scheme=scheme_of(scene),
     )
 
@@ -128,25 +119,14 @@ class Acting(NamedTuple):
     planes: Sequence[Plane]
 
 
-def acting(scene: Scene, external: ExternalWork, contacts: Contacts, wrenches: Wrenches) -> Acting:
-    """The forces and boundaries of a scene, between what measures them if that is asked for.
-
-    Args:
-        scene: Names them.
-        external: Adds up what they give, if the scene's balance is checked.
-        contacts: Adds up what walls give to each particle, if that is asked for.
-        wrenches: Adds up what each wall gives, if that is asked for.
-    """
+def acting(scene: Scene, observers: Sequence[Observer]) -> Acting:
+    """Return the forces and boundaries of a scene, wrapped by the observers that measure them."""
     forces: Sequence[Attachable] = scene.acting
     walls: Sequence[Attachable] = scene.boundaries
-    sums: list[Accumulator] = [one for one in (contacts, wrenches) if one.asked]
-    if wrenches.asked:
-        walls = wrenches.boundaries(scene.boundaries)
-    if contacts.asked:
-        walls = contacts.boundaries(scene.boundaries, walls)
-    if scene.checks.balance:
-        forces, walls = external.forces(forces), external.boundaries(scene.boundaries, walls)
-        sums.insert(0, external)
+    for observer in observers:
+        forces = observer.wrap_forces(forces)
+        walls = observer.wrap_walls(scene.boundaries, walls)
+    sums = [observer for observer in observers if observer.in_substeps]
     return Acting(forces, walls, sums, props.planes(scene))
 
 

@@ -36,7 +36,7 @@ from phy124.studies.validation.stress.inputs import quick
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.shapes import ball, block
-from support.solvers import make_solver
+from support.solvers import make_solver, watch_run
 
 SIZE = 0.5
 """Edge of the cubes [m]; 512 particles are two per cell and axis."""
@@ -57,21 +57,21 @@ def watched(x: Array, material: Material = JELLY, **options: Any) -> tuple[Solve
         np.full(len(x), SIZE**3 / count),
         [material],
         dx=2 * SIZE / round(count ** (1 / 3)),
-        forces=external.forces(options.pop("forces", ())),
-        boundaries=external.boundaries(options.pop("boundaries", ())),
+        forces=external.wrap_forces(options.pop("forces", ())),
+        boundaries=external.wrap_walls(options.pop("boundaries", ())),
         accumulators=[external],
         **options,
     )
-    return s, Watchdog(s, external)
+    return s, watch_run(s, external)
 
 
 def go(s: Solver, watch: Watchdog, seconds: float, frames: int = 1) -> str:
     """Run frames as a simulation does; what is wrong, or least J and how often one was reset."""
     for k in range(1, frames + 1):
         s.repair.begin(s.clock)
-        watch.before()
-        s.advance(seconds * k / frames, after=watch.follow())
-        problem = watch.after()
+        watch.before_attempt()
+        s.advance(seconds * k / frames, after=watch.after_substep)
+        problem = watch.after_attempt()
         if problem or not finite(s):
             return problem.what if problem else "not finite"
         s.repair.end()

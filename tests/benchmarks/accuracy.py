@@ -141,7 +141,10 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
             update={"cells": finer, "particles_per_axis": about["particles_per_axis"]}
         )
         check = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
-        truth, torn = check.run(), ", torn" if check.watchdog.tearing.likely else ""
+        truth, torn = (
+            check.run(),
+            ", torn" if check.report()["balance"]["tearing"]["likely"] else "",
+        )
         if goal.kind == "pixels":
             off = f"{pixel_distance(reached.clip, truth, scene.view):.2f}px"
         else:

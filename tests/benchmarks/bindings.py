@@ -74,7 +74,7 @@ def run(gaussians: Gaussians, scene: Scene, changes: dict[str, Any]) -> Run | No
     if not clip.report["complete"]:
         print(f"  {changes}: {simulation.stopped}", file=sys.stderr)
         return None
-    torn = simulation.watchdog.tearing.likely
+    torn = simulation.report()["balance"]["tearing"]["likely"]
     return Run(clip.surface.means, seconds, clip.report["substeps"], torn)
 
 

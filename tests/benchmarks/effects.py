@@ -194,7 +194,7 @@ def costs() -> None:
     def made(*forces: Acceleration, laws=None, **options) -> Solver:
         external = ExternalWork()
         volume, v = np.full(count, 0.125 / count), np.random.default_rng(2).normal(size=x.shape)
-        bracketed = external.forces(forces)
+        bracketed = external.wrap_forces(forces)
         s = make_solver(
             x,
             volume,

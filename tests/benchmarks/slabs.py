@@ -55,7 +55,7 @@ def body(name: str, threads: int, *, ball: bool = False) -> Solver:
         [NeoHookean(E=1e5)],
         dx=1 / cells,
         forces=[Gravity()],
-        boundaries=work.boundaries([wall]),
+        boundaries=work.wrap_walls([wall]),
         accumulators=[work],
         threads=threads,
     )

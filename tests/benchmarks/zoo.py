@@ -120,7 +120,7 @@ def row(name: str, gaussians: Gaussians, words: str) -> dict[str, Any]:
         clips.append(clip.means[:, : len(gaussians)])
         levels.append(cells)
         seconds.append(round(time.process_time() - begin, 2))
-        torn.append(run.watchdog.tearing.likely)
+        torn.append(run.report()["balance"]["tearing"]["likely"])
     apart = distances(clips) / base.object.size if len(clips) > 1 else np.zeros((0, 0))
     return {
         "object": name,

@@ -60,7 +60,7 @@ def test_a_body_at_rest_sleeps(gpu):
     given = scene("drop", **{"object.lift": 0.0, "time.frames": 30, "forces": []})
     run = Simulation(ball(500), given, device=gpu)
     run.run()
-    assert run.sleep.skipped > 0
+    assert run.report()["sleep"]["frames"] > 0
 
 
 def test_a_violent_blow_is_tried_in_small_steps(gpu):

@@ -7,6 +7,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from phy124.materials import Material
+from phy124.monitor.observer import Observer
+from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Model, Solver, State
 
 OF_MODEL = set(signature(Model.of).parameters)
@@ -25,3 +27,10 @@ def make_solver(
     own = {name: options.pop(name) for name in OF_MODEL & options.keys()}
     model = Model.of(x, volume, materials, **own)
     return Solver(model, State.of(model, v, C), **options)
+
+
+def watch_run(solver: Solver, *observers: Observer) -> Watchdog:
+    """Return a watchdog of a solver and of what else observes it."""
+    watchdog = Watchdog()
+    watchdog.bind(solver, observers)
+    return watchdog

@@ -13,7 +13,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators import needs_image
 from phy124.io.clip import Clip
-from phy124.monitor.wrenches import names as wall_names
+from phy124.monitor.wrenches import wall_names
 from phy124.particles.thinning import thinned
 from phy124.pipeline import static
 from phy124.rendering.framing import cameras

@@ -24,6 +24,7 @@ from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.monitor.diagnostics import Diagnostics, diagnose
 from phy124.monitor.dissipation import Loss, split_seconds
+from phy124.monitor.tearing import Tearing
 from phy124.progress import Progress, silent
 from phy124.runtime.failures import failure, is_stop
 from phy124.scene import PRESETS, Accuracy, Scene
@@ -224,7 +225,8 @@ class Study:
             return None, f"{name} is left out: {clip.report['stopped']}"
         self.clips[name] = clip.surface
         solver, accuracy = simulation.solver, scene.resolution
-        seconds, torn = simulation.watch.seconds, simulation.watchdog.tearing.note() or ""
+        tearing = simulation.find(Tearing)
+        seconds, torn = simulation.watch.seconds, " ".join(tearing.notes() if tearing else ())
         counts = solver.clock.limiters
         return Row(
             name=name,

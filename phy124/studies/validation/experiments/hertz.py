@@ -61,7 +61,7 @@ def pressed(
         motion=Path(times=(0.0, MOVE), points=((0, 0, 0), (0, 0, -depth))),
     )  # fmt: skip
     wrenches = Wrenches()
-    walls = wrenches.boundaries([plate, *mirrors(0, 1, 2)])
+    walls = wrenches.wrap_walls([plate, *mirrors(0, 1, 2)])
     rubber = NeoHookean(E=stiffer * E, nu=NU, damping=30.0)
     low = (-0.75 * dx, -0.75 * dx, (RADIUS - depth) % dx - (1 + phase) * dx)
     solver = Solver(
@@ -69,9 +69,9 @@ def pressed(
         boundaries=walls, accumulators=[wrenches], threads=1,
     )  # fmt: skip
     solver.advance(MOVE + HOLD / 2)
-    wrenches.begin()
+    wrenches.before_attempt()
     solver.advance(MOVE + HOLD)
-    forces = wrenches.contacts(solver, 2 / HOLD) or {}
+    forces = wrenches.contacts(solver, 2 / HOLD)
     return 4 * abs(float(forces["half_space"].force[2]))
 
 

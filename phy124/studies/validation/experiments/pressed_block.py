@@ -69,12 +69,12 @@ def pressed(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, floa
         x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=E, nu=nu, damping=200.0)], dx=dx,
         origin=(-0.75 * dx,) * 3,
     )  # fmt: skip
-    walls = wrenches.boundaries([*plates, *mirrors(0, 1, 2)])
+    walls = wrenches.wrap_walls([*plates, *mirrors(0, 1, 2)])
     solver = Solver(model, boundaries=walls, accumulators=[wrenches], threads=1)
     solver.advance(PRESS + HOLD / 2)
-    wrenches.begin()
+    wrenches.before_attempt()
     solver.advance(PRESS + HOLD)
-    forces = wrenches.contacts(solver, 2 / HOLD) or {}
+    forces = wrenches.contacts(solver, 2 / HOLD)
     end = solver.state.x.numpy().astype(float)
     slopes = [1 - np.polyfit(model.rest[:, axis], end[:, axis], 1)[0] for axis in range(3)]
     area = half**2 * (1 - slopes[0]) * (1 - slopes[1])

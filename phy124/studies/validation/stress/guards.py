@@ -43,10 +43,11 @@ def _one_bad_particle(
     deformations = host(s.state.F)
     deformations[21] = F
     assign(s, "F", deformations)
-    watch = Watchdog(s, external)
+    watch = Watchdog()
+    watch.bind(s, [external])
     s.repair.begin(s.clock)
-    watch.before()
-    s.advance(1 / 24, after=watch.follow())
-    problem = watch.after()
+    watch.before_attempt()
+    s.advance(1 / 24, after=watch.after_substep)
+    problem = watch.after_attempt()
     way = np.abs(host(s.state.x) - x).max() / 0.25
     return float(volume_ratios(s).min()), float(way), finite(s) and problem is None

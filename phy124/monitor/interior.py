@@ -1,0 +1,187 @@
+"""Interior: Gaussians for the inside of elastic material that is torn.
+
+A generator places Gaussians on the surface, so a torn object would show a hole. Once the grid has
+torn something, the inner particles that have lost a neighbour get round Gaussians in the colours of
+the surface, like grains. They are not known before, so they are added to the finished clip; until
+its place is opened, each is hidden in the surface Gaussian above it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.gaussians import Frame, Gaussians, joined
+from phy124.io.clip import Clip
+from phy124.materials import AnyMaterial
+from phy124.monitor.observer import Effect, Observed, Observer, Subject, find
+from phy124.monitor.tearing import APART, Tearing
+from phy124.mpm import Solver
+from phy124.particles import Particles, by_object
+from phy124.particles.grains import grains_at
+
+NEIGHBOURS = 7
+"""Particles that count as neighbours at rest: six in a lattice, and the particle itself."""
+HIDDEN = 1e-3
+"""Size of a hidden Gaussian, relative to its full size."""
+Opened = dict[str, NDArray]
+
+
+class Interior(Observer):
+    """The inside of what is torn in one run."""
+
+    def __init__(
+        self,
+        shown: Gaussians,
+        particles: Particles,
+        materials: Sequence[AnyMaterial],
+        *,
+        spacing: float,
+        dx: float,
+        keep: bool = True,
+    ) -> None:
+        """Remember the object at rest; nothing is computed before something is torn.
+
+        Args:
+            shown: All other Gaussians that are shown, N.
+            particles: The particles that move.
+            materials: Their materials; only elastic ones are torn.
+            spacing: Distance of neighbouring particles at rest, m.
+            dx: Grid spacing, m.
+            keep: Whether the run keeps its frames, so that there will be a clip.
+        """
+        self._shown, self._rest, self._materials = shown, particles, materials
+        self._spacing, self._dx, self._keep = spacing, dx, keep
+        self._inside: NDArray[np.int64] | None = None
+        self._opened: dict[int, Opened] = {}
+        """For each frame with a tear: the open particles and their positions."""
+
+    @classmethod
+    def called_for(cls, subject: Subject) -> bool:
+        """Return whether grains are shown and something could be torn."""
+        return subject.scene.grains and subject.elastic
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row of the inside."""
+        grains = subject.scene.grains
+        why = "nothing elastic could be torn" if grains else "grains is off"
+        return Effect("inside shown once it is torn", subject.elastic and grains, why)
+
+    @classmethod
+    def of(cls, setup: Observed) -> Self:
+        """Make the observer of a run."""
+        scene, materials = setup.scene, setup.subject.materials
+        sizes: dict[str, Any] = {"spacing": scene.spacing, "dx": scene.dx, "keep": setup.keep}
+        return cls(setup.shown, setup.particles, materials, **sizes)
+
+    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the state, and to the search for tears."""
+        self._state, self._tearing = solver.state, find(observers, Tearing)
+
+    def after_frame(self, frame: Frame) -> Frame:
+        """Look for open particles once something is torn."""
+        if self._keep and self._tearing is not None and self._tearing.likely:
+            self.look(frame.index, self._state.x.numpy())
+        return frame
+
+    def look(self, index: int, x: NDArray) -> None:
+        """Find the open particles of a frame in which something is torn.
+
+        Args:
+            index: Number of the frame.
+            x: Positions of the particles [P,3], m.
+        """
+        if self._inside is None:
+            self._prepare()
+        assert self._inside is not None
+        here = x[self._inside]
+        offsets = x[self._neighbours] - here[:, None]
+        lost = ((offsets**2).sum(axis=2) > (APART * self._dx) ** 2).any(axis=1)
+        # Gaps are wider than a particle, so the second layer is visible, too.
+        alone = np.zeros(len(x), bool)
+        alone[self._inside[lost]] = True
+        ids = np.flatnonzero(lost | alone[self._neighbours].any(axis=1))
+        self._opened[index] = {"ids": ids, "x": here[ids].astype(np.float32)}
+
+    def complete(self, clip: Clip) -> Clip:
+        """Return the clip with a Gaussian for each particle that is open in any of its frames."""
+        ids = np.unique(
+            np.concatenate([np.zeros(0, int), *(o["ids"] for o in self._opened.values())])
+        )
+        if not len(ids):
+            return clip
+        if self._inside is None:
+            self._prepare()
+        above, grains = self._above[ids], self._grains.select(ids)
+        means = clip.means[:, above].copy()
+        scales = np.repeat(HIDDEN * grains.scales[None], len(clip), axis=0)
+        latest: Opened = {"ids": ids[:0], "x": means[0, :0]}
+        for index in range(len(clip)):
+            latest = self._opened.get(index, latest)
+            at = np.searchsorted(ids, latest["ids"])
+            means[index, at], scales[index, at] = latest["x"], grains.scales[at]
+        added = {"means": means, "quats": clip.quats[:, above], "scales": scales}
+        for name in ("rotations", "velocities"):
+            if getattr(clip, name) is not None:
+                added[name] = getattr(clip, name)[:, above]
+        if clip.contacts is not None:
+            added["contacts"] = np.zeros_like(means)
+        moving = {n: np.concatenate([getattr(clip, n), a], axis=1) for n, a in added.items()}
+        rest = (clip.means[0], clip.quats[0], clip.scales[0])
+        surface = Gaussians(*rest, clip.opacities, clip.sh, clip.object_id)
+        whole = joined([surface, grains])
+        fixed = {name: getattr(whole, name) for name in ("opacities", "sh", "object_id")}
+        return replace(clip, **moving, **fixed)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the open particles of the frames so far."""
+        return {str(index): dict(opened) for index, opened in self._opened.items()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        self._opened = {int(index): opened for index, opened in snapshot.items()}
+
+    def _prepare(self) -> None:
+        """Find the elastic particles without a Gaussian, their neighbours, and their grains."""
+        rest = self._rest
+        elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
+        free = elastic & (rest.gaussian < 0)
+        # Objects that touch at the start and part later are not torn, so each is handled alone.
+        objects = [
+            self._prepare_object(gaussians, particles, free[particles])
+            for gaussians, particles in by_object(self._shown, rest)
+            if len(particles)
+        ]
+        grains, above, inside, neighbours = zip(*objects, strict=True)
+        self._grains, self._above = joined(grains), np.concatenate(above)
+        self._inside, self._neighbours = np.concatenate(inside), np.concatenate(neighbours)
+
+    def _prepare_object(
+        self, gaussians: NDArray[np.intp], particles: NDArray[np.intp], free: NDArray[np.bool_]
+    ) -> tuple[Gaussians, NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Return grains, the Gaussians above them, their particles, and the neighbours of those.
+
+        Args:
+            gaussians: Indices of the Gaussians of an object.
+            particles: Indices of its particles.
+            free: Which of its particles may have a grain.
+        """
+        x = self._rest.x[particles]
+        every = len(gaussians) == len(self._shown)
+        shown = self._shown if every else self._shown.select(gaussians)
+        candidates = np.flatnonzero(free)
+        grains, above, clear = grains_at(shown, x[candidates], self._spacing)
+        inside = candidates[clear]
+        count = min(NEIGHBOURS, len(x))
+        near = np.reshape(
+            scipy.spatial.KDTree(x).query(x[inside], k=count, workers=-1)[1], (len(inside), count)
+        )
+        # A tiny object has fewer neighbours: the last one is repeated.
+        near = np.pad(near, ((0, 0), (0, NEIGHBOURS - count)), mode="edge")
+        return grains, gaussians[above], particles[inside], particles[near]

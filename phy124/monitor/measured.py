@@ -1,0 +1,70 @@
+"""Forces and boundaries between stages that measure them.
+
+Velocities are copied before a force or wall acts, and compared with those after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from phy124.boundaries import Boundary
+from phy124.boundaries.base import Corners, swept
+from phy124.kernels.reduction import along_rows
+from phy124.mpm import Attachable, Grid, Model, Stage, State
+from phy124.mpm.tracks import Tracks
+
+
+class Measured:
+    """Forces or boundaries as one, with stages before and after theirs, if they have any."""
+
+    def __init__(
+        self,
+        inner: Sequence[Attachable],
+        measure: Callable[[Sequence[Stage], Model, State], tuple[Stage, ...]],
+    ) -> None:
+        self._inner, self._measure = inner, measure
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Return their stages, between the first and the others of those that measure."""
+        stages = [stage for item in self._inner for stage in item.attach(model, state, tracks)]
+        if not stages:
+            return []
+        before, *after = self._measure(stages, model, state)
+        return [before, *stages, *after]
+
+
+class NodesNear:
+    """The nodes that some walls may touch; call `fit` whenever the grid's window has changed."""
+
+    def __init__(self, walls: Sequence[Boundary], model: Model) -> None:
+        self._corners, self._device = _reach(walls, model), model.device
+        self.threads: tuple[int, ...] = ()
+        """Number of threads of a kernel over parts of rows of these nodes."""
+        self.read: list[Any] = []
+        """Inputs of such a kernel: length of a part, box, window, and the grid's nodes."""
+        self.copy: wp.array | None = None
+        """Memory for a copy of the nodes."""
+
+    def fit(self, grid: Grid) -> None:
+        """Find the nodes in the grid's present window."""
+        start, extent = grid.nodes_within(*self._corners)
+        corners = np.stack([start, extent]).astype(np.int32)
+        box = wp.array(corners, dtype=wp.vec3i, device=self._device)
+        self.copy = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=self._device)
+        self.threads, each = along_rows(extent, self._device)
+        self.read = [each, box, grid.window, grid.nodes]
+
+
+def _reach(walls: Sequence[Boundary], model: Model) -> Corners:
+    """Return the corners of a box that contains every node a wall may touch [m]."""
+    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+    for wall in walls:
+        corners, track = wall.bounds(model), wall.track(model)
+        if track is not None:
+            corners = swept(corners, track)
+        lower, upper = np.minimum(lower, corners[0]), np.maximum(upper, corners[1])
+    return lower, upper

@@ -1,0 +1,100 @@
+"""Softening: Young's modulus that changes in time, frame by frame.
+
+The parameters of a law that are proportional to E (`Material.scaled`) are multiplied where the
+solver reads them. The change of the elastic energy at that moment is external work: stiffening a
+bent body stores energy in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.monitor.diagnostics import diagnose
+from phy124.monitor.external_work import ExternalWork
+from phy124.monitor.observer import Observed, Observer, Subject, find
+from phy124.mpm import Solver
+from phy124.mpm.model import Group
+from phy124.scene import Scene
+
+
+class Softening(Observer):
+    """Factor on Young's modulus of a run."""
+
+    def __init__(self, scene: Scene, material: NDArray) -> None:
+        """Start at factor 1.
+
+        Args:
+            scene: The scene, whose stiffness may change in time.
+            material: Index of each particle's material among those of the model [P].
+        """
+        self._scene, self._material = scene, material
+        self.factor = 1.0
+        """The factor now."""
+
+    @classmethod
+    def called_for(cls, subject: Subject) -> bool:
+        """Return whether the stiffness changes in time, or may be changed during the run."""
+        return subject.changes or subject.scene.stiffness_profile is not None
+
+    @classmethod
+    def of(cls, setup: Observed) -> Self:
+        """Make the factor of a run."""
+        return cls(setup.scene, setup.particles.material)
+
+    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
+        """Copy the parameters at factor 1."""
+        self._solver, self._external = solver, find(observers, ExternalWork)
+        model = solver.model
+        scaled = np.array([section.scaled for section in model.materials])[self._material]
+        self._groups: list[tuple[Group, NDArray, NDArray]] = []
+        for group in model.groups:
+            theta: NDArray = np.array(group.theta.numpy())
+            columns = scaled[group.particles][: len(theta)]
+            self._groups.append((group, theta, np.arange(group.law.width) < columns[:, None]))
+
+    def change(self, scene: Scene) -> None:
+        """Follow the stiffness of another scene from the next frame on."""
+        self._scene = scene
+
+    def before_frame(self, time: float) -> None:
+        """Set the factor of a frame that starts at this time [s]."""
+        self.follow(self._scene.softness(time))
+
+    def follow(self, factor: float) -> None:
+        """Set another factor, and count the work that this does."""
+        if factor == self.factor:
+            return
+        before = diagnose(self._solver).elastic
+        self._multiply(factor)
+        if self._external is not None:
+            self._external.store(diagnose(self._solver).elastic - before)
+        # The stable substep has changed, so the limits must be measured again.
+        self._solver.clock.since_measured = self._solver.clock.interval
+
+    def notes(self) -> list[str]:
+        """Return a sentence if the stiffness repeats faster than frames follow each other."""
+        profile, fps = self._scene.stiffness_profile, self._scene.time.fps
+        if profile is None or not 0 < profile.period < 2 / fps:
+            return []
+        return [
+            f"stiffness_profile repeats every {profile.period:.2g} s and is read once at the start "
+            f"of each frame, every {1 / fps:.2g} s: what happens in between is not seen. A larger "
+            "time.fps sees it."
+        ]
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the factor."""
+        return {"factor": self.factor}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Set the factor without counting any work: it acted on the restored state already."""
+        self._multiply(snapshot["factor"])
+
+    def _multiply(self, factor: float) -> None:
+        self.factor = factor
+        for group, theta, varies in self._groups:
+            group.theta.assign(np.where(varies, factor * theta, theta).astype(theta.dtype))
