@@ -12,6 +12,7 @@ import warp as wp
 
 from phy124.camera import Camera
 from phy124.materials import LAWS
+from phy124.monitor.watchdog import Watchdog
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene, View
@@ -91,7 +92,7 @@ def results(preset, changes) -> dict[str, np.ndarray]:
     """Numbers that a run makes, and pictures of its end."""
     run = Simulation(ball(300), Scene.named(preset).replaced({**FEW, **changes}), threads=1)
     clip, camera = run.run(), Camera.orbit(30, 20, 2.5, (70, 50))
-    frame, balance = run.frames[-1], run.watchdog.balance
+    frame, balance = run.frames[-1], run.find(Watchdog).balance
     found = {"means": clip.means, "quats": clip.quats, "scales": clip.scales}
     found["balance"] = np.array([balance.energy_gain, balance.momentum_gain])
     stage = stage_of(clip, View(stage="studio"))

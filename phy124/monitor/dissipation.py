@@ -80,7 +80,15 @@ class Dissipation(Observer):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that sums the work of a worker's part."""
+        """Record the launch that sums the work of a worker's part.
+
+        Args:
+            part: Particles of one law that a worker steps.
+            worker: Number of the worker.
+            model: The particles' constants.
+            state: The state after the gather.
+            tracks: Quantities that change with time.
+        """
         assert self._sums is not None
         run, group = part.particles, part.group
         threads, *fraction = shared_out(part.count, model.device)

@@ -177,7 +177,15 @@ class Observer:
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that follows the gather of a worker's part (`in_gathers`)."""
+        """Record the launch that follows the gather of a worker's part (`in_gathers`).
+
+        Args:
+            part: Particles of one law that a worker steps.
+            worker: Number of the worker.
+            model: The particles' constants.
+            state: The state after the gather.
+            tracks: Quantities that change with time.
+        """
         raise NotImplementedError
 
     def bind(self, solver: Solver, observers: Sequence[Observer]) -> None:

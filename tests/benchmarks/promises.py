@@ -70,7 +70,7 @@ def measured(gaussians: Gaussians, scene: Scene) -> dict[str, float | None]:
         accuracy = scene.resolution.model_copy(update={"cells": cells})
         run = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
         clip = run.run()
-        if clip.report["complete"] and not run.watchdog.tearing.likely:
+        if clip.report["complete"] and not clip.report["balance"]["tearing"]["likely"]:
             # Without grains, of which each grid has its own.
             clips.append(clip.means[:, : len(gaussians)])
             whole.append(cells)
