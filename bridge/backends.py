@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from phy124.errors import InputError, meant
+from phy124.errors import InputError, suggest
 from phy124.runtime.installation import install_command
-from phy124.schema.plugins import names, registered
+from phy124.schema.plugins import list_plugins, load_plugin
 
 from . import PROGRAM
 from .controls import Controls
@@ -37,13 +37,13 @@ AUTOMATIC = ("rclpy", "dds")
 
 def known() -> list[str]:
     """Names of all backends, those that packages have registered included."""
-    return [*OWN, *(name for name in names("sinks") if name not in OWN)]
+    return [*OWN, *(name for name in list_plugins("sinks") if name not in OWN)]
 
 
 def missing(outlet: str) -> InputError | None:
     """Why an outlet cannot be used, or None if it can."""
     try:
-        REQUIREMENTS.get(outlet, lambda: registered("sinks", outlet))()
+        REQUIREMENTS.get(outlet, lambda: load_plugin("sinks", outlet))()
     except InputError as error:
         return error
     return None
@@ -59,7 +59,7 @@ def choose(backend: str) -> str:
         return backend
     if backend != "auto":
         limit = "there is no such choice."
-        raise InputError("backend", backend, limit, meant(backend, ["auto", *known()]))
+        raise InputError("backend", backend, limit, suggest(backend, ["auto", *known()]))
     for candidate in AUTOMATIC:
         if missing(candidate) is None:
             return candidate
@@ -130,7 +130,7 @@ def _registered_sink(backend: str, options: Options, **how: Any) -> LiveSink:
     """A sink that a package has registered; raises InputError if it is not one."""
     remedy = f"Correct or remove the package that registers it, or use {', '.join(OWN)}."
     try:
-        sink = registered("sinks", backend)(options, **how)
+        sink = load_plugin("sinks", backend)(options, **how)
     except InputError:
         raise
     except Exception as error:

@@ -10,7 +10,7 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.runtime.failures import Kind, failure
-from phy124.schema.arguments.parsing import Answered, parsed
+from phy124.schema.arguments.parsing import Answered, parse
 
 from . import PROGRAM
 from .commands import COMMANDS, Play, Steer
@@ -33,7 +33,7 @@ def run(arguments: list[str], description: str | None) -> int:
 
 def _command(arguments: list[str], description: str | None) -> Any:
     own, ros = split_ros_arguments(arguments)
-    command = parsed(own, COMMANDS, program=PROGRAM, description=description, empty=MAY_BE_EMPTY)
+    command = parse(own, COMMANDS, program=PROGRAM, description=description, empty=MAY_BE_EMPTY)
     if not ros:
         return command
     if not isinstance(command, (Play, Steer)):

@@ -27,8 +27,8 @@ from phy124.runtime.address_space import refuse_narrow
 from phy124.runtime.failures import failure
 from phy124.runtime.signals import handled, interrupt
 from phy124.runtime.streams import steady_streams
-from phy124.schema.arguments.operands import divided
 from phy124.schema.arguments.parsing import Answered
+from phy124.schema.arguments.words import split_operands
 
 GENERAL = ("--quiet", "--verbose")
 """Options of every command."""
@@ -37,7 +37,7 @@ GENERAL = ("--quiet", "--verbose")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    options, operands = divided(arguments)
+    options, operands = split_operands(arguments)
     chosen = {name for name in GENERAL if name in options}
     rest = [*(text for text in options if text not in GENERAL), *operands]
     report = partial(_report, as_json="--json" in options, verbose="--verbose" in chosen)
@@ -67,7 +67,7 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
         with _no_collection():
             command = _parsed(arguments)
         if "warp" in sys.modules:  # Some commands, as `weights`, do without.
-            _start(talkative=verbose and "--json" not in divided(arguments)[0])
+            _start(talkative=verbose and "--json" not in split_operands(arguments)[0])
         if quiet:
             from phy124.commands.bars import silence
 
@@ -106,14 +106,14 @@ def _start(*, talkative: bool) -> None:
 def _parsed(arguments: list[str]) -> Any:
     """The command with its options; the list of all commands is printed instead, and ends this."""
     from phy124.commands import COMMANDS, outline
-    from phy124.schema.arguments.parsing import asks_for_commands, parsed
+    from phy124.schema.arguments.parsing import asks_for_commands, parse
 
     if asks_for_commands(arguments):
         commands = outline()
     else:
         refuse_narrow()  # before a command's module imports NumPy
         commands = COMMANDS
-    command = parsed(arguments, commands, program="phy124", description=__doc__)
+    command = parse(arguments, commands, program="phy124", description=__doc__)
     from phy124.commands.kinds import refuse_other_kind
 
     refuse_other_kind(arguments[0], command)

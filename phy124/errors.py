@@ -62,6 +62,6 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"Did you mean {close[0]}?" if close else ""
 
 
-def meant(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
+def suggest(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
     """The sentence "Did you mean ...?" if a known word is close, else the known words."""
     return did_you_mean(word, known) or f"{otherwise} {', '.join(known)}."

@@ -17,7 +17,7 @@ from bridge.__main__ import main
 from bridge.command_line import split_ros_arguments
 from bridge.commands import COMMANDS
 from bridge.info import describe_clip, diagnose
-from phy124.schema.arguments.repeats import gathered
+from phy124.schema.arguments.words import join_repeats
 from support.clips import random_clip
 
 ROOT = Path(__file__).parents[1]
@@ -140,7 +140,7 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["play", "none.png", "--live", "--loop"], "A running simulation has no such option"),
         (["pley", "CLIP"], "command = pley: there is no such command. Did you mean play?"),
         (["--speed", "2", "play", "CLIP"], "Write `python -m bridge COMMAND ... --speed`"),
-        (["play"], "source = nothing: it is needed. It is: A clip.safetensors"),
+        (["play"], "source = nothing: it is required. It is: A clip.safetensors"),
         (["play", "CLIP", "--sped", "2"], "`python -m bridge play` has no such option. Did you"),
         (["play", "CLIP", "--frame-idd", "a"], "Did you mean --frame-id?"),
         (["play", "CLIP", "--speed", "fast"], "speed = fast: it is not a number."),
@@ -229,4 +229,4 @@ def test_help_of_every_command(command, capsys):
 
 def test_every_set_of_a_live_run_counts():
     given = ["play", "p.png", "--set", "a=1", "--live", "--set", "b=2"]
-    assert gathered(given, COMMANDS) == ["play", "p.png", "--live", "--set", "a=1", "b=2"]
+    assert join_repeats(given, COMMANDS) == ["play", "p.png", "--live", "--set", "a=1", "b=2"]

@@ -18,7 +18,7 @@ from phy124.commands.options import SceneOptions, ViewOptions
 from phy124.gaussians import Frame
 from phy124.io.clip import Clip
 from phy124.io.formats import write_gaussians
-from phy124.schema.arguments.repeats import members
+from phy124.schema.arguments.words import list_fields
 from support.shapes import ball
 
 
@@ -28,7 +28,10 @@ from support.shapes import ball
         ("generat x.png", "command = generat: there is no such command. Did you mean generate?"),
         ("dance", "command = dance: there is no such command. Choose one of generate, "),
         ("--scene drop generate x.png", "command = --scene: the command comes first."),
-        ("generate", "image = nothing: it is needed. It is: PNG, JPEG, WebP, AVIF or HEIC picture"),
+        (
+            "generate",
+            "image = nothing: it is required. It is: PNG, JPEG, WebP, AVIF or HEIC picture",
+        ),
         ("generate x.png --frames", "frames = nothing: it needs a value. It is: Number of frames."),
         ("generate x.png --frames ten", "frames = ten: it is not a whole number."),
         ("generate x.png --max-seconds soon", "max-seconds = soon: it is not a number."),
@@ -115,7 +118,9 @@ def test_a_parser_of_another_version_speaks_for_itself(monkeypatch, capsys):
     class Unheard(_errors.BadValue):
         argument = None
 
-    monkeypatch.setattr("phy124.schema.arguments.parsing._bad_value", lambda event: event.unheard)
+    monkeypatch.setattr(
+        "phy124.schema.arguments.parsing._explain_number_of_values", lambda event: event.unheard
+    )
     with pytest.raises(SystemExit) as ended:
         main(["generate", "x.png", "--frames"])
     assert ended.value.code == 2
@@ -142,7 +147,7 @@ def test_content_tells_the_kind_of_a_file_whatever_its_name(capsys, tmp_path, mo
 def test_every_kind_has_an_advice_and_every_command_its_kind():
     assert set(KINDS.values()) == set(USES)
     for name, (field, kind) in TAKES.items():
-        assert field in members(COMMANDS[name])
+        assert field in list_fields(COMMANDS[name])
         assert kind in USES
 
 

@@ -17,7 +17,7 @@ import tyro
 from bridge.commands import COMMANDS as BRIDGE
 from phy124.__main__ import _parsed
 from phy124.errors import InputError
-from phy124.schema.arguments.repeats import gathered
+from phy124.schema.arguments.words import join_repeats
 from support.pages import BLOCK, PAGES, ROOT, blocks
 
 NOT_RUN = {"ros2", "own", "network", "long", "server"}
@@ -66,7 +66,7 @@ def parse(words: list[str]) -> None:
 
 
 def parse_bridge(rest: list[str]) -> None:
-    tyro.extras.subcommand_cli_from_dict(BRIDGE, args=gathered(rest, BRIDGE))
+    tyro.extras.subcommand_cli_from_dict(BRIDGE, args=join_repeats(rest, BRIDGE))
 
 
 def parse_phy124(rest: list[str]) -> None:
@@ -105,7 +105,7 @@ def test_every_command_in_prose_parses(page, command):
         parse(words)
     except InputError as refusal:
         # Only the rest of a command that prose leaves out may be missing.
-        assert "it is needed" in str(refusal), f"{page.name}: {refusal}"
+        assert "it is required" in str(refusal), f"{page.name}: {refusal}"
 
 
 def test_a_wrong_command_is_found():

@@ -3,7 +3,7 @@
 import pytest
 
 from phy124.__main__ import main
-from phy124.schema.arguments.homes import from_home
+from phy124.schema.arguments.words import expand_home
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +29,7 @@ def home(tmp_path, monkeypatch):
     ],
 )
 def test_only_a_path_of_the_home_changes(word, expected, home):
-    assert from_home(word) == expected.replace("HOME", str(home))
+    assert expand_home(word) == expected.replace("HOME", str(home))
 
 
 def test_a_cut_out_goes_to_the_home(home, tmp_path, monkeypatch):

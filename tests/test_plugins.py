@@ -83,7 +83,7 @@ class Lamp(bridge.sink.LiveSink):
 def register(monkeypatch, points: EntryPoints) -> None:
     """Let these be the entry points of all packages."""
     monkeypatch.setattr(plugins, "entry_points", points.select)
-    monkeypatch.setattr(plugins, "installed", cache(plugins.installed.__wrapped__))
+    monkeypatch.setattr(plugins, "entry_points_of", cache(plugins.entry_points_of.__wrapped__))
 
 
 @pytest.fixture
@@ -172,7 +172,7 @@ def test_a_registered_generator_is_found_by_name(installed):
 
 
 def test_a_plugin_does_not_replace_what_is_there(installed, monkeypatch):
-    monkeypatch.setattr(plugins, "registered", lambda group, name: Rubber)
+    monkeypatch.setattr(plugins, "load_plugin", lambda group, name: Rubber)
     assert type(Scene.from_data({"material": {"law": "sand"}}).material).__name__ == "Sand"
 
 
@@ -227,7 +227,7 @@ def test_a_broken_sink_is_refused(installed, tmp_path, capsys, name, complaint):
 
 
 def test_what_a_sink_lacks_is_said(monkeypatch):
-    monkeypatch.setattr("bridge.backends.registered", lambda group, name: lambda *a, **b: object())
+    monkeypatch.setattr("bridge.backends.load_plugin", lambda group, name: lambda *a, **b: object())
     with pytest.raises(InputError, match="has no __enter__, __exit__, write, monotonic, listen"):
         open_sink("lamp", Options())
 
@@ -300,7 +300,7 @@ def test_a_misspelt_name_is_told_of_what_is_registered(installed):
 
 def test_a_broken_kind_is_refused_but_stops_no_other(monkeypatch, installed):
     monkeypatch.setitem(globals(), "Rubber", Table)
-    assert plugins.registered_kinds("materials", FixedCorotated) == {}
-    assert set(plugins.registered_kinds("forces", Force)) == {"freeze"}
+    assert plugins.load_kinds("materials", FixedCorotated) == {}
+    assert set(plugins.load_kinds("forces", Force)) == {"freeze"}
     with pytest.raises(InputError, match="no subclass of Material"):
         Scene.from_data({"material": {"law": "rubber"}})

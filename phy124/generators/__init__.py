@@ -22,7 +22,7 @@ from phy124.errors import InputError
 from phy124.generators.options import UNCHANGED, GeneratorOptions, Precision, Sampler
 from phy124.progress import Progress
 from phy124.runtime.installation import install_command
-from phy124.schema.plugins import names, registered
+from phy124.schema.plugins import list_plugins, load_plugin
 
 if TYPE_CHECKING:
     import numpy as np
@@ -81,7 +81,7 @@ if it can use one.
 
 def known() -> list[str]:
     """Names of all generators, those that packages have registered included."""
-    return [*GENERATORS, *(name for name in names("generators") if name not in GENERATORS)]
+    return [*GENERATORS, *(name for name in list_plugins("generators") if name not in GENERATORS)]
 
 
 def make(
@@ -128,7 +128,7 @@ def _factory(name: str) -> Callable[..., Generator]:
     Raises:
         InputError: There is none.
     """
-    factory = GENERATORS.get(name) or registered("generators", name)
+    factory = GENERATORS.get(name) or load_plugin("generators", name)
     if factory is None:
         limit = "There is no such generator."
         remedy = (

@@ -1,6 +1,6 @@
-"""Bounds of a scene's numbers: what float32 and a grid of cells can represent.
+"""Bounds of a scene's numbers, within what float32 and a grid of cells can represent.
 
-They are wider than any scene needs and narrow enough that no product of two of them overflows.
+They are wider than any scene needs, and narrow enough that no product of two numbers overflows.
 """
 
 from pathlib import Path
@@ -9,12 +9,11 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 LONGEST = 1e5
-"""A clip lasts at most 1e4 s; anything that begins later never does."""
+"""Largest time [s]; a clip lasts at most 1e4 s."""
 SHORTEST = 1e-6
-"""Shorter than any substep of a visible object [s]."""
-
+"""Smallest duration [s]; shorter than any substep of a visible object."""
 FARTHEST = 1e5
-"""No scene is wider [m]."""
+"""Largest coordinate [m]."""
 
 _Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 _Rate = Annotated[float, Field(ge=-1e5, le=1e5)]
@@ -22,11 +21,11 @@ _Push = Annotated[float, Field(ge=-1e9, le=1e9)]
 _Direction = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 Spot = tuple[_Coordinate, _Coordinate]
-"""A place on the floor [m]."""
+"""A position on the floor [m]."""
 Position = tuple[_Coordinate, _Coordinate, _Coordinate]
-"""A place or a displacement [m]."""
+"""A position or displacement [m]."""
 Velocity = tuple[_Rate, _Rate, _Rate]
-"""A velocity [m/s], or an angular one [rad/s]."""
+"""A velocity [m/s] or angular velocity [rad/s]."""
 Push = tuple[_Push, _Push, _Push]
 """An acceleration [m/s^2], a force [N] or a momentum [N s]."""
 Direction = tuple[_Direction, _Direction, _Direction]
@@ -39,31 +38,30 @@ Colour = Annotated[float, Field(ge=0, le=1)]
 """A channel of a colour."""
 
 
-def _writable(text: str) -> str:
-    """Text that a file can hold."""
+def _check_text(text: str) -> str:
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
-        raise ValueError("it has characters that no file can hold; write it in UTF-8") from None
+        raise ValueError("it has characters that UTF-8 cannot encode; remove them") from None
     return text
 
 
-Text = Annotated[str, AfterValidator(_writable)]
-"""Text that is written into scene files as it is."""
+Text = Annotated[str, AfterValidator(_check_text)]
+"""Text that UTF-8 can encode."""
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
-"""What an object is called, in files and topics too: a letter, then letters, digits, - and _."""
+"""Name of an object, also in files and topics: a letter, then letters, digits, - and _."""
 NAME_LENGTH = 4096
-"""Length of a file name, characters."""
+"""Largest length of a file name [characters]."""
 
 
-def _nameable(path: Path) -> Path:
+def _check_file_name(path: Path) -> Path:
     if len(str(path)) > NAME_LENGTH:
-        raise ValueError(f"the name of a file has {NAME_LENGTH} letters at most")
-    _writable(str(path))
+        raise ValueError(f"a file name has at most {NAME_LENGTH} characters; shorten it")
+    _check_text(str(path))
     return path
 
 
 FileName = Annotated[
-    Path, AfterValidator(_nameable), Field(json_schema_extra={"maxLength": NAME_LENGTH})
+    Path, AfterValidator(_check_file_name), Field(json_schema_extra={"maxLength": NAME_LENGTH})
 ]
-"""A file to be read; the page uses this type to refuse file names that come from outside."""
+"""A file to read. The page refuses values of this type that come from outside."""

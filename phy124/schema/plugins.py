@@ -1,7 +1,7 @@
-"""Plugins: classes and functions from outside phy124, by instance or by name.
+"""Plugins: users' classes and functions, as instances or by name.
 
-In Python a material, force or boundary of your own is passed as an instance. A package gives it a
-name that scene files and the command line know by an entry point of one of the `GROUPS`.
+In Python, an instance of a user's material, force or boundary can be used directly. An entry point
+of one of the `GROUPS` gives the class a name for scene files and the command line.
 """
 
 from __future__ import annotations
@@ -22,22 +22,26 @@ GROUPS = ("materials", "forces", "boundaries", "generators", "sinks")
 
 
 @cache
-def installed(group: str) -> dict[str, EntryPoint]:
-    """What packages have registered in one of the `GROUPS`, by name.
+def entry_points_of(group: str) -> dict[str, EntryPoint]:
+    """Return name -> entry point for one of the `GROUPS`.
 
-    It is read once: packages' metadata takes milliseconds, and a scene may name thousands of kinds.
+    Cached: reading packages' metadata takes milliseconds, and a scene may name thousands of kinds.
     """
     points = entry_points(group=f"phy124.{group}")
     return {point.name: point for point in reversed(list(points))}
 
 
-def registered(group: str, name: str) -> Any:
-    """What a package has registered under a name in one of the `GROUPS`; None if nothing.
+def load_plugin(group: str, name: str) -> Any:
+    """Load the class or function that a package has registered; None if there is none.
+
+    Args:
+        group: One of the `GROUPS`.
+        name: Name of the entry point.
 
     Raises:
         InputError: It cannot be loaded.
     """
-    point = installed(group).get(name)
+    point = entry_points_of(group).get(name)
     if point is None:
         return None
     try:
@@ -48,32 +52,32 @@ def registered(group: str, name: str) -> Any:
         raise InputError(f"phy124.{group}", name, limit, remedy) from error
 
 
-def names(group: str) -> list[str]:
-    """All names that packages have registered in a group, in alphabetical order."""
-    return sorted(installed(group))
+def list_plugins(group: str) -> list[str]:
+    """Return the names that packages have registered in a group, in alphabetical order."""
+    return sorted(entry_points_of(group))
 
 
-def registered_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
-    """The classes that packages have registered, by name; those that are broken are left out.
+def load_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
+    """Load all classes that packages have registered; classes that cannot be loaded are left out.
 
-    They are refused when a scene names them, so that one broken package stops nothing else.
+    A scene that names such a class is refused; other scenes are not affected.
     """
-    found = {}
-    for name in names(group):
+    kinds = {}
+    for name in list_plugins(group):
         try:
-            kind = registered(group, name)
+            kind = load_plugin(group, name)
         except InputError:
             continue
         if isinstance(kind, type) and issubclass(kind, base):
-            found[name] = kind
-    return found
+            kinds[name] = kind
+    return kinds
 
 
 @dataclass(frozen=True)
 class Kinds:
-    """The kinds of section that a field of a scene takes: those of phy124, and registered ones.
+    """The kinds of section that a field of a scene accepts: phy124's own and registered ones.
 
-    As an annotation of the field it validates registered kinds and adds them to the JSON schema.
+    As an annotation of the field, it validates registered kinds and adds them to the JSON schema.
     """
 
     base: type[Section]
@@ -95,19 +99,19 @@ class Kinds:
         return type(section) not in get_args(self.union)
 
     def has_name(self, section: Section) -> bool:
-        """Return whether a file can name the kind of a section: phy124's own, or registered."""
+        """Return whether a file can name the kind of a section."""
         if not self.is_foreign(section):
             return True
-        return registered(self.group, getattr(section, self.tag, "")) is type(section)
+        return load_plugin(self.group, getattr(section, self.tag, "")) is type(section)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         return core_schema.no_info_wrap_validator_function(self._accept, handler(source))
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         schema = handler(core)
-        for name, kind in registered_kinds(self.group, self.base).items():
+        for name, kind in load_kinds(self.group, self.base).items():
             if name not in self.by_name:
-                # As an item of a list a class gets an entry under "$defs" and a reference to it.
+                # As an item of a list, a class gets an entry under "$defs" and a reference to it.
                 items = core_schema.list_schema(kind.__pydantic_core_schema__)
                 item = handler(items)["items"]
                 schema["oneOf"].append(item)
@@ -120,7 +124,7 @@ class Kinds:
         name = value.get(self.tag) if isinstance(value, dict) else None
         if not isinstance(name, str) or name in self.by_name:
             return usual(value)
-        kind = registered(self.group, name)
+        kind = load_plugin(self.group, name)
         if kind is None:
             return usual(value)
         if not (isinstance(kind, type) and issubclass(kind, self.base)):

@@ -1,4 +1,4 @@
-"""Region: a box or cylinder in space on which a force, a boundary or a material acts."""
+"""Region: a box or cylinder to which a force, a boundary or a material applies."""
 
 from __future__ import annotations
 
@@ -13,17 +13,15 @@ from phy124.schema.section import Section
 
 Vector = tuple[float, float, float]
 EVERYWHERE = 1e9
-"""Beyond any scene [m]; finite, so that scenes can be written as JSON."""
+"""A coordinate outside any scene [m]; finite, so that scenes can be written as JSON."""
 _Side = Annotated[float, Field(ge=-EVERYWHERE, le=EVERYWHERE)]
 _Fraction = Annotated[float, Field(ge=-1, le=1)]
 _Corner = tuple[_Side, _Side, _Side]
-
-
 AxisName = Literal["x", "y", "z"]
 
 
 class Region(Section):
-    """An axis-aligned box [m], or the cylinder that fits it; sides left out are open."""
+    """An axis-aligned box [m], or the cylinder inscribed in it; sides left out are open."""
 
     lower: _Corner = Field(
         default=(-EVERYWHERE, -EVERYWHERE, -EVERYWHERE), description="Lowest corner [m]."
@@ -31,14 +29,13 @@ class Region(Section):
     upper: _Corner = Field(
         default=(EVERYWHERE, EVERYWHERE, EVERYWHERE), description="Highest corner [m]."
     )
-
     cylinder: AxisName | None = Field(
         default=None,
-        description="Axis of the cylinder that fits the box, to mean that alone; absent: the box.",
+        description="Axis of a cylinder inscribed in the box, which replaces it; absent: the box.",
     )
 
     @model_validator(mode="after")
-    def _ordered(self) -> Region:
+    def _check_corners(self) -> Region:
         if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
             raise ValueError(
                 f"lower {self.lower} must be below upper {self.upper} on each axis; swap them"
@@ -54,7 +51,7 @@ class Region(Section):
         return self
 
     def contains(self, x: NDArray) -> NDArray[np.bool_]:
-        """Mask [N] of the points x [N,3] inside."""
+        """Return a mask [N] of the points x [N,3] inside."""
         inside: NDArray[np.bool_] = np.all((x >= self.lower) & (x <= self.upper), axis=1)
         if self.cylinder:
             axis, middle, radius = cylinder(self.lower, self.upper, self.cylinder)
@@ -64,9 +61,9 @@ class Region(Section):
 
 
 def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector, float]:
-    """Axis, middle [m] and radius [m] of the cylinder that fits a box: as wide as its shorter side.
+    """Return axis, centre [m] and radius [m] of the cylinder inscribed in a box.
 
-    Along an open axis the middle has no meaning.
+    Its diameter is the shorter side. Along an open axis the centre has no meaning.
     """
     axis = "xyz".index(along)
     x, y, z = ((low + high) / 2 for low, high in zip(lower, upper, strict=True))
@@ -75,28 +72,28 @@ def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector
 
 
 class PartRegion(Region):
-    """A box that picks a part of the object; it may be turned, or told as in its file."""
+    """A region that selects a part of the object, rotated or in the units of its file."""
 
     units: Literal["metres", "file"] = Field(
         default="metres",
-        description="metres: of the object as placed; file: units and axes of its .ply file.",
+        description="metres: the object as placed in the scene; file: units and axes of its file.",
     )
     turn: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
         default=(1.0, 0.0, 0.0, 0.0),
-        description="Turn of the box about the origin, a unit quaternion w, x, y, z.",
+        description="Rotation of the box about the origin, a unit quaternion w, x, y, z.",
     )
 
     @model_validator(mode="before")
     @classmethod
-    def _plain(cls, given: Any) -> Any:
-        return given.model_dump() if type(given) is Region else given
+    def _convert(cls, data: Any) -> Any:
+        return data.model_dump() if type(data) is Region else data
 
     @model_validator(mode="after")
-    def _unit(self) -> PartRegion:
+    def _check_turn(self) -> PartRegion:
         if abs(np.linalg.norm(self.turn) - 1) > 1e-3:
-            raise ValueError("turn is not a unit quaternion; write [1, 0, 0, 0] for no turn")
+            raise ValueError("turn is not a unit quaternion; write [1, 0, 0, 0] for no rotation")
         return self
 
     def contains(self, x: NDArray) -> NDArray[np.bool_]:
-        """Mask [N] of the points x [N,3], m, inside."""
+        """Return a mask [N] of the points x [N,3], m, inside."""
         return super().contains(x @ rotation_matrices(np.array([self.turn]))[0])

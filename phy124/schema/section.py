@@ -1,4 +1,4 @@
-"""Base class of all declared options: those of a scene, of the page and of the bridge."""
+"""Base class of all declared options: of a scene, of the page and of the bridge."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     AS_TEXT: ClassVar[bool] = False
-    """Whether its values come as text, so that "yes" is a boolean."""
+    """Whether values are text, so that "yes" is a boolean."""
 
-    # Not for each field: pydantic takes none for the keys that tell kinds apart.
+    # Not a validator per field: pydantic allows none for discriminators.
     @model_validator(mode="before")
     @classmethod
-    def _as_declared(cls, data: Any) -> Any:
-        """Refuse what pydantic would convert: True as a number, "yes" or 1 as a boolean."""
+    def _check_types(cls, data: Any) -> Any:
+        """Refuse values that pydantic would convert: True as a number, "yes" or 1 as a boolean."""
         if cls.AS_TEXT or not isinstance(data, dict):
             return data
         wrong = [
             InitErrorDetails(type=OTHER, loc=(name,), input=value)
             for name, value in data.items()
-            if name in cls.model_fields and _is_other(value, _kinds(cls, name))
+            if name in cls.model_fields and _is_other(value, _list_types(cls, name))
         ]
         if wrong:
             raise ValidationError.from_exception_data(cls.__name__, wrong)
@@ -36,29 +36,28 @@ class Section(BaseModel):
 
 
 @cache
-def _kinds(section: type[Section], field: str) -> frozenset[Any]:
-    """Types of the plain values that a field may have; empty if it may have any."""
-    annotation = section.model_fields[field].annotation
-    kinds, inside = set(), [annotation]
-    while inside:
-        one = inside.pop()
-        parts = get_args(one)
-        inside += [part for part in parts if part is not ...]
+def _list_types(section: type[Section], field: str) -> frozenset[Any]:
+    """Return the types of plain values that a field accepts; empty if it accepts any."""
+    types, annotations = set(), [section.model_fields[field].annotation]
+    while annotations:
+        annotation = annotations.pop()
+        parts = get_args(annotation)
+        annotations += [part for part in parts if part is not ...]
         if not parts:
-            kinds.add(one if isinstance(one, type) else type(one))
-    return frozenset() if {object, type(Any)} & kinds or Any in kinds else frozenset(kinds)
+            types.add(annotation if isinstance(annotation, type) else type(annotation))
+    return frozenset() if {object, type(Any)} & types or Any in types else frozenset(types)
 
 
-def _is_other(value: Any, kinds: frozenset[Any]) -> bool:
-    """Whether a plain value is of another type than those."""
-    if not kinds:
+def _is_other(value: Any, types: frozenset[Any]) -> bool:
+    """Return whether a plain value is of none of these types."""
+    if not types:
         return False
-    if bool not in kinds:
-        return _holds_boolean(value)
-    return isinstance(value, str | int | float) and type(value) not in kinds
+    if bool not in types:
+        return _contains_boolean(value)
+    return isinstance(value, str | int | float) and type(value) not in types
 
 
-def _holds_boolean(value: Any) -> bool:
+def _contains_boolean(value: Any) -> bool:
     if isinstance(value, list | tuple):
-        return any(map(_holds_boolean, value))
+        return any(map(_contains_boolean, value))
     return isinstance(value, bool)

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.errors import InputError, meant
+from phy124.errors import InputError, suggest
 from phy124.gaussians import Frame, Gaussians
 from phy124.io import ply
 from phy124.io.axes import orientation, turned
@@ -259,7 +259,7 @@ def written_as(path: Path, name: str | None = None) -> Format:
             limit = "Its ending names no format that is written."
             raise InputError("output", path, limit, f"End the name in one of {endings}.")
     if name not in WRITTEN:
-        raise InputError("to", name, "No such format is written.", meant(name, WRITTEN))
+        raise InputError("to", name, "No such format is written.", suggest(name, WRITTEN))
     return FORMATS[name]
 
 

@@ -19,7 +19,7 @@ from phy124.rendering.stage.ground import floor_heights
 from phy124.rendering.stage.shadow import GLASS, SLOPE, Caster, Glass
 from phy124.rendering.stage.solids import placed
 from phy124.scene import Scene, View
-from phy124.schema.plugins import registered
+from phy124.schema.plugins import load_plugin
 
 SAMPLE = 1024
 """Number of Gaussians whose path decides how much of the floor the shadow map covers."""
@@ -123,7 +123,7 @@ def _boundaries(clip: Clip) -> Sequence[Boundary]:
     known: list[Any] = []
     for told in clip.scene.get("boundaries", []):
         kind = told.get("kind")
-        if kind in BOUNDARIES.by_name or registered("boundaries", kind) is not None:
+        if kind in BOUNDARIES.by_name or load_plugin("boundaries", kind) is not None:
             known.append(told)
         elif kind in defined:
             known.append(defined[kind].model_validate(told))

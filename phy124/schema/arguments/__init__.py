@@ -1,4 +1,4 @@
-"""Reads the command line of any program, and refuses bad ones in plain sentences.
+"""Reads the command line of any program; errors are plain sentences.
 
-It knows no command: phy124's are in phy124/commands, the bridge's in bridge/commands.py.
+The commands themselves are in phy124/commands and bridge/commands.py.
 """

@@ -1,7 +1,7 @@
-"""Parses a command line into a command; errors of the parser are worded like all others.
+"""Parses a command line into a command; the parser's errors become `InputError`s.
 
-The parser (tyro) passes the reason for giving up to a hook of ours. If another version of it does
-not, its own message is shown.
+The parser (tyro) reports the reason of an error to a hook. If its version does not support the
+hook, its own message is shown.
 """
 
 from __future__ import annotations
@@ -13,22 +13,26 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import Any
 
-from phy124.errors import InputError, did_you_mean, meant
-from phy124.schema.arguments.homes import from_home
-from phy124.schema.arguments.operands import divided
-from phy124.schema.arguments.repeats import gathered, members, positionals
+from phy124.errors import InputError, did_you_mean, suggest
+from phy124.schema.arguments.words import (
+    expand_home,
+    join_repeats,
+    list_fields,
+    list_positionals,
+    split_operands,
+)
 
 NARROWEST = 40
-"""Fewest columns that help is laid out for."""
+"""Smallest number of columns for which help is laid out."""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
 
 
 class Answered(SystemExit):
-    """The parser has printed what was asked for, such as --help; nothing is left to do."""
+    """The parser has printed the answer itself, for instance to --help."""
 
 
-def parsed(
+def parse(
     arguments: Sequence[str],
     commands: Commands,
     *,
@@ -36,67 +40,67 @@ def parsed(
     description: str | None = None,
     empty: Container[str] = (),
 ) -> Any:
-    """The command with its options.
+    """Parse a command with its options.
 
     Args:
-        arguments: The words typed after the program's name; none asks for help.
+        arguments: The words after the program's name; none means --help.
         commands: Name -> class.
         program: The program's name.
         description: The first paragraph of `--help`.
         empty: Names of options that may be empty.
 
     Raises:
-        InputError: If the arguments cannot be understood.
-        Answered: The parser has answered itself.
+        InputError: The arguments are invalid.
+        Answered: The parser has printed help or a completion script.
     """
     import tyro
 
-    options, operands = divided([from_home(word) for word in arguments])
+    options, operands = split_operands([expand_home(word) for word in arguments])
     arguments = [*options, *operands] or ["--help"]
-    _refuse(arguments, commands, program, empty)
+    _refuse_empty(arguments, commands, program, empty)
     name = arguments[0]
-    with _plainly(arguments, commands, program), _wide_enough():
+    with _translate_errors(arguments, commands, program), _ensure_width():
         return tyro.extras.subcommand_cli_from_dict(
             {name: commands[name]} if name in commands else dict(commands),
             prog=program,
             description=description,
-            args=gathered(arguments, commands),
+            args=join_repeats(arguments, commands),
         )
 
 
 def asks_for_commands(arguments: Sequence[str]) -> bool:
-    """Whether the list of all commands is asked for, and nothing else can happen."""
+    """Return whether the words ask for the list of all commands."""
     return not arguments or arguments[0] in ("-h", "--help")
 
 
 @contextmanager
-def _plainly(arguments: Sequence[str], commands: Commands, program: str) -> Iterator[None]:
-    """Within this context errors of the parser are raised as InputError."""
+def _translate_errors(arguments: Sequence[str], commands: Commands, program: str) -> Iterator[None]:
+    """Raise the parser's errors as InputError within this context."""
     try:
         from tyro._errors import on_parse_error
-    except ImportError:  # another version, whose own words must do
+    except ImportError:  # another version of tyro: it prints its own message
         on_parse_error = nullcontext
 
     def hook(event: Any) -> None:
         try:
-            refusal = _refusal(event, arguments, commands, program)
+            error = _explain(event, arguments, commands, program)
         except (AttributeError, LookupError):
-            return  # Events of another version: the parser's own words must do.
-        if refusal is not None:
-            raise _Refused(refusal)
+            return  # an event of another version of tyro, which prints its own message
+        if error is not None:
+            raise _Refused(error)
 
     try:
         with on_parse_error(hook):
             yield
-    except _Refused as found:
-        raise found.refusal from None
+    except _Refused as refused:
+        raise refused.error from None
     except SystemExit as end:
         raise Answered(end.code) from None
 
 
 @contextmanager
-def _wide_enough() -> Iterator[None]:
-    """Within this context the terminal has `NARROWEST` columns at least, or --help never ends."""
+def _ensure_width() -> Iterator[None]:
+    """Use at least `NARROWEST` columns within this context; with fewer --help never ends."""
     usual = os.environ.get("COLUMNS")
     if shutil.get_terminal_size().columns < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)
@@ -108,24 +112,24 @@ def _wide_enough() -> Iterator[None]:
 
 
 class _Refused(Exception):
-    """Carries an error past the parser, which catches ValueError."""
+    """Carries an InputError past the parser, which catches ValueError."""
 
-    def __init__(self, refusal: InputError) -> None:
-        self.refusal = refusal
+    def __init__(self, error: InputError) -> None:
+        self.error = error
 
 
-def _refuse(
+def _refuse_empty(
     arguments: Sequence[str], commands: Commands, program: str, empty: Container[str]
 ) -> None:
-    """Raise InputError if the first argument is no command, or an argument is empty."""
+    """Raise InputError if the first word is not a command, or a word is empty."""
     name = arguments[0]
     if name not in commands and not name.startswith(("-h", "--help", "--tyro-")):
         if name.startswith("-"):
             remedy = f"Write `{program} COMMAND ... {name}`; commands are {', '.join(commands)}."
             raise InputError("command", name, "the command comes first.", remedy)
-        raise InputError("command", name, "there is no such command.", meant(name, [*commands]))
-    options = divided(arguments)[0]
-    _refuse_names(options, commands, program)
+        raise InputError("command", name, "there is no such command.", suggest(name, [*commands]))
+    options = split_operands(arguments)[0]
+    _refuse_named_positionals(options, commands, program)
     for before, text in itertools.pairwise(options):
         option, equals, value = text.partition("=")
         if (option if equals else before) in empty:
@@ -135,10 +139,10 @@ def _refuse(
             raise InputError(where, "''", "it is empty.", "Give a value, or leave the option out.")
 
 
-def _refuse_names(options: Sequence[str], commands: Commands, program: str) -> None:
-    """Raise InputError if something that has no option is given by its name, as `--output X`."""
+def _refuse_named_positionals(options: Sequence[str], commands: Commands, program: str) -> None:
+    """Raise InputError if a positional argument is given by its name, such as `--output X`."""
     name = options[0]
-    unnamed = positionals(commands[name]) if name in commands else []
+    unnamed = list_positionals(commands[name]) if name in commands else []
     named = option_names(commands[name]) if unnamed else []
     for text in options[1:]:
         option = text.partition("=")[0]
@@ -151,70 +155,67 @@ def _refuse_names(options: Sequence[str], commands: Commands, program: str) -> N
 
 
 def option_names(command: Any) -> list[str]:
-    """Names of a command's options, as they are typed."""
-    found: list[str] = []
-    unnamed = positionals(command)
-    for name, kind in members(command).items():
+    """Return the names of a command's options, as they are typed."""
+    names: list[str] = []
+    unnamed = list_positionals(command)
+    for name, kind in list_fields(command).items():
         if name in unnamed:
             continue
-        found += option_names(kind) if members(kind) else ["--" + name.replace("_", "-")]
-    return found
+        names += option_names(kind) if list_fields(kind) else ["--" + name.replace("_", "-")]
+    return names
 
 
-def _refusal(
+def _explain(
     event: Any, arguments: Sequence[str], commands: Commands, program: str
 ) -> InputError | None:
-    """The error for an event of the parser; None if the event is not known here."""
+    """Return the error for an event of the parser; None for an unknown event."""
     name, command = type(event).__name__, arguments[0]
     if name == "UnrecognizedArgs":
-        return _unknown(event.tokens, f"{program} {command}", option_names(commands[command]))
-    makers: dict[str, Callable[[Any], InputError]] = {
-        "MissingArgs": _missing,
-        "BadValue": _bad_value,
-        "InvalidChoice": _no_choice,
-        "InstantiationFailure": _not_made,
+        options = option_names(commands[command])
+        return _explain_unknown(event.tokens, f"{program} {command}", options)
+    explain: dict[str, Callable[[Any], InputError]] = {
+        "MissingArgs": _explain_missing,
+        "BadValue": _explain_number_of_values,
+        "InvalidChoice": _explain_choice,
+        "InstantiationFailure": _explain_type,
     }
-    return makers[name](event) if name in makers else None
+    return explain[name](event) if name in explain else None
 
 
-def _missing(event: Any) -> InputError:
+def _explain_missing(event: Any) -> InputError:
     argument = event.missing_arguments[0].arg
-    name = _name(argument)
-    return InputError(name, "nothing", "it is needed.", _help(argument, "It is"))
+    return InputError(_name(argument), "nothing", "it is required.", _help(argument))
 
 
-def _bad_value(event: Any) -> InputError:
+def _explain_number_of_values(event: Any) -> InputError:
     count = event.argument.lowered.nargs
     needed = f"{count} values" if isinstance(count, int) and count > 1 else "a value"
     limit = f"it needs {needed}." if event.offending_value is None else "it takes no value."
     value = event.offending_value or "nothing"
-    return InputError(_name(event.argument), value, limit, _help(event.argument, "It is"))
+    return InputError(_name(event.argument), value, limit, _help(event.argument))
 
 
-def _no_choice(event: Any) -> InputError:
+def _explain_choice(event: Any) -> InputError:
     choices = [choice for choice in event.choices if choice != "None"]
     limit = "there is no such choice."
-    return InputError(_name(event.argument), event.value, limit, meant(event.value, choices))
+    return InputError(_name(event.argument), event.value, limit, suggest(event.value, choices))
 
 
-def _not_made(event: Any) -> InputError:
+def _explain_type(event: Any) -> InputError:
     if event.argument is None:
-        raise LookupError("the parser does not say which argument")
+        raise LookupError("the parser does not name the argument")
     metavar = event.argument.lowered.metavar or ""
-    kind = next((said for name, said in KINDS.items() if name in metavar), None)
-    value = " ".join(_given(event.message))
+    kind = next((words for name, words in KINDS.items() if name in metavar), None)
+    # The parser's message ends in the values: "... from ['x']" or "...: 'x'".
+    message = event.message
+    values = message.partition("[")[2].partition("]")[0] or message.rpartition(": ")[2]
+    value = " ".join(part.strip(" '\"") for part in values.split(",") if part.strip())
     limit = f"it is not {kind}." if kind else "it cannot be used."
-    return InputError(_name(event.argument), value or "?", limit, _help(event.argument, "It is"))
+    return InputError(_name(event.argument), value or "?", limit, _help(event.argument))
 
 
-def _given(message: str) -> list[str]:
-    """The values that a message of the parser names: "... from ['x']", "...: 'x'"."""
-    inside = message.partition("[")[2].partition("]")[0] or message.rpartition(": ")[2]
-    return [part.strip().strip("'\"") for part in inside.split(",") if part.strip()]
-
-
-def _unknown(tokens: Sequence[str], command: str, options: Sequence[str]) -> InputError:
-    """Words that are no option of the command, or more values than it takes."""
+def _explain_unknown(tokens: Sequence[str], command: str, options: Sequence[str]) -> InputError:
+    """Return the error for unknown options, or for too many values."""
     strange = [token for token in tokens if token.startswith("-")]
     if not strange:
         limit = f"`{command}` takes no more values."
@@ -228,7 +229,7 @@ def _name(argument: Any) -> str:
     return argument.field.intern_name.rpartition(".")[2].replace("_", "-")
 
 
-def _help(argument: Any, verb: str) -> str:
+def _help(argument: Any) -> str:
     text = argument.field.helptext
     text = (text() if callable(text) else text) or ""
-    return f"{verb}: {text.strip().splitlines()[0].rstrip('.')}." if text else "See --help."
+    return f"It is: {text.strip().splitlines()[0].rstrip('.')}." if text else "See --help."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from phy124.errors import InputError, meant
+from phy124.errors import InputError, suggest
 from phy124.io.clip import Clip
 from phy124.studies.fit.observation import Groups, at_times
 from phy124.studies.fit.table import Table, Values
@@ -28,7 +28,7 @@ class Forces:
         for name in table.names:
             if name not in walls:
                 limit = "the scene has no wall of that name."
-                remedy = meant(str(name), walls) if walls else "Give it a boundary."
+                remedy = suggest(str(name), walls) if walls else "Give it a boundary."
                 raise InputError("forces", name, limit, remedy)
         self._wall = np.array([walls.index(str(name)) for name in table.names])
         self._times, self.last = table.times, float(table.times.max())

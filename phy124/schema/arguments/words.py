@@ -1,0 +1,120 @@
+"""Prepares the words of a command line for the parser: homes, `--`, and repeated options."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+from phy124.errors import InputError
+
+END = "--"
+"""Ends the options: the words after it are operands, even if they look like options."""
+_BEFORE_HOME = re.compile(r"(?:[\w.-]+=)*(?=~)")
+"""What may precede a path in a word: --out=, object.file=, --set=object.file=."""
+
+
+def expand_home(word: str) -> str:
+    """Expand `~` at the start of a path, which shells leave unchanged after an equals sign.
+
+    The word is unchanged if there is no such home folder.
+    """
+    prefix = _BEFORE_HOME.match(word)
+    if prefix is None:
+        return word
+    return prefix[0] + os.path.expanduser(word[prefix.end() :])
+
+
+def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Split the words at `--`; the second list begins with it, and is empty without operands."""
+    end = list(arguments).index(END) if END in arguments else len(arguments)
+    operands = list(arguments[end:])
+    return list(arguments[:end]), [] if operands == [END] else operands
+
+
+def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
+    """Return the words with each option once: lists are joined, equal values are merged.
+
+    argparse, which reads the command line, would silently keep only the last one. Operands are
+    rewritten so that none looks like an option (`-x.png` becomes `./-x.png`), because the parser
+    (tyro) forgets `--` after a positional value.
+
+    Raises:
+        InputError: If an option is given twice with different values.
+    """
+    if not arguments or arguments[0] not in commands:
+        return list(arguments)
+    lists = list_options(commands[arguments[0]])
+    arguments, operands = split_operands(arguments)
+    rest: list[str] = []
+    joined: dict[str, list[str]] = {}
+    single: dict[str, str | None] = {}
+    for name, values in _group_by_option(arguments):
+        if name in lists:
+            # An option with `=` has a single value; the words after it do not belong to it.
+            joined.setdefault(name, []).extend(values)
+            continue
+        value = values[0] if values else None
+        if name and single.setdefault(name, value) != value:
+            limit = f"it is given twice, as {single[name]} and as {value}."
+            raise InputError(name.removeprefix("--"), value, limit, "Give it once.")
+        if name and value and value.startswith("-") and value != "-h":
+            # Otherwise the value would be read as an option: `--front -y`.
+            name, values = f"{name}={value}", values[1:]
+        rest += [name, *values] if name else values
+    for name, values in joined.items():
+        rest += [name, *values]
+    paths = (f"./{word}" if word.startswith("-") else word for word in operands[1:])
+    return [*rest, *operands[:1], *paths]
+
+
+def list_options(command: Any) -> set[str]:
+    """Return the names of a command's options that accept any number of values."""
+    names: set[str] = set()
+    for name, kind in list_fields(command).items():
+        if list_fields(kind):
+            names |= list_options(kind)
+        elif any(Ellipsis in get_args(option) for option in (kind, *get_args(kind))):
+            names.add("--" + name.replace("_", "-"))
+    return names
+
+
+def list_positionals(command: Any) -> list[str]:
+    """Return the names of a command's positional arguments, in order."""
+    import tyro
+
+    hints = get_type_hints(command, include_extras=True)
+    return [name for name, hint in hints.items() if tyro.conf.Positional in get_args(hint)[1:]]
+
+
+def list_fields(kind: Any) -> dict[str, Any]:
+    """Return name -> type of the fields of a dataclass or pydantic model; {} for other types."""
+    if is_dataclass(kind):
+        names = [field.name for field in fields(kind)]
+    else:
+        names = [*getattr(kind, "model_fields", ())]
+    hints = get_type_hints(kind, include_extras=True) if names else {}
+    return {name: _strip_annotated(hints[name]) for name in names}
+
+
+def _strip_annotated(annotation: Any) -> Any:
+    """Return the type inside `Annotated`."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    return annotation
+
+
+def _group_by_option(arguments: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Return each option with the words after it; words before any option have the name ""."""
+    groups: list[tuple[str, list[str]]] = [("", [])]
+    for word in arguments:
+        if not word.startswith("--"):
+            groups[-1][1].append(word)
+            continue
+        name, equals, value = word.partition("=")
+        groups.append((name.replace("_", "-"), [value] if equals else []))
+        if equals:
+            groups.append(("", []))
+    return groups
