@@ -9,7 +9,7 @@ from phy124.accuracy.ball import ball
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.live import Live, RealTime, choose, held_rate
-from phy124.live.inputs import Held, Inputs
+from phy124.live.inputs import GrabRecord, Inputs
 from phy124.scene import Scene
 from support.pages import ROOT, blocks
 
@@ -38,7 +38,7 @@ def play(run: Live) -> list:
     frames = [run.step(), run.step()]
     run.grab((0, 0, 0.9))
     for step in range(4):
-        run.to((0, 0.05 * step, 1.1))
+        run.move_to((0, 0.05 * step, 1.1))
         frames.append(run.step())
     run.release()
     run.push((200, 0, 0), torque=(0, 0, 50), seconds=0.1)
@@ -67,7 +67,7 @@ def test_live_run_keeps_only_acting_forces():
     for start in range(50):
         times = [0.0, *(np.arange(1, 24) / 24)]
         targets = [(0.0, np.sin(start + t), 1.0) for t in times]
-        inputs.grabs.append(Held(start, {}, times, targets, start + 1.0))
+        inputs.grabs.append(GrabRecord(start, {}, times, targets, start + 1.0))
         inputs.weigh((0, 0, -1 - start), start)
         inputs.soften(1 + start, start, start - 1 / 24)
     whole, now = inputs.scene(), inputs.scene(49.5)
@@ -84,7 +84,7 @@ def test_what_is_held_follows_the_hand_and_falls_when_it_lets_go():
     run.step()
     run.grab((0, 0, 1.0))
     for frame in run.frames(40):  # noqa: B007
-        run.to((0.2, 0.3, 1.6))
+        run.move_to((0.2, 0.3, 1.6))
     # It hangs: the point held is below the hand by the weight over the spring's stiffness.
     sag = run.limits.weight / run.limits.stiffness
     top = frame.gaussians.means[frame.gaussians.means[:, 2] > middle(frame)[2] + 0.3].mean(axis=0)
@@ -172,7 +172,7 @@ def test_a_frame_that_fails_drops_the_inputs_and_goes_on(monkeypatch):
         (lambda run: run.grab((np.nan, 0, 0)), "grab.point"),
         (lambda run: run.grab((50, 0, 0)), "grab.point"),
         (lambda run: run.grab((0, 0, 0.9), radius=0), "grab.radius"),
-        (lambda run: run.to((0, 0, 0)), "to"),
+        (lambda run: run.move_to((0, 0, 0)), "move_to"),
         (lambda run: run.push("north"), "push.force"),
         (lambda run: run.push((1, 0, 0), seconds=-1), "push.seconds"),
         (lambda run: run.push((1, 0, 0), at=(0, 9, 0)), "push.at"),
@@ -196,7 +196,7 @@ def test_what_is_too_much_is_made_smaller_and_said():
     run.step()
     run.push((1e30, 0, 0), seconds=0.01)
     run.grab((0, 0, 0.9))
-    run.to((0, 0, 2.3e11))
+    run.move_to((0, 0, 2.3e11))
     for frame in run.frames(5):
         assert np.isfinite(frame.gaussians.means).all()
     assert len(run.notes) == 2 and "most there is" in run.notes[0]
@@ -215,7 +215,7 @@ def test_what_flies_away_begins_anew():
     frames = list(run.frames(30))
     ways = [middle(frame)[0] for frame in frames]
     assert 20 < max(ways) < 60 and frames[-1].index < 30
-    assert "begins anew" in run.notes[-1] and run.time < 1
+    assert "starts again" in run.notes[-1] and run.time < 1
 
 
 @pytest.mark.parametrize("inputs", [60, pytest.param(1000, marks=pytest.mark.slow)])
@@ -231,7 +231,7 @@ def test_random_hands_never_break_it(inputs):
 
     calls = [
         lambda: run.grab(triple()),
-        lambda: run.to(triple()),
+        lambda: run.move_to(triple()),
         run.release,
         lambda: run.push(triple(), torque=triple(), seconds=value()),
         lambda: run.push(triple(), at=triple()),
@@ -253,7 +253,7 @@ def test_external_binding_gets_motion_without_shapes():
     for run in (shaped, bare):
         run.step()
         run.grab((0, 0, 0.9))
-        run.to((0, 0.3, 1.2))
+        run.move_to((0, 0.3, 1.2))
     frames = [(shaped.step(), bare.step()) for _ in range(3)]
     for one, other in zip(shaped.particles, bare.particles, strict=True):
         assert np.array_equal(one, other)
@@ -347,7 +347,7 @@ def test_softness_changes_next_frame_and_replays():
     for index in range(8):
         if index in (2, 3, 5):
             run.soften({2: 0.2, 3: 0.1, 5: 30.0}[index])
-        run.to((0, 0, 1.25))
+        run.move_to((0, 0, 1.25))
         frames.append(run.step())
     stretched = [np.ptp(frame.gaussians.means[:, 2]) for frame in frames]
     assert stretched[4] > stretched[1] + 0.03 > stretched[7], "softer, then stiffer"

@@ -284,7 +284,7 @@ def test_live_grab_and_its_session_take_the_same_object():
     assert live.pairs == {"ball_on_box": "box"} and set(live.centres) == {"ball", "box"}
     x, y, top = live.centres["box"] + (0, 0, 0.24)
     live.grab((x, y, top))  # the ball is above it, within the radius of the hand
-    live.to((x, y + 0.5, top))
+    live.move_to((x, y + 0.5, top))
     live.push((0, 0, 300), object="ball")
     frames = [frame, *live.frames(4)]
     forces = {force.kind: force.object for force in live.session().forces}

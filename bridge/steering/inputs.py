@@ -123,7 +123,7 @@ class Inputs:
         place = self._transforms.pose(frame) if name is None else self._at(name)
         target = (place @ [*_numbers("grab.point", self._grab.point), 1.0])[:3].tolist()
         if self._live.holds:
-            self._live.to(target)
+            self._live.move_to(target)
         else:
             self._live.grab(target, object=name)
 
@@ -145,9 +145,9 @@ class Inputs:
 
 def _numbers(field: str, given: Any) -> np.ndarray:
     """The three finite numbers of a vector or point; raises InputError."""
-    from phy124.live.limits import vector
+    from phy124.live.limits import check_vector
 
-    return np.array(vector(field, (given.x, given.y, given.z)))
+    return np.array(check_vector(field, (given.x, given.y, given.z)))
 
 
 def _static(options: Options) -> Any:

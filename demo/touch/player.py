@@ -9,7 +9,7 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.live import Live, RealTime, held_rate
-from phy124.live.limits import number
+from phy124.live.limits import check_number
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 
@@ -117,19 +117,19 @@ class Player:
 
     def _to(self, target: Any) -> None:
         if self.live.holds:
-            self.live.to(target)
+            self.live.move_to(target)
 
     def _release(self, _: Any) -> None:
         self.live.release()
 
     def _gravity(self, g: Any) -> None:
-        self.live.gravity((0.0, 0.0, -number("gravity", g, 0, 100)))
+        self.live.gravity((0.0, 0.0, -check_number("gravity", g, 0, 100)))
 
     def _soften(self, factor: Any) -> None:
         self.live.soften(factor)
 
     def _speed(self, speed: Any) -> None:
-        self._clock.speed = number("speed", speed, 0.05, 1)
+        self._clock.speed = check_number("speed", speed, 0.05, 1)
         self._clock.restart()
 
     def _pause(self, on: Any) -> None:

@@ -1,12 +1,12 @@
-"""A live run: it is pushed while it runs, and what was done to it becomes a scene.
+"""A live run: it is pushed while it runs, and the inputs become a scene.
 
     live = Live(gaussians, Scene.named("drop"))
     live.grab((0, 0, 1))
     for frame in live.frames(24):
-        live.to((0, frame.time, 1.2))
+        live.move_to((0, frame.time, 1.2))
 
-Inputs act from one frame to the next. `session()` is the scene that does the same again, at the
-same accuracy bit for bit, or at a finer one.
+Inputs act from the next frame on. `session()` returns the scene that repeats the run, bit
+for bit at the same accuracy, or at a finer one.
 """
 
 from phy124.live.choose import Choice, held_rate

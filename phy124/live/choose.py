@@ -1,4 +1,4 @@
-"""How fine a live run may be on this machine: a trial of half a second tells what grids take."""
+"""Chooses the finest grid that a live run can have on this machine, by a trial of half a second."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
 from phy124.live.engine import Live
-from phy124.live.limits import number
+from phy124.live.limits import check_number
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 
@@ -19,21 +19,21 @@ TRIED = 12
 SPARE = 0.8
 """Fraction of a frame's time that the run may take."""
 WARM, FRAMES, SECONDS = 2, 6, 0.2
-"""A trial has so many frames before it counts, so many that count, and no more time [s]."""
+"""Frames of a trial before it counts, frames that count, and its time limit [s]."""
 COST_POWER = 4
 """Substeps cost as this power of the cells: particles fill space, and substeps get shorter."""
 
 
 class Cost(NamedTuple):
-    """What a frame takes on the grid that was tried [s]."""
+    """Time of a frame on the grid of the trial [s]."""
 
     cells: int
     substeps: float
     others: float
-    """Shapes of the Gaussians and whatever else does not depend on the grid."""
+    """Time that does not depend on the grid, such as the shapes of the Gaussians [s]."""
 
     def on(self, cells: int) -> float:
-        """On another grid."""
+        """Estimate the time of a frame on another grid [s]."""
         return self.others + self.substeps * (cells / self.cells) ** COST_POWER
 
 
@@ -42,13 +42,13 @@ class Choice(NamedTuple):
 
     scene: Scene
     factor: float
-    """Simulated seconds per second that the machine can do, told from the trial."""
+    """Simulated seconds per second that this machine reaches, by the trial."""
     promise: Promise
-    """What error it is promised."""
+    """Promised error."""
 
     @property
     def sentence(self) -> str:
-        """For people."""
+        """The choice in words."""
         slow = "" if self.factor >= 1 else "; time runs slower than in reality"
         cells = f"{self.scene.resolution.cells} cells across the object"
         return f"{cells}, {self.factor:.1f}x real time{slow}. {self.promise.brief}"
@@ -75,13 +75,13 @@ def held_rate(
     Raises:
         InputError: The object or the scene cannot be used, or a number is out of bounds.
     """
-    rate = number("rate", rate, 0.01, 100)
+    rate = check_number("rate", rate, 0.01, 100)
     if max_error is None:
         cost = _trial(gaussians, _on(scene, TRIED), options)
         allowed = SPARE / (scene.time.fps * rate)
         cells = max((n for n in CELLS if cost.on(n) <= allowed), default=CELLS[0])
     else:
-        cells = _exact_enough(scene, number("max_error", max_error, 1e-6, 1))
+        cells = _exact_enough(scene, check_number("max_error", max_error, 1e-6, 1))
         cost = _trial(gaussians, _on(scene, cells), options)
     chosen = _on(scene, cells)
     return Choice(chosen, 1 / (scene.time.fps * cost.on(cells)), promise(chosen))
@@ -112,7 +112,7 @@ def _trial(gaussians: Gaussians, scene: Scene, options: dict[str, Any]) -> Cost:
     sway = 0.3 * live.limits.size
     frames: list[tuple[float, float]] = []
     for count in range(WARM + FRAMES):
-        live.to((x, y + (sway if count % 2 else -sway), z))
+        live.move_to((x, y + (sway if count % 2 else -sway), z))
         begun, before = time.perf_counter(), watch.seconds.get("simulate", 0.0)
         live.step()
         substeps = watch.seconds.get("simulate", 0.0) - before

@@ -1,7 +1,7 @@
-"""Live: one run that answers to inputs, frame by frame.
+"""Runs a scene frame by frame while inputs act on it.
 
-A run that stops because a frame is not sound says so, drops what was done to it, and goes on from
-the last sound frame.
+If a frame is not sound, the run notes it, drops the inputs, and continues from the last sound
+frame.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from phy124.forces import WrenchForce
 from phy124.gaussians import Frame, Gaussians, Wrench
 from phy124.io.clip import Clip
 from phy124.live import places
-from phy124.live.inputs import Held, Inputs, Moved, movable
+from phy124.live.inputs import GrabRecord, Inputs, WallPath, is_movable
 from phy124.live.limits import (
     FASTEST,
     LIFTS,
@@ -25,9 +25,9 @@ from phy124.live.limits import (
     STANDARD_GRAVITY,
     STRONGEST,
     Limits,
-    bounded,
-    number,
-    vector,
+    check_number,
+    check_vector,
+    shorten,
 )
 from phy124.properties.stiffness import SOFTEST, STIFFEST
 from phy124.scene import Scene
@@ -36,20 +36,20 @@ from phy124.simulation import Simulation, Stopped
 from phy124.simulation.appearance import Appearance
 
 FOREVER = 1e8
-"""A live run has no budget of time of its own [s]; what shows it has."""
+"""Time budget of a live run [s]: none."""
 KEPT_EVERY = 12
-"""Frames between two states that are kept to go back to."""
+"""Frames between two stored states."""
 LOST = 50.0
-"""Distance from the middle of the scene [sizes] at which nobody holds it any more."""
+"""Distance from the middle of the scene [sizes] at which the run starts again."""
 NOTES = 20
-"""Sentences that are kept."""
+"""Largest number of stored notes."""
 
 
 class Live:
     """A run that is pushed while it runs.
 
-    Give inputs between two frames; they act from the next frame on. It is not safe to use from
-    several threads: who gets inputs from elsewhere queues them.
+    Give inputs between two frames; they act from the next frame on. It is not safe for several
+    threads: queue inputs that come from elsewhere.
     """
 
     def __init__(
@@ -61,8 +61,8 @@ class Live:
             gaussians: The object at any size, standing upright, facing +x.
             scene: What happens to it without inputs; its accuracy is kept (`held_rate` chooses
                 one that this machine runs in real time).
-            shapes: Whether frames show where the Gaussians are; False saves their time for who
-                binds them to `particles` elsewhere.
+            shapes: False if frames need no Gaussians, since another program binds them to
+                `particles`; saves time.
             **options: Those of `Simulation`, such as device and threads.
 
         Raises:
@@ -72,12 +72,12 @@ class Live:
         self._scene = scene.model_copy(update={"time": timing, "wrenches": True})
         self._gaussians, self._shapes, self._options = gaussians, shapes, options
         self.notes: list[str] = []
-        """Sentences about inputs that were made smaller and about frames that failed."""
+        """Sentences on inputs that were reduced and on frames that failed."""
         self.reset()
         self.limits = Limits.of(self._run.particles, self._scene)
 
     def reset(self) -> None:
-        """Begin anew, with nothing done to the object."""
+        """Start again without inputs."""
         self._inputs = Inputs(self._scene)
         self._run = Simulation(
             self._gaussians, self._scene, keep=False, changes=True, shapes=self._shapes,
@@ -91,36 +91,36 @@ class Live:
 
     @property
     def time(self) -> float:
-        """The simulated time that inputs act from [s]: that of the last frame."""
+        """Simulated time of the last frame [s], from which inputs act."""
         return max(self._run.count - 1, 0) / self._scene.time.fps
 
     @property
     def count(self) -> int:
-        """Number of frames of the session so far."""
+        """Number of frames of the session."""
         return self._run.count
 
     @property
     def particles(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Positions [P,3], m, and deformation gradients [P,3,3] of all particles now."""
+        """Positions [P,3], m, and deformation gradients [P,3,3] of all particles."""
         state = self._run.solver.state
         x, F = np.asarray(state.x.numpy()), np.asarray(state.deformation.numpy())
         return x.astype(np.float32), F.astype(np.float32)
 
     @property
     def centre(self) -> NDArray[np.float64]:
-        """The object's centre of mass now [3], m."""
+        """Centre of mass of the object [3], m."""
         x = np.asarray(self._run.solver.state.x.numpy(), dtype=np.float64)
         mass = self._run.particles.mass.astype(np.float64)
         return mass @ x / mass.sum()
 
     @property
     def holds(self) -> bool:
-        """Whether something is held."""
+        """True if something is held."""
         return self._inputs.holding is not None
 
     @property
     def scene(self) -> Scene:
-        """What happens without inputs."""
+        """The scene without inputs."""
         return self._scene
 
     @property
@@ -130,16 +130,16 @@ class Live:
 
     @property
     def look(self) -> Appearance:
-        """How the object is shown: its Gaussians at rest, and which of them move."""
+        """Gaussians of the object at rest, and which of them move."""
         return self._run.look
 
     def frames(self, count: int) -> Iterator[Frame]:
-        """So many frames, one after the other; inputs may be given between them."""
+        """Yield `count` frames; inputs may act between them."""
         for _ in range(count):
             yield self.step()
 
     def step(self) -> Frame:
-        """The next frame; after one that is not sound, the last one that can be made again."""
+        """Compute the next frame; if it is not sound, continue from the last sound state."""
         if self._run.count:
             self._lead()
         self._apply()
@@ -148,7 +148,7 @@ class Live:
         except Stopped as stop:
             frame = self._go_back(str(stop))
         if float(np.linalg.norm(self.centre)) > LOST * self._scene.object.size:
-            self._note(f"It is more than {LOST:g} of its sizes away and begins anew.")
+            self._note(f"It is more than {LOST:g} of its sizes away and starts again.")
             self.reset()
             frame = self._run.step()
         self._frame = frame
@@ -165,47 +165,47 @@ class Live:
         stiffness: float | None = None,
         strength: float | None = None,
     ) -> None:
-        """Take hold of the object; what was held before is let go.
+        """Take hold of the object and release what was held before.
 
         Args:
-            point: A place on or near the object as it is now [m].
-            object: Name of the object that is held, of several; None: the one that is nearest.
-            radius: Material so close to it is held [m], less firmly towards the rim.
-            stiffness: Of the spring between hand and object [N/m].
+            point: Place on or near the moving object [m].
+            object: Name of the object, of several; None: the nearest.
+            radius: Radius of the held material [m], which is held less firmly towards the rim.
+            stiffness: Stiffness of the spring between hand and object [N/m].
             strength: Largest force [N].
 
         Raises:
             InputError: A number cannot be used, or no part of the object is there.
         """
         limits = self.limits
-        place = vector("grab.point", point)
+        place = check_vector("grab.point", point)
         radius = limits.radius if radius is None else radius
-        radius = number("grab.radius", radius, 0.01 * limits.size, 2 * limits.size)
+        radius = check_number("grab.radius", radius, 0.01 * limits.size, 2 * limits.size)
         stiffness = limits.stiffness if stiffness is None else stiffness
-        stiffness = number("grab.stiffness", stiffness, 0, 1e4 * limits.stiffness)
+        stiffness = check_number("grab.stiffness", stiffness, 0, 1e4 * limits.stiffness)
         strength = LIFTS * limits.weight if strength is None else strength
-        strength = number("grab.strength", strength, 0, STRONGEST * limits.weight)
-        held = places.found(self._run, "grab.point", place, radius, object)
+        strength = check_number("grab.strength", strength, 0, STRONGEST * limits.weight)
+        held = places.find_material(self._run, "grab.point", place, radius, object)
         self.release()
         options = {
             "point": held.rest, "object": held.object, "radius": radius,
             "stiffness": stiffness, "damping": limits.damping, "strength": strength,
         }  # fmt: skip
-        self._inputs.grabs.append(Held(self.time, options, [0.0], [place]))
+        self._inputs.grabs.append(GrabRecord(self.time, options, [0.0], [place]))
         self._target, self._changed = place, True
 
-    def to(self, target: Sequence[float]) -> None:
-        """Draw what is held to a place [m]; it gets there by the next frame, if it is free to.
+    def move_to(self, target: Sequence[float]) -> None:
+        """Move the grab target to a place [m], reached by the next frame if nothing blocks it.
 
         Raises:
             InputError: Nothing is held, or these are not three finite numbers.
         """
         if not self.holds:
-            raise InputError("to", target, "nothing is held.", "Call grab first.")
-        self._target = self._said(*self.limits.place("to", target))
+            raise InputError("move_to", target, "nothing is held.", "Call grab first.")
+        self._target = self._note_change(*self.limits.place("move_to", target))
 
     def release(self) -> None:
-        """Let go of what is held."""
+        """Release what is held."""
         held = self._inputs.holding
         if held is not None:
             self._inputs.grabs.remove(held)
@@ -226,17 +226,17 @@ class Live:
         seconds: float = 0.1,
         name: str = "",
     ) -> None:
-        """Push the object for a while, and then no more.
+        """Push the object for some seconds.
 
         Args:
-            force: [N]
-            torque: About where it acts [N m].
-            at: A place on the object as it is now [m]; None: on the whole of it.
-            object: Name of the object, of several; None: that at this place, or all of them.
-            radius: Material so close to it is pushed [m], less towards the rim.
-            seconds: How long [s].
-            name: It takes the place of the push of this name before it, which ends; empty: it
-                acts beside all others.
+            force: Force [N].
+            torque: Torque about the place where the push acts [N m].
+            at: Place on the moving object [m]; None: the whole object.
+            object: Name of the object, of several; None: the object at this place, or all.
+            radius: Radius of the pushed material [m], which is pushed less towards the rim.
+            seconds: Duration [s].
+            name: A push with this name replaces the earlier push of the same name; an unnamed push
+                adds to all others.
 
         Raises:
             InputError: A number cannot be used, no part of the object is there, or too many pushes
@@ -244,23 +244,28 @@ class Live:
         """
         now, limits = self.time, self.limits
         before = self._named.get(name or "")
-        acting = sum(one.end > now for one in self._inputs.wrenches if one.end and one != before)
+        acting = sum(w.end > now for w in self._inputs.wrenches if w.end and w != before)
         if acting >= PUSHES:
-            limit = f"{acting} pushes act at this moment, the most there may be."
-            raise InputError("push", len(self._inputs.wrenches), limit, "Wait for one to end.")
-        seconds = number("push.seconds", seconds, 1e-3, 3600)
-        radius = number(
+            limit = f"{acting} pushes act at this moment, which is the maximum."
+            raise InputError("push", len(self._inputs.wrenches), limit, "Wait until a push ends.")
+        seconds = check_number("push.seconds", seconds, 1e-3, 3600)
+        radius = check_number(
             "push.radius", limits.radius if radius is None else radius,
             0.01 * limits.size, 2 * limits.size,
         )  # fmt: skip
-        place = None if at is None else vector("push.at", at)
-        point, of = None, places.checked(self._scene, "push.object", object)
+        place = None if at is None else check_vector("push.at", at)
+        point, of = None, places.check_object(self._scene, "push.object", object)
         if place is not None:
-            point, of = places.found(self._run, "push.at", place, radius, object)
-        given = self._said(*limits.force("push.force", force))
-        turn = self._said(*limits.torque("push.torque", torque))
-        acts: dict[str, Any] = {"object": of, "start": now, "end": now + seconds}
-        push = WrenchForce(force=given, torque=turn, point=point, radius=radius, **acts)
+            point, of = places.find_material(self._run, "push.at", place, radius, object)
+        push = WrenchForce(
+            force=self._note_change(*limits.force("push.force", force)),
+            torque=self._note_change(*limits.torque("push.torque", torque)),
+            point=point,
+            radius=radius,
+            object=of,
+            start=now,
+            end=now + seconds,
+        )
         self._inputs.end_push(before, now)
         self._inputs.wrenches.append(push)
         if name:
@@ -268,71 +273,71 @@ class Live:
         self._changed = True
 
     def gravity(self, g: Sequence[float]) -> None:
-        """Another gravity from now on [m/s^2], at most ten times that of the earth.
+        """Change the gravity [m/s^2], at most to ten times that of the earth.
 
         Raises:
-            InputError: These are not three finite numbers.
+            InputError: The value is not three finite numbers.
         """
-        given = bounded("gravity", g, 10 * STANDARD_GRAVITY, "m/s^2")
-        self._inputs.weigh(self._said(*given), self.time)
+        shortened = shorten("gravity", g, 10 * STANDARD_GRAVITY, "m/s^2")
+        self._inputs.weigh(self._note_change(*shortened), self.time)
         self._changed = True
 
     def soften(self, factor: float) -> None:
-        """Multiply the Young's modulus of the scene by a factor from now on, 0.01 to 100.
+        """Multiply the Young's modulus of the scene by a factor, 0.01 to 100.
 
         Raises:
-            InputError: It is no such number, or the scene has a stiffness that changes by itself.
+            InputError: The factor is out of bounds, or the scene has a stiffness profile.
         """
         if self._scene.stiffness_profile is not None:
-            limit = "the scene's stiffness changes by itself."
+            limit = "the scene has a stiffness profile."
             raise InputError("soften", factor, limit, "Leave stiffness_profile out.")
-        given = number("soften", factor, SOFTEST, STIFFEST)
+        factor = check_number("soften", factor, SOFTEST, STIFFEST)
         before = max(self._run.count - 2, 0) / self._scene.time.fps
-        self._inputs.soften(given, self.time, before)
+        self._inputs.soften(factor, self.time, before)
         self._changed = True
 
     def move(self, wall: int, to: Sequence[float]) -> None:
-        """Move a boundary of the scene to a displacement from where it began [m], at hand speed.
+        """Move a boundary of the scene to a displacement [m] from its start, at hand speed.
 
         Raises:
-            InputError: There is no such boundary, it cannot move or moves by itself, or these are
+            InputError: There is no such boundary, it cannot move or has a motion, or the value is
                 not three finite numbers.
         """
         walls = self._scene.boundaries
         if not (isinstance(wall, int) and 0 <= wall < len(walls)):
             kinds = ", ".join(f"{i}: {w.kind}" for i, w in enumerate(walls)) or "it has none"
             raise InputError("move.wall", wall, "the scene has no such boundary.", f"({kinds})")
-        if not movable(self._scene, wall):
+        if not is_movable(self._scene, wall):
             why = f"the {walls[wall].kind} of this scene cannot be moved by hand."
-            raise InputError("move.wall", wall, why, "Choose a boundary that has no motion yet.")
-        self._offsets[wall] = self._said(*self.limits.place("move.to", to))
+            raise InputError("move.wall", wall, why, "Choose a boundary that has no motion.")
+        self._offsets[wall] = self._note_change(*self.limits.place("move.to", to))
 
     def contacts(self) -> dict[str, Wrench]:
-        """Mean force [N] and torque [N m] over the last frame on each wall and in each pair."""
+        """Return mean force [N] and torque [N m] over the last frame, of each wall and pair."""
         return dict(self._frame.wrenches or {})
 
     @property
     def pairs(self) -> dict[str, str]:
-        """Names of wrenches between objects (`duck_on_cushion`), each with what it acts on."""
-        return places.pairs(self._run)
+        """Wrenches between objects (`duck_on_cushion`) -> the object that each acts on."""
+        return places.list_pairs(self._run)
 
     @property
     def centres(self) -> dict[str, NDArray[np.float64]]:
-        """The centre of mass of each object now [3], m, by its name."""
-        return places.centres(self._run)
+        """Centre of mass [3], m, of each object by name."""
+        return places.compute_centres(self._run)
 
     def session(self) -> Scene:
-        """The scene that does what was done, for as long as it has lasted."""
+        """Return the scene with all inputs, as long as the session."""
         frames = max(self._run.count, 1)
         scene = self._inputs.scene()
         return scene.model_copy(update={"time": scene.time.model_copy(update={"frames": frames})})
 
     def clip(self) -> Clip:
-        """The session as a clip, simulated again: the frames are the same, bit for bit."""
+        """Simulate the session again and return the clip: its frames are equal, bit for bit."""
         return Simulation(self._gaussians, self.session(), **self._options).run()
 
     def _lead(self) -> None:
-        """Targets and displacements for the frame to come."""
+        """Add targets and displacements for the next frame."""
         next_time = self._run.count / self._scene.time.fps
         held = self._inputs.holding
         if held is not None and self._target is not None:
@@ -343,8 +348,8 @@ class Live:
             self._move_on(wall, offset, next_time)
 
     def _move_on(self, wall: int, offset: Vector, next_time: float) -> None:
-        """A boundary's way in the frame to come: towards its offset, at most at hand speed."""
-        moved = self._inputs.moved.setdefault(wall, Moved())
+        """Move a wall towards its offset in the next frame, at most at the speed of a hand."""
+        moved = self._inputs.moved.setdefault(wall, WallPath())
         here, there = np.array(moved.points[-1]), np.array(offset)
         step, most = there - here, FASTEST * self.limits.size / self._scene.time.fps
         far = float(np.linalg.norm(step))
@@ -361,15 +366,15 @@ class Live:
         self._changed = True
 
     def _apply(self) -> None:
-        """Let the run go on under what has been done since."""
+        """Pass new inputs to the run."""
         if self._changed:
-            # The first kick of a frame also looks back, half a substep.
+            # The first kick of a frame also covers the half substep before it.
             self._run.change(self._inputs.scene(self.time - 1 / self._scene.time.fps))
             self._changed = False
 
     def _go_back(self, why: str) -> Frame:
-        """Drop the inputs and try again from where it was, then from earlier, then anew."""
-        self._note(f"{why} What was done to the object is dropped.")
+        """Drop the inputs and continue from the last state, an earlier state, or the start."""
+        self._note(f"{why} The inputs are dropped.")
         for time, snapshot in [(self.time, None), *reversed(self._kept)]:
             if snapshot is not None:
                 self._run.restore(snapshot)
@@ -378,20 +383,20 @@ class Live:
                 return self._run.step()
             except Stopped:
                 continue
-        self._note("No earlier state could be continued either: it begins anew.")
+        self._note("No earlier state could be continued either: the run starts again.")
         self.reset()
         return self._run.step()
 
     def _drop(self, time: float) -> None:
-        """Take back the inputs from a time on."""
+        """Remove the inputs from a time on."""
         self._inputs.forget(time)
         self._target, self._offsets = None, {}
         self._run.change(self._inputs.scene())
 
-    def _said(self, value: Vector, said: str) -> Vector:
-        """The value; the sentence is kept."""
-        if said:
-            self._note(said)
+    def _note_change(self, value: Vector, sentence: str) -> Vector:
+        """Return the value, and store the sentence on its change."""
+        if sentence:
+            self._note(sentence)
         return value
 
     def _note(self, sentence: str) -> None:

@@ -1,7 +1,7 @@
-"""Limits of a hand: what it may do to an object, and what it does unless told otherwise.
+"""Limits and defaults of what a hand may do to an object.
 
-A hand is as strong as holds the object twice, so it can lift and throw it but not blow it up; its
-spring lets the object sag by a few hundredths of its size.
+By default a hand pulls with three times the object's weight, so it can lift and throw it but not
+make it explode; its spring lets the object sag by a few hundredths of its size.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from phy124.schema.region import Vector
 
 STANDARD_GRAVITY = 9.81
 LIFTS = 3.0
-"""How many times the object's weight a hand pulls with unless told otherwise, and ..."""
+"""Default strength of a hand, in weights of the object."""
 STRONGEST = 30.0
-"""... at most."""
+"""Largest strength of a hand, in weights of the object."""
 SWAY = 3.0
 """Frequency at which the object swings on a hand's spring [Hz], for an object of 1 m."""
 FARTHEST = 5.0
-"""How far from the middle of the scene a hand reaches [sizes of the object]."""
+"""Reach of a hand from the middle of the scene [sizes of the object]."""
 FASTEST = 5.0
-"""How fast a hand moves a wall [sizes per second]."""
+"""Largest speed at which a hand moves a wall [sizes per second]."""
 PUSHES = 16
-"""Pushes that act at the same time."""
+"""Largest number of simultaneous pushes."""
 
 
 @dataclass(frozen=True)
@@ -43,99 +43,99 @@ class Limits:
 
     @classmethod
     def of(cls, particles: Particles, scene: Scene) -> Limits:
-        """Those of an object."""
+        """Compute the limits of an object from its particles."""
         return cls(float(particles.mass.sum(dtype=np.float64)), scene.object.size)
 
     @property
     def weight(self) -> float:
-        """In standard gravity [N]."""
+        """Weight in standard gravity [N]."""
         return self.mass * STANDARD_GRAVITY
 
     @property
     def stiffness(self) -> float:
-        """Of a hand's spring [N/m]: the smaller an object, the faster it swings."""
+        """Stiffness of a hand's spring [N/m]: smaller objects swing faster."""
         return self.mass * (2 * math.pi * SWAY) ** 2 / self.size
 
     @property
     def damping(self) -> float:
-        """That lets the object swing on the spring without overshooting [N s/m]."""
+        """Critical damping of the spring [N s/m]."""
         return 2 * math.sqrt(self.stiffness * self.mass)
 
     @property
     def radius(self) -> float:
-        """Of what a hand holds [m]."""
+        """Radius of the material that a hand holds [m]."""
         return 0.2 * self.size
 
     def force(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """A force [N] of at most the largest size, and a sentence if it had to be made smaller."""
-        return bounded(field, value, STRONGEST * self.weight, "N")
+        """Shorten a force [N] to the limit; the sentence is empty if it was within."""
+        return shorten(field, value, STRONGEST * self.weight, "N")
 
     def torque(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """A torque [N m] of at most the largest size, and a sentence if it was larger."""
-        return bounded(field, value, STRONGEST * self.weight * self.size, "N m")
+        """Shorten a torque [N m] to the limit; the sentence is empty if it was within."""
+        return shorten(field, value, STRONGEST * self.weight * self.size, "N m")
 
     def place(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """A place [m] within reach, and a sentence if it was farther."""
-        return bounded(field, value, FARTHEST * max(self.size, 1e-6), "m")
+        """Shorten a place [m] to the reach of a hand; the sentence is empty if it was within."""
+        return shorten(field, value, FARTHEST * max(self.size, 1e-6), "m")
 
 
-def vector(field: str, value: Sequence[float]) -> Vector:
-    """Three finite numbers.
+def check_vector(field: str, value: Sequence[float]) -> Vector:
+    """Return a vector of three finite numbers.
 
     Raises:
-        InputError: They are not.
+        InputError: The value is something else.
     """
     try:
-        found = np.asarray(value, dtype=np.float64)
+        components = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        found = np.full(1, np.nan)
-    if found.shape != (3,) or not np.isfinite(found).all():
+        components = np.full(1, np.nan)
+    if components.shape != (3,) or not np.isfinite(components).all():
         raise InputError(field, value, "it must be three finite numbers.", "Give [x, y, z].")
-    x, y, z = found.tolist()
+    x, y, z = components.tolist()
     return x, y, z
 
 
-def number(field: str, value: float, least: float, most: float) -> float:
-    """A finite number within bounds.
+def check_number(field: str, value: float, least: float, most: float) -> float:
+    """Return a finite number within bounds.
 
     Args:
-        field: What it is called.
-        value: What was given.
-        least: The smallest that can be used.
-        most: The largest.
+        field: Name in error messages.
+        value: The value.
+        least: Smallest allowed number.
+        most: Largest allowed number.
 
     Raises:
-        InputError: It is not.
+        InputError: The value is something else.
     """
     limit = f"it must be a number from {least:g} to {most:g}."
     try:
-        found = float(value)
+        result = float(value)
     except (TypeError, ValueError, OverflowError):
         raise InputError(field, value, limit, "Give such a number.") from None
-    if not least <= found <= most:
+    if not least <= result <= most:
         raise InputError(field, value, limit, "Give such a number.")
-    return found
+    return result
 
 
-def bounded(field: str, value: Sequence[float], most: float, unit: str) -> tuple[Vector, str]:
-    """A vector no longer than a limit, and a sentence if it was.
+def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple[Vector, str]:
+    """Shorten a vector to a limit; the sentence is empty if it was within.
 
     Args:
-        field: What it is called.
-        value: What was given.
-        most: The largest length.
-        unit: In which the sentence has it.
+        field: Name in error messages.
+        value: The value.
+        most: Largest length.
+        unit: Unit in the sentence.
 
     Raises:
-        InputError: It is not three finite numbers.
+        InputError: The value is not three finite numbers.
     """
-    found = vector(field, value)
-    length = math.hypot(*found)
+    vector = check_vector(field, value)
+    length = math.hypot(*vector)
     if length <= most:
-        return found, ""
+        return vector, ""
     # The largest component first: the square of a huge number is infinite.
-    largest = max(map(abs, found))
-    x, y, z = (component / largest for component in found)
+    largest = max(map(abs, vector))
+    x, y, z = (component / largest for component in vector)
     scale = most / math.hypot(x, y, z)
-    said = f"{field} = {length:.3g} {unit} was made {most:.3g} {unit}, the most there is here."
-    return (x * scale, y * scale, z * scale), said
+    sentence = f"{field} = {length:.3g} {unit} was reduced to the limit of {most:.3g} {unit}."
+    return (x * scale, y * scale, z * scale), sentence

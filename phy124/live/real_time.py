@@ -1,4 +1,4 @@
-"""Real time: frames when they are due, or slower where the machine cannot; none queue up."""
+"""Paces a live run: frames when they are due, or later where the machine is too slow."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ REMEMBERED = 24
 class RealTime:
     """Call `wait` after each frame; it returns when the next one is due.
 
-    A frame that comes late moves all later ones: time slows down instead of being caught up.
+    A late frame delays all later frames: time slows down, and frames never queue up.
     """
 
     def __init__(
@@ -27,11 +27,11 @@ class RealTime:
 
         Args:
             fps: Frames per second of simulated time.
-            clock: Seconds of a clock that never goes back.
-            sleep: Waits for so many seconds.
+            clock: Monotonic clock [s].
+            sleep: Waits for a number of seconds.
         """
         self.speed = 1.0
-        """Simulated seconds per second that are wanted; below 1: slow motion."""
+        """Simulated seconds per second to aim for; below 1: slow motion."""
         self._fps, self._clock, self._sleep = fps, clock, sleep
         self._due = clock()
         self._shown: deque[float] = deque([self._due], maxlen=REMEMBERED)
@@ -56,7 +56,7 @@ class RealTime:
         return (len(self._shown) - 1) / self._fps / (last - first)
 
     def restart(self) -> None:
-        """Begin anew, after a pause."""
+        """Start again after a pause."""
         self._due = self._clock()
         self._shown.clear()
         self._shown.append(self._due)
