@@ -162,6 +162,24 @@ def test_modulus_bounds_the_stiffest_motion(material, nu, rng):
     assert stiffest[0] >= 0.99 * bound[0]
 
 
+@pytest.mark.parametrize("material", [*LAWS, Fluid()], ids=name)
+@pytest.mark.parametrize("amount", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("growth", [1.1, 1.6])
+def test_calm_strain_bounds_stiffening(material, amount, growth, rng):
+    """No particle strained by it becomes stiffer than `growth` times the stiffest one."""
+    F = np.einsum("ni,ij->nij", np.exp(amount * rng.standard_normal((500, 3))), EYE)
+    stiffest = evaluate(material, F).modulus.max()
+    strains = rng.standard_normal((500, 3))
+    strains[:20] = 1
+    strains[20:40] = -1
+    strains *= material.calm_strain(growth, stiffest / material.density) / np.linalg.norm(
+        strains, axis=1, keepdims=True
+    )
+    # The strain may come at once or in small steps, and all of them may be the stiffest.
+    strained = np.exp(strains)[:, :, None] * np.where(np.arange(500)[:, None, None] % 2, F, EYE)
+    assert evaluate(material, strained).modulus.max() <= growth * stiffest * (1 + 1e-4)
+
+
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("amount", [0.01, 0.1, 0.5, 2.0])
 def test_henckys_modulus_bounds_shear_however_strained(precision, amount, rng):

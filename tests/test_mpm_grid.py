@@ -29,17 +29,6 @@ def test_particles_that_crossed_too_many_cells_are_an_error(grid):
         grid.fit(np.full(3, 5.0), np.full(3, 6.0))
 
 
-def test_all_particles_must_be_inside_the_window_and_finite(grid):
-    middle = grid.origin + grid.dx * (grid.low + grid.size / 2)
-    grid.require_inside(np.array([middle]))
-    grid.require_inside(np.zeros((0, 3)))
-    far = middle + grid.dx * np.array([0, 0, grid.size[2] / 2])
-    with pytest.raises(Unstable, match="crossed more cells"):
-        grid.require_inside(np.array([middle, far]))
-    with pytest.raises(Unstable, match="NaN"):
-        grid.require_inside(np.array([middle, [np.nan, 0, 0]]))
-
-
 def test_nodes_that_have_no_number_are_an_error(grid):
     grid.stale = True
     with pytest.raises(Unstable, match="cells far"):

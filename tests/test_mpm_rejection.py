@@ -8,7 +8,8 @@ import pytest
 from phy124.forces import Gravity, ParticleForce, SetVelocity
 from phy124.gaussians import Gaussians
 from phy124.materials import NeoHookean
-from phy124.mpm.clock import MEASURE_EVERY
+from phy124.mpm import MEASURE_EVERY, Unstable
+from phy124.mpm.timestep import MEMORY, Extremes
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from support.shapes import block
@@ -16,6 +17,8 @@ from support.solvers import make_solver
 
 CALM = 1e-6
 """A substep in which nothing happens [s]."""
+CALM_STRAIN = 0.2
+"""Strain that changes no stiffness much."""
 
 
 def solver(forces=(), **options):
@@ -61,10 +64,10 @@ def test_violent_substep_is_shortened_to_one_cell():
 def test_measuring_is_rarer_only_where_nothing_moves_far_between():
     s = solver(measure_every=40)
     s.advance(1e-4)
-    assert s.rejection.interval(s.clock) == 40
+    assert s.rejection.interval(s.clock, CALM_STRAIN) == 40
     s = solver(measure_every=40, v=np.tile([0.0, 0, -300], (216, 1)))
     s.advance(1e-4)
-    assert MEASURE_EVERY <= s.rejection.interval(s.clock) < 40
+    assert MEASURE_EVERY <= s.rejection.interval(s.clock, CALM_STRAIN) < 40
     assert math.isfinite(s.clock.stable().dt)
 
 
@@ -82,6 +85,59 @@ def test_stiffening_snow_is_sound_at_any_interval():
     )
     extents = [np.ptp(clip.means[-1], axis=0) for clip in (often, rarely)]
     np.testing.assert_allclose(*extents, atol=0.02)
+
+
+def counted(s) -> dict[str, int]:
+    """How often a solver measures speeds alone, and everything, from now on."""
+    counts = {"glance": 0, "measure": 0}
+    (worker,) = s.workers
+
+    def count(name: str) -> None:
+        inner = getattr(worker, name)
+
+        def call() -> None:
+            counts[name] += 1
+            inner()
+
+        setattr(worker, name, call)
+
+    for name in counts:
+        count(name)
+    return counts
+
+
+def test_stiffness_is_measured_once_it_may_have_grown():
+    s = solver(measure_every=16, ceiling=1e-3, v=np.tile([0.0, 0, -0.1], (216, 1)))
+    s.advance(1e-3)
+    counts = counted(s)
+    s.advance(0.1)
+    assert 0 < counts["measure"] <= s.clock.substeps / 12
+    assert counts["glance"] == 0, "nothing strains it"
+    C = np.tile(np.diag([8.0, 0, 0]), (216, 1, 1))
+    s = solver(measure_every=32, ceiling=4e-3, C=C)
+    counts = counted(s)
+    for until in np.arange(1, 20) * 0.01:
+        s.advance(until)
+        assert s.clock.strain < s._calm_strain()
+    assert counts["glance"] >= 1 and counts["measure"] >= 2
+
+
+def test_memory_of_stiffness_counts_substeps():
+    past = Extremes(1.0, 1.0, 100.0)
+    now = Extremes(1.0, 1.0, 10.0)
+    assert now.after(past, substeps=MEASURE_EVERY).stiffness == pytest.approx(100 * MEMORY)
+    assert now.after(past, substeps=4 * MEASURE_EVERY).stiffness == pytest.approx(100 * MEMORY**4)
+
+
+def test_particle_outside_the_window_ends_the_frame():
+    s = solver(measure_every=16)
+    s.advance(1e-4)
+    x = s.state.x.numpy()
+    x[5] += s.model.dx * (s.grid.size + 2)
+    s.state.x.assign(x)
+    s.clock.since_measured = s.clock.since_complete = 0
+    with pytest.raises(Unstable, match="crossed more cells"):
+        s.advance(2e-4)
 
 
 def test_new_push_shortens_the_interval_at_once():

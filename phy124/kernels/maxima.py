@@ -16,3 +16,5 @@ HIGH = 6
 """The first of three: the highest corner [m]."""
 COUNT = 9
 """Number of maxima."""
+SPEEDS = 2
+"""Number of those that `transfer.make_measure_speeds` computes: the first."""

@@ -255,8 +255,9 @@ def make_p2g(law: Law, real: Any, form: str):
 def make_g2p(law: Law, real: Any, form: str):
     """Kernel: velocities back to particles, then x and F.
 
-    A particle outside the window is not changed: it is ballistic (kernels/ballistic.py), or the
-    next measurement finds it. Plastic laws also update F_total, which the Gaussians follow.
+    A particle outside the window is not changed and `missed_out` is set: it is ballistic
+    (kernels/ballistic.py), or the run is unstable. Plastic laws also update F_total, which the
+    Gaussians follow.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
@@ -277,7 +278,7 @@ def make_g2p(law: Law, real: Any, form: str):
         x_out: wp.array(dtype=t.vec3), residue_out: wp.array(dtype=t.vec3),
         v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
         F_out: wp.array(dtype=t.mat33), history_out: wp.array(dtype=t.vec2),
-        total_out: wp.array(dtype=t.mat33),
+        total_out: wp.array(dtype=t.mat33), missed_out: wp.array(dtype=int),
     ):  # fmt: skip
         p = member(chosen, wp.tid())
         dx = lattice[3]
@@ -323,6 +324,8 @@ def make_g2p(law: Law, real: Any, form: str):
                 # Another material of the run is plastic, so the Gaussians follow `total` for all.
                 if total_out.shape[0] > 0:
                     store(total_out, p, trial)
+        else:
+            wp.atomic_max(missed_out, 0, 1)
 
     return g2p
 
@@ -352,11 +355,14 @@ def make_measure(law: Law, real: Any):
         # out
         maxima_out: wp.array(dtype=real), stray_out: wp.array(dtype=int),
     ):  # fmt: skip
-        speed = real(-wp.inf)
-        gradient = real(-wp.inf)
+        # Squares, from 0 on: the root of -inf would be NaN in a thread without particles.
+        speed = real(0.0)
+        gradient = real(0.0)
         stiffness = real(-wp.inf)
         low = t.vec3(real(-wp.inf))
         high = t.vec3(real(-wp.inf))
+        lower = domain[0]
+        upper = domain[1]
         for k in range(each):
             i = wp.tid() * first + k * stride
             if i < count:
@@ -364,24 +370,62 @@ def make_measure(law: Law, real: Any):
                 h = t.vec2()
                 if wp.static(has_history):
                     h = history[p]
-                fast = wp.length(v[p])
-                rate = wp.sqrt(wp.ddot(C[p], C[p]))
+                fast = wp.dot(v[p], v[p])
+                rate = wp.ddot(C[p], C[p])
                 A = modulus(F[p], h, theta[wp.min(p, theta.shape[0] - 1)])
                 here = x[p]
-                if not finite(fast + rate + A + wp.length(here)):
+                if not finite(fast + rate + A + wp.dot(here, here)):
                     wp.atomic_add(stray_out, 0, 1)
-                elif between(here, domain[0], domain[1]):
+                elif between(here, lower, upper):
                     speed = greater(speed, fast)
                     gradient = greater(gradient, rate)
                     stiffness = greater(stiffness, A * volume[p] / mass[p])
                     for axis in range(3):
                         low[axis] = greater(low[axis], -here[axis])
                         high[axis] = greater(high[axis], here[axis])
-        raise_to(maxima_out, SPEED, speed)
-        raise_to(maxima_out, GRADIENT, gradient)
+        raise_to(maxima_out, SPEED, wp.sqrt(speed))
+        raise_to(maxima_out, GRADIENT, wp.sqrt(gradient))
         raise_to(maxima_out, STIFFNESS, stiffness)
         for axis in range(3):
             raise_to(maxima_out, LOW + axis, low[axis])
             raise_to(maxima_out, HIGH + axis, high[axis])
 
     return measure
+
+
+@cache
+def make_measure_speeds(real: Any):
+    """Kernel: measures `SPEED` and `GRADIENT` alone, of all particles of any law.
+
+    It takes a quarter of the time of `make_measure`, whose threads have the same particles.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_measure_speeds_{real.__name__}")
+    def measure_speeds(
+        # model
+        first: int, each: int, stride: int, count: int, chosen: wp.array(dtype=int),
+        # state in
+        v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
+        # out
+        maxima_out: wp.array(dtype=real), stray_out: wp.array(dtype=int),
+    ):  # fmt: skip
+        speed = real(0.0)
+        gradient = real(0.0)
+        broken = int(0)
+        for k in range(each):
+            i = wp.tid() * first + k * stride
+            if i < count:
+                p = member(chosen, i)
+                fast = wp.dot(v[p], v[p])
+                rate = wp.ddot(C[p], C[p])
+                if not finite(fast + rate):
+                    broken += 1
+                speed = greater(speed, fast)
+                gradient = greater(gradient, rate)
+        raise_to(maxima_out, SPEED, wp.sqrt(speed))
+        raise_to(maxima_out, GRADIENT, wp.sqrt(gradient))
+        if broken > 0:
+            wp.atomic_add(stray_out, 0, broken)
+
+    return measure_speeds

@@ -48,14 +48,18 @@ class Material(Section):
 
     density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
 
-    @property
-    def calm_strain(self) -> float:
-        """Strain that makes it at most 1.7 times as stiff: until then a substep stays stable.
+    def calm_strain(self, growth: float, stiffness: float) -> float:
+        """Largest strain until which no particle becomes stiffer than `growth` times the stiffest.
 
-        `accuracy.cfl` leaves room for 1 / 0.75^2 = 1.8 times. Fixed corotated material, the one of
-        the elastic laws that stiffens most, becomes 1.2 x 1.4 = 1.7 times as stiff by a fifth.
+        Fixed corotated material stiffens most of the elastic laws: 2 J^2 - J times, where ln J is
+        up to sqrt(3) times the strain.
+
+        Args:
+            growth: Largest ratio of stiffnesses, above 1.
+            stiffness: A / rho of the stiffest particle [m^2/s^2].
         """
-        return 0.2
+        del stiffness
+        return math.log((1 + math.sqrt(1 + 8 * growth)) / 4) / math.sqrt(3)
 
     def theta(self) -> tuple[float, ...]:
         """Parameters handed to the device law."""
@@ -155,3 +159,12 @@ class Elastic(Material):
         """Speed of a pressure wave at rest, sqrt((lambda + 2 mu) / rho) [m/s]."""
         mu, lam = self.lame
         return math.sqrt((lam + 2 * mu) / self.density)
+
+
+class Logarithmic(Elastic):
+    """Materials whose stress is linear in Hencky strain: A is at most 2 mu (1 + x) + 3 lambda."""
+
+    def calm_strain(self, growth: float, stiffness: float) -> float:
+        """A difference x of principal strains changes by sqrt(2) times the strain at most."""
+        del stiffness
+        return (growth - 1) / math.sqrt(2)

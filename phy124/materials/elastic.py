@@ -9,7 +9,7 @@ from pydantic import Field
 
 from phy124.kernels import damping, elastic, hencky
 from phy124.kernels.transfer import Law
-from phy124.materials.base import Elastic, viscous_substep
+from phy124.materials.base import Elastic, Logarithmic, viscous_substep
 
 
 class Springy(Elastic):
@@ -56,6 +56,12 @@ class NeoHookean(Springy):
         width=2,
     )
 
+    def calm_strain(self, growth: float, stiffness: float) -> float:
+        """A = 2 mu s^2 + 3 lambda: a strain e multiplies the first part by exp(2 e) at most."""
+        steady = 3 * max(self.lame[1], 0.0) / self.density
+        stretched = max(1 - steady / stiffness, 1e-3) if stiffness > 0 else 1.0
+        return math.log(1 + (growth - 1) / stretched) / 2
+
 
 class FixedCorotated(Springy):
     """Fixed corotated solid (PhysGaussian's jelly); collapses silently in hard impacts."""
@@ -73,7 +79,7 @@ class FixedCorotated(Springy):
     )
 
 
-class Hencky(Springy):
+class Hencky(Logarithmic, Springy):
     """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch; softens when pulled."""
 
     law: Literal["hencky"] = "hencky"

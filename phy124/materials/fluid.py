@@ -54,10 +54,10 @@ class Fluid(Material):
         default=0.0, ge=0, le=1e5, description="Dynamic viscosity [Pa s]: water 1e-3, honey 5."
     )
 
-    @property
-    def calm_strain(self) -> float:
+    def calm_strain(self, growth: float, stiffness: float) -> float:
         """Its stiffness goes by J^-(1 + gamma), and ln J is up to sqrt(3) times the strain."""
-        return 0.3 / (1 + self.gamma)
+        del stiffness
+        return math.log(growth) / (math.sqrt(3) * (1 + self.gamma))
 
     def theta(self) -> tuple[float, ...]:
         """(K, gamma, eta, zeta, K', 1 / relaxation time), the last three zero: undamped sound."""

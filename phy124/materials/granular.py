@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from phy124.kernels import granular, hencky
 from phy124.kernels.transfer import Law
-from phy124.materials.base import FEW, Elastic
+from phy124.materials.base import FEW, Elastic, Logarithmic
 
 PACKING = 2 / 3
 """Largest product of snow's hardening xi and critical compression c.
@@ -20,7 +20,7 @@ than is released once xi c > 2/3.
 """
 
 
-class Sand(Elastic):
+class Sand(Logarithmic):
     """Drucker-Prager sand without cohesion (Klar et al. 2016)."""
 
     law: Literal["sand"] = "sand"
@@ -94,10 +94,10 @@ class Snow(Elastic):
             )
         return self
 
-    @property
-    def calm_strain(self) -> float:
+    def calm_strain(self, growth: float, stiffness: float) -> float:
         """Packing by a strain e stiffens it by exp(hardening e)."""
-        return min(super().calm_strain, 0.5 / max(self.hardening, 1.0))
+        elastic = super().calm_strain(growth, stiffness)
+        return min(elastic, math.log(growth) / max(self.hardening, 1.0))
 
     def theta(self) -> tuple[float, ...]:
         """(mu, lambda, smallest stretch, largest stretch, hardening)."""

@@ -9,13 +9,13 @@ from pydantic import Field, model_validator
 
 from phy124.kernels import elastic, hencky, plastic
 from phy124.kernels.transfer import Law
-from phy124.materials.base import FEW, Elastic
+from phy124.materials.base import FEW, Elastic, Logarithmic
 
 NORM = math.sqrt(2 / 3)
 """Norm of the deviatoric stress divided by the uniaxial stress."""
 
 
-class Metal(Elastic):
+class Metal(Logarithmic):
     """Von Mises metal in Hencky strain with linear isotropic hardening.
 
     The defaults are aluminium's density and Poisson's ratio with a lower stiffness: it yields at a
@@ -100,7 +100,7 @@ class Plasticine(Elastic):
         return *self.lame, limit, -2 / 3 * self.softening, self.residual * limit
 
 
-class Foam(Elastic):
+class Foam(Logarithmic):
     """Herschel-Bulkley viscoplastic solid, such as foam, cream or toothpaste: flows above yield."""
 
     law: Literal["foam"] = "foam"

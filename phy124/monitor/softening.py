@@ -73,7 +73,7 @@ class Softening(Observer):
         if self._external is not None:
             self._external.store(diagnose(self._solver).elastic - before)
         # The stable substep has changed, so the limits must be measured again.
-        self._solver.clock.since_measured = self._solver.clock.interval
+        self._solver.clock.expire()
 
     def notes(self) -> list[str]:
         """Return a sentence if the stiffness repeats faster than frames follow each other."""
@@ -95,6 +95,6 @@ class Softening(Observer):
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:
-        self.factor = factor
+        self.factor = self._solver.softened = factor
         for group, theta, varies in self._groups:
             group.theta.assign(np.where(varies, factor * theta, theta).astype(theta.dtype))

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from phy124.mpm.grid import MARGIN
 from phy124.mpm.model import Model
-from phy124.mpm.timestep import Extremes, Substep, stable_substep
+from phy124.mpm.timestep import MEASURE_EVERY, Extremes, Substep, remembered, stable_substep
 
-MEASURE_EVERY = 4
-"""Substeps between two measurements of the stability limits."""
+ROOM = MARGIN / 2
+"""Distance that particles may move before their positions are measured [cells]."""
 
 
 class Clock:
@@ -40,7 +41,12 @@ class Clock:
         """The largest |C| of late [1/s]; a vibration may just be at its turning point, where it is
         zero."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Substeps between two measurements at present, and substeps since the last one."""
+        """Substeps between two measurements of speeds at present, and substeps since the last."""
+        self.strain = self.travel = math.inf
+        """Upper bounds of the strain of a particle, and of the distance that it moved [m], since
+        stiffness and positions were measured, too; infinite: they must be at the next time."""
+        self._looked, self.since_complete = 0.0, 0
+        """The time of the last measurement [s], and substeps since the last complete one."""
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
         """On the device: kick and drift of the current substep, and the time before it [s]."""
 
@@ -53,6 +59,38 @@ class Clock:
         """The longest stable substep in the current state."""
         limits = {"cfl": self.cfl, "ceiling": self.ceiling, "viscous": self.viscous}
         return stable_substep(self.extremes, self.dx, **limits)
+
+    def expire(self) -> None:
+        """Require a complete measurement before the next substep."""
+        self.since_measured, self.strain = self.interval, math.inf
+
+    def complete(self, calm_strain: float) -> bool:
+        """Whether stiffness and positions must be measured together with the speeds now.
+
+        They need not while no particle can have been strained by `calm_strain`, so that the
+        stiffness is still about as measured, or have left its place in the window.
+        """
+        late = self.since_complete + MEASURE_EVERY > self.measure_every
+        elapsed = self.time - self._looked
+        strain = self.strain + elapsed * self.strain_rate
+        travel = self.travel + elapsed * self.extremes.speed
+        return late or strain > calm_strain or travel > ROOM * self.dx
+
+    def measured(self, extremes: Extremes, *, complete: bool) -> None:
+        """Limit substeps by what has been measured.
+
+        Args:
+            extremes: The largest values over all particles.
+            complete: Whether stiffness and positions are among what was measured.
+        """
+        elapsed, before = self.time - self._looked, self.extremes
+        rate = max(extremes.gradient, remembered(self.strain_rate, self.since_measured))
+        self.strain += elapsed * max(rate, self.strain_rate)
+        self.travel += elapsed * max(extremes.speed, before.speed)
+        self.strain_rate, self._looked, self.since_measured = rate, self.time, 0
+        self.extremes = self.recent = extremes
+        if complete:
+            self.strain, self.travel, self.since_complete = 0.0, 0.0, 0
 
     def begin(self, kick: float, drift: float) -> None:
         """Tell the device the length of a substep [s].
@@ -71,7 +109,10 @@ class Clock:
         """Count a substep of length `drift` [s]; after a violent one the limits are remeasured."""
         self.time += drift
         self.substeps += 1
-        self.since_measured += self.interval if violent else 1
+        self.since_measured += 1
+        self.since_complete += 1
+        if violent:
+            self.expire()
 
     def count(self, limiter: str, substeps: int = 1, *, needed: float) -> None:
         """Count substeps that a limit determined; `needed` is their sum before rounding up."""
@@ -87,6 +128,10 @@ class Clock:
             "since_measured": self.since_measured,
             "interval": self.interval,
             "strain_rate": self.strain_rate,
+            "strain": self.strain,
+            "travel": self.travel,
+            "looked": self._looked,
+            "since_complete": self.since_complete,
             "extremes": list(self.extremes),
             "limiters": dict(self.limiters),
             "needed": dict(self.needed),
@@ -98,5 +143,8 @@ class Clock:
         self.substeps, self.since_measured = snapshot["substeps"], snapshot["since_measured"]
         self.interval = snapshot.get("interval", MEASURE_EVERY)
         self.strain_rate = snapshot.get("strain_rate", 0.0)
+        self.strain, self.travel = (snapshot.get(name, math.inf) for name in ("strain", "travel"))
+        self._looked = snapshot.get("looked", 0.0)
+        self.since_complete = snapshot.get("since_complete", 0)
         self.extremes = self.recent = Extremes(*snapshot["extremes"])
         self.limiters, self.needed = dict(snapshot["limiters"]), dict(snapshot["needed"])

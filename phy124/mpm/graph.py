@@ -22,7 +22,7 @@ from phy124.mpm.clock import Clock
 from phy124.mpm.grid import MARGIN, Grid
 from phy124.mpm.model import Model
 from phy124.mpm.rejection import StepRejection
-from phy124.mpm.timestep import CELLS_PER_STEP, MEMORY, STRAIN_PER_STEP, Extremes
+from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, Extremes, remembered
 from phy124.mpm.workers import Worker, timed
 
 STAGE = "graph"
@@ -132,7 +132,7 @@ class Graph:
             "ceiling": clock.ceiling,
             "wall": rejection.wall,
             "acceleration": rejection.acceleration,
-            "memory": MEMORY,
+            "memory": remembered(1.0, clock.interval),
             "strain": STRAIN,
             "most": MOST,
             "apart": apart,
@@ -152,7 +152,7 @@ class Graph:
         clock, state = self._clock, np.asarray(self._progress.numpy())[0]
         clock.time, clock.last_dt = float(state["time"]), float(state["last"])
         clock.substeps += int(state["taken"])
-        clock.since_measured = int(state["since"])
+        clock.since_measured = clock.since_complete = int(state["since"])
         clock.extremes = Extremes(*(float(state[name]) for name in Extremes._fields))
         fastest, steepest = float(state["fastest"]), float(state["steepest"])
         clock.recent = clock.extremes._replace(speed=fastest, gradient=steepest)

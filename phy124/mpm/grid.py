@@ -103,25 +103,6 @@ class Grid:
         self.rebase(low - MARGIN, high - low + 2 * MARGIN)
         return True
 
-    def require_inside(self, x: NDArray) -> None:
-        """Make sure that the window holds all nodes of some particles.
-
-        Args:
-            x: Their positions [P,3], m.
-
-        Raises:
-            Unstable: One of them is not finite or outside the window, so that the grid did not
-                move it.
-        """
-        if not len(x):
-            return
-        lower, upper = x.min(axis=0).astype(np.float64), x.max(axis=0).astype(np.float64)
-        if not np.isfinite([lower, upper]).all():
-            raise Unstable("particles are NaN or infinite")
-        low, high = self.reach(lower, upper)
-        if np.any(low < self.low) or np.any(high > self.low + self.size):
-            raise Unstable(CROSSED)
-
     def rebase(self, low: NDArray, size: NDArray) -> None:
         """Cover `size` [3] nodes from the node `low` [3] on; all nodes are cleared."""
         # One node more than the window, since the SIMD rows read four nodes at a time.

@@ -78,6 +78,8 @@ class Model:
     """Bodies that never move."""
     names: tuple[str, ...] = ()
     """Names of the bodies, if they have any."""
+    least_stiffness: float = 1.0
+    """Smallest factor on E of any particle."""
 
     @classmethod
     def of(
@@ -155,6 +157,7 @@ class Model:
             form=form_of(precision, device if simd else "", gradient),
             held=frozenset(held),
             names=tuple(names),
+            least_stiffness=1.0 if stiffness is None else float(np.min(stiffness)),
         )
 
     def __len__(self) -> int:

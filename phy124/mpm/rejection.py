@@ -56,7 +56,6 @@ class StepRejection:
         self._pushed = [state.v, state.C] if pushes else []
         self._fastest = wp.zeros(1, dtype=model.real, device=model.device)
         self._pushes = pushes
-        self._calm_strain = min(material.calm_strain for material in model.materials)
         self.begin(-math.inf, math.inf)
         self._pushy = any(stage.sudden for stage in pushes)
         self.rejected = 0
@@ -89,14 +88,18 @@ class StepRejection:
             or self.sudden(clock)
         )
 
-    def interval(self, clock: Clock) -> int:
-        """Substeps until the limits must be measured: as chosen by the user, where that is safe."""
+    def interval(self, clock: Clock, calm: float) -> int:
+        """Substeps until speeds must be measured: as chosen by the user, where that is safe.
+
+        Args:
+            clock: What was measured last.
+            calm: Strain up to which no material becomes much stiffer.
+        """
         every, extremes, dx = clock.measure_every, clock.extremes, self._model.dx
         if every <= MEASURE_EVERY or not extremes.stiffness > 0:
             return min(every, MEASURE_EVERY)
         speed, pulled = max(extremes.speed, self.wall), math.sqrt(self.acceleration)
         # A wall or another body strains the next cell by as much of a cell as it is met by.
-        calm = self._calm_strain
         each = clock.stable().dt * max(
             speed / (calm * dx), clock.strain_rate / calm, pulled / math.sqrt(2 * calm * dx)
         )

@@ -18,13 +18,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.maxima import COUNT
+from phy124.kernels.maxima import COUNT, SPEEDS
 from phy124.kernels.transfer import types
 from phy124.mpm.grid import MARGIN, Grid
 from phy124.mpm.maxima import Maxima
 from phy124.mpm.model import Group, Model
 from phy124.mpm.state import State
-from phy124.mpm.workers import Part, Worker
+from phy124.mpm.workers import Part, Worker, numbers
 
 NODES, GROWN = 16, 1.25
 """Nodes of slabs per particle from which a new cut may pay, or memory would grow without bound; and
@@ -49,7 +49,7 @@ class Slabs:
         self._model, self._state, self._grids = model, state, grids
         length = COUNT * len(model.groups)
         self.workers = [
-            Worker(wp.zeros(length, dtype=model.real, device=model.device)) for _ in range(count)
+            Worker(numbers(length, model), numbers(SPEEDS, model)) for _ in range(count)
         ]
         self.pool = wp.zeros(0, dtype=types(model.real).vec4, device=model.device)
         """The nodes of all slabs."""

@@ -34,12 +34,13 @@ from phy124.mpm.stage import Accumulator, Attachable
 from phy124.mpm.state import State
 from phy124.mpm.substep import Gathered, Recorder
 from phy124.mpm.threads import Team
-from phy124.mpm.timestep import MEMORY
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import GATHER, Timings, lone_worker, timed, usable_workers
 
-MEASURE = -2
-"""Given instead of a phase to measure the limits."""
+MEASURE, GLANCE = -2, -3
+"""Given instead of a phase to measure the limits, or the speeds alone."""
+CALM = 0.9
+"""Growth of the stiffness between two measurements, as a fraction of what stays stable."""
 
 
 class Solver:
@@ -105,6 +106,9 @@ class Solver:
         """How bodies touch, and what they give each other."""
         self.free = FreeBodies(model, free)
         self._stray = wp.zeros(1, dtype=int, device=model.device)
+        self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
+        self.softened = 1.0
+        """Factor by which all stiffnesses are scaled now."""
         self.team = Team[int](count, self._run_member)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
         on_device = usable(model.device) if graph is None else graph
@@ -143,7 +147,7 @@ class Solver:
         self.tracks, self._forces, self.boundaries, self._sums = tracks, acting, walls, sums
         self._recorder = Recorder(
             model, state, self.grids, tracks, self.outliers, self.workers, self.slabs, self.pairs,
-            self.free, self.fluctuation, self.gathered, self._rpic,
+            self.free, self._missed, self.fluctuation, self.gathered, self._rpic,
         )  # fmt: skip
         self._sample = tracks.record()
         self._sample.launch()
@@ -182,7 +186,8 @@ class Solver:
         """
         self.rejection.begin(self.clock.time, until)
         # What was calm in the last frame may not be so under the forces and walls of this one.
-        self.clock.interval = min(self.clock.interval, self._safe_interval())
+        if not self.clock.due:
+            self.clock.interval = min(self.clock.interval, self._safe_interval())
         with self._threads():
             while self.clock.time < until:
                 if each or not self._run_graph(until):
@@ -220,6 +225,7 @@ class Solver:
         self.outliers.restore(snapshot["outliers"])
         self.repair.restore(snapshot["repair"])
         self._stray.zero_()
+        self._missed.zero_()
         self.pairs.restore(snapshot["pairs"])
         self.free.restore(snapshot.get("free", {}))
         for grid, (low, size) in zip(self.grids, snapshot["windows"], strict=True):
@@ -237,7 +243,7 @@ class Solver:
         known = self.slabs.restore(snapshot)
         self._record_measures()
         if not known:
-            self.clock.since_measured = self.clock.interval
+            self.clock.expire()
         return known
 
     def _stable_step(self, until: float) -> None:
@@ -295,6 +301,8 @@ class Solver:
         worker = self.workers[member]
         if phase == MEASURE:
             timed(worker.timings, "measure", worker.measure)
+        elif phase == GLANCE:
+            timed(worker.timings, "measure", worker.glance)
         else:
             worker.run(phase)
 
@@ -327,7 +335,30 @@ class Solver:
 
     def _measure_if_due(self) -> None:
         if self.clock.due:
-            timed(self.timings, "measure", self._measure)
+            timed(self.timings, "measure", self._measure_due)
+
+    def _measure_due(self) -> None:
+        """Measure the speeds, and all limits where they may have changed; raises Unstable."""
+        clock = self.clock
+        calm = self._calm_strain()
+        if self.on_device or self.outliers.bounded or clock.complete(calm):
+            self._measure()
+            return
+        self._each_worker(GLANCE)
+        rows = [worker.speeds.numpy() for worker in self.workers]
+        speed, gradient = np.max(rows, axis=0).tolist()
+        speed = max(speed, self.free.fastest())
+        clock.measured(clock.extremes._replace(speed=speed, gradient=gradient), complete=False)
+        if clock.complete(calm):
+            self._measure()
+        else:
+            clock.interval = self._safe_interval()
+
+    def _calm_strain(self) -> float:
+        """Strain until which the substep stays stable although materials stiffen."""
+        growth = max(CALM / self.clock.cfl**2, 1.05)
+        stiffness = self.clock.extremes.stiffness / (self.model.least_stiffness * self.softened)
+        return min(m.calm_strain(growth, stiffness) for m in self.model.materials)
 
     def _measure(self) -> None:
         """Read the stability limits and fit the windows to the particles; raises Unstable."""
@@ -335,29 +366,24 @@ class Solver:
         if self.outliers.confine(corners):
             corners = self._corners(found := self._maxima())
         measured = Maxima.of(found.max(axis=0))
-        self.clock.extremes = measured.extremes.after(self.clock.extremes, self.free.fastest())
-        self.clock.recent = self.clock.extremes
-        self.clock.strain_rate = max(self.clock.extremes.gradient, MEMORY * self.clock.strain_rate)
+        clock = self.clock
+        fastest, passed = self.free.fastest(), clock.since_complete
+        extremes = measured.extremes.after(clock.extremes, fastest, substeps=passed)
+        clock.measured(extremes, complete=True)
         changed = fit_all(self.grids, corners, anew=self.outliers.changed)
         changed |= self._fit_slabs(found, changed)
         if changed:
             self._record()
-        self.clock.interval = self._safe_interval()
-        self.clock.since_measured = 0
+        clock.interval = self._safe_interval()
 
     def _end_frame(self) -> None:
-        """Make sure that the grid has moved every particle; raises Unstable.
-
-        On a CPU the corners of the particles tell, for a tenth of what a measurement costs.
-        """
+        """Make sure that the grid has moved every particle; raises Unstable."""
         if self.clock.since_measured == 0:
             return
-        if self.clock.due or self.model.device != "cpu" or self.outliers.bounded:
+        if self.outliers.bounded or self._missed.numpy().any():
             self._measure()
-            return
-        x = self.state.x.numpy()
-        for part in itertools.chain.from_iterable(worker.parts for worker in self.workers):
-            part.nodes.require_inside(x[part.indices()])
+        elif self.clock.due:
+            self._measure_due()
 
     def _corners(self, rows: NDArray[np.float64]) -> list[Corners]:
         """Lowest and highest corner of each body, of what was measured [m]."""
@@ -381,6 +407,7 @@ class Solver:
         """Record what measures the particles of each worker."""
         for worker in self.workers:
             worker.measures = self._recorder.measures(worker, self._stray)
+            worker.glances = self._recorder.speeds(worker, self._stray)
 
     def _maxima(self) -> NDArray[np.float64]:
         """What was measured: a row for each part of each worker, or for each body.
@@ -388,25 +415,28 @@ class Solver:
         Raises:
             Unstable: A particle is no longer finite.
         """
-        if self.team.alive:
-            self.team.put(MEASURE)
-            self.workers[0].measure()
-            self.team.join()
-        else:
-            for worker in self.workers:
-                worker.measure()
-        lost = int(self._stray.numpy()[0])
-        if lost:
-            raise Unstable(f"{lost} particles are NaN or infinite")
+        self._each_worker(MEASURE)
         rows = [part.maxima for part in self.slabs.parts] if self.slabs else []
         rows = rows or [self.workers[0].maxima]
         found = np.array([row.numpy() for row in rows], dtype=np.float64)
         return found.reshape(-1, COUNT)
 
+    def _each_worker(self, task: int) -> None:
+        """Let all workers measure; raises Unstable if a particle is no longer finite."""
+        if self.team.alive:
+            self.team.put(task)
+        for worker in self.workers[:1] if self.team.alive else self.workers:
+            (worker.measure if task == MEASURE else worker.glance)()
+        if self.team.alive:
+            self.team.join()
+        lost = int(self._stray.numpy()[0])
+        if lost:
+            raise Unstable(f"{lost} particles are NaN or infinite")
+
     def _safe_interval(self) -> int:
-        """Substeps that may pass between two measurements in the current state."""
+        """Substeps that may pass between two measurements of speeds in the current state."""
         usual = min(self.clock.measure_every, MEASURE_EVERY)
-        return usual if self.on_device else self.rejection.interval(self.clock)
+        return usual if self.on_device else self.rejection.interval(self.clock, self._calm_strain())
 
     def _record(self) -> None:
         """Record the launches of one substep, in order."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import warp as wp
 
@@ -51,6 +51,7 @@ class Transfers(NamedTuple):
 def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
     """What the substeps of one worker launch, besides forces and boundaries."""
     yield make_update(real)
+    yield transfer.make_measure_speeds(real)
     for law in laws:
         yield from Transfers.of(law, real, form)
 
@@ -94,6 +95,8 @@ class Recorder:
     """How bodies touch."""
     free: FreeBodies
     """Rigid solids among the particles."""
+    missed: wp.array
+    """Whether g2p left out a particle that was outside the window, a row for each worker [W,1]."""
     fluctuation: Fluctuation | None = None
     """What particles keep beside what the grid carries; None: nothing, which is APIC."""
     gathered: Sequence[Gathered] = ()
@@ -234,6 +237,16 @@ class Recorder:
             found.append(model.launch(kernel, threads, inputs, [part.maxima, stray]))
         return [launch for launch in found if launch is not None]
 
+    def speeds(self, worker: Worker, stray: wp.array) -> list[wp.Launch]:
+        """The launches that measure the speeds of a worker's particles, and nothing else."""
+        model, found = self.model, []
+        for part in worker.parts:
+            run, (threads, *fraction) = part.particles, shared_out(part.count, model.device)
+            inputs = [*fraction, part.count, part.chosen, self.state.v[run], self.state.C[run]]
+            kernel = transfer.make_measure_speeds(model.real)
+            found.append(model.launch(kernel, threads, inputs, [worker.speeds, stray]))
+        return [launch for launch in found if launch is not None]
+
     def _scatter(self, part: Part) -> Iterator[Recorded]:
         """The scatter of a part; where it is asked for, RPIC before it.
 
@@ -261,6 +274,7 @@ class Recorder:
         inputs = [*read, grid.lattice, grid.window, self.tracks.clock, grid.nodes]
         outputs = [s.x[run], s.residue[run], s.v[run], s.C[run], s.F[run]]
         outputs += [part_of(s.history, run), part_of(s.total, run)]
+        outputs.append(cast("wp.array", self.missed[worker]))
         record = f"g2p {law.name}", model.launch(kernel, part.count, inputs, outputs)
         found = self.outliers.around(part, record, grid, self.tracks)
         found += [one.record(part, worker, model, s, self.tracks) for one in self.gathered]

@@ -20,7 +20,9 @@ CELLS_PER_STEP = 0.5
 STRAIN_PER_STEP = 0.4
 """Largest |C| dt; below 1 an element cannot turn inside out."""
 MEMORY = 0.95
-"""Fraction of an earlier stiffness that still counts at the next measurement."""
+"""Fraction of an earlier stiffness that still counts `MEASURE_EVERY` substeps later."""
+MEASURE_EVERY = 4
+"""Substeps between two measurements of the limits that are safe in any motion."""
 
 
 class Extremes(NamedTuple):
@@ -33,9 +35,15 @@ class Extremes(NamedTuple):
     stiffness: float
     """A / rho0 [m^2/s^2]."""
 
-    def after(self, before: Extremes, speed: float = 0.0) -> Extremes:
-        """The same with a stiffness of at least `MEMORY` times the one before, and this speed."""
-        stiffness = max(self.stiffness, MEMORY * before.stiffness)
+    def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
+        """The same with at least the remembered stiffness and this speed.
+
+        Args:
+            before: Those measured `substeps` earlier.
+            speed: Largest speed of what is no particle [m/s].
+            substeps: Number of substeps since then.
+        """
+        stiffness = max(self.stiffness, remembered(before.stiffness, substeps))
         return self._replace(stiffness=stiffness, speed=max(self.speed, speed))
 
 
@@ -74,6 +82,11 @@ def stable_substep(
     }
     limiter = min(limits, key=limits.__getitem__)
     return Substep(limits[limiter], limiter)
+
+
+def remembered(value: float, substeps: int) -> float:
+    """What still counts of a value that was measured some substeps ago."""
+    return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 
 def beside_elastic(cfl: float) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.maxima import COUNT
+from phy124.kernels.maxima import COUNT, SPEEDS
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Group, Model
 from phy124.mpm.stage import Named
@@ -68,11 +68,15 @@ class Worker:
 
     maxima: wp.array
     """What measuring finds: `COUNT` numbers for each body, or for each of its parts."""
+    speeds: wp.array
+    """Results of measuring the speeds alone [SPEEDS]."""
     parts: list[Part] = field(default_factory=list)
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of pushes, if any; of scatter; of update and walls in one or more; of gather."""
     measures: list[wp.Launch] = field(default_factory=list)
     """Launches that measure what limits the substep."""
+    glances: list[wp.Launch] = field(default_factory=list)
+    """Launches that measure speeds only."""
     timings: Timings = field(default_factory=dict)
 
     def run(self, phase: int) -> None:
@@ -86,16 +90,27 @@ class Worker:
         for launch in self.measures:
             launch.launch()
 
+    def glance(self) -> None:
+        """Measure the speeds and velocity gradients of its particles."""
+        self.speeds.zero_()
+        for launch in self.glances:
+            launch.launch()
+
 
 def lone_worker(model: Model, grids: Sequence[Grid]) -> Worker:
     """One worker that scatters all particles to the shared grid of their body."""
-    maxima = wp.zeros(COUNT * len(grids), dtype=model.real, device=model.device)
+    maxima = numbers(COUNT * len(grids), model)
     every = wp.zeros(0, dtype=int, device=model.device)
     parts = []
     for group in model.groups:
         own = cast("wp.array", maxima[COUNT * group.body : COUNT * (group.body + 1)])
         parts.append(Part(group, group.particles, every, len(group), grids[group.body], own))
-    return Worker(maxima, parts)
+    return Worker(maxima, numbers(SPEEDS, model), parts)
+
+
+def numbers(count: int, model: Model) -> wp.array:
+    """Zeros in the model's precision [count]."""
+    return wp.zeros(count, dtype=model.real, device=model.device)
 
 
 def usable_workers(particles: int, device: str, asked: int | None = None) -> int:

@@ -68,7 +68,8 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
     """Kernels for all laws; of walls, those that move."""
     makers = (
         grid.make_update, grid.make_merge, grid.make_grid_speed, profile.make_sampler,
-        timestep.make_timestep, soundness.make_reset, soundness.make_limit_total,
+        transfer.make_measure_speeds, timestep.make_timestep,
+        soundness.make_reset, soundness.make_limit_total,
         stretch.make_apart, ballistic.make_hide, ballistic.make_fly,
         contacts.make_contact_copy, contacts.make_contact_reach, contacts.make_contacts,
         external_work.make_push_copy, external_work.make_push_sums, external_work.make_wall_copy,
