@@ -133,7 +133,7 @@ class ExternalWork(Observer):
     @property
     def _varies(self) -> bool:
         """Whether the uniform acceleration is summed substep by substep."""
-        return self._changes or self._tracks.vary
+        return self._changes or self._tracks.acceleration_varies
 
     def open(self, clock: Clock) -> None:
         """Start counting from the current state."""
@@ -257,8 +257,11 @@ class ExternalWork(Observer):
         def after(grid: Grid) -> wp.Launch | None:
             run = grid.run(len(model))
             threads, *fraction = shared_out(run.stop - run.start, model.device)
-            inputs = [*fraction, model.mass[run], model.dx, state.v[run], state.C[run]]
-            inputs += stored(grid)
+            inputs = [*fraction, model.mass[run]]
+            if keeps_C:
+                inputs += [state.v[run], stored(grid)[0]]
+            else:
+                inputs += [model.dx, state.v[run], state.C[run], *stored(grid)]
             return model.launch(sums, threads, inputs, [self._accumulator(PUSH, grid)])
 
         return Stage(STAGE, before, by_run=True), Stage(STAGE, after, by_run=True)
@@ -283,7 +286,8 @@ class ExternalWork(Observer):
 
 def push_kernels(real: Any, keeps_C: bool) -> tuple[Any, Any]:
     """Kernels before and after forces on particles, all of which keep C or not."""
-    return kernels.make_push_copy(real, keeps_C), kernels.make_push_sums(real, keeps_C)
+    sums = kernels.make_push_sums_v(real) if keeps_C else kernels.make_push_sums(real)
+    return kernels.make_push_copy(real, keeps_C), sums
 
 
 def wall_kernels(real: Any) -> tuple[Any, Any]:

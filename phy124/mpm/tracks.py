@@ -251,6 +251,12 @@ class Tracks:
         """Whether anything changes in time; if not, the tracks are sampled only once."""
         return any(track.varies for track in self.tracks)
 
+    @property
+    def acceleration_varies(self) -> bool:
+        """Whether the sum of the uniform accelerations changes in time."""
+        pairs = zip(self.tracks, self.flags, strict=True)
+        return any(track.varies for track, flag in pairs if flag & JOINS)
+
     def upload(self, clock: wp.array) -> None:
         """Copy the tables to the device."""
         t, tracks = types(self.real), self.tracks
