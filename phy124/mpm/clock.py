@@ -8,12 +8,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from phy124.mpm.grid import MARGIN
 from phy124.mpm.model import Model
-from phy124.mpm.timestep import MEASURE_EVERY, Extremes, Substep, remembered, stable_substep
-
-ROOM = MARGIN / 2
-"""Distance that particles may move before their positions are measured [cells]."""
+from phy124.mpm.timestep import MEASURE_EVERY, TRAVEL, Extremes, Substep, remembered, stable_substep
 
 
 class Clock:
@@ -74,7 +70,7 @@ class Clock:
         elapsed = self.time - self._looked
         strain = self.strain + elapsed * self.strain_rate
         travel = self.travel + elapsed * self.extremes.speed
-        return late or strain > calm_strain or travel > ROOM * self.dx
+        return late or strain > calm_strain or travel > TRAVEL * self.dx
 
     def measured(self, extremes: Extremes, *, complete: bool) -> None:
         """Limit substeps by what has been measured.

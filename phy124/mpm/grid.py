@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from phy124.kernels.transfer import types
 from phy124.mpm.model import Model
+from phy124.mpm.timestep import TRAVEL
 
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest corner of a box [m]."""
-MARGIN = 4
+MARGIN = 2 * TRAVEL
 """Margin of the window around the particles [cells]: more than they cross between measurements."""
 CROSSED = "particles crossed more cells than they may between two measurements"
 FARTHEST = 2**30

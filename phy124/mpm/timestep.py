@@ -21,6 +21,9 @@ STRAIN_PER_STEP = 0.4
 """Largest |C| dt; below 1 an element cannot turn inside out."""
 MEMORY = 0.95
 """Fraction of an earlier stiffness that still counts `MEASURE_EVERY` substeps later."""
+TRAVEL = 2
+"""Distance that particles may move before their positions are measured [cells]; the margin of the
+grid's window is twice as wide."""
 MEASURE_EVERY = 4
 """Substeps between two measurements of the limits that are safe in any motion."""
 
