@@ -91,15 +91,16 @@ def test_newcomers_do_not_push_out_results_of_an_open_page(tmp_path):
     assert [visitors.known(name) for name in "ab"] == kept and len(visitors) == 3
 
 
-def test_newcomers_do_not_push_out_who_has_chosen_a_picture(tmp_path):
-    """However long they have looked at it, as long as they are not forgotten."""
+@pytest.mark.parametrize("address", ["", "10.0.0.2", "10.0.1.{}"])
+def test_newcomers_do_not_push_out_who_has_chosen_a_picture(tmp_path, address):
+    """However long the visitor looks at it: of all visitors, this one is silent longest."""
     visitors = Visitors(tmp_path, Room(visitors=5))
-    visitors.store("a", b"a photograph", ".png", "10.0.0.1")
+    visitors.store("a", b"a photograph", ".png", address.format("a"))
     visitors.get("a").remember(Job("cut", Path("stop")))
     visitors.get("a").latest("cut").end("done")
     visitors.get("a").seen -= visitors.room.grace - 1
     for number in range(75):
-        visitors.store(f"new {number}", b"1", ".png", "10.0.0.2")
+        visitors.store(f"new {number}", b"1", ".png", address.format(number))
         visitors.get(f"new {number}").seen -= 10
     assert visitors.known("a") is not None and len(visitors) == 5
 
@@ -215,6 +216,15 @@ def test_what_does_not_fit_is_refused_in_words_and_takes_nothing(tmp_path):
         pytest.fail("the last tenth is for those who come")
     with visitors.writing(mine, 150, {kept}):
         pass
+
+
+def test_a_file_larger_than_the_room_removes_no_older_one(tmp_path):
+    visitors = Visitors(tmp_path, Room(each=1000, all=2000))
+    mine = visitors.get("a")
+    kept = [_export(mine, name, 300) for name in ("0", "1")]
+    with pytest.raises(InputError, match="may take"), visitors.writing(mine, 1001):
+        pytest.fail("it began")
+    assert all(path.exists() for path in kept) and mine.promised == 0
 
 
 def test_what_is_written_at_the_same_time_is_counted_together(tmp_path):
