@@ -156,7 +156,12 @@ class Studio:
             shown = viewable(upload, deadline)
             job.subject = str(shown)
             start = time.monotonic()
-            path, doubts, searched = cut_once(visitor, shown, strokes, pick, deadline)
+            try:
+                path, doubts, searched = cut_once(visitor, shown, strokes, pick, deadline)
+            except InputError as error:
+                if error.field == "image":
+                    job.subject = ""  # it cannot be opened, so that there is nothing to show
+                raise
             if searched:
                 self.searches.append(time.monotonic() - start)
             job.end("done", result=Cutout(str(path), str(shown), doubts, cut_by(path), pick))

@@ -168,7 +168,7 @@ def cut_by(path: Path) -> str:
 
 def _save(cut: Cutout, path: Path) -> None:
     if not cut.coverage:
-        raise InputError("image", "empty", "Nothing is left of it.", "Paint green what to keep.")
+        raise InputError("strokes", "empty", "Nothing is left of it.", "Paint green what to keep.")
     how = PngInfo()
     how.add_text(HOW, json.dumps(cut.data()))
     with replacing(path) as temporary:

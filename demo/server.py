@@ -39,6 +39,7 @@ from .uploads import ADDRESS, upload_route
 if TYPE_CHECKING:
     from .jobs import Studio
     from .settings import Settings
+    from .visitors import Visitors
 
 FOLDER = Path(__file__).parent
 LOG = logging.getLogger("phy124.web")
@@ -117,11 +118,11 @@ class Assets(StaticFiles):
         return answer
 
 
-def shared_route(studio: Studio) -> Callable[[Request], Awaitable[Response]]:
+def shared_route(visitors: Visitors) -> Callable[[Request], Awaitable[Response]]:
     """Shows the player of a result to anyone who has its link."""
 
     async def shared(request: Request) -> Response:
-        path = studio.visitors.shared(request.path_params["token"])
+        path = visitors.shared(request.path_params["token"])
         if path is None:
             return HTMLResponse(GONE, 404)
         return FileResponse(path, media_type="text/html")
@@ -163,7 +164,7 @@ def routes(studio: Studio) -> list[BaseRoute]:
 
     return [
         Route("/health", health),
-        Route("/phy124/shared/{token}", shared_route(studio)),
+        Route("/phy124/shared/{token}", shared_route(studio.visitors)),
         upload_route(studio),
         socket_route(studio.touches, studio.settings),
         Route("/phy124/jobs/{name}", job),
@@ -178,6 +179,9 @@ def routes(studio: Studio) -> list[BaseRoute]:
 
 def launch(page: Any, studio: Studio, **options: Any) -> None:
     """Serve the page with everything that a public server needs, until the process is to end."""
+    # Not before Gradio's environment is prepared.
+    from .sessions import Asked, Sessions
+
     settings = studio.settings
     page.queue(max_size=settings.max_queue, default_concurrency_limit=1, api_open=False)
     space = os.environ.get("SPACE_HOST", "")
@@ -201,6 +205,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         prevent_thread_lock=True,
         app_kwargs={
             "middleware": [
+                Middleware(Asked),
                 Middleware(Headed, embedded=bool(space)),
                 Middleware(
                     Doorkeeper,
@@ -222,6 +227,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         **options,
     )
     _share_with_nobody(page.app)
+    sessions = page.app.state_holder = page.state_holder = Sessions(page, studio.visitors)
     # uvicorn looks this up for each new connection.
     page.server.config.http_protocol_class = partial(Patient, most=connections)
     page.server.config.ws_max_size = LARGEST
@@ -230,6 +236,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
     try:
         while page.server.thread.is_alive():
             page.server.thread.join(SWEEP)
+            sessions.sweep()
             _sweep(studio)
     finally:
         studio.touches.close()

@@ -23,10 +23,12 @@ STYLE = '<link rel="stylesheet" href="phy124/static/page.css">'
 QUIET: dict[str, Any] = {
     "queue": False, "show_progress": "hidden", "api_visibility": "private",
 }  # fmt: skip
-"""Options of events that answer at once. Gradio drops an event while the last is unanswered."""
+"""Options of events that answer at once. Gradio drops an event while the last is unanswered, which
+is right for a button that is pressed twice."""
 EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
-"""The same for events of which none may be dropped. ("always_last" would send them without what
-they carry.)"""
+"""The same for events of which none may be dropped, as each carries something else."""
+LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
+"""The same for events that carry nothing: after an answer comes that to the latest state."""
 MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42" aria-hidden="true">
 <g fill="none" stroke="#0f766e" stroke-width="2.4"><ellipse cx="15" cy="27" rx="11" ry="9"/>
 <ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>
@@ -150,9 +152,9 @@ def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, known:
 def _wire_forecast(studio: Studio, asked: list[Any], forecast: Any) -> None:
     told = gr.on(
         [component.change for component in asked], handlers.forecaster(studio), asked, forecast,
-        trigger_mode="always_last", **QUIET,
+        **LAST,
     )  # fmt: skip
-    told.then(handlers.refiner(studio), asked, forecast, **QUIET)
+    told.then(handlers.refiner(studio), asked, forecast, **LAST)
 
 
 def _wire_run(
@@ -164,7 +166,7 @@ def _wire_run(
     for again in (go.click, progress.again):
         again(start, asked, started, **QUIET)
     forecast.measure(handlers.measurer(studio), asked, started, **QUIET)
-    cancel.click(handlers.stopper(studio), None, None, **QUIET)
+    cancel.click(handlers.stopper(studio), None, None, **EACH)
     finish, shown = handlers.finisher(studio), [forecast, done, go, cancel, *results]
     shows = (progress.finished, results[-1].show)
     return [show(finish, [*asked, done], shown, **EACH) for show in shows]
@@ -173,7 +175,7 @@ def _wire_run(
 def _wire_fit(studio: Studio, done: Any, fit: Any, takeaway: Any, shows: list[Any]) -> None:
     # Not done.change: Gradio tells no change of a state after an event without its queue.
     for shown in shows:
-        shown.then(handlers.fit_offerer(studio), done, fit, **QUIET)
-    fit.begin(handlers.fit_starter(studio), [done, fit], fit, **QUIET)
-    fit.stop(handlers.fit_stopper(studio), None, None, **QUIET)
-    fit.ended(handlers.fit_shower(studio), done, [fit, takeaway], **QUIET)
+        shown.then(handlers.fit_offerer(studio), done, fit, **LAST)
+    fit.begin(handlers.fit_starter(studio), [done, fit], fit, **EACH)
+    fit.stop(handlers.fit_stopper(studio), None, None, **EACH)
+    fit.ended(handlers.fit_shower(studio), done, [fit, takeaway], **EACH)

@@ -73,6 +73,10 @@ class Visitors:
                 visitor.touch()
             return visitor
 
+    def has(self, name: str) -> bool:
+        """Whether a visitor is known; asking is no sign of life."""
+        return name in self._known
+
     def is_here(self, name: str | None) -> bool:
         """Whether the page of a visitor is open; asking is no sign of life."""
         visitor = self._known.get(name or "")

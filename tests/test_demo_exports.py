@@ -136,7 +136,7 @@ def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(
     assert told == prepare(done, None, asked, "cookie me")["share"], "one link for one result"
     assert "1.5 minutes" in told["lasts"]
     assert "no longer stored" in prepare(done, None, asked, "cookie you")["message"]
-    app = Starlette(routes=[Route("/phy124/shared/{token}", shared_route(studio))])
+    app = Starlette(routes=[Route("/phy124/shared/{token}", shared_route(visitors))])
     with TestClient(app) as client:
         answer = client.get(told["link"])
         assert answer.status_code == 200 and "Phy124Player.mount" in answer.text

@@ -71,7 +71,7 @@ def fit_shower(studio: Studio) -> Handler:
         panel = _panel(studio, done, visitor)
         if job.progress.result is None:
             return {**panel, "message": job.progress.message}, gr.skip()
-        return panel, takeaway_of(done)
+        return panel, {**takeaway_of(done), "asked": "fit"}
 
     return show
 

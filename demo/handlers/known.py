@@ -14,6 +14,8 @@ from ..sentences import sentence
 from .event import Handler, data_of, file_of, job_of
 from .picture import shown_source
 
+FORGOTTEN = "The server no longer has this picture. Choose it once more."
+
 
 def view_chooser(studio: Studio) -> Handler:
     """Handler: a picture was sent for an option; starts to cut it out, a depth map is checked."""
@@ -23,11 +25,11 @@ def view_chooser(studio: Studio) -> Handler:
         try:
             known = studio.known(visitor_of(request), {option: path})
             if known.depth.depth is not None:
-                return _answer(option, picture=file_of(known.depth.depth))
+                return _answer(event, picture=file_of(known.depth.depth))
             job = studio.cut(visitor_of(request), path, kind="view")
         except InputError as error:
-            return _answer(option, message=sentence(error))
-        return _answer(option, job=job.name)
+            return _answer(event, message=sentence(error))
+        return _answer(event, job=job.name)
 
     return choose
 
@@ -36,12 +38,12 @@ def object_chooser(studio: Studio) -> Handler:
     """Handler: a picture of a further object was sent; starts to cut it out."""
 
     def choose(event: gr.EventData, request: gr.Request) -> dict[str, Any]:
-        option, path = str(data_of(event).get("option")), data_of(event).get("upload")
+        path = data_of(event).get("upload")
         try:
             job = studio.cut(visitor_of(request), path, kind="view")
         except InputError as error:
-            return _answer(option, message=sentence(error))
-        return _answer(option, job=job.name)
+            return _answer(event, message=sentence(error))
+        return _answer(event, job=job.name)
 
     return choose
 
@@ -52,15 +54,16 @@ def view_shower(studio: Studio) -> Handler:
     def show(event: gr.EventData, request: gr.Request) -> Any:
         job = job_of(studio, request, event)
         if job is None or not job.over:
-            return gr.skip()
-        option, made = str(data_of(event).get("option")), job.progress.result
+            return _answer(event, message=FORGOTTEN)
+        made = job.progress.result
         if made is None:
-            return _answer(option, message=job.progress.message)
-        return _answer(option, **shown_source(made), doubts=" ".join(made.doubts))
+            return _answer(event, message=job.progress.message)
+        return _answer(event, **shown_source(made), doubts=" ".join(made.doubts))
 
     return show
 
 
-def _answer(option: str, **told: Any) -> dict[str, Any]:
-    """What the panel then adds to what it shows of the option."""
-    return {"answer": {"option": option, **told}}
+def _answer(event: gr.EventData, **told: Any) -> dict[str, Any]:
+    """What the panel then adds to what it shows of the option, unless it has asked again since."""
+    asked = {name: value for name, value in data_of(event).items() if name in ("option", "ask")}
+    return {"answer": {**asked, **told}}

@@ -24,6 +24,7 @@ from ..strokes import place_of, strokes_of
 from .event import Handler, data_of, file_of, job_of, path_of, table_of
 
 IF_WRONG = "If it is wrong, click the object in your picture, or correct it with the brush."
+FORGOTTEN = "The server no longer has your picture. Choose it once more."
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -71,7 +72,8 @@ def cut_shower(studio: Studio) -> Handler:
     def show(shown: Any, source: Any, event: gr.EventData, request: gr.Request) -> tuple[Any, ...]:
         job = job_of(studio, request, event)
         if job is None or not job.over:
-            return gr.skip(), gr.skip(), gr.skip()
+            # Not skipped: the panel asks no other question until this one is answered.
+            return {**table_of(shown), "job": None, "message": FORGOTTEN}, source, gr.skip()
         made = job.progress.result
         if made is None:
             failed = {"job": None, "message": job.progress.message, "picture": _picture(job)}
@@ -111,7 +113,7 @@ def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
 def _picture(job: Job) -> dict[str, Any] | None:
     """The picture being cut out, as soon as there is one that browsers can show."""
     path = Path(job.subject)
-    shows = job.kind == "cut" and path.exists() and is_shown(path)
+    shows = job.kind == "cut" and path.is_file() and is_shown(path)
     return file_of(path) if shows else None
 
 

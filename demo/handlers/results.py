@@ -62,14 +62,18 @@ def finisher(studio: Studio) -> Handler:
         source: Any, scene: Any, told: Any, shown: Any, event: gr.EventData, request: gr.Request
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), job_of(studio, request, event)
+        # A look at an earlier result stops no run that is going on.
+        buttons = (gr.skip(), gr.skip()) if data_of(event).get("earlier") else rested()
         if job is not None and isinstance(job.progress.result, Measured) and source and scene:
             line = forecast_of(studio, name, source, scene, told, opened=True)
-            return line, gr.skip(), *rested(), *_with_report(studio, name, shown)
+            return line, gr.skip(), *buttons, *_with_report(studio, name, shown)
         if job is None and not _is_there(shown):
-            return gr.skip(), None, *rested(), *NOT_SHOWN[:TAKEAWAY], *FORGOTTEN
+            return gr.skip(), None, *buttons, *NOT_SHOWN[:TAKEAWAY], *FORGOTTEN
         if job is None or not job.over or not _is_there(job.progress.result):
-            return gr.skip(), gr.skip(), *rested(), *NOT_SHOWN
-        return gr.skip(), job.progress.result, *rested(), *results(studio, name, job)
+            # Not skipped: the history asks for no other result until this one is answered.
+            runs = {"runs": _earlier(studio, name, shown)}
+            return gr.skip(), gr.skip(), *buttons, *NOT_SHOWN[:-1], runs
+        return gr.skip(), job.progress.result, *buttons, *results(studio, name, job)
 
     return finish
 
@@ -141,7 +145,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
         {"films": films, "length": length},
         report_of(studio, job),
         takeaway_of(done),
-        {"runs": _earlier(studio, name, job)},
+        {"runs": _earlier(studio, name, done)},
     ]
 
 
@@ -155,7 +159,7 @@ def report_of(studio: Studio, job: Job) -> str:
     return as_html(report, data, job.progress.expected, stops, study)
 
 
-def _earlier(studio: Studio, name: str, shown: Job) -> list[dict[str, Any]]:
+def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, Any]]:
     """The results of a visitor so far, the newest first, each once."""
     visitor, seen, found = studio.visitors.known(name), set(), []
     for job in reversed(list(visitor.jobs.values()) if visitor else []):
@@ -170,7 +174,7 @@ def _earlier(studio: Studio, name: str, shown: Job) -> list[dict[str, Any]]:
             if isinstance(scene["accuracy"], str) else f"{scene['time']['frames']} frames",
             "picture": file_of(done.films / "orbit.webp"),
             "pack": file_of(done.films / "clip.pack"),
-            "current": done == shown.progress.result,
+            "current": done == shown,
         })  # fmt: skip
     return found
 
@@ -197,19 +201,23 @@ def preparer(studio: Studio) -> Handler:
             kinds = ["html" if kind == SHARE else kind]
             (path,) = export(kinds, done, visitor, studio.visitors)
         except InputError as error:
-            return {**takeaway_of(done), "message": sentence(error)}
+            return {**takeaway_of(done), "asked": kind, "message": sentence(error)}
+        offered = {**takeaway_of(done), "asked": kind}
         if kind == SHARE:
             minutes = studio.settings.room.grace / 60
             lasts = f"It works while this page is open, and {minutes:g} minutes longer."
             link = f"phy124/shared/{visitor.share(path)}"
-            return {**takeaway_of(done), "share": {"link": link, "lasts": lasts}}
-        return {**takeaway_of(done), "made": kind, "file": path.name}
+            return {**offered, "share": {"link": link, "lasts": lasts}}
+        return {**offered, "file": path.name}
 
     return prepare
 
 
 def takeaway_of(done: Done) -> dict[str, Any]:
-    """The take-away panel of a result: its files, and the formats that are made on demand."""
+    """The take-away panel of a result: its files, and the formats that are made on demand.
+
+    Handlers add what was "asked" for: if another result is shown by then, the panel ignores it.
+    """
     files, offers = [], []
     frames, gaussians = shape_of(done.clip / "clip.safetensors")
     for path in _films(done):
@@ -231,7 +239,7 @@ def takeaway_of(done: Done) -> dict[str, Any]:
             offers.append({**told, "about": offer.about(frames, gaussians)})
     hint = "Plays in any browser as long as your files are kept here"
     offers.append({"kind": SHARE, "label": "Link to share", "hint": hint})
-    return {"files": files, "offers": offers}
+    return {"result": done.films.name, "files": files, "offers": offers}
 
 
 def _link(path: Path, label: str, hint: str) -> dict[str, Any]:

@@ -117,12 +117,14 @@ def _error_line(
 def refiner(studio: Studio) -> Handler:
     """Handler: the scene changed; returns a forecast by a probe of the object if that is quick."""
 
-    def refine(source: Source | None, scene: Any, told: Any, request: gr.Request) -> Any:
+    def refine(source: Source | None, scene: Any, told: Any, request: gr.Request) -> str:
+        if not scene:
+            return ""
         name = visitor_of(request)
         try:
-            text = studio.refine(name, source, scene, told) if source and scene else None
-            if text is None:
-                return gr.skip()
+            text = studio.refine(name, source, scene, told)
+            # Not skipped: the last probe, of an older scene, may have been shown meanwhile.
+            text = text or studio.forecast(name, source, scene, told)
             return with_stops(studio, name, source, scene, told, text)
         except InputError as error:
             return refused(error)

@@ -14,7 +14,7 @@
       const tool = (name, keep) => h('label', {}, h('input', { type: 'radio', name: 'brush-tool', checked: keep === this.keep, onchange: () => { this.keep = keep; } }), h('span', {}, name));
       const size = h('input', { type: 'range', min: 0.01, max: 0.15, step: 0.005, value: this.width, 'aria-label': 'Width of the brush', oninput: () => { this.width = Number(size.value); this.draw(); } });
       const button = (label, act, kind = 'quiet') => h('button', { type: 'button', class: kind, onclick: act }, label);
-      this.element = h('details', { class: 'brush', id: 'brush', hidden: true }, h('summary', {}, 'Correct the cut-out'),
+      this.element = h('details', { class: 'brush', id: 'brush', hidden: true }, this.title = h('summary', {}),
         h('div', { class: 'brush-tools' }, h('div', { class: 'segments', role: 'radiogroup', 'aria-label': 'Brush' }, tool('Keep', true), tool('Remove', false)), size),
         this.canvas, h('div', { class: 'brush-tools' }, button('Undo', () => { this.strokes.pop(); this.draw(); }), button('Clear', () => { this.strokes = []; this.draw(); }),
           button('Apply the strokes', () => this.strokes.length && apply(this.strokes), 'primary')));
@@ -25,6 +25,7 @@
     /** Show a picture and its cut-out; strokes over another one go, unless it was only sent again. */
     load(photo, cut, again = false) {
       this.element.hidden = !photo;
+      this.title.textContent = cut ? 'Correct the cut-out' : 'Mark the object';
       if (photo !== this.photo && !again) this.strokes = [];
       if (photo === this.photo && cut === this.cut) return;
       Object.assign(this, { photo, cut });

@@ -50,7 +50,7 @@
       this.side = h('select', { 'aria-label': 'Side' }, ...fields.side.enum.map((side) => h('option', { value: side }, side)));
       this.speed = h('select', { 'aria-label': 'Speed of the video' }, ...SPEEDS.map((speed) => h('option', { value: speed }, speed === 1 ? 'real time' : `slowed to ${speed}×`)));
       this.go = h('button', { type: 'button', class: 'primary fit-go', disabled: true, onclick: () => this.begin() }, 'Fit');
-      this.cancel = h('button', { type: 'button', class: 'quiet fit-cancel', hidden: true, onclick: () => this.trigger('stop') }, 'Cancel');
+      this.cancel = h('button', { type: 'button', class: 'quiet fit-cancel', hidden: true, onclick: () => this.stop() }, 'Cancel');
       const row = (label, field, control, ...more) => h('label', { title: field.description }, h('span', {}, label), control, ...more);
       return h('div', { class: 'fit' }, slot, h('div', { class: 'fit-form' },
         row('Filmed from the', fields.side, this.side), row('It plays in', fields.speed, this.speed),
@@ -73,11 +73,18 @@
     }
 
     async begin() {
+      this.stopping = false;
       this.busy(true);
       this.say('Sending the video …');
       const { path, message } = await globalThis.Phy124.sent(this.file, { too_large: 'The video is larger than this page takes. Send a shorter one.' });
-      if (message) { this.busy(false); return this.say(message, true); }
+      if (message || this.stopping) { this.busy(false); return this.say(message || '', Boolean(message)); }
       this.trigger('begin', { upload: path, side: this.side.value, speed: Number(this.speed.value), seconds: Number(this.budget.value) });
+    }
+
+    /** What is not there yet is stopped once it is. */
+    stop() {
+      this.stopping = true;
+      this.trigger('stop');
     }
 
     /** The server answered by an error; a fit that it has begun goes on. */
@@ -103,8 +110,9 @@
       if (this.job === job) return;
       this.job = job;
       this.busy(true);
+      if (this.stopping) this.trigger('stop');
       follow(job, (told) => this.take(job, told), (told) => {
-        this.job = null;
+        Object.assign(this, { job: null, stopping: false });
         this.busy(false);
         this.say(told.state === 'done' ? '' : told.message || 'The server no longer knows this fit.', told.state !== 'done');
         announce(told.state === 'done' ? 'The fit is there.' : told.message || '');

@@ -94,7 +94,7 @@
   /** A picture beside the one from the front, and how it is meant. */
   class View {
     constructor(option, panel) {
-      Object.assign(this, { option, panel, following: null });
+      Object.assign(this, { option, panel, asked: 0, following: null });
       const hint = panel.options[option].description;
       this.input = h('input', { type: 'file', accept: option === 'depth' ? ACCEPT : ACCEPT + HEIC, 'aria-label': words(option), onchange: () => this.choose(this.input.files[0]) });
       this.shown = h('img', { alt: `What was sent: ${option}`, hidden: true });
@@ -115,6 +115,7 @@
     tell(path) { this.panel.tell({ [this.option]: path }); }
 
     clear() {
+      this.asked++; // an answer that is still to come no longer counts
       Object.assign(this, { following: null, pending: false, file: null });
       this.show(null);
       this.say('');
@@ -144,14 +145,19 @@
       const { reduced, sent } = globalThis.Phy124;
       // A depth map's 16 bits would not survive the browser.
       const answer = await sent(this.option === 'depth' ? file : await reduced(file, this.panel.limits), this.panel.limits);
+      if (this.file !== file) return; // another one was chosen meanwhile, or none
       if (answer.path) this.look(answer.path); else this.say(answer.message, true);
     }
 
     /** Have a picture that was sent cut out. */
     look(path) {
-      this.pending = true;
       this.say('Looking at it …');
-      this.panel.trigger('choose', { option: this.option, upload: path });
+      this.ask('choose', { upload: path });
+    }
+
+    ask(event, what) {
+      this.pending = true;
+      this.panel.trigger(event, { option: this.option, ask: ++this.asked, ...what });
     }
 
     /** A request was answered by an error, which carries no answer. */
@@ -171,7 +177,8 @@
       this.say('The server no longer has this picture. Choose it once more.', true);
     }
 
-    take({ job, message, picture, cutout, by, doubts }) {
+    take({ ask, job, message, picture, cutout, by, doubts }) {
+      if (ask !== this.asked) return;
       this.pending = false;
       if (message) return this.say(message, true);
       if (job) return this.await(job);
@@ -186,8 +193,7 @@
       follow(job, () => this.following === job, (told) => {
         if (this.following !== job) return;
         if (told.state === 'gone') { this.following = null; this.say('The server no longer has this picture. Choose it once more.', true); return; }
-        this.pending = true;
-        this.panel.trigger('view', { option: this.option, job });
+        this.ask('view', { job });
       });
     }
   }

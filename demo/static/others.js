@@ -60,7 +60,7 @@
     }
 
     take(answer) {
-      if (answer.message) { this.show(null); this.tell(null); }
+      if (answer.message && answer.ask === this.asked) { this.show(null); this.tell(null); }
       super.take(answer);
     }
   }

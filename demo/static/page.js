@@ -2,7 +2,7 @@
  * gr.HTML calls once with its element; `watch` tells when Python sends a new value. */
 'use strict';
 (() => {
-  const { follow, server } = globalThis.Phy124;
+  const { follow, server, Questions } = globalThis.Phy124;
 
   const h = (tag, attributes = {}, ...children) => {
     const node = document.createElement(tag);
@@ -258,11 +258,14 @@
   /* ---- earlier results --------------------------------------------------------------------- */
 
   function history(element, props, watch, trigger) {
+    const questions = new Questions(trigger);
+    document.addEventListener('phy124-failed', () => questions.pending && questions.answered());
     const show = () => {
+      questions.answered();
       const runs = (props.value && props.value.runs) || [];
       if (runs.length < 2) return element.replaceChildren();
       const item = ({ job, title, detail, picture, pack, current }) => h('li', { class: current ? 'current' : '' },
-        h('button', { type: 'button', 'aria-pressed': current ? 'true' : 'false', onclick: () => trigger('show', { job }) },
+        h('button', { type: 'button', 'aria-pressed': current ? 'true' : 'false', onclick: () => questions.ask('show', { job, earlier: true }) },
           moving(picture.url, { width: 72, height: 72 }), h('strong', {}, title), h('span', {}, detail)),
         current ? null : h('button', { type: 'button', class: 'quiet', onclick: () => globalThis.Phy124.compare(pack.url, `${title}, ${detail}`) }, 'Beside'));
       element.replaceChildren(h('section', { class: 'history', 'aria-label': 'Earlier results' }, h('h3', {}, 'Your results'), h('ul', {}, ...runs.map(item))));
@@ -308,12 +311,17 @@
   /* ---- take-away --------------------------------------------------------------------------- */
 
   function takeaway(element, props, watch, trigger) {
-    let asked = null;
-    const show = (value = props.value || {}) => {
+    const making = new Set();
+    let shown = {}, last = null;
+    const show = (value) => {
+      if (value.asked && value.result && value.result !== shown.result) return; // of another result
+      if (value.result !== shown.result) making.clear();
+      making.delete(value.asked);
+      shown = value;
       const link = ({ label, hint, file }) => h('a', { class: 'file', href: file.url, download: file.orig_name, 'data-name': file.orig_name },
         h('strong', {}, label), h('span', {}, hint), h('em', {}, size(file.size || 0)));
-      const button = ({ kind, label, hint, about }) => h('button', { type: 'button', class: 'file', 'data-kind': kind,
-        onclick: (event) => { asked = kind; event.currentTarget.setAttribute('aria-busy', 'true'); trigger('prepare', { kind }); } },
+      const button = ({ kind, label, hint, about }) => h('button', { type: 'button', class: 'file', 'data-kind': kind, 'aria-busy': making.has(kind) && 'true',
+        onclick: (event) => { making.add(last = kind); event.currentTarget.setAttribute('aria-busy', 'true'); trigger('prepare', { kind }); } },
       h('strong', {}, label), h('span', {}, hint), h('em', {}, about ? `Make, ~${size(about)}` : 'Make'));
       const shared = ({ link, lasts }) => {
         const url = new URL(link, document.baseURI).href;
@@ -324,14 +332,16 @@
         : h('p', { class: 'empty' }, 'Videos, the moving Gaussians and the scene can be taken away from here.'));
       if (value.message) element.append(h('p', { class: 'message', role: 'alert' }, value.message));
       if (value.share) element.append(shared(value.share));
-      const made = asked && value.made === asked ? element.querySelector(`[data-name="${value.file}"]`) : null;
+      const made = value.asked === last && value.file ? element.querySelector(`[data-name="${value.file}"]`) : null;
       // Not opened by itself: browsers may block downloads that no click has asked for.
-      if (made) { asked = null; made.classList.add('new'); made.focus(); }
+      if (made) { last = null; made.classList.add('new'); made.focus(); }
     };
-    watch('value', () => show());
-    show();
+    watch('value', () => show(props.value || {}));
+    show(props.value || {});
     document.addEventListener('phy124-failed', () => {
-      if (element.querySelector('[aria-busy]')) show({ ...props.value, message: 'The server could not make this. Try again.' });
+      if (!making.size) return;
+      making.clear();
+      show({ ...shown, asked: null, message: 'The server could not make this. Try again.' });
     });
   }
 

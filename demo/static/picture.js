@@ -3,7 +3,7 @@
  * picture's place. */
 'use strict';
 (() => {
-  const { h, follow, server } = globalThis.Phy124;
+  const { h, follow, server, Questions } = globalThis.Phy124;
   const KEPT = 'phy124-picture', LARGEST = 3e6; // a tab keeps a few MB of text
   const SIDE = 2048; // the server looks no closer
   const ACCEPT = 'image/png,image/jpeg,image/webp,image/heic,image/heif,image/avif,.heic,.heif,.avif';
@@ -15,7 +15,7 @@
 
   class PicturePanel {
     constructor(element, props, watch, trigger, offer) {
-      Object.assign(this, { element, props, trigger, offer, following: null, pending: false, next: null });
+      Object.assign(this, { element, props, offer, questions: new Questions(trigger), following: null });
       this.status = h('p', { class: 'picture-status', role: 'status' });
       this.again = h('button', { type: 'button', class: 'quiet', hidden: true, onclick: () => this.retry() }, 'Try again');
       this.brush = new globalThis.Phy124.Brush((strokes) => this.correct({ strokes }), (pick) => this.correct({ pick }));
@@ -116,7 +116,9 @@
       this.say(`Sending the ${gaussians ? 'file' : 'picture'} …`);
       const small = gaussians ? file : await reduced(file, limits);
       this.input.value = '';
+      if (this.chosen?.file !== file) return; // another one was chosen meanwhile
       const { path, message, lost } = await sent(small, limits);
+      if (this.chosen?.file !== file) return;
       if (message) return this.refuse(message, lost && (() => this.send(file)));
       keep({ file: small });
       this.choose({ upload: path }, gaussians);
@@ -135,28 +137,15 @@
     }
 
     ask(event, what) {
-      this.last = () => this.post(event, what);
+      // A question about this picture has no meaning once another one has been chosen.
+      if (event !== 'choose' && this.questions.holds('choose')) return;
+      this.last = () => this.questions.ask(event, what);
       this.last();
-    }
-
-    /** Until the server has answered one question, the latest of those that follow waits. */
-    post(event, what) {
-      if (this.pending) { this.next = [event, what]; return; }
-      this.pending = true;
-      this.trigger(event, what);
-    }
-
-    /** The server has answered; whether the answer is outdated by a question that waited. */
-    answered() {
-      const { next } = this;
-      Object.assign(this, { pending: false, next: null });
-      if (next) this.post(...next);
-      return Boolean(next);
     }
 
     /** A request was answered by an error, which carries no new value. */
     fail() {
-      if (!this.pending || this.answered()) return;
+      if (!this.questions.pending || this.questions.answered()) return;
       this.say('The server could not do this.', true);
       this.again.hidden = false;
     }
@@ -166,7 +155,7 @@
     /** What was chosen before must not be generated from after a refusal: the server forgets it. */
     refuse(message, again = null) {
       this.restoring = false;
-      this.post('choose', {});
+      this.questions.ask('choose', {});
       this.local = message;
       this.say(message, true);
       if (again) { this.last = again; this.again.hidden = false; }
@@ -179,7 +168,7 @@
     }
 
     show() {
-      if (this.answered()) return;
+      if (this.questions.answered()) return;
       const value = this.props.value || {};
       const [photo, cut] = [value.picture?.url, value.cutout?.url];
       this.drop.classList.toggle('full', Boolean(photo));
@@ -190,6 +179,7 @@
       if (cut) this.preview.firstChild.src = cut; else this.preview.firstChild.removeAttribute('src');
       this.drop.classList.toggle('file', Boolean(value.file));
       this.brush.load(value.file ? null : photo, cut, this.restoring);
+      if (value.job && !cut) this.brush.element.hidden = true;
       if (value.job) return this.await(value);
       if (cut || value.file) document.dispatchEvent(new Event('phy124-asked'));
       const again = this.restoring && cut && this.corrected;

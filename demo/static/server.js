@@ -32,6 +32,28 @@
     }
   }
 
+  /** Questions of a panel to the server, one at a time: of those that come meanwhile the latest waits. */
+  class Questions {
+    constructor(trigger) { Object.assign(this, { trigger, pending: null, next: null }); }
+
+    /** Whether an event has been sent or waits, and is not answered yet. */
+    holds(event) { return this.pending === event || this.next?.[0] === event; }
+
+    ask(event, what) {
+      if (this.pending) { this.next = [event, what]; return; }
+      this.pending = event;
+      this.trigger(event, what);
+    }
+
+    /** The server has answered; returns whether the answer is outdated by a question that waited. */
+    answered() {
+      const { next } = this;
+      Object.assign(this, { pending: null, next: null });
+      if (next) this.ask(...next);
+      return Boolean(next);
+    }
+  }
+
   /* ---- whether it is there, and knows this visitor ------------------------------------------- */
 
   const server = { forgot: false, look };
@@ -101,5 +123,5 @@
     line.append(close);
   }
 
-  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { follow, pause, server });
+  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { follow, pause, server, Questions });
 })();

@@ -47,7 +47,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         left_out = _videos(clip, view, order, folder, limits, watch)
         about = _in_photograph(clip, view, order, folder, limits, watch)
         tell(Step("save", 0, 2))
-        with watch.stage("save"):
+        with watch.stage("pack"):
             first = standing(clip, view, "front")
             around = stage_of(clip, view, device=order.device)
             shown, gloss = glossed(clip, view)

@@ -1,0 +1,111 @@
+"""Sessions: what Gradio keeps of each open page; their size and number.
+
+Gradio keeps up to 10,000 of them, until the server ends. A request needs only a name of its own
+to begin one, which takes 0.3 MB and 0.1 s for a description that only links into a page need.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from contextvars import ContextVar
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from gradio.state_holder import SessionState, StateHolder
+from starlette.requests import HTTPConnection
+
+from .identity import address_of, cookie_of
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Receive, Scope, Send
+
+    from .visitors import Visitors
+
+ADDRESS = 64
+"""Number of sessions of one address; a page has one."""
+UNCLAIMED = 60.0
+"""Time after which a session goes that is of no known visitor [s]; it holds no picture."""
+ASKER: ContextVar[tuple[str | None, str]] = ContextVar("ASKER", default=(None, ""))
+"""Cookie and address of the request that is being answered."""
+
+
+class Asked:
+    """Notes who asks while a request is answered."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on."""
+        if scope["type"] == "http":
+            request = HTTPConnection(scope)
+            ASKER.set((cookie_of(request), address_of(request)))
+        await self.app(scope, receive, send)
+
+
+class Session(SessionState):
+    """What is kept of a page, without a description of all its components."""
+
+    def __init__(self, blocks: Any) -> None:
+        known: Any = SimpleNamespace(default_config=blocks.default_config, blocks={})
+        super().__init__(known)
+        config: Any = self.blocks_config
+        config.config_for_block = lambda *_: {}
+
+
+@dataclass
+class _Origin:
+    """Where a session comes from, and when it was last used [s]."""
+
+    visitor: str
+    address: str
+    used: float
+
+
+class Sessions(StateHolder):
+    """The sessions by name, few for each address, and kept as long as their visitor is known."""
+
+    def __init__(self, blocks: Any, visitors: Visitors) -> None:
+        super().__init__()
+        self.set_blocks(blocks)
+        self._visitors = visitors
+        self._origins: dict[str, _Origin] = {}
+
+    def __getitem__(self, session_id: str) -> SessionState:
+        """The session of that name, a new one if there is none; counts as a use."""
+        with self.lock:
+            if session_id not in self.session_data:
+                cookie, address = ASKER.get()
+                self._make_room(address)
+                self.session_data[session_id] = Session(self.blocks)
+                visitor = cookie or f"session {session_id}"
+                self._origins[session_id] = _Origin(visitor, address, 0.0)
+            self._origins[session_id].used = time.monotonic()
+            return self.session_data[session_id]
+
+    def sweep(self) -> None:
+        """Remove the sessions of visitors who are not known, unless they are new."""
+        with self.lock:
+            for name, origin in list(self._origins.items()):
+                new = time.monotonic() - origin.used < UNCLAIMED
+                if not new and not self._visitors.has(origin.visitor):
+                    self._remove(name)
+
+    def _make_room(self, address: str) -> None:
+        """Of too many sessions of an address, remove one: of who is not here, or has most."""
+        origins = {name: one for name, one in self._origins.items() if one.address == address}
+        if len(origins) < ADDRESS:
+            return
+        count = Counter(origin.visitor for origin in origins.values())
+
+        def worth(name: str) -> tuple[bool, int, float]:
+            origin = origins[name]
+            here = self._visitors.is_here(origin.visitor)
+            return here, -count[origin.visitor], origin.used
+
+        self._remove(min(origins, key=worth))
+
+    def _remove(self, name: str) -> None:
+        del self.session_data[name], self._origins[name]

@@ -1,0 +1,255 @@
+"""Actions that come faster than the server answers, in a real headless Chromium."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from visit import DUCK, LONG, Visit
+
+pytestmark = pytest.mark.browser
+
+TEDDY = DUCK.with_name("teddy.png")
+SRC = "(which) => document.querySelector(which)?.getAttribute('src')"
+SIDE = "#known img[alt='What was sent: side']"
+STATUS = """() => {
+    // All that the pictures' panels say from now on.
+    globalThis.said = [];
+    const note = () => said.push(...[...document.querySelectorAll('.picture-status')].map((p) => p.textContent));
+    for (const at of ['#picture', '#known']) new MutationObserver(note).observe(document.querySelector(at), { childList: true, subtree: true });
+}"""  # noqa: E501
+SHOWN = """() => {
+    // The results that are shown from now on, by their places in the history.
+    globalThis.shown = [];
+    new MutationObserver(() => {
+        const place = [...document.querySelectorAll('#history li')].findIndex((e) => e.matches('.current'));
+        if (place !== shown.at(-1)) shown.push(place);
+    }).observe(document.querySelector('#history'), { childList: true, subtree: true });
+}"""  # noqa: E501
+
+
+@pytest.fixture
+def visit(browser, server) -> Iterator[Visit]:
+    visit = Visit(browser, server)
+    yield visit
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def _event(request: Any) -> dict[str, Any]:
+    """What a panel's event carries; empty if nothing."""
+    return json.loads(request.post_data or "{}").get("event_data") or {}
+
+
+@contextmanager
+def _held(
+    visit: Visit, wanted: Callable[[dict[str, Any]], Any], at: str = "**/run/predict"
+) -> Iterator[list[Any]]:
+    """Requests whose event is wanted, which wait until they are continued, or the block ends."""
+    held: list[Any] = []
+
+    def hold(route: Any) -> None:
+        is_json = "json" in route.request.headers.get("content-type", "")
+        if wanted(_event(route.request) if is_json else {}):
+            held.append(route)
+        else:
+            route.continue_()
+
+    visit.page.route(at, hold)
+    yield held
+    visit.page.unroute(at)
+
+
+def _settle(visit: Visit) -> None:
+    """Wait until the page has sent, and been answered, all that came before."""
+    for _ in range(3):
+        visit.page.evaluate("fetch('health').then((answer) => answer.text())")
+
+
+def _release(visit: Visit, route: Any) -> None:
+    with visit.page.expect_response(lambda answer: answer.request == route.request, timeout=LONG):
+        route.continue_()
+    _settle(visit)
+
+
+def _until(visit: Visit, held: list[Any], count: int) -> None:
+    while len(held) < count:
+        visit.page.wait_for_timeout(20)
+
+
+def _run(visit: Visit, frames: int) -> None:
+    before = visit.page.evaluate(SRC, ".film video")
+    visit.choose(frames=frames)
+    visit.generate()
+    visit.page.wait_for_function(
+        f"(before) => ![before, undefined].includes(({SRC})('.film video'))", arg=before, timeout=LONG
+    )  # fmt: skip
+    visit.finished()
+
+
+def test_the_picture_chosen_last_is_shown_although_sent_first(visit):
+    page = visit.page
+    with _held(visit, lambda _: True, "**/upload") as held:
+        page.locator("#photo input[type=file]").set_input_files(DUCK)
+        _until(visit, held, 1)
+        page.get_by_label("Example: teddy").click()
+        page.wait_for_selector("#cutout img[src]", timeout=LONG)
+        before = page.evaluate(SRC, "#photo img")
+        page.evaluate(STATUS)
+        _release(visit, held[0])
+    assert page.evaluate("said.filter((text) => text.includes('Cutting'))") == []
+    assert page.evaluate(SRC, "#photo img") == before
+
+
+def test_of_two_sides_the_last_is_used_although_answered_first(visit):
+    page = visit.page
+    visit.upload()
+    side = page.get_by_label("Side", exact=True)
+    with _held(visit, lambda event: event.get("option") == "side" and "upload" in event) as held:
+        for count, path in enumerate((TEDDY, DUCK), 1):
+            side.set_input_files(path)
+            _until(visit, held, count)
+        held[1].continue_()
+        page.wait_for_selector(f"{SIDE}[src]", state="attached", timeout=LONG)
+        before = page.evaluate(SRC, SIDE)
+        page.evaluate(STATUS)
+        _release(visit, held[0])
+    assert page.evaluate("said.filter((text) => text.includes('Side: Cutting'))") == []
+    assert page.evaluate(SRC, SIDE) == before
+
+
+def test_a_side_that_is_answered_late_is_not_that_of_a_new_object(visit):
+    page = visit.page
+    visit.upload()
+    with _held(visit, lambda event: event.get("option") == "side") as held:
+        page.get_by_label("Side", exact=True).set_input_files(DUCK)
+        _until(visit, held, 1)
+        page.get_by_label("Example: teddy").click()
+        page.get_by_text("Looking at it").wait_for(state="detached", timeout=LONG)
+        page.evaluate(STATUS)
+        _release(visit, held[0])
+    assert page.evaluate("said.filter((text) => text.startsWith('Side: '))") == []
+
+
+def test_the_result_clicked_last_is_shown_and_stops_no_run(visit):
+    page = visit.page
+    visit.upload()
+    for frames in (2, 3):
+        _run(visit, frames)
+    page.wait_for_selector("#history li:nth-child(2)", timeout=LONG)
+    page.evaluate(SHOWN)
+    older, newer = (page.locator("#history li > button").nth(number) for number in (1, 0))
+    with _held(visit, lambda event: "earlier" in event) as held:
+        older.click(force=True)
+        _until(visit, held, 1)
+        page.locator("#history li > button[aria-pressed]").first.click()
+        _settle(visit)
+        for route in reversed(held[:]):
+            _release(visit, route)
+    page.wait_for_function("shown.join() === '1,0'", timeout=LONG)
+    visit.choose(frames=72)
+    visit.generate()
+    page.wait_for_selector(".glimpse[src]", timeout=LONG)
+    older.click()
+    page.wait_for_selector("#history li:nth-child(2).current", timeout=LONG)
+    assert page.locator("#cancel").is_visible() and newer.is_visible()
+    page.locator("#cancel").click()
+    page.wait_for_selector("#go:not([disabled])", timeout=LONG)
+
+
+def test_a_file_of_another_result_is_not_offered(visit):
+    page, clip = visit.page, '#takeaway [data-name="clip.safetensors"]'
+    visit.upload()
+    for frames in (2, 3):
+        _run(visit, frames)
+    page.get_by_role("tab", name="Take away").click()
+    before = page.locator(clip).get_attribute("href")
+    with _held(visit, lambda _: True, "**/queue/data*") as held:
+        page.locator("#takeaway [data-kind=ply]").click()
+        _until(visit, held, 1)
+        page.locator("#history li:nth-child(2) > button").first.click()
+        page.wait_for_function(
+            f"(before) => document.querySelector('{clip}').getAttribute('href') !== before",
+            arg=before, timeout=LONG,
+        )  # fmt: skip
+        after = page.locator(clip).get_attribute("href")
+        _release(visit, held[0])
+    assert page.locator(clip).get_attribute("href") == after
+
+
+def test_the_forecast_is_that_of_the_last_scene(visit):
+    """The probe of an earlier scene is answered after the forecast of a later one."""
+    page = visit.page
+    visit.upload()
+    _run(visit, 2)
+    config = page.evaluate("fetch('config').then((answer) => answer.json())")
+    at = next(c["id"] for c in config["components"] if c["props"].get("elem_id") == "forecast")
+    (probe,) = (
+        d["id"] for d in config["dependencies"] if d["outputs"] == [at] and d["trigger_after"]
+    )
+    answers: list[tuple[Any, Any]] = []
+    waits = True
+
+    def hold(route: Any) -> None:
+        if json.loads(route.request.post_data)["fn_index"] != probe:
+            return route.continue_()
+        answer = route.fetch()
+        answers.append((route, answer))
+        if not waits:
+            route.fulfill(response=answer)
+
+    page.route("**/run/predict", hold)
+    visit.choose(frames=40)
+    _until(visit, answers, 1)
+    visit.choose(frames=9)
+    page.wait_for_function("document.querySelector('#forecast').textContent.includes('9 frames')")
+    waits = False
+    answers[0][0].fulfill(response=answers[0][1])
+    _until(visit, answers, 2)
+    last = answers[-1][1].json()["data"][0]
+    page.wait_for_function(
+        "(html) => { const e = document.createElement('div'); e.innerHTML = html;"
+        " return document.querySelector('#forecast').textContent.includes(e.textContent); }",
+        arg=last, timeout=LONG,
+    )  # fmt: skip
+    page.unroute("**/run/predict")
+
+
+def test_a_fit_that_is_cancelled_before_it_began_stops(visit, tmp_path):
+    from support.ducks import video
+
+    film = video(tmp_path / "truth", truth=6e4, cells=12)
+    page = visit.page
+    visit.upload()
+    visit.choose(frames=14)
+    visit.generate()
+    visit.finished()
+    page.get_by_role("tab", name="Fit", exact=True).click()
+    page.locator(".fit-slot input").set_input_files(film)
+    with _held(visit, lambda event: "seconds" in event) as held:
+        page.locator(".fit-go").click()
+        _until(visit, held, 1)
+        page.locator(".fit-cancel").click()
+        _settle(visit)
+        _release(visit, held[0])
+    page.locator(".fit-status", has_text="Stopped. Nothing was changed.").wait_for(timeout=LONG)
+
+
+def test_only_a_cut_out_is_corrected(visit, tmp_path):
+    from PIL import Image
+
+    page, brush = visit.page, visit.page.locator("#brush summary")
+    chooser = page.locator("#photo input[type=file]")
+    (tmp_path / "half.png").write_bytes(TEDDY.read_bytes()[:9000])
+    chooser.set_input_files(tmp_path / "half.png")
+    page.locator("#picture").get_by_text("It is cut short").wait_for(timeout=LONG)
+    assert not brush.is_visible() and not page.locator("#photo img").is_visible()
+    Image.new("RGB", (64, 64), "grey").save(tmp_path / "grey.png")
+    chooser.set_input_files(tmp_path / "grey.png")
+    page.get_by_text("No object was found").wait_for(timeout=LONG)
+    assert brush.inner_text() == "Mark the object"
+    visit.upload()
+    assert brush.inner_text() == "Correct the cut-out"

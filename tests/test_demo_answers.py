@@ -1,0 +1,95 @@
+"""Panels that ask one question at a time: the server answers each, whatever has become of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from demo.jobs import Studio
+from demo.settings import Settings
+from demo.visitors import Visitors
+from phy124.scene import Scene
+
+gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
+
+GONE = "The server no longer has"
+TEDDY = Path(__file__).parents[1] / "demo/examples/teddy.png"
+
+
+@pytest.fixture
+def studio(tmp_path) -> Studio:
+    return Studio(Settings(gaussians=1000), Visitors(tmp_path))
+
+
+@pytest.fixture
+def handlers(monkeypatch):
+    """The page's handlers, for visitor a."""
+    from demo import handlers
+
+    for module in (handlers.event, handlers.picture, handlers.known, handlers.results):
+        monkeypatch.setattr(module, "visitor_of", lambda _: "a")
+    return handlers
+
+
+def _event(**data: Any) -> Any:
+    return gradio.EventData(None, data)
+
+
+def test_a_forgotten_job_is_answered(studio, handlers):
+    """As after a restart between the end of a job and the question for its result."""
+    lost = _event(job="forgotten", option="side", ask=3)
+    shown, source, _ = handlers.cut_shower(studio)({"job": "forgotten"}, None, lost, None)
+    assert GONE in shown["message"] and shown["job"] is None and source is None
+    answer = handlers.view_shower(studio)(lost, None)["answer"]
+    assert GONE in answer["message"] and (answer["option"], answer["ask"]) == ("side", 3)
+    history = handlers.finisher(studio)(None, None, None, None, lost, None)[-1]
+    assert history == {"runs": []}
+
+
+def _chosen(studio: Studio, handlers, path: Path) -> dict[str, Any]:
+    """What the panel shows of a picture once its cut-out has ended, well or not."""
+    studio.visitors.get("a")
+    sent = str(studio.visitors.store("a", path.read_bytes(), ".png"))
+    request = SimpleNamespace(client=None, headers={})
+    shown = handlers.chooser(studio)(_event(upload=sent), request)[0]
+    assert studio.visitors.get("a").jobs[shown["job"]].wait(60)
+    return handlers.cut_shower(studio)(shown, None, _event(job=shown["job"]), None)[0]
+
+
+def test_a_broken_picture_is_not_shown(studio, handlers, tmp_path):
+    (tmp_path / "half.png").write_bytes(TEDDY.read_bytes()[:9000])
+    shown = _chosen(studio, handlers, tmp_path / "half.png")
+    assert "cut short" in shown["message"] and shown["picture"] is None
+
+
+def test_a_picture_without_an_object_stays(studio, handlers, tmp_path):
+    """It can be marked by brush."""
+    Image.new("RGB", (64, 64), "grey").save(tmp_path / "grey.png")
+    shown = _chosen(studio, handlers, tmp_path / "grey.png")
+    assert "No object" in shown["message"] and shown["picture"]["orig_name"]
+
+
+def test_a_probe_that_is_not_made_gives_the_forecast(studio, handlers, monkeypatch):
+    """Else the answer to an older scene would stay."""
+    monkeypatch.setattr(handlers.run, "visitor_of", lambda _: "a")
+    asked = (None, Scene.named("drop").data(), None, None)
+    assert handlers.refiner(studio)(*asked) == handlers.forecaster(studio)(*asked) != ""
+    assert handlers.refiner(studio)(None, None, None, None) == ""
+
+
+def test_each_stage_of_a_run_has_one_time(studio):
+    """The clip and its films are made by two stopwatches."""
+    visitor = studio.visitors.get("a")
+    cut = studio.cut("a", str(studio.visitors.store("a", TEDDY.read_bytes(), ".png")))
+    assert cut.wait(60)
+    few = {"time.frames": 2, "accuracy": "draft", "view.size": 32, "view.views": ["front"]}
+    run = studio.run("a", cut.progress.result, Scene.named("press").replaced(few).data())
+    assert run.wait(300) and visitor.has_results, run.progress.message
+    report = json.loads((run.progress.result.films / "report.json").read_text("utf-8"))
+    names = [stage["name"] for stage in report["stages"]]
+    assert len(set(names)) == len(names) and {"save", "pack"} <= set(names)

@@ -1,0 +1,77 @@
+"""What Gradio keeps of each page: little of each, few of each address, none of who has left."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
+
+from gradio.blocks import BlocksConfig  # noqa: E402
+
+from demo import sessions  # noqa: E402
+from demo.sessions import ADDRESS, ASKER, Sessions  # noqa: E402
+from demo.visitors import Visitors  # noqa: E402
+
+
+@pytest.fixture
+def visitors(tmp_path) -> Visitors:
+    return Visitors(tmp_path)
+
+
+@pytest.fixture
+def page() -> Any:
+    """As much of a page as sessions need; a real one opens event loops."""
+    root: Any = SimpleNamespace(renderables=[])
+    config = BlocksConfig(root)
+    config.blocks = {1: gradio.State(None, render=False), 2: gradio.HTML("", render=False)}
+    return SimpleNamespace(default_config=config, blocks=config.blocks, state_session_capacity=9)
+
+
+def _ask(kept: Sessions, name: str, visitor: str | None = None, address: str = "10.0.0.1") -> Any:
+    ASKER.set((visitor, address))
+    return kept[name]
+
+
+def test_a_session_keeps_states_and_describes_nothing(page, visitors):
+    kept = Sessions(page, visitors)
+    state, html = page.blocks
+    session = _ask(kept, "a")
+    session[state] = "a picture"
+    session._update_value_in_config(html, "x" * 10**6)
+    assert _ask(kept, "a") is session and session[state] == "a picture"
+    assert session[html] is page.blocks[html] and "x" not in str(session.config_values)
+    assert list(session.components) == []
+
+
+def test_an_address_has_few_sessions_and_its_visitor_stays(page, visitors):
+    kept = Sessions(page, visitors)
+    visitors.get("here")
+    _ask(kept, "first", "here")
+    _ask(kept, "elsewhere", "other", "10.0.0.2")
+    for number in range(3 * ADDRESS):
+        _ask(kept, f"new {number}", f"cookie {number}")
+    assert len(kept.session_data) == ADDRESS + 1 == len(kept._origins)
+    assert "first" in kept and "elsewhere" in kept and f"new {number}" in kept
+    visitors.get("many")
+    for number in range(3 * ADDRESS):
+        _ask(kept, f"more {number}", "many")
+    assert "first" in kept and len(kept.session_data) == ADDRESS + 1
+
+
+def test_a_session_goes_with_its_visitor(page, visitors, monkeypatch):
+    kept = Sessions(page, visitors)
+    visitors.get("a")
+    visitors.get("session program")
+    for name, visitor in (("one", "a"), ("two", "b"), ("program", None)):
+        _ask(kept, name, visitor)
+    kept.sweep()
+    assert len(kept.session_data) == 3, "new"
+    monkeypatch.setattr(sessions, "UNCLAIMED", 0.0)
+    kept.sweep()
+    assert set(kept.session_data) == {"one", "program"}
+    visitors.remove("a")
+    kept.sweep()
+    assert set(kept.session_data) == {"program"} == set(kept._origins)
