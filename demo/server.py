@@ -177,24 +177,47 @@ def routes(studio: Studio) -> list[BaseRoute]:
     ]
 
 
+def doors(studio: Studio, connections: int) -> list[Middleware]:
+    """What each request passes before it reaches the page, in that order.
+
+    Args:
+        studio: What all visitors share.
+        connections: Largest number of connections.
+    """
+    # Not before Gradio's environment is prepared.
+    from .sessions import Asked
+
+    settings, space = studio.settings, os.environ.get("SPACE_HOST", "")
+    # A program may send a picture as a data: URL.
+    other = int(settings.max_bytes * 4 / 3) + SLACK, f"{settings.too_large} {settings.make_smaller}"
+    most = settings.max_file_bytes + SLACK, f"{settings.file_too_large} {SMALLER}"
+    hosts, origins = own_names(settings.hosts, space), listed(settings.hosts, space)
+    return [
+        Middleware(Asked),
+        Middleware(Headed, embedded=bool(space)),
+        Middleware(Doorkeeper, hosts=hosts, origins=origins),
+        Middleware(Streams, most=connections // 2, here=studio.visitors.is_here),
+        Middleware(BodyLimit, uploads=ADDRESS, other=other, most=most),
+        Middleware(Turns),
+        Middleware(Turns, at=UPLOADS, together=RECEIVED, each=RECEIVED_EACH),
+    ]
+
+
 def launch(page: Any, studio: Studio, **options: Any) -> None:
     """Serve the page with everything that a public server needs, until the process is to end."""
     # Not before Gradio's environment is prepared.
-    from .sessions import Asked, Sessions
+    from .sessions import Sessions
 
     settings = studio.settings
     page.queue(max_size=settings.max_queue, default_concurrency_limit=1, api_open=False)
-    space = os.environ.get("SPACE_HOST", "")
-    # A program may send a picture as a data: URL.
-    other = int(settings.max_bytes * 4 / 3) + SLACK, f"{settings.too_large} {settings.make_smaller}"
-    most, connections = settings.max_file_bytes, allow_connections()
+    connections = allow_connections()
     page.launch(
         server_name=settings.host,
         server_port=settings.port,
         share=False,
         _frontend=False,  # else it gives up if its own first answer takes 3 s on a busy machine
         show_error=False,
-        max_file_size=most,
+        max_file_size=settings.max_file_bytes,
         allowed_paths=[],
         run_history=False,
         ssr_mode=False,
@@ -204,24 +227,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         pwa=False,
         prevent_thread_lock=True,
         app_kwargs={
-            "middleware": [
-                Middleware(Asked),
-                Middleware(Headed, embedded=bool(space)),
-                Middleware(
-                    Doorkeeper,
-                    hosts=own_names(settings.hosts, space),
-                    origins=listed(settings.hosts, space),
-                ),
-                Middleware(Streams, most=connections // 2, here=studio.visitors.is_here),
-                Middleware(
-                    BodyLimit,
-                    uploads=ADDRESS,
-                    other=other,
-                    most=(most + SLACK, f"{settings.file_too_large} {SMALLER}"),
-                ),
-                Middleware(Turns),
-                Middleware(Turns, at=UPLOADS, together=RECEIVED, each=RECEIVED_EACH),
-            ],
+            "middleware": doors(studio, connections),
             "routes": routes(studio),
         },
         **options,
