@@ -1,7 +1,7 @@
 """Sessions: what Gradio keeps of each open page; their size and number.
 
-Gradio keeps up to 10,000 of them, until the server ends. A request needs only a name of its own
-to begin one, which takes 0.3 MB and 0.1 s for a description that only links into a page need.
+Gradio keeps up to 10,000 of them, until the server ends. Any request with a new name begins a session, which takes 0.3 MB and 0.1 s
+for a description of the page that only links into it need.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .visitors import Visitors
 
 ADDRESS = 64
-"""Number of sessions of one address; a page has one."""
+"""Number of sessions per address; each open page has its session."""
 UNCLAIMED = 60.0
 """Time after which a session goes that is of no known visitor [s]; it holds no picture."""
 ASKER: ContextVar[tuple[str | None, str]] = ContextVar("ASKER", default=(None, ""))
@@ -74,7 +74,7 @@ class Sessions(StateHolder):
         self._origins: dict[str, _Origin] = {}
 
     def __getitem__(self, session_id: str) -> SessionState:
-        """The session of that name, a new one if there is none; counts as a use."""
+        """The session of that name, which is new if there is none; counts as a use."""
         with self.lock:
             if session_id not in self.session_data:
                 cookie, address = ASKER.get()
@@ -95,7 +95,7 @@ class Sessions(StateHolder):
 
     def _make_room(self, address: str) -> None:
         """Of too many sessions of an address, remove one: of who is not here, or has most."""
-        origins = {name: one for name, one in self._origins.items() if one.address == address}
+        origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:
             return
         count = Counter(origin.visitor for origin in origins.values())
