@@ -1,7 +1,7 @@
 """Sessions: what Gradio keeps of each open page; their size and number.
 
-Gradio keeps up to 10,000 of them, until the server ends. Any request with a new name begins a session, which takes 0.3 MB and 0.1 s
-for a description of the page that only links into it need.
+Gradio keeps up to 10,000 of them, until the server ends. Any request with a new name begins a
+session, which takes 0.3 MB and 0.1 s for a description of the page that only links into it need.
 """
 
 from __future__ import annotations
