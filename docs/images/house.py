@@ -25,7 +25,10 @@ def room(module: str) -> str:
 
 def arrows() -> Arrows:
     """Which room imports which, imports for type checkers included."""
-    graph = grimp.build_graph("phy124", "demo", "bridge", exclude_type_checking_imports=False)
+    sys.path.insert(0, str(ROOT))  # the page and the bridge are installed under other names
+    graph = grimp.build_graph(
+        "phy124", "demo", "bridge", exclude_type_checking_imports=False, cache_dir=None
+    )
     found = set()
     for module in graph.modules:
         for other in graph.find_modules_directly_imported_by(module):
