@@ -322,7 +322,7 @@ def test_orders_that_cannot_be_done_are_said_and_the_run_goes_on(player):
         json.dumps({"do": "to", "value": at, "seq": 9}) for at in ([0, 0, 1.2], [1e30, 0, 0], mars)
     ]
     run.frame()
-    assert "the most there is here" in line.told[-2][1].decode(), "of three targets, the last"
+    assert "reduced to the limit" in line.told[-2][1].decode(), "of three targets, the last"
     assert HEAD.unpack(line.told[-1][1][: HEAD.size])[1] == 9
     x, F = run.live.particles
     assert np.isfinite(x).all() and np.isfinite(F).all()

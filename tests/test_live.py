@@ -199,7 +199,7 @@ def test_what_is_too_much_is_made_smaller_and_said():
     run.move_to((0, 0, 2.3e11))
     for frame in run.frames(5):
         assert np.isfinite(frame.gaussians.means).all()
-    assert len(run.notes) == 2 and "most there is" in run.notes[0]
+    assert len(run.notes) == 2 and "reduced to the limit" in run.notes[0]
     for _ in range(14):
         run.push((1, 0, 0), seconds=9)
     run.push((1, 0, 0), seconds=9)

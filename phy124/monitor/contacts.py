@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -23,6 +23,9 @@ from phy124.kernels import contacts as kernels
 from phy124.monitor.measured import Measured, NodesNear
 from phy124.monitor.observer import Cost, Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Grid, Model, Stage, State
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 STAGE = "contacts"
 """Name of the stages that sum contact impulses."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 import warp as wp
@@ -24,6 +24,9 @@ from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
 from phy124.mpm.state import part_of
 from phy124.mpm.tracks import Tracks
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 STAGE = "external work"
 """Name of the stages that sum external work."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -24,6 +24,9 @@ from phy124.monitor.tearing import APART, Tearing
 from phy124.mpm import Solver
 from phy124.particles import Particles, by_object
 from phy124.particles.grains import grains_at
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 NEIGHBOURS = 7
 """Particles that count as neighbours at rest: six in a lattice, and the particle itself."""

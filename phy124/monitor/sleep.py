@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Solver
 from phy124.mpm.tracks import FOREVER, Track
 from phy124.scene import Scene
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 STILL = 3e-4
 """Largest error by sleeping, in object sizes: a tenth of a pixel if the object fills 300."""

@@ -8,7 +8,7 @@ bent body stores energy in it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from phy124.monitor.observer import Observed, Observer, Subject, find
 from phy124.mpm import Solver
 from phy124.mpm.model import Group
 from phy124.scene import Scene
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 class Softening(Observer):

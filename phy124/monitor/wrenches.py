@@ -11,7 +11,7 @@ import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -25,6 +25,9 @@ from phy124.monitor.measured import NodesNear
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Grid, Model, Solver, Stage, State
 from phy124.mpm.tracks import Tracks
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 STAGE = "wrenches"
 """Name of the stages that sum them."""
