@@ -1,8 +1,5 @@
 """Observer: measures or checks one run, from the first launch to the report.
 
-if TYPE_CHECKING:
-    from typing_extensions import Self
-
 `phy124.monitor.OBSERVERS` lists all classes. `observers_of` makes those that a scene calls for, so
 what it does not call for is neither compiled, allocated nor launched. A run compiles, binds, asks,
 pauses, resumes and reports its observers in loops over this list, in its order. Every method has a
@@ -12,7 +9,7 @@ default that does nothing, so a new observer overrides only what it needs.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 from phy124.boundaries import Boundary
 from phy124.gaussians import Frame, Gaussians
@@ -26,6 +23,9 @@ from phy124.mpm.workers import Part
 from phy124.particles import Particles
 from phy124.particles.scenery import Scenery
 from phy124.scene import Scene
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 class Cost(NamedTuple):
