@@ -150,7 +150,11 @@ class Visitors:
         visitor.trim(self.room)
         with self.writing(visitor, size, most=self.room.all):
             path = visitor.folder / "uploads" / f"{secrets.token_urlsafe(18)}{suffix}"
-            _write(path, file)
+            try:
+                _write(path, file)
+            except FileNotFoundError:
+                # Another visitor has needed the room meanwhile, and the folder is gone.
+                raise _full(len(self)) from None
         return path
 
     @contextmanager
@@ -296,7 +300,7 @@ class Visitors:
         """
         idle = [(n, v) for n, v in self._known.items() if not v.has_begun and v.silence > 1]
         if not idle:
-            raise InputError("visitors", len(self._known), FULL, "Try again in a few minutes.")
+            raise _full(len(self))
         count = Counter(visitor.address for _, visitor in idle)
         most = max(count.values())
         self.remove(_most_silent([one for one in idle if count[one[1].address] == most]))
@@ -304,6 +308,10 @@ class Visitors:
 
 def _most_silent(visitors: list[tuple[str, Visitor]]) -> str:
     return max(visitors, key=lambda entry: entry[1].silence)[0]
+
+
+def _full(count: int) -> InputError:
+    return InputError("visitors", count, FULL, "Try again in a few minutes.")
 
 
 def _write(path: Path, file: BinaryIO) -> None:

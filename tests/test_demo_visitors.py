@@ -227,6 +227,17 @@ def test_a_file_larger_than_the_room_removes_no_older_one(tmp_path):
     assert all(path.exists() for path in kept) and mine.promised == 0
 
 
+def test_a_visitor_removed_during_an_upload_is_refused(visitors, monkeypatch):
+    def write(path: Path, file) -> None:
+        visitors.remove("a")
+        path.write_bytes(file.read())
+
+    monkeypatch.setattr("demo.visitors._write", write)
+    with pytest.raises(InputError, match="Too many visitors"):
+        visitors.store("a", b"a photograph", ".png")
+    assert visitors.used == 0 == len(visitors)
+
+
 def test_what_is_written_at_the_same_time_is_counted_together(tmp_path):
     visitors = Visitors(tmp_path, Room(each=1000, all=2000))
     mine = visitors.get("a")

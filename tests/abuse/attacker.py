@@ -92,9 +92,14 @@ class Attacker:
         self.press("picture", "cut", [None, None], job=cutting)
         run = self.press("go", "click", [None, scene, None])[0]["job"]
         told = list(self.following(run))
-        shown = self.press("progress", "finished", [], job=run)
-        assert told[-1]["state"] == "done" and any(shown), told[-1]
+        assert told[-1]["state"] == "done" and self.shown(run, scene)["pack"], told[-1]
         return told
+
+    def shown(self, run: str, scene: Any) -> dict[str, Any]:
+        """What the viewer shows of a run that has ended."""
+        panels = self.press("progress", "finished", [None, scene, None, None], job=run)
+        assert isinstance(panels, list), panels
+        return panels[4]
 
     def hold(self, scene: Any) -> WebSocket:
         """Touch the object of the picture that was chosen."""

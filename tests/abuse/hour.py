@@ -115,12 +115,14 @@ def _had_a_run(visitor: Attacker, path: str) -> bool:
     if not shown.get("job") or visitor.followed(shown["job"])["state"] != "done":
         return False
     visitor.press("picture", "cut", [None, None], job=shown["job"])
-    run = visitor.press("go", "click", [None, scene(), None])[0]
+    wanted = scene()
+    run = visitor.press("go", "click", [None, wanted, None])[0]
     if not run.get("job"):
         return False  # the queue is full
     told = visitor.followed(run["job"])
     assert told["state"] == "done", told
-    return any(visitor.press("progress", "finished", [], job=run["job"]))
+    pack = visitor.shown(run["job"], wanted)["pack"]["path"]
+    return visitor.get(f"/gradio_api/file={pack}")[0] == 200
 
 
 # ---- the others ---------------------------------------------------------------------------------
