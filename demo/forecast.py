@@ -44,6 +44,8 @@ class Estimate:
     """How busy other programs keep this machine."""
     measured: bool = False
     """Whether it comes from a probe of this object."""
+    thickness: float | None = None
+    """Local thickness of the object relative to its size, if it was probed."""
     compiling: float = 0.0
     """The part of the seconds in which kernels are compiled, which is done once."""
 
@@ -116,7 +118,7 @@ class Estimator:
         seconds = {name: cost * load.of(name) for name, cost in costs.items() if not done[name]}
         return Estimate(
             sum(seconds.values()), round(work.substeps), count_particles(scene, gaussians),
-            promise(scene), load=load, compiling=seconds.get("compile", 0.0),
+            promise(scene, None), load=load, compiling=seconds.get("compile", 0.0),
         )  # fmt: skip
 
     def study(
@@ -181,6 +183,7 @@ class Estimator:
         scene: Scene,
         *,
         gaussians: int = GAUSSIANS,
+        thickness: float | None = None,
         seconds: float | None = None,
         study: Measurement | None = None,
     ) -> list[Stop]:
@@ -189,6 +192,7 @@ class Estimator:
         Args:
             scene: The scene.
             gaussians: Number of Gaussians.
+            thickness: Local thickness of the object relative to its size, if it is known.
             seconds: Time measured for the scene's own accuracy [s], if it was.
             study: The errors measured on this scene, if they were.
         """
@@ -197,7 +201,7 @@ class Estimator:
         for name in PRESETS:
             other = scene.model_copy(update={"accuracy": name})
             took = scale * self(other, gaussians=gaussians).seconds
-            found.append(Stop.of(other, took, promise_of(other, study)))
+            found.append(Stop.of(other, took, promise_of(other, thickness, study)))
         return found
 
 
@@ -222,23 +226,27 @@ def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Es
     found = Forecaster(device).forecast(gaussians, scene)
     seconds = found.seconds + rest
     return Estimate(
-        seconds, found.substeps, found.particles, promise(scene), found.caveat, found.load,
-        measured=True,
+        seconds, found.substeps, found.particles, promise(scene, found.thickness), found.caveat,
+        found.load, measured=True, thickness=found.thickness,
     )  # fmt: skip
 
 
 def promise_of(
-    scene: Scene, study: Measurement | None, report: Mapping[str, Any] | None = None
+    scene: Scene,
+    thickness: float | None,
+    study: Measurement | None,
+    report: Mapping[str, Any] | None = None,
 ) -> Promise:
     """The error that may be promised for a scene.
 
     Args:
         scene: The scene.
+        thickness: Local thickness of the object relative to its size, if it is known.
         study: The errors measured on this scene; None: those measured on such scenes are used.
         report: The report of its run, which may rule a promise out.
     """
     if study is None or why_broken(report or {}):
-        return promise(scene, report)
+        return promise(scene, thickness, report)
     return study.promise(scene.resolution.cells)
 
 

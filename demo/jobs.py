@@ -217,6 +217,7 @@ class Studio:
             rest = rates.rest + rates.pixel * ready["composed"]
             forecast = measured(gaussians, order.scene, device, rest)
             visitor.forecasts[key(scene.data())] = forecast.seconds
+            visitor.thickness[str(made_gaussians(order))] = forecast.thickness
         finally:
             DEVICE.release()
         return self._said(forecast, name, source, scene, told)
@@ -225,7 +226,8 @@ class Studio:
         self, estimate: Estimate, name: str, source: Source | None, scene: Scene, told: Any
     ) -> str:
         """A forecast in words, with the error measured on this scene if there is one."""
-        promise = promise_of(scene, self.study(name, source, scene, told))
+        about = (name, source, scene, told)
+        promise = promise_of(scene, self.thickness(*about), self.study(*about))
         return replace(estimate, promise=promise).sentence
 
     def known(self, name: str, told: Any) -> Known:
@@ -301,6 +303,23 @@ class Studio:
             return None
         order = self.order((visitor, source, scene), self.known(name, told))
         return read_study(study_file(order))
+
+    def thickness(
+        self, name: str, source: Source | None, scene: Scene, extras: Any = None
+    ) -> float | None:
+        """The local thickness of this visitor's object relative to its size, if it is known.
+
+        Args:
+            name: The visitor's name.
+            source: What the object is made of, if it is there.
+            scene: The scene.
+            extras: Optional inputs besides the front picture, by option.
+        """
+        visitor = self.visitors.known(name)
+        if visitor is None or source is None or not is_there(source):
+            return None
+        order = self.order((visitor, source, scene), self.known(name, extras))
+        return visitor.thickness.get(str(made_gaussians(order)))
 
     def study_seconds(
         self, name: str, source: Source | None, scene: Scene, told: Any = None
@@ -389,6 +408,7 @@ class Studio:
                 visitor.trim(self.visitors.room)
         if done is not None:
             job.tell(done)  # not before its room is free: whoever hears of it may ask for files
+            visitor.thickness[str(made_gaussians(order))] = done.report.get("thickness")
             if "simulate" not in job.progress.reused:
                 self.forecaster.learn(done.report, order.scene, load)
 

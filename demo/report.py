@@ -34,7 +34,7 @@ def as_html(
         stops: Time and error of the other accuracies.
         study: The errors measured on this scene, if they were.
     """
-    said, parts = promise_of(Scene.from_data(scene), study, report), []
+    said, parts = promise_of(Scene.from_data(scene), report.get("thickness"), study, report), []
     if report.get("stopped"):
         parts.append(f'<p class="notice">Stopped early: {escape(str(report["stopped"]))}</p>')
     parts += [f'<p class="note">{escape(str(note))}</p>' for note in report.get("notes", [])]

@@ -33,6 +33,8 @@ class Visitor:
         self.seen = time.time()
         self.forecasts: dict[str, float] = {}
         """Key of a scene -> time predicted by a probe [s]."""
+        self.thickness: dict[str, float | None] = {}
+        """File of an object's Gaussians -> its local thickness relative to its size."""
         self.jobs: dict[str, Job] = {}
         """The newest jobs by name, the oldest of them first."""
         self.shared: dict[str, Path] = {}

@@ -77,12 +77,12 @@ def test_the_promise_of_a_run_with_a_goal_is_its_own(quick, goal):
     """One error, however it is asked for: not that of other objects."""
     reached = reach(Goal.error(goal), ball(600), quick)
     about = reached.about
-    said = promise(reached.simulation.scene, {"goal": about, "complete": True})
+    said = promise(reached.simulation.scene, 0.5, {"goal": about, "complete": True})
     assert said.own and said.error == about["fraction"]
     assert about["fraction"] == pytest.approx(about["error"] / UNIT[about["unit"]](quick))
     assert said.sentence.startswith(f"Error of this scene: about {about['fraction']:.1%}")
     unknown = about | {"error": None, "fraction": None, "why_not": "not converging"}
-    assert promise(reached.simulation.scene, {"goal": unknown}).error is None
+    assert promise(reached.simulation.scene, 0.5, {"goal": unknown}).error is None
 
 
 def test_a_guessed_order_takes_a_small_step(quick, monkeypatch):

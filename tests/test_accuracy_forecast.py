@@ -132,7 +132,7 @@ def test_a_second_look_at_the_stops_runs_nothing(monkeypatch):
     for name, cells in (("draft", 8), ("standard", 12), ("fine", 16)):
         monkeypatch.setitem(PRESETS, name, PRESETS[name].model_copy(update={"cells": cells}))
     known = {8: 0.07, 12: None, 16: 0.01}
-    monkeypatch.setattr(module, "promise", lambda at: Promise(known[at.resolution.cells], ""))
+    monkeypatch.setattr(module, "promise", lambda at, _: Promise(known[at.resolution.cells], ""))
     forecaster = Forecaster()
     stops = forecaster.stops(OBJECT, scene("push_right"))
     assert list(stops) == ["draft", "standard", "fine"]

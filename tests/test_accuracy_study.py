@@ -208,16 +208,16 @@ def row(cells: int, error: float | None, seconds: float, name: str = "") -> Row:
 
 def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
     found, scene = Convergence(1.0, (0.01,)), Scene.named("press")
-    monkeypatch.setattr(study_of, "promise", lambda scene: Promise(0.06, ""))
-    said = kept_promises(scene, (row(16, 0.05, 1), row(32, 0.08, 3)), found)
+    monkeypatch.setattr(study_of, "promise", lambda scene, thickness: Promise(0.06, ""))
+    said = kept_promises(scene, 0.5, (row(16, 0.05, 1), row(32, 0.08, 3)), found)
     assert said["draft"] == "holds: 5.0% of at most 6.0%"
     assert said["standard"] == "DOES NOT HOLD: 8.0% of at most 6.0%"
     assert said["fine"] == "not tried"
-    monkeypatch.setattr(study_of, "promise", lambda scene: Promise(None, "not measured"))
-    said = kept_promises(scene, (row(16, 0.05, 1),), found)
+    monkeypatch.setattr(study_of, "promise", lambda scene, thickness: Promise(None, "not measured"))
+    said = kept_promises(scene, 0.5, (row(16, 0.05, 1),), found)
     assert said["draft"] == "none was made for such a scene; measured here: 5.0%"
     lost = Convergence(None, why_not="not converging: finer grids do not come closer")
-    assert kept_promises(scene, (row(16, None, 1),), lost)["draft"].startswith(
+    assert kept_promises(scene, 0.5, (row(16, None, 1),), lost)["draft"].startswith(
         "cannot be judged: not con"
     )
 

@@ -234,12 +234,12 @@ def test_a_page_that_is_not_warmed_up_is_ready_at_once(tmp_path):
 
 def test_accuracy_levels_follow_measurements_of_the_scene():
     forecaster, scene = Estimator(), Scene.named("press").replaced({"accuracy": "draft"})
-    stops = forecaster.stops(scene)
+    stops = forecaster.stops(scene, thickness=0.5)
     assert [stop.name for stop in stops] == ["draft", "standard", "fine"]
     assert stops[0].seconds == forecaster(scene).seconds
     assert sorted(stop.seconds for stop in stops) == [stop.seconds for stop in stops]
     assert stops[0].pixels == pytest.approx(stops[0].error * 512 / ROOM)
-    twice = forecaster.stops(scene, seconds=2 * stops[0].seconds)
+    twice = forecaster.stops(scene, thickness=0.5, seconds=2 * stops[0].seconds)
     assert [b.seconds / a.seconds for a, b in zip(stops, twice, strict=True)] == [2, 2, 2]
     table = stops_table(stops, scene.accuracy)
     assert table.count("<tr") == 3 and table.count("class=chosen") == 1
@@ -252,7 +252,12 @@ def test_what_was_not_measured_is_not_promised():
     forecast = Estimator()(scene)
     assert forecast.promise.error is None
     assert "Expected error: not measured for fluid" in forecast.sentence
-    assert stops_table(Estimator().stops(scene), scene.accuracy).count("error not measured") == 3
+    assert (
+        stops_table(Estimator().stops(scene, thickness=0.5), scene.accuracy).count(
+            "error not measured"
+        )
+        == 3
+    )
 
 
 def test_estimate_skips_finished_stages(monkeypatch):

@@ -103,7 +103,7 @@ def test_torn_grids_are_kept_as_such(study, monkeypatch):
     list(steps(study))
     found = read_study(study_file(study))
     assert all(level.torn and level.error is None for level in found.levels)
-    assert promise_of(study.scene, found).error is None
+    assert promise_of(study.scene, 0.5, found).error is None
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ def test_stress_gives_no_momentum():
 
 
 def test_no_error_is_promised_that_was_not_measured():
-    said = promise(Scene().replaced({"accuracy.gradient": "spline"}))
+    said = promise(Scene().replaced({"accuracy.gradient": "spline"}), 0.5)
     assert said.error is None and said.unmeasured == "accuracy.gradient = spline"
 
 

@@ -11,6 +11,7 @@ from phy124.commands.plan import PlanOptions
 from phy124.errors import InputError
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
+from phy124.simulation.bodies import thickness_of
 from support.shapes import ball
 
 SMALL = ["--frames", "2", "--size", "16", "--views", "front", "--device", "cpu"]
@@ -33,12 +34,13 @@ def test_a_dry_run_says_what_would_run_and_writes_nothing(file, tmp_path, capsys
     assert main([*arguments, "--dry-run"]) == 0
     said = capsys.readouterr().out
     scene = Scene.named("press").replaced({"accuracy": "draft", "time.frames": 2})
-    for words in ("scene: neo_hookean (", "particles, ", "s, likely ", promise(scene).sentence):
+    promised = promise(scene, thickness_of(ball(100), scene))
+    for words in ("scene: neo_hookean (", "particles, ", "s, likely ", promised.sentence):
         assert words in said
     assert main([*arguments, "--dry-run", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["scene"]["time"]["frames"] == 2 and told["seconds"] > 0
-    assert told["promise"]["error"] == promise(scene).error
+    assert told["promise"]["error"] == promised.error
     assert told["span"][0] < told["seconds"] < told["span"][1]
     assert not out.exists()
 
@@ -62,6 +64,20 @@ def test_simulate_meets_a_time_and_compares_its_forecast(file, tmp_path, capsys,
     assert json.loads((tmp_path / "o/report.json").read_text())["goal"]["cells"] in (8, 10)
     assert main([*arguments, "--accuracy", "draft", "--forecast"]) == 0
     assert "predicted " in capsys.readouterr().out
+
+
+def test_a_run_with_an_error_goal_names_one_error(file, tmp_path, capsys, monkeypatch):
+    """The one that it has measured, not that of other objects, whatever the grid."""
+    monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10, 12, 14, 16))
+    monkeypatch.setattr("phy124.accuracy.choose.CHEAP", (10, 12))
+    monkeypatch.setattr("phy124.accuracy.choose.CHECK", 8)
+    out = tmp_path / "o"
+    assert main(["simulate", str(file), "--out", str(out), *SMALL, "--max-error", "9%"]) == 0
+    said = capsys.readouterr().out
+    error = json.loads((out / "report.json").read_text())["goal"]["fraction"]
+    assert f"error {error:.1%}, met" in said
+    assert f"Error of this scene: about {error:.1%} of its size." in said
+    assert "at most" not in said.replace("asked for at most 9%", "")
 
 
 def test_a_time_that_cannot_be_met_says_what_can(file, tmp_path, capsys):

@@ -224,7 +224,7 @@ def test_no_error_is_promised_for_a_file_that_is_too_coarse(tmp_path, kind):
     read = capture(PlyFile(str(far_ply(tmp_path, EARTH, kind))), Scene())
     assert read.about["capture"]["coarse"] == (kind == "f4")
     report = {"capture": read.about["capture"]}
-    assert (promise(Scene.named("drop"), report).error is None) == (kind == "f4")
+    assert (promise(Scene.named("drop"), 0.5, report).error is None) == (kind == "f4")
 
 
 def test_a_single_gaussian_is_not_called_coarse(tmp_path, three_gaussians):

@@ -57,6 +57,7 @@ def steered(
     from phy124.live import Live, held_rate
     from phy124.runtime.device import pick_device
     from phy124.scene import parse_changes
+    from phy124.simulation.bodies import thickness_of
 
     refuse_unopened(source)
     # A user need not see Warp's messages while it compiles.
@@ -66,7 +67,8 @@ def steered(
     scene = scene.replaced({"velocities": velocities})
     given = {"device": device, "threads": options.threads}
     if "accuracy" in {name.split(".")[0] for name in parse_changes(options.set)}:
-        said = f"{scene.resolution.cells} cells across the object. {promise(scene).brief}"
+        promised = promise(scene, thickness_of(gaussians, scene))
+        said = f"{scene.resolution.cells} cells across the object. {promised.brief}"
         return Live(gaussians, scene, **given), said
     rate, error = max(speed, 0.01), options.max_error
     chosen = held_rate(gaussians, scene, rate=rate, max_error=error, **given)

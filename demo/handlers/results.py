@@ -154,8 +154,8 @@ def report_of(studio: Studio, job: Job) -> str:
     done: Done = job.progress.result
     report, study = done.report, read_study(done.study)
     data = scene_in(done.clip / "clip.safetensors")
-    scene, count = Scene.from_data(data), report["gaussians"]
-    stops = studio.forecaster.stops(scene, gaussians=count, study=study)
+    scene, count, thickness = Scene.from_data(data), report["gaussians"], report.get("thickness")
+    stops = studio.forecaster.stops(scene, gaussians=count, thickness=thickness, study=study)
     return as_html(report, data, job.progress.expected, stops, study)
 
 

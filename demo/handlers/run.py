@@ -86,8 +86,10 @@ def with_stops(
     study = studio.study(name, source, scene, told)
     error = _error_line(studio, name, source, scene, told, study)
     known = visitor.forecasts.get(key(scene.data())) if visitor else None
-    count = studio.count(source)
-    stops = studio.forecaster.stops(scene, gaussians=count, seconds=known, study=study)
+    stops = studio.forecaster.stops(
+        scene, gaussians=studio.count(source), seconds=known, study=study,
+        thickness=studio.thickness(name, source, scene, told),
+    )  # fmt: skip
     table = stops_table(stops, scene.accuracy)
     if study is not None:
         table += f"<p>Measured on this scene, without drawing:</p>{study.table()}"
@@ -103,7 +105,7 @@ def _error_line(
     study: Measurement | None,
 ) -> str:  # fmt: skip
     """The error measured on this scene, or a button that measures it."""
-    said = promise_of(scene, study)
+    said = promise_of(scene, studio.thickness(name, source, scene, told), study)
     if study is not None:
         return f'<p class="measured">{said.measured}</p>'
     if not said.missing:

@@ -56,6 +56,8 @@ class Forecast:
     """Why the seconds are only a guess."""
     load: Load = QUIET
     """Load by other programs on this machine when the probes ran."""
+    thickness: float | None = None
+    """Local thickness of the object relative to its size; None in scenes of several objects."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -211,6 +213,7 @@ class Forecaster:
         return Forecast(
             stages, (), particles, round(mean_nodes), substeps, limiters, rates,
             simulation.demand.memory, _caveat(pilot, limiters), load or self._meter.load(),
+            self._thickness(simulation),
         )  # fmt: skip
 
     def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:
@@ -221,12 +224,16 @@ class Forecaster:
         chosen = scene.model_copy(update={"accuracy": name})
         key = (id(gaussians), _physics(chosen), self.device)
         made: Forecast = self._remember(key, lambda: self.forecast(gaussians, chosen), gaussians)
-        return Stop.of(chosen, made.seconds, promise(chosen), made)
+        return Stop.of(chosen, made.seconds, promise(chosen, made.thickness), made)
+
+    def _thickness(self, simulation: Simulation) -> float | None:
+        size = simulation.scene.object.size
+        key = ("thickness", size, *_sample(simulation.gaussians))
+        return self._remember(key, lambda: simulation.thickness)
 
     def _pilot(self, simulation: Simulation) -> Pilot:
         gaussians, scene, crop = simulation.gaussians, simulation.scene, simulation.crop
-        sample = gaussians.means[:: max(1, len(gaussians) // 64)].tobytes()
-        key = ("pilot", len(gaussians), sample, _physics(coarsened(scene)), crop)
+        key = ("pilot", *_sample(gaussians), _physics(coarsened(scene)), crop)
         return self._remember(key, lambda: fly(gaussians, scene, device=self.device, crop=crop))
 
     def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
@@ -242,6 +249,11 @@ class Forecaster:
                 self._known.pop(next(iter(self._known)))
             self._known[key] = (make(), keep)
         return self._known[key][0]
+
+
+def _sample(gaussians: Gaussians) -> tuple[int, bytes]:
+    """Return the number of some Gaussians and a few of their positions, to recognise them."""
+    return len(gaussians), gaussians.means[:: max(1, len(gaussians) // 64)].tobytes()
 
 
 def pixels_per_size(scene: Scene) -> float:

@@ -1,11 +1,12 @@
 """The error that may be promised for a scene: only one that was measured for such scenes.
 
-`make accuracy` runs each law in each kind of motion on a series of grids and writes to
-measured.json the error of each grid, and how violent and how long the scenes were. A scene is
-promised the error of its law and kind of motion, on a grid as coarse as its own or coarser, if it
-is no more violent; one that lasts longer is promised it for as long as was measured. Otherwise
-nothing is promised: the error is "not measured", and a study of the scene itself
-(`phy124 accuracy`) measures it.
+`make accuracy` runs each law in each kind of motion on many objects and a series of grids, and
+writes to measured.json the error of each object and grid, how thick the objects are, and how
+violent and how long the scenes were. A scene is promised the largest error of its law and kind of
+motion among the objects that are about as thick as its own or thicker, on a grid as coarse as its
+own or coarser, times a safety factor, if it is no more violent; one that lasts longer is promised
+it for as long as was measured. Otherwise nothing is promised: the error is "not measured", and a
+study of the scene itself (`phy124 accuracy`) measures it.
 
 All sentences about errors, of the command line and of the page, are in this module.
 """
@@ -36,6 +37,10 @@ MARGIN = 1.25
 """How much longer or more violent a scene may be than those measured; errors grow by as much."""
 NEARBY = 0.02
 """How much larger than measured Poisson's ratio may be."""
+NEARLY = 0.8
+"""Smallest thickness, relative to that of an object, of those that count as thick as it."""
+FEWEST = 4
+"""Smallest number of objects whose largest error is promised: the thickest ones, if need be."""
 UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
 """The command that measures a user's own scene."""
@@ -134,46 +139,95 @@ def _harder(scene: Scene, found: Mapping[str, Any]) -> str:
     return ""
 
 
-def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
-    """The error that may be promised for a scene.
+def _outside(scene: Scene, such: str, kind: Mapping[str, Any]) -> str:
+    """In what a scene is outside those measured of its kind, in words; empty: in nothing."""
+    harder = _harder(scene, kind)
+    if harder:
+        return f"{such} {harder}"
+    if scene.particles_per_axis < kind["particles_per_axis"]:
+        return f"{such} with fewer than {kind['particles_per_axis']:g} particles per cell and axis"
+    if scene.resolution.cells < min(kind["levels"]):
+        return f"{such} on so coarse a grid"
+    return ""
 
-    The report of its run may rule it out; or it has measured the error itself, since it had a goal.
-    """
-    report = report or {}
+
+def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
+    """The promise that a run's own report makes or rules out; None: it does neither."""
     broken = why_broken(report)
     if broken:
         return none(broken)
     goal = report.get("goal")
-    if goal is not None and goal["unit"] != "seconds":
-        if goal["fraction"] is None:
-            return none(f"{goal['why_not']}.")
-        return measured(goal["fraction"], goal["cells"], goal["levels"])
+    if goal is None or goal["unit"] == "seconds":
+        return None
+    if goal["fraction"] is None:
+        return none(f"{goal['why_not']}.")
+    return measured(goal["fraction"], goal["cells"], goal["levels"])
+
+
+def promise(
+    scene: Scene, thickness: float | None, report: Mapping[str, Any] | None = None
+) -> Promise:
+    """Return the error that may be promised for a scene.
+
+    Args:
+        scene: The scene.
+        thickness: Local thickness of its object relative to its size
+            (`phy124.particles.thickness`); None: the object is not known yet.
+        report: The report of its run, which may rule a promise out; or it contains the error
+            itself, which was measured because the run had a goal.
+    """
+    if report and (settled := _promise_of_run(report)):
+        return settled
     laws, motion = sorted({section.law for section in scene.materials}), motion_of(scene)
-    beyond = _beyond(scene, laws)
-    if beyond:
-        return _unknown(beyond)
-    found = table()["scenes"].get(f"{laws[0]} {motion}")
     such = f"{laws[0]} {WORDS[motion]}"
-    if found is None:
-        return _unknown(such)
-    if scene.particles_per_axis < found["particles_per_axis"]:
-        return _unknown(
-            f"{such} with fewer than {found['particles_per_axis']:g} particles per cell and axis"
-        )
-    harder = _harder(scene, found)
-    if harder:
-        return _unknown(f"{such} {harder}")
-    grids = {int(cells): error for cells, error in found["errors"].items() if error is not None}
-    within = [cells for cells in grids if cells <= scene.resolution.cells]
-    if not within:
-        return _unknown(f"{such} on so coarse a grid")
-    about = ", ".join(found["from"])
-    why = f"Measured at D/{max(within)} for {such} ({about}; {table()['object']})."
-    longer = length(scene) > MARGIN * found["length"]
-    if not longer:
-        return Promise(grids[max(within)], why)
+    kind = table()["scenes"].get(f"{laws[0]} {motion}")
+    unlike = _beyond(scene, laws) or (_outside(scene, such, kind) if kind else such)
+    if unlike:
+        return _unknown(unlike)
+    if thickness is None:
+        return _unknown("an object whose thickness is not known yet")
+    level = max(cells for cells in kind["levels"] if cells <= scene.resolution.cells)
+    error, count = largest_error(kind, table()["objects"], thickness, level)
+    if error is None:
+        cells = thickness * scene.resolution.cells
+        return _unknown(f"{such} that is so thin ({cells:.1f} cells of this grid)")
+    error *= table()["safety"]
+    why = (
+        f"Measured at D/{level} for {such} ({', '.join(kind['from'])}; objects about as thick or "
+        f"thicker: {count})."
+    )
+    if length(scene) <= MARGIN * kind["length"]:
+        return Promise(error, why)
     why += f" What follows, up to {_until(scene):.2f} s, was not measured."
-    return Promise(grids[max(within)], why, seconds=found["length"] * _unit(scene))
+    return Promise(error, why, seconds=kind["length"] * _unit(scene))
+
+
+def largest_error(
+    kind: Mapping[str, Any], thick: Mapping[str, float], thickness: float, cells: int
+) -> tuple[float | None, int]:
+    """Return the largest error of the objects about as thick as another, and their number.
+
+    A grid has at least the error of the finer ones. There is no error if the object is thinner
+    than all of them.
+
+    Args:
+        kind: The errors of a kind of scene: `levels`, and the `errors` of each object on them.
+        thick: Name of an object -> its thickness relative to its size.
+        thickness: Thickness of the object, relative to its size.
+        cells: One of the levels.
+    """
+    place = kind["levels"].index(cells)
+    errors = {
+        name: max(known)
+        for name, each in kind["errors"].items()
+        if (known := [error for error in each[place:] if error is not None])
+    }
+    order = sorted((thick[name] for name in errors), reverse=True)
+    if not order or thickness < order[-1]:
+        return None, 0
+    least = min(NEARLY * thickness, order[min(FEWEST, len(order)) - 1])
+    near = [error for name, error in errors.items() if thick[name] >= least]
+    return max(near), len(near)
 
 
 def motion_of(scene: Scene) -> Motion:
@@ -206,7 +260,7 @@ def _unit(scene: Scene) -> float:
 
 @cache
 def table() -> dict[str, Any]:
-    """The measured errors, with machine and date."""
+    """Return the measured errors, with the machine and the commit that measured them."""
     file = resources.files("phy124") / "accuracy" / "measured.json"
     return json.loads(file.read_text("utf-8"))
 

@@ -99,7 +99,7 @@ def predict(
         forecast = forecast.with_predicted("generate", effort.seconds, STOOD_IN)
     for name, seconds in reversed(spent.items()):
         forecast = forecast.with_measured(name, seconds)
-    promised = promise(scene)
+    promised = promise(scene, forecast.thickness)
     if as_json:
         more = {"scene": scene.data(), "promise": asdict(promised), "note": stiffest_part(scene)}
         print(json.dumps({**forecast.data(), **more}))

@@ -11,6 +11,7 @@ from phy124.live.engine import Live
 from phy124.live.limits import check_number
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
+from phy124.simulation.bodies import thickness_of
 
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32)
 """Grids that may be chosen."""
@@ -76,15 +77,16 @@ def held_rate(
         InputError: The object or the scene cannot be used, or a number is out of bounds.
     """
     rate = check_number("rate", rate, 0.01, 100)
+    thickness = thickness_of(gaussians, scene)
     if max_error is None:
         cost = _trial(gaussians, _on(scene, TRIED), options)
         allowed = SPARE / (scene.time.fps * rate)
         cells = max((n for n in CELLS if cost.on(n) <= allowed), default=CELLS[0])
     else:
-        cells = _exact_enough(scene, check_number("max_error", max_error, 1e-6, 1))
+        cells = _exact_enough(scene, thickness, check_number("max_error", max_error, 1e-6, 1))
         cost = _trial(gaussians, _on(scene, cells), options)
     chosen = _on(scene, cells)
-    return Choice(chosen, 1 / (scene.time.fps * cost.on(cells)), promise(chosen))
+    return Choice(chosen, 1 / (scene.time.fps * cost.on(cells)), promise(chosen, thickness))
 
 
 def _on(scene: Scene, cells: int) -> Scene:
@@ -93,10 +95,10 @@ def _on(scene: Scene, cells: int) -> Scene:
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 
-def _exact_enough(scene: Scene, error: float) -> int:
+def _exact_enough(scene: Scene, thickness: float | None, error: float) -> int:
     """The coarsest grid of which such an error is promised; the finest if none is."""
     for cells in CELLS:
-        promised = promise(_on(scene, cells)).error
+        promised = promise(_on(scene, cells), thickness).error
         if promised is not None and promised <= error:
             return cells
     return CELLS[-1]

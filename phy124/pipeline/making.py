@@ -263,7 +263,9 @@ class Making:
         report = {**about, **clip.report, "cleaning": cleaning}
         report |= framed(clip, view) if self.films else {}
         report["notes"] = [*_of_files(about), *report["notes"]]
-        report["promise"] = asdict(promise(Scene.from_data(clip.scene), report))
+        report["promise"] = asdict(
+            promise(Scene.from_data(clip.scene), report["thickness"], report)
+        )
         return self._renewed(report, (), interrupted=interrupted)
 
     def _renewed(

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, as_objects
 from phy124.generators.shapes import shape
-from phy124.imaging.painted import Crop
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.materials import AnyMaterial
 from phy124.particles import Cleaning, Particles, clean, make_particles
+from phy124.particles.thickness import relative_thickness
 from phy124.scene import Scene, SceneObject
 from phy124.simulation.appearance import Appearance, appearance
 from phy124.simulation.materials import varied
@@ -88,6 +89,24 @@ def bodies(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
             still = getattr(scene.every_object[index], "scenery", False)
             made.append(_scenery(one) if still else _made(one, scene.spacing))
     return _joined(made, scene)
+
+
+def thickness_of(gaussians: Gaussians, scene: Scene) -> float | None:
+    """Return the local thickness of a scene's object relative to its size.
+
+    It is None in scenes of several objects.
+
+    Args:
+        gaussians: The object at any size, standing upright.
+        scene: What happens to it.
+
+    Raises:
+        InputError: The Gaussians cannot be used.
+    """
+    if scene.objects:
+        return None
+    placed = _placed(gaussians.of_object(0), scene, WHOLE)
+    return relative_thickness(placed.gaussians.select(placed.own), scene.object.size)
 
 
 @contextmanager

@@ -36,6 +36,7 @@ def report_of(run: Run) -> dict[str, Any]:
         "grains": len(run.shown) - len(run.gaussians),
         "particles": len(run.particles),
         "mass": float(run.particles.mass.sum()),
+        "thickness": run.thickness,
         "cleaning": run.cleaning,
         "notes": _notes(run),
         "grid": {"dx": solver.model.dx, "window": solver.grid.size.tolist()},

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,8 @@ from phy124.monitor.observer import (
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.workers import timed, usable_workers
+from phy124.particles.thickness import relative_thickness
+from phy124.placing import belongs
 from phy124.progress import Progress, silent
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.cores import refuse_threads
@@ -240,6 +243,14 @@ class Simulation:
         for observer in self.observers:
             made = observer.complete(made)
         return made.with_report(self.report() | counted(self, made))
+
+    @cached_property
+    def thickness(self) -> float | None:
+        """Local thickness of the object relative to its size; None in scenes of several objects."""
+        if self.scene.objects:
+            return None
+        moving = self.gaussians.select(belongs(self.numbered, len(self.gaussians)))
+        return relative_thickness(moving, self.scene.object.size)
 
     def report(self) -> dict[str, Any]:
         """What the run did; the keys are documented in docs/reference/report.md."""

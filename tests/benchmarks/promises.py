@@ -1,17 +1,24 @@
-"""Measures what may be promised: the error of each law in each kind of motion, grid by grid.
+"""Measures what may be promised: the error of each law in each kind of motion, on many objects.
 
-Writes phy124/accuracy/measured.json (`make accuracy`), from which `phy124.accuracy.promises`
-reads. Each scene is run on a series of grids with its Gaussians riding along; the errors are those
-of `phy124.accuracy.convergence`, the worst of the scenes of a kind, a quarter larger. Grids that
-may be torn, and scenes that do not converge, promise nothing. `promises.py fluid sand` measures
-only these laws and keeps the others.
+Each object is moved by each scene on a series of grids, its Gaussians riding along on a lattice.
+`measure` adds a row to promises.jsonl for each object and scene that has none, so the script can be
+stopped and started again:
+
+    python tests/benchmarks/promises.py measure --minutes 50 --scenes "neo_hookean press"
+
+`table` rewrites phy124/accuracy/measured.json, from which `phy124.accuracy.promises` reads, and the
+tables of docs/results/accuracy.md from these rows. `make accuracy` does both.
+
+Objects are the pictures of demo/examples and the files of ../shared/objects, which stand on -y.
 """
 
+import argparse
 import json
+import subprocess
 import sys
-from collections.abc import Iterator
-from datetime import date
-from itertools import groupby
+import time
+from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,25 +27,31 @@ import warp as wp
 
 from phy124 import pipeline
 from phy124.accuracy.convergence import distances, richardson
-from phy124.accuracy.promises import length, motion_of
+from phy124.accuracy.promises import largest_error, length, motion_of
 from phy124.accuracy.severity import damping, poisson, violence, yielding
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.io.formats import read_gaussians
 from phy124.materials import LAWS
 from phy124.materials.elastic import Springy
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.simulation.bodies import thickness_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from presets import beginning
-from tables import DOCS, machine, markdown, renew
+from tables import DOCS, markdown, processor, renew
 
 ROOT = Path(__file__).parents[2]
+ROWS = Path(__file__).with_suffix(".jsonl")
 FILE = ROOT / "phy124/accuracy/measured.json"
-OBJECT = "duck"
-LEVELS = (12, 16, 24, 32, 48)
-SAFETY = 1.25
-"""On the errors measured: other objects are not the duck."""
+LEVELS = (10, 13, 16, 24, 32, 48)
+STUDIED = 16
+"""The coarsest level of a study, in cells; coarser ones may have another order."""
+HOLD = 0.95
+"""Fraction of the errors of objects left out at which the promises from the others hold."""
+SHOWN_LEVELS, SHOWN_THICKNESS = (16, 32), (0.05, 0.1, 0.2, 0.5)
+"""Grids and thickness of objects, relative to their size, that the page shows."""
 SPRINGY = [law for law, kind in LAWS.by_name.items() if issubclass(kind, Springy)]
 FLOWING = [law for law, kind in LAWS.by_name.items() if kind().device_law.project]
 STAND: dict[str, Any] = {"object.lift": 0.0, "time.fps": 24.0}
@@ -46,16 +59,21 @@ SCENES = {
     **{
         f"{law} {name}": (name, law, {})
         for law in SPRINGY
-        for name in ("press", "drop", "bounce", "push_right", "spin", "sway")
+        for name in ("press", "drop", "sway", "spin", "bounce", "push_right")
     },
-    **{f"{law} {name}": (name, law, {}) for law in FLOWING for name in ("drop", "press")},
+    **{f"{law} {name}": (name, law, {}) for law in FLOWING for name in ("press", "drop")},
     **{f"{law} standing": ("drop", law, STAND) for law in ("sand", "snow", "fluid", "foam")},
 }
 """Name -> preset, law, changes."""
 
+Row = dict[str, Any]
+
 
 def scene_of(preset: str, law: str, changes: dict[str, Any]) -> Scene:
-    """A preset's beginning with another law: springy ones as it has them, others as they are."""
+    """Return a preset's beginning with another law.
+
+    Springy laws have the preset's values, all others have their defaults.
+    """
     base = beginning(preset)
     plain: dict[str, Any] = {"law": law}
     if law in SPRINGY:
@@ -63,38 +81,106 @@ def scene_of(preset: str, law: str, changes: dict[str, Any]) -> Scene:
     return base.replaced({"material": plain, **changes})
 
 
-def measured(gaussians: Gaussians, scene: Scene) -> dict[str, float | None]:
-    """Error of each grid as a fraction of the size, None where there is none."""
-    clips, whole = [], []
-    for cells in LEVELS:
-        accuracy = scene.resolution.model_copy(update={"cells": cells})
-        run = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
+def objects() -> dict[str, Path]:
+    """Name of an object -> its picture or file."""
+    pictures = (ROOT / "demo/examples").glob("*.png")
+    files = (ROOT.parent / "shared/objects").glob("*.splat")
+    return {path.stem: path for path in sorted([*pictures, *files])}
+
+
+def gaussians_of(path: Path) -> Gaussians:
+    """Return the object of a picture or of a file of Gaussians."""
+    if path.suffix == ".png":
+        return pipeline.static(path).gaussians
+    return read_gaussians(path, up="-y").gaussians
+
+
+def measured(name: str, gaussians: Gaussians, words: str, levels: Sequence[int]) -> Row:
+    """Move an object by a scene on some grids; returns the row with their distances."""
+    base = scene_of(*SCENES[words]).replaced({"time.budget": 1e6, "binding": "lattice"})
+    whole, clips, torn, seconds = [], [], [], []
+    for cells in levels:
+        begin = time.process_time()
+        run = Simulation(gaussians, base.replaced({"accuracy.cells": cells}), threads=1)
         clip = run.run()
-        if clip.report["complete"] and not clip.report["balance"]["tearing"]["likely"]:
-            # Without grains, of which each grid has its own.
-            clips.append(clip.means[:, : len(gaussians)])
-            whole.append(cells)
-    if len(whole) < 3:
-        return {}
-    found = richardson([1 / n for n in whole], distances(clips) / scene.object.size)
-    return dict(zip(map(str, whole), found.errors, strict=False))
-
-
-def worst(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The row of a kind of scene: the least that was measured, the largest error."""
-    grids = {cells for row in rows for cells in row["errors"]}
-    errors = {}
-    for cells in sorted(grids, key=int):
-        each = [row["errors"].get(cells) for row in rows]
-        errors[cells] = None if None in each else round(max(each), 4)
+        if not clip.report["complete"]:
+            continue
+        # Without grains, of which each grid has its own.
+        clips.append(clip.means[:, : len(gaussians)])
+        whole.append(cells)
+        torn.append(clip.report["balance"]["tearing"]["likely"])
+        seconds.append(round(time.process_time() - begin, 2))
+    apart = distances(clips) / base.object.size if clips else np.zeros((0, 0))
     return {
-        "errors": errors if all(row["errors"] for row in rows) else {},
-        **{name: max(row[name] for row in rows) for name in ("violence", "yielding", "nu")},
-        "damping": min(row["damping"] for row in rows),
-        "length": max(row["length"] for row in rows),
-        "particles_per_axis": max(row["particles_per_axis"] for row in rows),
-        "from": [row["name"] for row in rows],
+        "object": name,
+        "scene": words,
+        "levels": whole,
+        "torn": torn,
+        "seconds": seconds,
+        "apart": np.round(apart[np.triu_indices(len(whole), 1)], 6).tolist(),
+        "thickness": round(thickness_of(gaussians, base), 4),
+        "commit": commit(),
     }
+
+
+def commit() -> str:
+    """Return the commit of the code that runs."""
+    command = ["git", "-C", str(ROOT), "rev-parse", "--short", "HEAD"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def rows() -> list[Row]:
+    """The rows that were measured."""
+    return [json.loads(line) for line in ROWS.read_text().splitlines()] if ROWS.exists() else []
+
+
+def missing(names: list[str], scenes: list[str]) -> Iterator[tuple[str, str]]:
+    """Objects and scenes that have no row."""
+    there = {(row["object"], row["scene"]) for row in rows()}
+    return ((name, scene) for scene, name in product(scenes, names) if (name, scene) not in there)
+
+
+def measure(args: argparse.Namespace) -> None:
+    """Measure what is missing, for some minutes."""
+    known, end = objects(), time.monotonic() + 60 * args.minutes
+    made: dict[str, Gaussians] = {}
+    for name, words in missing(args.objects or list(known), args.scenes):
+        if time.monotonic() > end:
+            break
+        try:
+            made.setdefault(name, gaussians_of(known[name]))
+            row = measured(name, made[name], words, args.levels)
+        except InputError as refusal:
+            print(f"{name} {words}: {refusal}", file=sys.stderr)
+            continue
+        with ROWS.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        print(f"{name} {words}", flush=True)
+
+
+def errors_of(row: Row) -> list[float | None]:
+    """Error of an object on each grid of a row, as a fraction of its size; None: none is known.
+
+    The error is the largest of those estimated from all grids and from the finer grids alone. If
+    the grids do not converge, it is the largest distance to a finer grid.
+    """
+    cells = [n for n, torn in zip(row["levels"], row["torn"], strict=True) if not torn]
+    kept = np.flatnonzero(~np.array(row["torn"], bool))
+    apart = np.zeros((len(row["levels"]),) * 2)
+    apart[np.triu_indices(len(apart), 1)] = row["apart"]
+    apart = (apart + apart.T)[np.ix_(kept, kept)]
+    errors = np.zeros(len(cells))
+    for first in range(max(0, min(len(cells) - 2, sum(n < STUDIED for n in cells) + 1))):
+        found = richardson([1 / n for n in cells[first:]], apart[first:, first:])
+        errors[first:] = np.maximum(errors[first:], found.errors or apart[first:].max(axis=1))
+    known = dict(zip(cells, errors.tolist(), strict=True)) if len(cells) > 2 else {}
+    return [known.get(n) for n in LEVELS]
+
+
+def worst(rows: Sequence[Row]) -> list[float | None]:
+    """The largest error on each grid over the scenes of a kind; None where one has none."""
+    each = zip(*(errors_of(row) for row in rows), strict=True)
+    return [None if None in errors else round(max(errors), 5) for errors in each]
 
 
 def severity(scene: Scene) -> dict[str, float]:
@@ -104,60 +190,102 @@ def severity(scene: Scene) -> dict[str, float]:
         "yielding": yielding(scene),
         "nu": poisson(scene),
         "damping": damping(scene),
+        "length": length(scene),
+        "particles_per_axis": scene.particles_per_axis,
     }
 
 
-def rows(gaussians: Gaussians, laws: list[str]) -> Iterator[dict[str, Any]]:
-    """One row per scene, as measured."""
-    for name, (preset, law, changes) in SCENES.items():
-        if laws and law not in laws:
-            continue
-        scene = scene_of(preset, law, changes)
-        try:
-            errors = measured(gaussians, scene.model_copy(update={"binding": "lattice"}))
-        except InputError as refusal:
-            print(f"{name}: {refusal}", flush=True)
-            errors = {}
-        errors = {cells: SAFETY * error for cells, error in errors.items() if error is not None}
-        row = {
-            "kind": f"{law} {motion_of(scene)}",
-            "name": name.removeprefix(f"{law} "),
-            "errors": errors,
-            **severity(scene),
-            "length": length(scene),
-            "particles_per_axis": scene.particles_per_axis,
+def kinds_of(rows: Sequence[Row]) -> dict[str, Any]:
+    """Return what is promised from: for each kind of scene, how hard, and the errors of objects."""
+    scenes = {name: scene_of(*SCENES[name]) for name in SCENES}
+    kinds: dict[str, list[str]] = {}
+    for name in dict.fromkeys(row["scene"] for row in rows):
+        kind = f"{scenes[name].material.law} {motion_of(scenes[name])}"
+        kinds.setdefault(kind, []).append(name)
+    found = {}
+    for kind, names in sorted(kinds.items()):
+        hard = [severity(scenes[name]) for name in names]
+        by_object = {
+            thing: [row for row in rows if row["object"] == thing and row["scene"] in names]
+            for thing in sorted({row["object"] for row in rows})
         }
-        print(json.dumps(row), flush=True)
-        yield row
+        errors = {thing: worst(own) for thing, own in by_object.items() if len(own) == len(names)}
+        known = {thing: each for thing, each in errors.items() if any(each)}
+        there = [k for k in range(len(LEVELS)) if any(each[k] for each in known.values())]
+        found[kind] = {
+            "from": [name.partition(" ")[2] for name in names],
+            **{key: float(f"{max(one[key] for one in hard):.6g}") for key in hard[0]},
+            "damping": float(f"{min(one['damping'] for one in hard):.6g}"),
+            "levels": [LEVELS[k] for k in there],
+            "errors": {thing: [each[k] for k in there] for thing, each in known.items()},
+        }
+    return found
 
 
-def table(kinds: dict[str, Any]) -> str:
-    """For the page: a row per kind of scene, per cent of the size on each grid."""
-    heads = ["law", "motion", *(f"D/{cells}" for cells in LEVELS), "measured on"]
+def left_out(kind: dict[str, Any], thick: dict[str, float]) -> dict[tuple[str, int], float]:
+    """Object and grid -> its error, relative to what is promised from all other objects."""
+    ratios = {}
+    for thing, errors in kind["errors"].items():
+        others = {name: each for name, each in kind["errors"].items() if name != thing}
+        for cells in kind["levels"]:
+            error = errors[kind["levels"].index(cells)]
+            promised, _ = largest_error({**kind, "errors": others}, thick, thick[thing], cells)
+            if error is not None and promised is not None:
+                ratios[thing, cells] = error / promised
+    return ratios
+
+
+def written(kinds: dict[str, Any], thick: dict[str, float], safety: float) -> list[list[str]]:
+    """Lines of the page's table: what is promised to objects of some thickness, in per cent."""
     lines = []
-    for kind, row in sorted(kinds.items()):
-        errors = [row["errors"].get(str(cells)) for cells in LEVELS]
-        said = ["none" if error is None else f"{100 * error:.1f} %" for error in errors]
-        lines.append([*kind.split(), *said, ", ".join(row["from"])])
-    return markdown(heads, lines)
+    for kind, found in kinds.items():
+        ratios = np.array(list(left_out(found, thick).values()))
+        held = f"{np.mean(ratios <= safety):.0%} of {len(ratios)}" if len(ratios) else "-"
+        promised = [
+            largest_error(found, thick, thickness, cells)[0] if cells in found["levels"] else None
+            for cells, thickness in product(SHOWN_LEVELS, SHOWN_THICKNESS)
+        ]
+        errors = ["none" if error is None else f"{100 * safety * error:.1f}" for error in promised]
+        count = str(len(found["errors"]))
+        lines.append([*kind.split(), ", ".join(found["from"]), count, *errors, held])
+    return lines
 
 
-def main(laws: list[str]) -> None:
-    """Measure all, or some laws."""
+def table(_: argparse.Namespace) -> None:
+    """Rewrite measured.json and the tables of the page."""
+    measured = rows()
+    thick = {row["object"]: row["thickness"] for row in measured}
+    kinds = kinds_of(measured)
+    ratios = [ratio for found in kinds.values() for ratio in left_out(found, thick).values()]
+    safety = float(np.ceil(20 * max(1.0, np.quantile(ratios, HOLD))) / 20)
+    thick = dict(sorted(thick.items(), key=lambda item: item[1]))
+    commits = sorted({row["commit"] for row in measured})
+    about = {"machine": processor(), "commits": commits, "safety": safety, "objects": thick}
+    lines = [f"{json.dumps(kind)}: {json.dumps(found)}" for kind, found in kinds.items()]
+    text = ",\n".join(f"{json.dumps(name)}: {json.dumps(value)}" for name, value in about.items())
+    FILE.write_text("{" + text + ',\n"scenes": {\n' + ",\n".join(lines) + "\n}}\n")
+    heads = [f"D/{n}: {part:g}" for n, part in product(SHOWN_LEVELS, SHOWN_THICKNESS)]
+    heads = ["law", "motion", "scenes", "objects", *heads, "held"]
+    renew(DOCS / "results/accuracy.md", "promises", markdown(heads, written(kinds, thick, safety)))
+    held = np.mean(np.array(ratios) <= safety)
+    print(f"safety factor {safety:g}: {held:.1%} of {len(ratios)} errors of objects left out hold")
+
+
+def main() -> None:
+    """Measure, or rewrite the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    commands = parser.add_subparsers(required=True)
+    commands.add_parser("table").set_defaults(run=table)
+    how = commands.add_parser("measure")
+    how.set_defaults(run=measure)
+    how.add_argument("--minutes", type=float, default=50)
+    how.add_argument("--objects", nargs="+", choices=list(objects()))
+    how.add_argument("--scenes", nargs="+", default=list(SCENES), choices=list(SCENES))
+    how.add_argument("--levels", nargs="+", type=int, default=LEVELS, choices=LEVELS)
+    args = parser.parse_args()
     wp.config.log_level = wp.LOG_ERROR
-    np.seterr(all="raise", under="ignore")
-    gaussians = pipeline.static(ROOT / f"demo/examples/{OBJECT}.png").gaussians
-    known = json.loads(FILE.read_text()) if FILE.exists() else {"scenes": {}}
-    kinds, found = known["scenes"] if laws else {}, []
-    for row in rows(gaussians, laws):
-        found = sorted([*found, row], key=lambda row: row["kind"])
-        for kind, group in groupby(found, key=lambda row: row["kind"]):
-            kinds[kind] = worst(list(group))
-        about = {"machine": machine(), "date": date.today().isoformat(), "object": f"the {OBJECT}"}
-        renew(DOCS / "results/accuracy.md", "promises", table(kinds))
-        text = json.dumps({**about, "scenes": dict(sorted(kinds.items()))}, indent=1)
-        FILE.write_text(text + "\n")
+    args.run(args)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

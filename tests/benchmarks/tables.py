@@ -17,14 +17,18 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def machine() -> str:
-    """What measured, as a sentence; says so if others were at work too."""
+    """Return a sentence on what measured, which says so if the machine was busy."""
     cores, load = os.cpu_count() or 1, os.getloadavg()[0]
+    busy = f"; the machine was busy (load {load:.0f}), so seconds are too long"
+    return f"Measured on {processor()}" + (busy if load > 1.5 * cores else "") + "."
+
+
+def processor() -> str:
+    """Return the processor and the versions that compute, in words."""
     names = [line for line in _lines("/proc/cpuinfo") if line.startswith("model name")]
     name = names[0].partition(":")[2].strip() if names else platform.machine()
-    said = f"Measured on {cores} cores of {name}, Python {platform.python_version()}, Warp "
-    said += f"{wp.__version__}"
-    busy = f"; the machine was busy (load {load:.0f}), so seconds are too long"
-    return said + (busy if load > 1.5 * cores else "") + "."
+    versions = f"Python {platform.python_version()}, Warp {wp.__version__}"
+    return f"{os.cpu_count() or 1} cores of {name}, {versions}"
 
 
 def _lines(path: str) -> list[str]:

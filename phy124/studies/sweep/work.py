@@ -184,7 +184,7 @@ def _result(
             recording.leave()
             raise
         recording.discard()
-    promised = promise(scene, report)
+    promised = promise(scene, report["thickness"], report)
     return {
         "status": "done" if report["complete"] else "stopped",
         "sentence": report["stopped"],

@@ -136,6 +136,7 @@ class Study:
     def __post_init__(self) -> None:
         self._forecaster = Forecaster(self.device)
         self._splits = self.thorough and _can_split(self.scene)
+        self._thickness: float | None = None
 
     def run(self) -> Report:
         """Run all settings; raises InputError or Cancelled."""
@@ -212,6 +213,7 @@ class Study:
         simulation = Simulation(
             self.gaussians, scene, device=self.device, crop=self.crop, progress=progress
         )
+        self._thickness = self._thickness or simulation.thickness
         particles_per_axis = _particles_per_axis(simulation)
         if particles_per_axis < MIN_PARTICLES_PER_AXIS:
             return None, (
@@ -278,13 +280,13 @@ class Study:
             found,
             size,
             recommend(judged, found),
-            kept_promises(self.scene, judged, found),
+            kept_promises(self.scene, self._thickness, judged, found),
         )
 
     def _unjudged(self, rows: list[Row], skipped: tuple[str, ...], why: str) -> Report:
         """The rows without errors, and why they have none."""
         none, size = Convergence(None, why_not=why), self.scene.object.size
-        promises = kept_promises(self.scene, tuple(rows), none)
+        promises = kept_promises(self.scene, self._thickness, tuple(rows), none)
         return Report(tuple(rows), skipped, none, size, why, promises)
 
     def _compared(
@@ -371,8 +373,17 @@ def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
     return f"{said}; {finer[0].name} would take {ratio:.1f} times as long for {better}."
 
 
-def kept_promises(scene: Scene, rows: tuple[Row, ...], found: Convergence) -> dict[str, str]:
-    """For each preset whose level was run: whether the promised error holds here, in words."""
+def kept_promises(
+    scene: Scene, thickness: float | None, rows: tuple[Row, ...], found: Convergence
+) -> dict[str, str]:
+    """For each preset whose level was run: whether the promised error holds here, in words.
+
+    Args:
+        scene: The scene.
+        thickness: Local thickness of its object relative to its size.
+        rows: The settings that were run.
+        found: The convergence of the levels.
+    """
     said = {}
     for name, accuracy in PRESETS.items():
         row = next((row for row in rows if row.level and row.cells == accuracy.cells), None)
@@ -383,7 +394,7 @@ def kept_promises(scene: Scene, rows: tuple[Row, ...], found: Convergence) -> di
         elif found.error is None or row.error is None:
             said[name] = f"cannot be judged: {found.why_not}"
         else:
-            promised = promise(scene.model_copy(update={"accuracy": name}))
+            promised = promise(scene.model_copy(update={"accuracy": name}), thickness)
             said[name] = kept(promised, row.error)
     return said
 

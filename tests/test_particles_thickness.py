@@ -1,0 +1,48 @@
+"""Local thickness: what fits inside, on objects whose thickness is known."""
+
+import numpy as np
+import pytest
+
+from phy124.particles.solid import Solid
+from phy124.particles.thickness import local_thickness, relative_thickness
+from support.shapes import ball
+
+
+def box(*sides: int) -> Solid:
+    return Solid(np.zeros(3, np.int64), 0.1, np.ones(sides, np.float32))
+
+
+@pytest.mark.parametrize("voxels", [1, 3, 5, 9])
+def test_thickness_of_a_slab_is_its_width(voxels):
+    assert local_thickness(box(40, 40, voxels)) == pytest.approx(0.1 * voxels)
+
+
+def test_thickness_of_a_ball_is_its_diameter():
+    centres = np.indices((41, 41, 41)) - 20
+    inside = (centres**2).sum(axis=0) <= 18.5**2
+    shape = Solid(np.zeros(3, np.int64), 0.1, inside.astype(np.float32))
+    assert local_thickness(shape) == pytest.approx(3.7, abs=0.15)
+
+
+@pytest.mark.parametrize(("length", "thickness"), [(10, 0.9), (60, 0.3)])
+def test_a_thin_quarter_of_the_volume_decides(length, thickness):
+    """A slab nine voxels thick with a flange of three: less, or more than a quarter of it all."""
+    fraction = np.zeros((40, 40 + length, 9), np.float32)
+    fraction[:, :40] = 1
+    fraction[:, 40:, 3:6] = 1
+    shape = Solid(np.zeros(3, np.int64), 0.1, fraction)
+    assert local_thickness(shape) == pytest.approx(thickness)
+
+
+def test_a_sheet_below_a_voxel_counts_as_one():
+    sheet = box(20, 20, 1)
+    assert local_thickness(Solid(sheet.first, sheet.voxel, 0.2 * sheet.fraction)) == 0.1
+
+
+def test_relative_thickness_does_not_depend_on_the_size():
+    some = ball(2000)
+    near, far = (
+        relative_thickness(some.moved(size, np.zeros(3)), size * np.ptp(some.means[:, 2]))
+        for size in (1.0, 1e-3)
+    )
+    assert near == pytest.approx(far, abs=0.02) and 0.8 < near < 1.1
