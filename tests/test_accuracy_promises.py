@@ -54,33 +54,27 @@ KIND = {
     "errors": {
         "ball": [0.02, 0.01],
         "cup": [0.03, None],
-        "leaf": [0.3, 0.2],
         "mug": [0.04, 0.02],
-        "pot": [0.05, 0.01],
         "vase": [0.01, 0.01],
-        "thread": [None, None],
+        "jar": [0.01, 0.01],
+        "can": [0.01, 0.01],
+        "pot": [0.05, 0.01],
+        "leaf": [0.3, 0.2],
     },
 }
-SIZES = {
-    "ball": 0.8,
-    "cup": 0.7,
-    "mug": 0.6,
-    "vase": 0.55,
-    "pot": 0.5,
-    "leaf": 0.05,
-    "thread": 0.01,
-}
+WIDTHS = (0.8, 0.7, 0.65, 0.6, 0.56, 0.55, 0.5, 0.05)
+SIZES = dict(zip(KIND["errors"], WIDTHS, strict=True))
 
 
 @pytest.mark.parametrize(
     ("thickness", "cells", "error", "count"),
     [
-        (0.9, 16, 0.04, 4),  # thicker than all: the four thickest count
-        (0.5, 16, 0.05, 5),
-        (0.06, 16, 0.3, 6),  # the leaf is more than 0.8 times as thick
-        (0.07, 16, 0.05, 5),
-        (0.07, 32, 0.02, 4),  # the cup has no error on this grid
-        (0.049, 16, None, 0),  # thinner than all that have an error
+        (0.9, 16, 0.04, 6),  # thicker than all: the six thickest count
+        (0.5, 16, 0.05, 7),
+        (0.06, 16, 0.3, 8),  # the leaf is more than 0.8 times as thick
+        (0.07, 16, 0.05, 7),
+        (0.07, 32, 0.03, 7),  # of the cup, which has an error on the coarser grid only
+        (0.049, 16, None, 0),  # thinner than all
     ],
 )
 def test_largest_error_is_that_of_objects_as_thick(thickness, cells, error, count):

@@ -39,7 +39,7 @@ NEARBY = 0.02
 """How much larger than measured Poisson's ratio may be."""
 NEARLY = 0.8
 """Smallest thickness, relative to that of an object, of those that count as thick as it."""
-FEWEST = 4
+FEWEST = 6
 """Smallest number of objects whose largest error is promised: the thickest ones, if need be."""
 UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
@@ -207,8 +207,9 @@ def largest_error(
 ) -> tuple[float | None, int]:
     """Return the largest error of the objects about as thick as another, and their number.
 
-    A grid has at least the error of the finer ones. There is no error if the object is thinner
-    than all of them.
+    An object's error on a grid is at least that on the finer grids; if it has none on this grid or
+    finer ones, it is that on the coarser grids. There is no error if the object is thinner than
+    all of them.
 
     Args:
         kind: The errors of a kind of scene: `levels`, and the `errors` of each object on them.
@@ -216,16 +217,16 @@ def largest_error(
         thickness: Thickness of the object, relative to its size.
         cells: One of the levels.
     """
-    place = kind["levels"].index(cells)
-    errors = {
-        name: max(known)
-        for name, each in kind["errors"].items()
-        if (known := [error for error in each[place:] if error is not None])
-    }
-    order = sorted((thick[name] for name in errors), reverse=True)
-    if not order or thickness < order[-1]:
+    errors = {}
+    for name, each in kind["errors"].items():
+        pairs = zip(kind["levels"], each, strict=True)
+        known = [(level, error) for level, error in pairs if error is not None]
+        finer = (error for level, error in known if level >= cells)
+        errors[name] = max(finer, default=known[-1][1])
+    widths = sorted((thick[name] for name in errors), reverse=True)
+    if not widths or thickness < widths[-1]:
         return None, 0
-    least = min(NEARLY * thickness, order[min(FEWEST, len(order)) - 1])
+    least = min(NEARLY * thickness, widths[min(FEWEST, len(widths)) - 1])
     near = [error for name, error in errors.items() if thick[name] >= least]
     return max(near), len(near)
 

@@ -33,7 +33,6 @@ from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.workers import timed, usable_workers
 from phy124.particles.thickness import relative_thickness
-from phy124.placing import belongs
 from phy124.progress import Progress, silent
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.cores import refuse_threads
@@ -45,6 +44,7 @@ from phy124.simulation.bodies import bodies
 from phy124.simulation.deform import Deformer
 from phy124.simulation.kernels import kernels
 from phy124.simulation.ordering import axis_of, ordered
+from phy124.simulation.placing import belongs
 from phy124.simulation.report import counted, report_of
 from phy124.simulation.solver import acting, judged_as, solver_of
 from phy124.simulation.spent import Spent

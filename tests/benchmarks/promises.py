@@ -34,6 +34,7 @@ from phy124.gaussians import Gaussians
 from phy124.io.formats import read_gaussians
 from phy124.materials import LAWS
 from phy124.materials.elastic import Springy
+from phy124.particles.solid import ACROSS
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.bodies import thickness_of
@@ -252,12 +253,15 @@ def written(kinds: dict[str, Any], thick: dict[str, float], safety: float) -> li
 
 
 def table(_: argparse.Namespace) -> None:
-    """Rewrite measured.json and the tables of the page."""
-    measured = rows()
+    """Rewrite measured.json and the tables of the page.
+
+    Objects as thin as a voxel are left out, since they may be thinner than that.
+    """
+    measured = [row for row in rows() if row["thickness"] > 1.01 / ACROSS]
     thick = {row["object"]: row["thickness"] for row in measured}
     kinds = kinds_of(measured)
     ratios = [ratio for found in kinds.values() for ratio in left_out(found, thick).values()]
-    safety = float(np.ceil(20 * max(1.0, np.quantile(ratios, HOLD))) / 20)
+    safety = float(np.ceil(20 * max(1.0, np.quantile(ratios, HOLD, method="higher"))) / 20)
     thick = dict(sorted(thick.items(), key=lambda item: item[1]))
     commits = sorted({row["commit"] for row in measured})
     about = {"machine": processor(), "commits": commits, "safety": safety, "objects": thick}
