@@ -80,7 +80,7 @@ class Learned:
     @property
     def minimum(self) -> Rates:
         """Rates at which this machine is fastest: the smaller of the built-in and measured ones."""
-        return Rates().quickest(self.measured or self.now).quickest(self.now)
+        return Rates().minimum(self.measured or self.now).minimum(self.now)
 
 
 def _observed(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, float]]:
@@ -90,7 +90,7 @@ def _observed(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, flo
     for name in ("generate", "simulate", "deform"):
         spent.setdefault(name, 0.0)
     spent["generate"] /= 1 + len(report.get("sources", {}))
-    work = Work.done(scene, report["substeps"], report["particles"], report["frames"])
+    work = Work.from_counts(scene, report["substeps"], report["particles"], report["frames"])
     return work, spent
 
 

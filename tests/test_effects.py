@@ -103,7 +103,9 @@ def test_sleep_and_static_parts_are_named():
     part = {"static": True, "region": {"upper": [0, 9, 9]}}
     static = scene.replaced({"parts": [part]})
     assert "static Gaussians: 7 never enter the solver" in Effects.of(static, static=7).ran
-    assert whys(Effects.of(static))["several materials"] == "all that moves is of one"
+    assert (
+        whys(Effects.of(static))["several materials"] == "all moving parts have the same material"
+    )
 
 
 def test_gravity_of_zero_is_left_out():

@@ -2,8 +2,8 @@
 
 import pytest
 
-from phy124.budget.cost import demand_of
-from phy124.budget.limits import refuse_hopeless, stiffest_part
+from phy124.budget.cost import estimate
+from phy124.budget.limits import check_limits, note_stiffest_part
 from phy124.errors import InputError
 from phy124.particles import make_particles
 from phy124.scene import Scene
@@ -22,11 +22,11 @@ def run(**changes) -> Simulation:
     [
         (
             {"material.E": 1e13, "time.frames": 10_000},
-            r"forecast to take .* days .* material.E = .* or time.budget = .* would fit",
+            r"estimated to take .* days .* material.E = .* or time.budget = .* would fit",
         ),
         (
             {"time.substep": 1e-9, "time.frames": 1000},
-            r"forecast to take .* time.substep = .* would fit",
+            r"estimated to take .* time.substep = .* would fit",
         ),
     ],
 )
@@ -54,7 +54,7 @@ def test_the_setting_that_would_fit_fits(hard):
     scene = Scene.named("push_right").replaced({**QUICK, **hard}).replaced(changes)
     gaussians = run().gaussians
     particles = make_particles(gaussians, density=1000, spacing=scene.dx / 2)
-    assert demand_of(gaussians, particles, scene, "cpu").seconds <= 60
+    assert estimate(gaussians, particles, scene, "cpu").seconds <= 60
 
 
 def test_a_gpu_with_too_little_memory_is_named_before_the_run(monkeypatch):
@@ -63,8 +63,8 @@ def test_a_gpu_with_too_little_memory_is_named_before_the_run(monkeypatch):
     free = {"cpu": 1e12, "cuda:1": 1e5}
     monkeypatch.setattr("phy124.budget.limits.free_memory", lambda device="cpu": free[device])
     with pytest.raises(InputError, match=r"device = cuda:1: .* 0\.0 GB are free\. Use a coarser"):
-        refuse_hopeless(*needs, "cuda:1")
-    assert refuse_hopeless(*needs, "cpu").state > 1e5
+        check_limits(*needs, "cuda:1")
+    assert check_limits(*needs, "cpu").state > 1e5
 
 
 def test_what_is_too_far_up_for_float32_is_refused():
@@ -84,11 +84,11 @@ def test_clips_beyond_the_memory_are_refused(monkeypatch):
 def test_a_part_that_rules_the_substep_is_named():
     base = {"region": {"upper": [9, 9, 0.2]}, "material": {"law": "rigid", "speed": 3.0}}
     scene = Scene.named("push_right").replaced({"parts": [base], "material.E": 1e4})
-    said = stiffest_part(scene)
-    assert said and said.startswith("parts.0.material (rigid) is so stiff that it alone needs")
+    said = note_stiffest_part(scene)
+    assert said and said.startswith("parts.0.material (rigid) is so stiff that it needs")
     assert "parts.0.static = true" in said
     notes = Simulation(ball(300), scene.replaced(QUICK)).report()["notes"]
     assert any(note.startswith("parts.0.material (rigid)") for note in notes)
     slower = scene.replaced({"parts.0.material.speed": 0.02})
-    assert stiffest_part(slower) is None
-    assert stiffest_part(Scene.named("drop")) is None
+    assert note_stiffest_part(slower) is None
+    assert note_stiffest_part(Scene.named("drop")) is None

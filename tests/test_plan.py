@@ -101,5 +101,5 @@ def test_what_makes_a_run_slow_is_said_before_it(file, tmp_path, capsys):
     arguments = ["simulate", str(file), "--scene", str(tmp_path / "s.toml"), *SMALL, "--dry-run"]
     assert main([*arguments, "--accuracy", "draft"]) == 0
     said = capsys.readouterr().out
-    assert "note: parts.0.material (rigid) is so stiff that it alone needs" in said
+    assert "note: parts.0.material (rigid) is so stiff that it needs" in said
     assert "parts.0.static = true" in said

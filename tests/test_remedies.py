@@ -2,15 +2,22 @@
 
 import pytest
 
-from phy124.budget.remedies import KNOWN, SLOW, advice, hurry, listed, remedies
+from phy124.budget.remedies import (
+    REMEDIES,
+    SLOW,
+    advise,
+    find_remedies,
+    find_speedups,
+    join_alternatives,
+)
 from phy124.scene import Scene, preset_names
 
 
 @pytest.mark.parametrize("name", preset_names())
 def test_every_remedy_can_be_followed(name):
     scene = Scene.named(name)
-    for cause in KNOWN:
-        for words, changes in remedies([cause], scene):
+    for cause in REMEDIES:
+        for words, changes in find_remedies([cause], scene):
             assert words
             assert scene.replaced(changes) != scene, cause
 
@@ -18,7 +25,7 @@ def test_every_remedy_can_be_followed(name):
 def test_each_makes_its_cause_less():
     scene = Scene.named("press").replaced({"material.law": "hencky", "material.E": 1e6})
     (law,), (shorter,), (coarser,), (softer,) = (
-        remedies([cause], scene) for cause in ("law", "substep", "cells", "softer")
+        find_remedies([cause], scene) for cause in ("law", "substep", "cells", "softer")
     )
     assert scene.replaced(law.changes).material.law == "neo_hookean"
     assert scene.replaced(law.changes).material.E == 1e6
@@ -29,7 +36,7 @@ def test_each_makes_its_cause_less():
 
 def test_gentler_push_halves_speeds_forces_and_press():
     scene = Scene.named("press").replaced({"object.velocity": (0, 2, 0)})
-    (gentler,) = remedies(["push"], scene)
+    (gentler,) = find_remedies(["push"], scene)
     changed = scene.replaced(gentler.changes)
     assert changed.object.velocity == (0, 1, 0)
     assert changed.forces[0].g[2] == scene.forces[0].g[2] / 2
@@ -41,24 +48,28 @@ def test_what_does_not_apply_is_left_out():
     scene = Scene.named("drop").replaced(
         {"material.law": "neo_hookean", "accuracy": {"cells": 4, "precision": "float64"}}
     )
-    assert remedies(["law", "precision", "cells", "ceiling"], scene) == ()
-    assert remedies(["friction"], Scene.named("drop").replaced({"material.damping": 0.0})) == ()
+    assert find_remedies(["law", "precision", "cells", "ceiling"], scene) == ()
+    assert (
+        find_remedies(["friction"], Scene.named("drop").replaced({"material.damping": 0.0})) == ()
+    )
 
 
 @pytest.mark.parametrize("limiter", SLOW)
 def test_a_slow_run_may_always_be_given_more_time(limiter):
     scene = Scene.named("drop")
-    last = hurry(scene, limiter, 0.5)[-1]
+    last = find_speedups(scene, limiter, 0.5)[-1]
     assert scene.replaced(last.changes).time.budget == pytest.approx(
         16 * scene.time.budget, rel=0.05
     )
 
 
 def test_words():
-    assert [listed(words) for words in (["a"], ["a", "b"], ["a", "b", "c"])] == [
+    assert [join_alternatives(words) for words in (["a"], ["a", "b"], ["a", "b", "c"])] == [
         "a",
         "a or b",
         "a, b or c",
     ]
-    assert advice(()) == ""
-    assert advice(remedies(["softer", "cells"], Scene.named("press"))).startswith("Use material.E")
+    assert advise(()) == ""
+    assert advise(find_remedies(["softer", "cells"], Scene.named("press"))).startswith(
+        "Use material.E"
+    )

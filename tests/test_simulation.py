@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from phy124.budget.cost import demand_of
+from phy124.budget.cost import estimate
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.mpm import Unstable
@@ -215,7 +215,7 @@ def test_streaming_run_gives_equal_frames_and_no_clip(tmp_path):
 def test_memory_for_frames_that_are_not_kept_is_not_asked_for():
     scene = Scene.named("press").replaced({**QUICK, "time.frames": 10_000})
     s = Simulation(ball(400), scene, keep=False)
-    kept = demand_of(s.gaussians, s.particles, scene, "cpu")
+    kept = estimate(s.gaussians, s.particles, scene, "cpu")
     assert kept.memory - s.demand.memory == pytest.approx(9_999 * 40 * 400)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from phy124.accuracy.forecast import Forecast, pixels_per_size
-from phy124.budget.remedies import plain
+from phy124.budget.remedies import change_field
 from phy124.errors import InputError, Remedy
 from phy124.scene import Scene
 
@@ -101,7 +101,7 @@ def _less(scene: Scene, stage: str) -> Iterator[Remedy]:
             "view.views = front", {"view.views": ["front"], "view.azimuths": [], "view.cameras": []}
         )
     if stage != "preparing" and scene.time.frames > 2:
-        yield plain("time.frames", max(2, scene.time.frames // 2))
+        yield change_field("time.frames", max(2, scene.time.frames // 2))
 
 
 STAGES = {

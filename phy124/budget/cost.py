@@ -1,10 +1,9 @@
-"""What a run costs, in closed form: from the scene and a few counts, nothing is run.
+"""Estimates of time and memory in closed form, from the scene and a few counts.
 
-Substeps follow from the stability limit (phy124.mpm.timestep), particles from the Gaussians and the
-filling. `Rates` says what each unit of `Work` costs on a machine: `USUAL` ones are written here,
-and the page learns its own from finished runs. It is rough on purpose (a factor of two):
-`demand_of` is for what is refused before it starts. What a run takes to a few percent is measured
-on the object itself: phy124/accuracy/forecast.py.
+The number of substeps follows from the stability limit (phy124.mpm.timestep), that of particles
+from the Gaussians and the filling. `Rates` are the costs per unit of `Work` on a machine: `USUAL`
+ones are constants, and the page measures its own from finished runs. Estimates are correct within a
+factor of two, which is enough to refuse a run before it starts.
 """
 
 from __future__ import annotations
@@ -22,49 +21,47 @@ from phy124.particles import Particles
 from phy124.scene import Scene
 
 GAUSSIANS = 50_000
-"""What `relief` makes of a picture."""
+"""Gaussians that `relief` makes from a picture."""
 FILLED = 0.19
-"""Volume of a typical object, in cubes of its longest side: the filling's fraction of the grid."""
+"""Volume of a typical object relative to the cube of its longest side."""
 DOUBLE = 1.7
-"""How much longer a substep takes in float64 (docs/results/accuracy.md)."""
+"""Time of a substep in float64 relative to float32 (docs/results/accuracy.md)."""
 PASS = 0.7
-"""How much longer a substep takes for each pass of a transfer (docs/results/transfers.md)."""
+"""Relative time that each additional pass of a transfer takes (docs/results/transfers.md)."""
 WINDOW = 11
-"""Nodes by which the grid's window is wider than what is in it."""
+"""Nodes per axis by which the grid's window is wider than the object in it."""
 BYTES_PER_PARTICLE = 400
-"""Of the state, its copy to go back to, and what preparing it takes."""
+"""State of a particle, its snapshot, and temporary memory of its preparation [bytes]."""
 BYTES_PER_NODE = 32
 BYTES_PER_GAUSSIAN = 40
-"""Of one frame of the clip."""
-
-
+"""Memory of a Gaussian in a frame of the clip [bytes]."""
 BYTES_PER_SHAPE = 250
-"""Of a Gaussian on the device that deforms it."""
+"""Memory of a Gaussian on the device that deforms it [bytes]."""
 
 
 @dataclass(frozen=True)
 class Rates:
-    """What the stages cost on this machine."""
+    """Costs per unit of work on a machine."""
 
     generate: float = 3.0
-    """Seconds to make Gaussians of a picture."""
+    """Seconds to make Gaussians from a picture."""
     substep: float = 3e-5
-    """Seconds per substep for its launches, however few particles there are."""
+    """Seconds per substep for its launches, for any number of particles."""
     particle: float = 1.1e-7
     """Seconds per particle and substep."""
     node: float = 1.1e-9
     """Seconds per node of the grid and substep."""
     frame: float = 0.06
-    """Seconds per simulated frame, besides its substeps."""
+    """Seconds per simulated frame, in addition to its substeps."""
     video: float = 0.15
-    """Seconds per video, however few pixels it has."""
+    """Seconds per video, for any number of pixels."""
     pixel: float = 1.2e-7
     """Seconds per drawn and encoded pixel."""
     rest: float = 1.5
     """Seconds for everything else."""
 
     def seconds(self, work: Work) -> dict[str, float]:
-        """Seconds of each stage for an amount of work."""
+        """Return the seconds of each stage."""
         return {
             "generate": self.generate,
             "simulate": self.substep * work.substeps
@@ -74,24 +71,24 @@ class Rates:
             "film": self.video * work.videos + self.pixel * work.pixels,
         }
 
-    def quickest(self, other: Rates) -> Rates:
-        """The smaller of each cost."""
+    def minimum(self, other: Rates) -> Rates:
+        """Return the smaller value of each rate."""
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 
 USUAL = {"cpu": Rates(), "cuda": Rates(particle=1.5e-9, node=5e-11)}
-"""What the stages usually cost, by kind of device."""
+"""Typical rates for each kind of device."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """How much a run has to do."""
+    """Amount of work of a run."""
 
     substeps: float
     particles: float
-    """Particles times substeps, those in double precision counted for what they cost."""
+    """Particles times substeps, weighted by the cost of precision and transfer."""
     nodes: float
-    """Nodes of the grid times substeps, counted in the same way."""
+    """Nodes of the grid times substeps, with the same weights."""
     frames: int
     videos: int
     pixels: float
@@ -99,12 +96,12 @@ class Work:
 
     @classmethod
     def of(cls, scene: Scene, gaussians: int = GAUSSIANS) -> Work:
-        """What a run of a scene has to do."""
+        """Estimate the work of a scene."""
         particles = count_particles(scene, gaussians)
-        return cls.done(scene, count_substeps(scene), particles, scene.time.frames)
+        return cls.from_counts(scene, count_substeps(scene), particles, scene.time.frames)
 
     @classmethod
-    def done(
+    def from_counts(
         cls,
         scene: Scene,
         substeps: float,
@@ -113,14 +110,14 @@ class Work:
         *,
         nodes: float | None = None,
     ) -> Work:
-        """The work of a run whose counts are known.
+        """Return the work of a run whose counts are known.
 
         Args:
-            scene: What is run.
-            substeps: Number of substeps in all.
+            scene: The scene.
+            substeps: Total number of substeps.
             particles: Number of particles.
             frames: Number of frames.
-            nodes: Number of nodes of the grid; None: as if the object filled its cube.
+            nodes: Number of grid nodes; None: estimated for an object that fills its cube.
         """
         slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
         slower *= 1 + PASS * scene.resolution.passes
@@ -136,109 +133,104 @@ class Work:
 
 
 def count_substeps(scene: Scene) -> int:
-    """Substeps until the last frame, from what is known before the motion: its speed, too."""
+    """Estimate the substeps until the last frame, from stability limits and expected speed."""
     length = (scene.time.frames - 1) / scene.time.fps
     speed = CELLS_PER_STEP * scene.dx / max(_max_speed(scene, length), 1e-9)
     steps = np.minimum(longest_substeps(scene), speed)
-    # Whole substeps in every frame.
+    # Each frame has a whole number of substeps.
     return int(np.maximum(1, np.ceil(1 / scene.time.fps / steps)).sum())
 
 
 def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
-    """Gaussians and the particles that fill the inside."""
-    each = [FILLED * (body.size / scene.spacing) ** 3 for body in scene.every_object]
-    own = gaussians if scene.binding == "particles" else 0
-    return round(sum(filling + own for filling in each))
+    """Estimate the number of particles, including those that fill the inside."""
+    fillings = [FILLED * (body.size / scene.spacing) ** 3 for body in scene.every_object]
+    bound = gaussians if scene.binding == "particles" else 0
+    return round(sum(filling + bound for filling in fillings))
 
 
 def count_nodes(scene: Scene) -> int:
-    """Nodes of a window around the objects at rest, as if each filled its cube."""
+    """Return the nodes of the objects' windows at rest, if each object fills its cube."""
     return len(scene.names) * (scene.resolution.cells + WINDOW) ** 3
 
 
 def _max_speed(scene: Scene, length: float) -> float:
-    """How fast an object may become [m/s]: its own motion and what pushes it."""
-    own = max(
+    """Return an upper bound on an object's speed [m/s], from initial velocity and forces."""
+    initial = max(
         math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
         for body in scene.every_object
     )
     pushes = [getattr(force, "g", None) or getattr(force, "a", None) for force in scene.forces]
-    return own + sum(math.hypot(*push) for push in pushes if push is not None) * min(length, 0.5)
+    gain = sum(math.hypot(*push) for push in pushes if push is not None)
+    return initial + gain * min(length, 0.5)
 
 
 def rest_substeps(scene: Scene) -> float:
-    """How many substeps a scene asks for whatever its motion does."""
+    """Return the number of substeps that a scene needs even at rest."""
     return float((1 / scene.time.fps / longest_substeps(scene)).sum())
 
 
 def longest_substeps(scene: Scene) -> NDArray[np.float64]:
-    """What stiffness, friction, spin and the user allow at rest, on the way to each frame but the
-    first [T-1], s.
+    """Return the longest stable substep at rest for each frame after the first [T-1], s.
+
+    The limits are stiffness, viscosity, spin and `time.substep`.
     """
-    longest = _viscous(scene)
-    turning = math.sqrt(2) * max(math.hypot(*body.spin) for body in scene.every_object)
-    if turning > 0:
-        longest = min(longest, STRAIN_PER_STEP / turning)
+    fraction = scene.resolution.fraction
+    viscous = min(section.viscous_limit(scene.dx) for section in scene.materials)
+    longest = beside_elastic(fraction) * viscous
+    rotation = math.sqrt(2) * max(math.hypot(*body.spin) for body in scene.every_object)
+    if rotation > 0:
+        longest = min(longest, STRAIN_PER_STEP / rotation)
     if scene.time.substep is not None:
         longest = min(longest, scene.time.substep)
+    elastic = fraction * scene.dx / max(section.wave_speed() for section in scene.materials)
     factors = scene.softnesses(np.arange(scene.time.frames - 1) / scene.time.fps)
-    return np.minimum(_elastic(scene) / np.sqrt(factors), longest)
+    return np.minimum(elastic / np.sqrt(factors), longest)
 
 
-def _elastic(scene: Scene) -> float:
-    """Longest substep that stiffness allows at rest, before it changes in time [s]."""
-    fastest = max(section.wave_speed() for section in scene.materials)
-    return scene.resolution.fraction * scene.dx / fastest
-
-
-def _viscous(scene: Scene) -> float:
-    """Longest substep that friction allows [s]."""
-    friction = min(section.viscous_limit(scene.dx) for section in scene.materials)
-    return beside_elastic(scene.resolution.fraction) * friction
-
-
-class Demand(NamedTuple):
-    """What a run is forecast to need."""
+class Estimate(NamedTuple):
+    """Estimated time and memory of a simulation."""
 
     substeps: float
     seconds: float
     memory: float
-    """Bytes."""
+    """Total memory [bytes]."""
     state: float
-    """Bytes of it that are on the device while it runs."""
+    """Memory on the device during the run [bytes]."""
 
 
-def demand_of(
+def estimate(
     gaussians: Gaussians, particles: Particles, scene: Scene, device: str, *, keep: bool = True
-) -> Demand:
-    """A rough estimate of what a simulation needs.
+) -> Estimate:
+    """Estimate time and memory of a simulation.
 
     Args:
-        gaussians: Of the object.
-        particles: Of the object.
-        scene: What will be run.
+        gaussians: The object's Gaussians.
+        particles: The object's particles.
+        scene: The scene.
         device: Warp's name of the device.
         keep: Whether all frames are kept in memory.
     """
     nodes = float(np.prod(np.ptp(particles.x, axis=0) / scene.dx + WINDOW))
-    work = Work.done(scene, rest_substeps(scene), len(particles), scene.time.frames, nodes=nodes)
+    work = Work.from_counts(
+        scene, rest_substeps(scene), len(particles), scene.time.frames, nodes=nodes
+    )
     rates = USUAL["cuda" if device.startswith("cuda") else "cpu"]
     frames = scene.time.frames if keep else 1
-    memory, state = memory_of(scene, len(gaussians), len(particles), nodes, frames)
-    return Demand(work.substeps, rates.seconds(work)["simulate"], memory, state)
+    memory, state = estimate_memory(scene, len(gaussians), len(particles), nodes, frames)
+    return Estimate(work.substeps, rates.seconds(work)["simulate"], memory, state)
 
 
-def memory_of(
+def estimate_memory(
     scene: Scene, gaussians: int, particles: float, nodes: float, frames: int
 ) -> tuple[float, float]:
-    """The memory of a run, and that part of it which is on the device [bytes].
+    """Return the total memory of a run and the part of it on the device [bytes].
 
     Args:
-        scene: What is run.
-        gaussians: How many there are.
-        particles: How many there are.
-        nodes: Nodes of the grid.
-        frames: How many are kept.
+        scene: The scene.
+        gaussians: Number of Gaussians.
+        particles: Number of particles.
+        nodes: Number of grid nodes.
+        frames: Number of frames that are kept.
     """
     double = 2 if scene.resolution.precision == "float64" else 1
     state = double * (BYTES_PER_PARTICLE * particles + BYTES_PER_NODE * nodes)

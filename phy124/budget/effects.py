@@ -1,7 +1,6 @@
-"""Effects: which physical and numerical effects a scene calls for, and which it does not.
+"""Effects: the physical and numerical mechanisms that a scene turns on, and those it leaves out.
 
-They are derived from the scene alone. Kernels are chosen by what the scene names, so an effect that
-is left out is not compiled, allocated or launched.
+They follow from the scene alone. An effect that is left out is not compiled, allocated or launched.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ from phy124.scene import Scene
 NODE = 1.8
 """Cost of clearing and updating one node of the grid [ns]."""
 SPLINE = 157
-"""Cost for each particle of the gradients of the weights, which have no form for vector units."""
+"""Cost per particle of the gradients of the weights, which have no vectorised kernel [ns]."""
 STATIC = "static Gaussians"
-"""Name of the row of parts that never move."""
+"""Name of the effect of parts that never move."""
 DENSE = 100**3
 """Number of nodes of the dense grid that PhysGaussian's scenes use."""
 
@@ -38,7 +37,7 @@ class Omission:
 
 @dataclass(frozen=True)
 class Effects:
-    """What runs and what does not."""
+    """The effects of a scene that are computed, and those that are left out."""
 
     ran: tuple[str, ...]
     left_out: tuple[Omission, ...]
@@ -82,10 +81,10 @@ class Effects:
         nodes: int = 0,
         threads: int = 1,
     ) -> dict[str, Any]:
-        """Plain data for the report.
+        """Return plain data for the report.
 
-        Given the numbers of a run, an omission whose cost is known also states the seconds it
-        saved, estimated from measured costs.
+        With the counts of a run, omissions also have the seconds saved, estimated from measured
+        costs per particle and node.
 
         Args:
             particles: Number of particles.
@@ -116,9 +115,9 @@ def _catalogue(
     yield Effect("colliders", bool(scene.boundaries), "the scene has no boundaries")
     if scene.objects:
         yield Effect(f"contact between {len(scene.names)} objects")
-    free = [one.name for one in scene.objects if one.free]
-    named = f"free rigid solid {' and '.join(free)}" if free else "free rigid solids"
-    yield Effect(named, bool(free), "no shape among the objects has the motion free")
+    free = [body.name for body in scene.objects if body.free]
+    name = f"free rigid solid {' and '.join(free)}" if free else "free rigid solids"
+    yield Effect(name, bool(free), "no object has the motion free")
     static = any(part.static for part in scene.parts)
     yield Effect(STATIC, static, "no part of the scene is static")
     yield from _of_frames(scene, sh_degree)
@@ -127,38 +126,40 @@ def _catalogue(
 
 
 def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
-    """Viscosity: damped stress against plain; a return mapping: metal's G2P against an elastic one;
-    several materials: every particle asked for its law.
+    """Yield the effects of the materials.
+
+    Costs are differences between kernels: with and without viscosity, G2P of metal and of an
+    elastic law, and with a law per particle.
     """
     laws = sorted({section.law for section in materials})
-    named = " and ".join(laws)
+    words = " and ".join(laws)
     plastic = any(section.device_law.project is not None for section in materials)
-    rubbing = any(isfinite(section.viscous_limit(scene.dx)) for section in materials)
+    viscous = any(isfinite(section.viscous_limit(scene.dx)) for section in materials)
     yield from (Effect(f"stress {law}") for law in laws)
-    yield Effect("viscosity", rubbing, "no material rubs inside", Cost(particle=2))
-    yield Effect("return mapping", plastic, f"{named} is elastic", Cost(particle=70))
-    yield Effect("total F beside elastic F", plastic, f"{named} keeps all deformation in F")
-    loose = any(section.grains for section in materials)
-    why = f"{named} does not fall apart" if scene.grains else "grains is off"
-    yield Effect("grains inside", loose and scene.grains, why)
+    yield Effect("viscosity", viscous, "no material is viscous", Cost(particle=2))
+    yield Effect("return mapping", plastic, f"{words} is elastic", Cost(particle=70))
+    yield Effect("total F in addition to elastic F", plastic, f"{words} keeps all deformation in F")
+    granular = any(section.grains for section in materials)
+    why = f"{words} is not granular" if scene.grains else "grains is off"
+    yield Effect("grains inside", granular and scene.grains, why)
     several = len(laws) > 1 or len(scene.materials) > 1
-    yield Effect("several materials", several, "all that moves is of one", Cost(particle=13))
-    told = scene.stiffness or scene.properties
-    varies = told is not None or len(materials) > len(scene.materials)
-    yield Effect("stiffness per particle", varies, "E is the same everywhere")
+    yield Effect(
+        "several materials", several, "all moving parts have the same material", Cost(particle=13)
+    )
+    profile = scene.stiffness or scene.properties
+    varies = profile is not None or len(materials) > len(scene.materials)
+    yield Effect("stiffness per particle", varies, "E is uniform")
 
 
 def _of_forces(scene: Scene) -> Iterator[Effect]:
-    """Particle forces: a force on a region and what it gave; time tables: to sample them."""
+    """Yield the effects of the forces; costs are those of a force on a region and of its table."""
     pushes = [force for force in scene.acting if not force.uniform]
     timed = any(force.varies for force in scene.acting)
     moving = any(wall.moves for wall in scene.boundaries)
     uniform = len(scene.acting) > len(pushes)
     yield Effect("uniform acceleration", uniform, "no force acts on the whole body")
-    yield Effect(
-        "particle forces", bool(pushes), "no force names single particles or a region",
-        Cost(particle=8),
-    )  # fmt: skip
+    why = "no force acts on a region or on single particles"
+    yield Effect("particle forces", bool(pushes), why, Cost(particle=8))
     yield Effect(
         "time tables", timed or moving, "no force or boundary changes in time", Cost(fixed=30e3)
     )
@@ -177,45 +178,45 @@ def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[E
 
 
 def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
-    """What frames hold besides places and shapes."""
-    yield Effect("velocities", scene.velocities, "not asked for; they follow from the positions")
+    """Yield the optional quantities of frames."""
+    yield Effect("velocities", scene.velocities, "not requested; they follow from the positions")
     drawn = ", ".join(scene.view.outputs)
-    yield Effect(f"outputs {drawn}".strip(), bool(drawn), "not asked for: only colours are drawn")
-    turned = sh_degree > 0
-    yield Effect("spherical-harmonic rotation", turned, "colours do not depend on the direction")
+    yield Effect(f"outputs {drawn}".strip(), bool(drawn), "not requested: only colours are drawn")
+    rotated = sh_degree > 0
+    yield Effect("spherical-harmonic rotation", rotated, "colours do not depend on the direction")
 
 
 def _of_pictures(scene: Scene) -> Iterator[Effect]:
-    """What pictures show besides the object."""
+    """Yield the effects of the pictures."""
     stage = scene.view.stage
     why = f"view.stage is {stage}: pictures show the object alone"
     yield Effect("floor, its shadow, boundaries in pictures", stage == "studio", why)
     shiny = sorted({section.law for section in scene.materials if section.shines})
-    why = "nothing is fluid or metal" if scene.view.shine else "view.shine is off"
+    why = "there is no fluid and no metal" if scene.view.shine else "view.shine is off"
     gloss = bool(shiny) and scene.view.shine
     yield Effect(f"shine of {' and '.join(shiny) or 'surfaces'}", gloss, why)
 
 
 def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
-    """Double precision: float64 against float32; singular values: Warp's svd3."""
-    own = scene.binding == "particles"
-    rides = "binding is lattice: Gaussians ride on the particles inside and around them"
-    yield Effect("every Gaussian a particle", own, rides)
+    """Yield the numerical methods; costs are those of float64 over float32, and of Warp's svd3."""
+    bound = scene.binding == "particles"
+    why = "binding is lattice: Gaussians follow the particles inside and around them"
+    yield Effect("every Gaussian a particle", bound, why)
     double = scene.resolution.precision == "float64"
-    enough = "single precision is accurate enough: the grid limits it"
+    enough = "single precision is enough: the grid error is larger"
     yield Effect("double precision", double, enough, Cost(particle=48))
     transfer = scene.resolution.transfer
-    kept = "accuracy.transfer is apic: particles keep only what the grid carries"
-    yield Effect(f"transfer {transfer}".replace(" apic", " beyond apic"), transfer != "apic", kept)
-    calm = scene.resolution.rpic_damping > 0
-    kept = "accuracy.rpic_damping is 0: particles keep the strain rate that the grid gives them"
-    yield Effect("RPIC damping", calm, kept, Cost(particle=15))
+    why = "accuracy.transfer is apic: particles take their velocities from the grid"
+    yield Effect(f"transfer {transfer}".replace(" apic", " beyond apic"), transfer != "apic", why)
+    damped = scene.resolution.rpic_damping > 0
+    why = "accuracy.rpic_damping is 0: particles keep the strain rate of the grid"
+    yield Effect("RPIC damping", damped, why, Cost(particle=15))
     spline = scene.resolution.gradient == "spline"
-    fit = "accuracy.gradient is affine: stress and strain come from the fit around each particle"
-    yield Effect("gradients of the weights", spline, fit, Cost(particle=SPLINE))
+    why = "accuracy.gradient is affine: stress and strain come from the affine fit"
+    yield Effect("gradients of the weights", spline, why, Cost(particle=SPLINE))
     rows = form_of(scene.resolution.precision, device, scene.resolution.gradient) == "simd"
     why = "only for float32 on the CPU with accuracy.gradient = affine"
-    yield Effect("SIMD rows", rows, f"{why}, this is {device}")
+    yield Effect("SIMD rows", rows, f"{why}; the device is {device}")
     window = "a window of cells follows the particles; a dense grid has 100^3 nodes"
     yield Effect("dense grid", False, window, Cost(fixed=NODE * DENSE, node=-NODE))
     once = "shapes are decomposed once per frame"

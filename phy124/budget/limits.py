@@ -1,42 +1,38 @@
-"""Refuses runs that would take hours, or more memory than there is, before they start.
-
-The estimate is rough on purpose (phy124/budget/cost.py). A refusal names a setting that would fit.
-"""
+"""Refuses runs whose estimated time or memory exceeds the limits, with settings that would fit."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from phy124.budget.cost import Demand, demand_of, rest_substeps
-from phy124.budget.remedies import accuracy, listed, plain
+from phy124.budget.cost import Estimate, estimate, rest_substeps
+from phy124.budget.remedies import change_accuracy, change_field, join_alternatives
 from phy124.errors import InputError, Remedy
 from phy124.gaussians import Gaussians
 from phy124.materials import AnyMaterial
 from phy124.particles import Particles
 from phy124.runtime.memory import free_memory
-from phy124.scene import Scene, SceneObject
+from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""A material whose waves are this many times faster than those of all others gets a note."""
+"""Ratio of wave speeds from which the stiffest material gets a note."""
 MEMORY_FRACTION = 0.8
-"""Largest fraction of the free memory that a run may take."""
-
+"""Largest fraction of the free memory that a run may use."""
 FARTHEST_CELLS = 1e5
 """Distance from the origin [cells] up to which float32 resolves a hundredth of a cell."""
 
 
-def refuse_hopeless(
+def check_limits(
     gaussians: Gaussians,
     particles: Particles,
     scene: Scene,
     device: str = "cpu",
     *,
     keep: bool = True,
-) -> Demand:
-    """What the run needs, if it can be done.
+) -> Estimate:
+    """Return the estimated time and memory of a run that is within the limits.
 
     Args:
         gaussians: The object as placed in the scene.
@@ -46,161 +42,139 @@ def refuse_hopeless(
         keep: Whether all frames stay in memory.
 
     Raises:
-        InputError: It would exceed its time budget or the free memory, or the object is so high up
-            that float32 cannot tell positions within a cell apart.
+        InputError: The run would exceed its time budget or the free memory, or an object is so far
+            from the origin that float32 cannot resolve positions within a cell.
     """
-    _refuse_far(scene)
-    demand = demand_of(gaussians, particles, scene, device, keep=keep)
+    _check_distance(scene)
+    need = estimate(gaussians, particles, scene, device, keep=keep)
     budget = scene.time.budget
-    if demand.seconds > budget:
+    if need.seconds > budget:
 
         def fits(other: Scene) -> bool:
-            needed = demand_of(gaussians, particles, other, device, keep=keep)
-            return needed.seconds <= other.time.budget
+            changed = estimate(gaussians, particles, other, device, keep=keep)
+            return changed.seconds <= other.time.budget
 
-        found = _fitting(scene, demand.seconds / budget, fits)
+        fitting = _find_remedies(scene, need.seconds / budget, fits)
+        words = join_alternatives([remedy.words for remedy in fitting]) if fitting else ""
         raise InputError(
             "time.budget",
             f"{budget:g} s",
-            f"the run is forecast to take {duration(demand.seconds)} "
-            f"({demand.substeps:.2g} substeps of {len(particles):,} particles).",
-            _would_fit(found),
-            found,
+            f"the run is estimated to take {duration(need.seconds)} "
+            f"({need.substeps:.2g} substeps of {len(particles):,} particles).",
+            f"{words} would fit."
+            if words
+            else "No single change would fit: use fewer frames and a coarser accuracy.",
+            fitting,
         )
-    _refuse_large(demand, scene, device)
-    return demand
+    _check_memory(need, scene, device)
+    return need
 
 
-def _refuse_large(demand: Demand, scene: Scene, device: str) -> None:
-    """Make sure that memory is there, the device's first.
-
-    Raises:
-        InputError: It is not.
-    """
+def _check_memory(need: Estimate, scene: Scene, device: str) -> None:
+    """Refuse a run that needs more than the free memory of its device or of this machine."""
     on_device = math.inf if device == "cpu" else free_memory(device)
-    if demand.state > MEMORY_FRACTION * on_device:
+    if need.state > MEMORY_FRACTION * on_device:
         raise InputError(
             "device",
             device,
-            f"the run is forecast to take {demand.state / 1e9:.1f} GB of its memory, "
+            f"the run is estimated to need {need.state / 1e9:.1f} GB of its memory, and "
             f"{on_device / 1e9:.1f} GB are free.",
             "Use a coarser accuracy or fewer Gaussians, or choose cpu.",
         )
     free = free_memory()
-    if demand.memory > MEMORY_FRACTION * free:
-        most = int(scene.time.frames * MEMORY_FRACTION * free / demand.memory)
+    if need.memory > MEMORY_FRACTION * free:
+        most = int(scene.time.frames * MEMORY_FRACTION * free / need.memory)
         raise InputError(
             "time.frames",
             scene.time.frames,
-            f"the run is forecast to take {demand.memory / 1e9:.1f} GB of memory, "
+            f"the run is estimated to need {need.memory / 1e9:.1f} GB of memory, and "
             f"{free / 1e9:.1f} GB are free.",
             f"Use at most {most} frames, or fewer Gaussians."
             if most > 1
             else "Use fewer Gaussians or a coarser accuracy.",
-            [plain("time.frames", most)] if most > 1 else [],
+            [change_field("time.frames", most)] if most > 1 else [],
         )
 
 
-def _refuse_far(scene: Scene) -> None:
-    lift, most = scene.object.lift, _rounded(FARTHEST_CELLS * scene.dx)
-    if lift <= most:
-        _refuse_apart(scene, most)
-        return
-    raise InputError(
-        "object.lift",
-        f"{lift:g} m",
-        f"Gaussians are float32, which resolves {np.spacing(np.float32(lift)):.2g} m there, "
-        f"and a cell has {scene.dx:.2g} m.",
-        f"Use at most {most:g} m, and move what it falls on by the same distance.",
-        [plain("object.lift", most)],
-    )
-
-
-def _refuse_apart(scene: Scene, most: float) -> None:
-    """Make sure that each object has a place which its numbers resolve.
-
-    Raises:
-        InputError: One is too far from the origin.
-    """
-    for one in scene.every_object:
-        farthest = max(*map(abs, one.place), one.lift)
+def _check_distance(scene: Scene) -> None:
+    """Refuse objects at which float32 does not resolve a hundredth of a cell."""
+    lift, most = scene.object.lift, _round(FARTHEST_CELLS * scene.dx)
+    if lift > most:
+        raise InputError(
+            "object.lift",
+            f"{lift:g} m",
+            f"Gaussians are float32, whose resolution there is "
+            f"{np.spacing(np.float32(lift)):.2g} m, and a cell is {scene.dx:.2g} m wide.",
+            f"Use at most {most:g} m, and move the things below by the same distance.",
+            [change_field("object.lift", most)],
+        )
+    for body in scene.every_object:
+        farthest = max(*map(abs, body.place), body.lift)
         if farthest > most:
-            limit = f"it is farther from the origin than a cell of {scene.dx:.2g} m is resolved."
-            raise InputError(f"place or lift of {one.name}", f"{farthest:g} m", limit,
-                             f"Use at most {most:g} m.")  # fmt: skip
+            limit = f"at this distance float32 does not resolve a cell of {scene.dx:.2g} m."
+            remedy = f"Use at most {most:g} m."
+            raise InputError(f"place or lift of {body.name}", f"{farthest:g} m", limit, remedy)
 
 
-def _would_fit(found: Sequence[Remedy]) -> str:
-    """What would fit, as a sentence."""
-    if not found:
-        return "No single change would fit: use fewer frames and a coarser accuracy."
-    return f"{listed([remedy.words for remedy in found])} would fit."
-
-
-def _fitting(scene: Scene, excess: float, fits: Callable[[Scene], bool]) -> tuple[Remedy, ...]:
-    """Settings of which each makes a run `excess` times cheaper and passes `fits`."""
-    found = []
-    for remedy in _cheaper(scene, excess):
+def _find_remedies(
+    scene: Scene, excess: float, fits: Callable[[Scene], bool]
+) -> tuple[Remedy, ...]:
+    """Return the settings of which each makes a run `excess` times cheaper and passes `fits`."""
+    fitting = []
+    for remedy in _propose_remedies(scene, excess):
         try:
             changed = scene.replaced(remedy.changes)
         except InputError:
             continue
         if fits(changed):
-            found.append(remedy)
-    return tuple(found)
+            fitting.append(remedy)
+    return tuple(fitting)
 
 
-def _cheaper(scene: Scene, excess: float) -> Iterator[Remedy]:
-    """Settings that may be enough; the one that causes the many substeps comes first."""
+def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
+    """Yield settings that may be enough; the one that causes the many substeps comes first."""
     timing = scene.time.model_copy(update={"substep": None})
     automatic = rest_substeps(scene.model_copy(update={"time": timing}))
     if scene.time.substep is not None and automatic < rest_substeps(scene):
-        yield plain("time.substep", _rounded(1.05 * scene.time.substep * excess))
-    # What a file says of the material, the scene's own fields do not change.
-    by_file = scene.properties is not None
-    if not scene.parts and not by_file:
+        yield change_field("time.substep", _round(1.05 * scene.time.substep * excess))
+    # The scene's fields do not change a material that comes from a file.
+    from_file = scene.properties is not None
+    if not scene.parts and not from_file:
         for name in ("damping", "viscosity"):
-            if getattr(scene.material, name, 0) > 0:
-                yield plain(
-                    f"material.{name}", _rounded(0.95 * getattr(scene.material, name) / excess)
-                )
-    for field, section in _sections(scene):
+            value = getattr(scene.material, name, 0)
+            if value > 0:
+                yield change_field(f"material.{name}", _round(0.95 * value / excess))
+    for field, section in _list_materials(scene):
         E = getattr(section, "simulated_E", getattr(section, "E", None))
-        if E is not None and not by_file:
-            yield plain(f"{field}.E", _rounded(0.95 * E / excess**2))
-    yield plain("time.frames", max(1, int(0.95 * (scene.time.frames - 1) / excess) + 1))
-    yield accuracy(scene, cells=max(4, int(0.95 * scene.resolution.cells / excess)))
-    yield plain("time.budget", _rounded(1.05 * scene.time.budget * excess))
+        if E is not None and not from_file:
+            yield change_field(f"{field}.E", _round(0.95 * E / excess**2))
+    yield change_field("time.frames", max(1, int(0.95 * (scene.time.frames - 1) / excess) + 1))
+    yield change_accuracy(scene, cells=max(4, int(0.95 * scene.resolution.cells / excess)))
+    yield change_field("time.budget", _round(1.05 * scene.time.budget * excess))
 
 
-def _sections(scene: Scene) -> Iterator[tuple[str, AnyMaterial]]:
-    """The moving materials and the fields that set them, those with the fastest waves first."""
+def _list_materials(scene: Scene) -> list[tuple[str, AnyMaterial]]:
+    """Return field and material of everything that moves, those with the fastest waves first."""
+    materials = []
     prefixes = ["", *(f"objects.{i}." for i in range(len(scene.objects)))]
-    every = [
-        found
-        for prefix, one in zip(prefixes, (scene, *scene.objects), strict=True)
-        if not getattr(one, "scenery", False)
-        for found in _own_sections(prefix, one)
-    ]
-    yield from sorted(every, key=lambda item: -item[1].wave_speed())
+    for prefix, body in zip(prefixes, (scene, *scene.objects), strict=True):
+        if getattr(body, "scenery", False):
+            continue
+        materials.append((f"{prefix}material", body.material))
+        for index, part in enumerate(body.parts):
+            if not part.static:
+                materials.append((f"{prefix}parts.{index}.material", part.material))
+    return sorted(materials, key=lambda item: -item[1].wave_speed())
 
 
-def _own_sections(prefix: str, one: Scene | SceneObject) -> Iterator[tuple[str, AnyMaterial]]:
-    """The moving materials of one object and the fields that set them."""
-    yield f"{prefix}material", one.material
-    for index, part in enumerate(one.parts):
-        if not part.static:
-            yield f"{prefix}parts.{index}.material", part.material
-
-
-def _rounded(value: float) -> float:
-    """A value rounded to two digits, which is enough to type."""
+def _round(value: float) -> float:
+    """Round to two digits, for values that a user types."""
     return float(f"{value:.2g}")
 
 
-def stiffest_part(scene: Scene) -> str | None:
-    """A sentence if one material needs many more substeps than all others would; otherwise None."""
-    fastest, *others = _sections(scene)
+def note_stiffest_part(scene: Scene) -> str | None:
+    """Return a note if one material needs many more substeps than all others; otherwise None."""
+    fastest, *others = _list_materials(scene)
     if not others:
         return None
     field, section = fastest
@@ -212,13 +186,13 @@ def stiffest_part(scene: Scene) -> str | None:
         part = field.removesuffix(".material")
         remedy += f", or {part}.static = true, if nothing rests on it,"
     return (
-        f"{field} ({section.law}) is so stiff that it alone needs {rest_substeps(scene):,.0f} "
-        f"substeps, {ratio:.0f} times as many as the others: {remedy} makes the run as much faster."
+        f"{field} ({section.law}) is so stiff that it needs {rest_substeps(scene):,.0f} substeps, "
+        f"{ratio:.0f} times as many as the others: {remedy} makes the run faster by that factor."
     )
 
 
 def duration(seconds: float) -> str:
-    """A time in words."""
+    """Return a time in seconds, hours or days as text."""
     if seconds < 5400:
         return f"{seconds:.0f} s"
     if seconds < 2 * 86400:

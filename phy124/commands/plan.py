@@ -9,7 +9,7 @@ from typing import Any
 from phy124.accuracy import Forecaster
 from phy124.accuracy.choose import Goal, in_time
 from phy124.accuracy.promises import promise
-from phy124.budget.limits import stiffest_part
+from phy124.budget.limits import note_stiffest_part
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.effort import Effort
@@ -62,7 +62,7 @@ def announce(scene: Scene, *, as_json: bool) -> None:
     if as_json:
         return
     print(f"scene: {summarise(scene)}", flush=True)
-    stiff = stiffest_part(scene)
+    stiff = note_stiffest_part(scene)
     if stiff:
         print(f"note: {stiff}", flush=True)
 
@@ -101,7 +101,11 @@ def predict(
         forecast = forecast.with_measured(name, seconds)
     promised = promise(scene, forecast.thickness)
     if as_json:
-        more = {"scene": scene.data(), "promise": asdict(promised), "note": stiffest_part(scene)}
+        more = {
+            "scene": scene.data(),
+            "promise": asdict(promised),
+            "note": note_stiffest_part(scene),
+        }
         print(json.dumps({**forecast.data(), **more}))
         return 0
     if goal is not None:

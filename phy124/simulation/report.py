@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from phy124.budget.effects import Effects
-from phy124.budget.limits import stiffest_part
+from phy124.budget.limits import note_stiffest_part
 from phy124.io.clip import Clip
 from phy124.monitor import OBSERVERS
 from phy124.monitor.sleep import Sleep
@@ -136,7 +136,7 @@ def _too_bold(run: Run) -> list[str]:
 def _notes(run: Run) -> list[str]:
     """What the user should know about the materials and about how the run went."""
     notes = [note for section in run.scene.materials for note in section.notes()]
-    stiff = stiffest_part(run.scene)
+    stiff = note_stiffest_part(run.scene)
     coarse = bodies.notes(run.scene) + buried.notes(run.scene.boundaries, run.solver.model)
     coarse += _too_bold(run)
     observed = [note for observer in run.observers for note in observer.notes()]

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.budget.limits import refuse_hopeless
-from phy124.budget.remedies import hurry, remedies
+from phy124.budget.limits import check_limits
+from phy124.budget.remedies import find_remedies, find_speedups
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
@@ -120,7 +120,7 @@ class Simulation:
             props.refuse_overlap(free, self.particles.x, scene)
             self.scenery = props.scenery(scene, self.shown, look.moves)
             judged = judged_as(scene, self.materials)
-            self.demand = refuse_hopeless(self.shown, self.particles, judged, device, keep=keep)
+            self.demand = check_limits(self.shown, self.particles, judged, device, keep=keep)
         with self.watch.stage("compile"):
             compile_missing(kernels(scene, device), device, progress)
             self.keep, self.shapes, self.count = keep, shapes, 0
@@ -313,7 +313,7 @@ class Simulation:
                 with self._half_substep():
                     problem = self._try(index, until, closely=True)
             if problem is not None:
-                found = remedies(problem.causes, self.scene)
+                found = find_remedies(problem.causes, self.scene)
                 raise Stopped(f"frame {index} is not sound: {problem.what}.", found)
 
     @contextmanager
@@ -391,7 +391,9 @@ class Simulation:
                 raise Stopped(
                     f"frame {index} was reached in {spent:.0f} s, twice time.budget: "
                     f"{self._slowest()}.",
-                    hurry(self.scene, self.solver.clock.stable().limiter, self._fraction_done()),
+                    find_speedups(
+                        self.scene, self.solver.clock.stable().limiter, self._fraction_done()
+                    ),
                 )
             self.progress("simulate", index, frames)
 

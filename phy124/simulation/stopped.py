@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from phy124.budget.remedies import advice
+from phy124.budget.remedies import advise
 from phy124.errors import Remedy
 
 
@@ -16,4 +16,4 @@ class Stopped(RuntimeError):
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
         self.remedies = tuple(remedies)
-        super().__init__(f"{why} {advice(remedies)}".strip())
+        super().__init__(f"{why} {advise(remedies)}".strip())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from phy124.budget.cost import GAUSSIANS, count_nodes, count_particles, memory_of
+from phy124.budget.cost import GAUSSIANS, count_nodes, count_particles, estimate_memory
 from phy124.scene import Scene
 
 PROCESS = 4e8
@@ -38,7 +38,7 @@ def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> N
     """
     count = min(gaussians or GAUSSIANS, GAUSSIANS)
     particles, nodes = count_particles(scene, count), count_nodes(scene)
-    memory, state = memory_of(scene, count, particles, nodes, scene.time.frames)
+    memory, state = estimate_memory(scene, count, particles, nodes, scene.time.frames)
     steps = -(-(PROCESS + UNSURE * memory) // STEP)
     return Needs(int(steps) * STEP, 0.0 if gpu_memory is None else _part(state, gpu_memory))
 
