@@ -10,6 +10,7 @@ from phy124.kernels import (
     collide,
     external_work,
     grid,
+    measure,
     push,
     timestep,
     transfer,
@@ -70,7 +71,7 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
     kernels = {
         "update": grid.make_update(wp.float32),
         "merge": grid.make_merge(wp.float32),
-        "measure": transfer.make_measure(NeoHookean().device_law, wp.float32),
+        "measure": measure.make_measure(NeoHookean().device_law, wp.float32),
         "timestep": timestep.make_timestep(wp.float32),
         "accelerate": push.make_accelerate(wp.float32, True),
         "contact": collide.make_contact("box", "separate", True, wp.float32),
@@ -83,7 +84,7 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
 @pytest.mark.parametrize(
     ("kernel", "numbers"),
     [
-        (transfer.make_measure(NeoHookean().device_law, wp.float32), 9),
+        (measure.make_measure(NeoHookean().device_law, wp.float32), 9),
         (external_work.make_wall_sums(wp.float32), 2 * external_work.GIVEN),
     ],
     ids=["measure", "wall sums"],
@@ -106,7 +107,7 @@ FAST = ("sand",)
 )
 def test_the_substep_is_measured_without_float64(law, tmp_path):
     """Most cards compute a 32nd or 64th as many float64 as float32."""
-    text = ptx(transfer.make_measure(law, wp.float32), tmp_path)
+    text = ptx(measure.make_measure(law, wp.float32), tmp_path)
     assert re.findall(r"fma\S*\.f32", text)
     body = text[text.index(".visible .entry") :]
     assert not re.findall(r"\.f64", body)
@@ -118,7 +119,7 @@ def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
     for name in preset_names():
         scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 3})
         Simulation(ball(300), scene).run()
-    for name in ("project", "bin", "blend", "stage", "shadow", "gather"):
+    for name in ("project", "blend", "stage", "shadow"):
         importlib.import_module(f"phy124.kernels.splat.{name}")
     modules = [
         module

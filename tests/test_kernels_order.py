@@ -1,4 +1,4 @@
-"""The parameters of all kernels come in the order that `phy124.kernels` describes."""
+"""The arguments of all kernels come in the order that `phy124.kernels` describes."""
 
 import ast
 from collections.abc import Iterator
@@ -9,46 +9,26 @@ import pytest
 
 import phy124.kernels
 
-HEADINGS = ("model", "state in", "in place", "out")
-WRITTEN = HEADINGS[2:]
 STATE = {"x", "v", "C", "F", "history", "total", "residue", "grid", "position", "deformation"}
 """Names of what changes in a run, wherever it appears."""
 FOLDER = Path(phy124.kernels.__file__).parent
 
 
-class Parameter(NamedTuple):
-    name: str
-    heading: str
-    array: bool
-
-
 class Kernel(NamedTuple):
     where: str
-    headings: list[str]
-    parameters: list[Parameter]
+    arguments: dict[str, str]
+    """Name -> annotation in the signature, which may be empty."""
     node: ast.FunctionDef
 
 
 def kernels(source: str, where: str) -> Iterator[Kernel]:
-    """The kernels of a file with the headings among their parameters."""
-    lines = source.splitlines()
+    """The kernels of a file."""
     for node in ast.walk(ast.parse(source)):
-        if not isinstance(node, ast.FunctionDef) or not is_kernel(node):
-            continue
-        headings = {
-            number: lines[number - 1].strip("# ").partition(":")[0]
-            for number in range(node.lineno, node.body[0].lineno)
-            if lines[number - 1].strip().startswith("#")
-        }
-        parameters = [
-            Parameter(
-                one.arg,
-                next((headings[n] for n in sorted(headings, reverse=True) if n < one.lineno), ""),
-                "array" in ast.unparse(one.annotation),
-            )
-            for one in node.args.args
-        ]
-        yield Kernel(f"{where} {node.name}", [*headings.values()], parameters, node)
+        if isinstance(node, ast.FunctionDef) and is_kernel(node):
+            types = {
+                a.arg: ast.unparse(a.annotation) if a.annotation else "" for a in node.args.args
+            }
+            yield Kernel(f"{where} {node.name}", types, node)
 
 
 def is_kernel(node: ast.FunctionDef) -> bool:
@@ -68,31 +48,36 @@ def written(node: ast.FunctionDef) -> set[str]:
     return found
 
 
+def rank(name: str, annotation: str) -> int | None:
+    """0: a number of the model; 1: of the state; 2: written; None: an array of model or state."""
+    if name.endswith("_out"):
+        return 2
+    if name in STATE:
+        return 1
+    return 0 if annotation in ("real", "int", "float", "wp.float64") else None
+
+
 def problems(kernel: Kernel) -> list[str]:
     """What is not as `phy124.kernels` says."""
-    found, parameters = [], kernel.parameters
-    if kernel.headings != [heading for heading in HEADINGS if heading in kernel.headings]:
-        found.append(f"headings {kernel.headings}")
-    for name, heading, array in parameters:
-        if heading not in HEADINGS:
-            found.append(f"{name} has no heading")
-        if name.endswith("_out") != (heading in WRITTEN):
-            found.append(f"{name} is under '{heading}'")
-        if heading != "model" and not array:
-            found.append(f"{name} is a number and not under 'model'")
-        if heading == "model" and name in STATE:
-            found.append(f"{name} is of the state and under 'model'")
-    arrays = {p.name for p in parameters if p.array}
+    names = list(kernel.arguments)
+    ranks = [rank(name, annotation) for name, annotation in kernel.arguments.items()]
+    found = []
+    for place, name in enumerate(names):
+        before = max((r for r in ranks[:place] if r is not None), default=0)
+        after = 1 if ranks[place] is None else ranks[place]
+        if before > after:
+            found.append(f"{name} is too late")
+    arrays = {name for name, annotation in kernel.arguments.items() if "vec" not in annotation[:6]}
     found += [f"{n} is written" for n in written(kernel.node) & arrays if not n.endswith("_out")]
     return found
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.rglob("*.py")), ids=lambda path: path.stem)
-def test_parameters_come_in_one_order(path):
+def test_arguments_come_in_one_order(path):
     found = {
         kernel.where: problems(kernel) for kernel in kernels(path.read_text("utf-8"), path.name)
     }
-    assert not {where: said for where, said in found.items() if said}
+    assert not {where: reasons for where, reasons in found.items() if reasons}
 
 
 def test_all_kernels_are_looked_at():
@@ -101,33 +86,24 @@ def test_all_kernels_are_looked_at():
 
 
 GOOD = """
-@kernel("good")
-def good(
-    # model
-    dx: float,
-    # state in
-    x: wp.array(dtype=float),
-    # in place: what was before becomes what is
-    v_out: wp.array(dtype=float),
-):
+@kernel("good", wp.float32)
+def good(dx: float, chosen, x, kept, v_out):
     v_out[0] += dx * x[0]
 """
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "reason"),
     [
-        ("v_out", "v", "v is under 'in place'"),
-        ("dx: float,\n", "dx: float, x_out: wp.array(dtype=float),\n", "x_out is under 'model'"),
-        ("# state in", "# out", "headings"),
-        ("    # model\n", "", "dx has no heading"),
-        ("    # state in\n", "", "x is of the state and under 'model'"),
-        ("x: wp", "dt: float, x: wp", "dt is a number and not under 'model'"),
+        ("dx: float, chosen, x,", "chosen, x, dx: float,", "dx is too late"),
+        ("kept, v_out", "v_out, kept", "kept is too late"),
+        ("x, kept, v_out", "kept, v_out, x", "x is too late"),
         ("v_out[0] +=", "x[0] =", "x is written"),
+        ("v_out[0] +=", "wp.atomic_add(kept, 0, 1);", "kept is written"),
     ],
 )
-def test_what_is_out_of_order_is_noticed(old, new, said):
+def test_arguments_out_of_order_are_noticed(old, new, reason):
     (kernel,) = kernels(GOOD, "here")
     assert not problems(kernel)
     (kernel,) = kernels(GOOD.replace(old, new), "here")
-    assert any(said in problem for problem in problems(kernel)), problems(kernel)
+    assert any(reason in problem for problem in problems(kernel)), problems(kernel)

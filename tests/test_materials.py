@@ -8,8 +8,8 @@ import warp as wp
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from phy124.kernels import transfer
-from phy124.kernels.probe import make_probe
+from phy124.kernels import measure, transfer
+from phy124.kernels.diagnostics import make_probe
 from phy124.materials import (
     AnyMaterial,
     Fluid,
@@ -43,7 +43,7 @@ def every_variant_first() -> None:
         for real, form in ((wp.float32, "simd"), (wp.float32, "plain"), (wp.float64, "plain")):
             transfer.make_p2g(material.device_law, real, form)
             transfer.make_g2p(material.device_law, real, form)
-        transfer.make_measure(material.device_law, wp.float32)
+        measure.make_measure(material.device_law, wp.float32)
 
 
 @pytest.mark.parametrize("material", LAWS, ids=name)

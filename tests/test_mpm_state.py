@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.kernels.maxima import COUNT
+from phy124.kernels.measure import COUNT
 from phy124.materials import FixedCorotated, Metal, NeoHookean, Sand
 from phy124.mpm import Clock, Model, State
 from phy124.mpm.maxima import Maxima

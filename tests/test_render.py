@@ -205,7 +205,7 @@ def test_lists_shuffled_as_on_a_gpu_are_put_in_order(renderers, rng, monkeypatch
 
     def shuffling(kernel, dim, **options):
         """Threads of a GPU come in any order: here, the last first."""
-        if kernel is not render.binning.bin_parallel:
+        if kernel is not render.project.bin_parallel:
             return launch(kernel, dim, **options)
         ends, ranks, lists = (array.numpy() for array in options["outputs"])
         starts = ends.copy()

@@ -5,8 +5,8 @@ import pytest
 import warp as wp
 
 from phy124.kernels import external_work, grid
+from phy124.kernels.arguments import types
 from phy124.kernels.reduction import along_rows
-from phy124.kernels.transfer import types
 
 SIZE, LOW, EXTENT = (4, 5, 7), (1, 2, 3), (2, 3, 4)
 REALS = (wp.float32, wp.float64)

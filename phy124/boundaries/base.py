@@ -14,9 +14,9 @@ from pydantic import Field
 
 from phy124.boundaries.motion import AnyMotion
 from phy124.errors import InputError
+from phy124.kernels.arguments import types
 from phy124.kernels.collide import FLAT, make_collider, make_contact, make_settle
 from phy124.kernels.reduction import along_rows
-from phy124.kernels.transfer import types
 from phy124.mpm import Grid, Model, Stage, State
 from phy124.mpm.tracks import Track, Tracks
 from phy124.schema.bounds import Name
@@ -199,11 +199,12 @@ class Boundary(Section):
         """
         if self.thickness() < THINNEST * model.dx:
             raise InputError(
-                f"boundaries.{type(self).__name__.lower()}", f"{2 * self.thickness():g} m",
+                f"boundaries.{type(self).__name__.lower()}",
+                f"{2 * self.thickness():g} m",
                 f"{self.thing} is thinner than two grid cells of {model.dx:g} m, "
                 "so things would pass through it.",
                 "Make it thicker or the grid finer.",
-            )  # fmt: skip
+            )
 
     def reach(self, dx: float) -> float | None:
         """Signed distance below which a node responds [m]; None: as suits the material."""

@@ -115,10 +115,11 @@ class Force(Section):
         inside = inside & of_object(model, self.object)
         if not inside.any():
             raise InputError(
-                "forces.region", self.region,
+                "forces.region",
+                self.region,
                 f"the region of {type(self).__name__} holds no particle.",
                 "Make it larger, or move it onto the object as it stands at the start.",
-            )  # fmt: skip
+            )
         return wp.array(np.flatnonzero(inside).astype(np.int32), device=model.device)
 
 

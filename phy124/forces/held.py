@@ -78,10 +78,12 @@ class Part(NamedTuple):
         if not len(index):
             away = float(np.linalg.norm(model.rest - np.array(point), axis=1).min())
             raise InputError(
-                field, point, f"no material is within {radius:g} m of it at rest.",
+                field,
+                point,
+                f"no material is within {radius:g} m of it at rest.",
                 f"Give a point on the object as it stands at the start (the nearest material is "
                 f"{away:.3g} m away), or a larger radius.",
-            )  # fmt: skip
+            )
         weight, device = weight[index], model.device
         mass = weight * model.mass.numpy()[index].astype(np.float64)
         total = float(mass.sum())

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from phy124.forces.base import Force, within
 from phy124.kernels import push
-from phy124.kernels.transfer import types
+from phy124.kernels.arguments import types
 from phy124.mpm import Grid, Model, Stage, State
 from phy124.mpm.tracks import Tracks
 from phy124.schema.bounds import Position, Velocity

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from phy124.forces.base import Force
 from phy124.kernels import push
-from phy124.kernels.transfer import types
+from phy124.kernels.arguments import types
 from phy124.mpm import Grid, Model, Stage, State
 from phy124.mpm.tracks import Tracks
 from phy124.schema.bounds import Push

@@ -10,8 +10,9 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import Box, Ints, types
 from phy124.kernels.build import kernel
-from phy124.kernels.transfer import first_node, in_window, types
+from phy124.kernels.transfer import first_node, in_window
 
 OUT_OF_SIGHT = wp.constant(4)
 """Distance below the window [nodes] at which no particle gathers."""
@@ -22,16 +23,10 @@ def make_hide(real: Any):
     """Kernel: moves the chosen particles that were outside the scatter's window away."""
     t = types(real)
 
-    @kernel(f"phy124_hide_{real.__name__}")
+    @kernel(f"phy124_hide_{real.__name__}", real)
     def hide(
-        # model
-        chosen: wp.array(dtype=int), lattice: t.vec4, scattered: wp.array(dtype=wp.vec3i),
-        gathered: wp.array(dtype=wp.vec3i),
-        # in place
-        x_out: wp.array(dtype=t.vec3),
-        # out
-        kept_out: wp.array(dtype=t.vec3), away_out: wp.array(dtype=int),
-    ):  # fmt: skip
+        chosen, lattice, scattered: Box, gathered: Box, x_out, kept_out: t.vec3s, away_out: Ints
+    ):
         i = wp.tid()
         p = chosen[i]
         dx = lattice[3]
@@ -51,16 +46,8 @@ def make_fly(real: Any):
     """Kernel: moves the hidden particles back, then kicks and moves them ballistically."""
     t = types(real)
 
-    @kernel(f"phy124_fly_{real.__name__}")
-    def fly(
-        # model
-        chosen: wp.array(dtype=int), clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # state in
-        kept: wp.array(dtype=t.vec3), away: wp.array(dtype=int),
-        # in place
-        x_out: wp.array(dtype=t.vec3), residue_out: wp.array(dtype=t.vec3),
-        v_out: wp.array(dtype=t.vec3),
-    ):  # fmt: skip
+    @kernel(f"phy124_fly_{real.__name__}", real)
+    def fly(chosen, clock, values, kept: t.vec3s, away: Ints, x_out, residue_out, v_out):
         i = wp.tid()
         if away[i] > 0:
             p = chosen[i]

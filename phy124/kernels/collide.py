@@ -17,10 +17,10 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import types
 from phy124.kernels.build import kernel
 from phy124.kernels.columns import RESPONSES, add_rows, along_wall, relative, tied, xyz
 from phy124.kernels.distance import SHAPES
-from phy124.kernels.transfer import types
 
 
 @wp.func
@@ -63,9 +63,13 @@ def front(s: Any, axis: int, dx: Any):
 def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
     """Whether a node is in the window and in the layers that a launch may touch."""
     return (
-        node[0] >= span[0] and node[1] >= 0 and node[2] >= 0
-        and node[0] < span[1] and node[1] < size[1] and node[2] < size[2]
-    )  # fmt: skip
+        node[0] >= span[0]
+        and node[1] >= 0
+        and node[2] >= 0
+        and node[0] < span[1]
+        and node[1] < size[1]
+        and node[2] < size[2]
+    )
 
 
 @wp.func
@@ -109,13 +113,8 @@ def make_settle(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_settle_{real.__name__}", seconds=0.15)
-    def settle(
-        # model
-        start: wp.vec3i, window: wp.array(dtype=wp.vec3i),
-        # in place
-        changes_out: wp.array(dtype=t.vec4), grid_out: wp.array(dtype=t.vec4),
-    ):  # fmt: skip
+    @kernel(f"phy124_settle_{real.__name__}", real, seconds=0.15)
+    def settle(start: wp.vec3i, window, changes_out, grid_out):
         i, j, k = wp.tid()
         n = wp.dot(wp.vec3i(i, j, k) + start, strides(window[1]))
         c = changes_out[n]
@@ -155,11 +154,22 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
 
     @wp.func
     def respond(
-        here: wp.vec3i, geometry: t.mat33, friction: real, reach: real, span: wp.vec2i,
-        lightest: real, full: real, loose: real, moved: t.vec3, wall: t.vec3,
-        lattice: t.vec4, low: wp.vec3i, size: wp.vec3i,
-        grid_out: wp.array(dtype=t.vec4), changes_out: wp.array(dtype=t.vec4),
-    ):  # fmt: skip
+        here: wp.vec3i,
+        geometry: t.mat33,
+        friction: real,
+        reach: real,
+        span: wp.vec2i,
+        lightest: real,
+        full: real,
+        loose: real,
+        moved: t.vec3,
+        wall: t.vec3,
+        lattice: t.vec4,
+        low: wp.vec3i,
+        size: wp.vec3i,
+        grid_out: wp.array(dtype=t.vec4),
+        changes_out: wp.array(dtype=t.vec4),
+    ):
         stride = strides(size)
         n = wp.dot(here, stride)
         if not holds(size, span, here):
@@ -247,16 +257,25 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
                 else:
                     add_wish(changes_out, behind, wanted)
 
-    @kernel(name, seconds=0.4)
+    @kernel(name, real, seconds=0.4)
     def contact(
-        # model
-        geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i, each: int,
-        span: wp.vec2i, lightest: real, full: real, loose: real,
-        lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
-        values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
-        # in place
-        grid_out: wp.array(dtype=t.vec4), changes_out: wp.array(dtype=t.vec4),
-    ):  # fmt: skip
+        geometry,
+        friction,
+        reach: real,
+        slot,
+        start: wp.vec3i,
+        each,
+        span: wp.vec2i,
+        lightest: real,
+        full: real,
+        loose: real,
+        lattice,
+        window,
+        values,
+        rates,
+        grid_out,
+        changes_out,
+    ):
         i, j, part = wp.tid()
         moved = t.vec3()
         wall = t.vec3()
@@ -268,9 +287,22 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         if active > real(0.0):
             for k in range(part * each, part * each + each):
                 respond(
-                    wp.vec3i(i, j, k) + start, geometry, friction, reach, span, lightest, full,
-                    loose, moved, wall, lattice, window[0], window[1], grid_out, changes_out,
-                )  # fmt: skip
+                    wp.vec3i(i, j, k) + start,
+                    geometry,
+                    friction,
+                    reach,
+                    span,
+                    lightest,
+                    full,
+                    loose,
+                    moved,
+                    wall,
+                    lattice,
+                    window[0],
+                    window[1],
+                    grid_out,
+                    changes_out,
+                )
 
     return contact
 
@@ -292,15 +324,19 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
     distance, answer = SHAPES[shape], RESPONSES[response].answer
     name = f"phy124_collide_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
 
-    @kernel(name, seconds=0.4)
+    @kernel(name, real, seconds=0.4)
     def collide(
-        # model
-        geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i,
-        lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
-        values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
-        # in place
-        grid_out: wp.array(dtype=t.vec4),
-    ):  # fmt: skip
+        geometry,
+        friction,
+        reach: real,
+        slot,
+        start: wp.vec3i,
+        lattice,
+        window,
+        values,
+        rates,
+        grid_out,
+    ):
         i, j, k = wp.tid()
         size = window[1]
         node = wp.vec3i(i, j, k) + start

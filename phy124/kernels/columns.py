@@ -12,14 +12,64 @@ reached it, as the masses of the nodes on its two sides show: see `covered`.
 Held material ends in the same way at the surface of its region: the nodes inside are held, and the
 one next to the surface follows the one in front of it so that the velocity is zero where the region
 ends, g = (1, -w0 / w1, 0) with the weights w of the nodes there.
+
+A node by itself responds by `sticky`, `slip` or `separate`; `all_of_it`, `none_of_it` and `coulomb`
+are the fraction of the motion along the wall that a column loses.
 """
 
 from typing import Any, NamedTuple
 
 import warp as wp
 
-from phy124.kernels.friction import all_of_it, coulomb, none_of_it, separate, slip, sticky
 from phy124.kernels.spline import spline
+
+
+@wp.func
+def sticky(v: Any, wall: Any, n: Any, friction: Any):
+    """The node moves with the wall."""
+    return wall
+
+
+@wp.func
+def slip(v: Any, wall: Any, n: Any, friction: Any):
+    """No motion through or away from the wall, free motion along it."""
+    return v - wp.dot(v - wall, n) * n
+
+
+@wp.func
+def separate(v: Any, wall: Any, n: Any, friction: Any):
+    """May leave the wall; Coulomb friction while pressed on it (Stomakhin et al. 2013, sec. 8)."""
+    relative = v - wall
+    speed = wp.dot(relative, n)
+    if speed >= type(speed)(0.0):
+        return v
+    along = relative - speed * n
+    length = wp.length(along)
+    if length <= -friction * speed:
+        return wall
+    return wall + along * (type(speed)(1.0) + friction * speed / length)
+
+
+@wp.func
+def all_of_it(along: Any, pressed: Any, friction: Any):
+    """1: a sticky wall takes all of the motion along it."""
+    return type(pressed)(1.0)
+
+
+@wp.func
+def none_of_it(along: Any, pressed: Any, friction: Any):
+    """0: a wall without friction takes none of the motion along it."""
+    return type(pressed)(0.0)
+
+
+@wp.func
+def coulomb(along: Any, pressed: Any, friction: Any):
+    """Fraction of the motion along the wall that friction can stop."""
+    wanted = wp.length(along)
+    if wanted <= friction * pressed:
+        return type(pressed)(1.0)
+    return friction * pressed / wanted
+
 
 NARROWING = wp.constant(1.4)
 """Power between the ratios of neighbouring nodes: 1.1 to 1.3 of an edge, 1.2 to 1.6 of a cone."""
@@ -142,9 +192,7 @@ def either_way(pressed: Any):
 
 
 @wp.func
-def add_rows(
-    nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any, fourth: Any
-):  # fmt: skip
+def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any, fourth: Any):
     """Add changes of velocity [node, axis], and a number, to a column's nodes with mass."""
     for row in range(3):
         if m[row] > type(m[row])(0.0):

@@ -1,8 +1,9 @@
-"""Contacts: what walls give to each particle in a substep.
+"""What single walls give: to each particle (contacts), and in all (wrenches), in a substep.
 
 A wall changes the velocity of nodes. With the weights w_ip by which the particles' mass came to a
 node, its impulse m_i (v_after - v_before) is shared out as m_p w_ip (v_after - v_before): the
-shares of all particles are the whole, since m_i = sum_p m_p w_ip.
+shares of all particles are the whole, since m_i = sum_p m_p w_ip. A wrench is the impulse of a wall
+on all nodes and its moment, in float64.
 """
 
 from functools import cache
@@ -10,29 +11,21 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
-from phy124.kernels.diagnostics import wide
+from phy124.kernels.diagnostics import add3, wide
+from phy124.kernels.grid import row_in_copy, row_in_grid
 from phy124.kernels.reduction import lower_to, raise_to
-from phy124.kernels.rows import row_in_copy, row_in_grid
 from phy124.kernels.spline import spline
-from phy124.kernels.transfer import first_node, in_window, types
+from phy124.kernels.transfer import first_node, in_window
 
 
 @cache
 def make_contact_copy(real: Any):
     """Kernel over parts of rows in a box, `each` nodes long: stores what they are before a wall."""
-    t = types(real)
 
-    @kernel(f"phy124_contact_copy_{real.__name__}", seconds=0.15)
-    def contact_copy(
-        # model
-        each: int, box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
-        # state in
-        grid: wp.array(dtype=t.vec4),
-        # out
-        kept_out: wp.array(dtype=t.vec4), low_out: wp.array(dtype=int),
-        high_out: wp.array(dtype=int),
-    ):  # fmt: skip
+    @kernel(f"phy124_contact_copy_{real.__name__}", real, seconds=0.15)
+    def contact_copy(each, box, window, grid, kept_out, low_out: Ints, high_out: Ints):
         i, j, part = wp.tid()
         row = row_in_grid(box, window, i, j)
         copy = row_in_copy(box, i, j)
@@ -53,16 +46,8 @@ def make_contact_reach(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_contact_reach_{real.__name__}", seconds=0.2)
-    def contact_reach(
-        # model
-        each: int, box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
-        # state in
-        grid: wp.array(dtype=t.vec4),
-        # out
-        kept_out: wp.array(dtype=t.vec4), low_out: wp.array(dtype=int),
-        high_out: wp.array(dtype=int),
-    ):  # fmt: skip
+    @kernel(f"phy124_contact_reach_{real.__name__}", real, seconds=0.2)
+    def contact_reach(each, box, window, grid, kept_out, low_out: Ints, high_out: Ints):
         i, j, part = wp.tid()
         row = row_in_grid(box, window, i, j)
         copy = row_in_copy(box, i, j)
@@ -95,17 +80,18 @@ def make_contacts(real: Any):
     """Kernel over particles: adds its share of what changed since `contact_copy`."""
     t = types(real)
 
-    @kernel(f"phy124_contacts_{real.__name__}", seconds=0.4)
+    @kernel(f"phy124_contacts_{real.__name__}", real, seconds=0.4)
     def contacts(
-        # model
-        mass: wp.array(dtype=real), lattice: t.vec4, box: wp.array(dtype=wp.vec3i),
-        window: wp.array(dtype=wp.vec3i),
-        # state in
-        x: wp.array(dtype=t.vec3), changes: wp.array(dtype=t.vec4),
-        lowest: wp.array(dtype=int), highest: wp.array(dtype=int),
-        # out
+        mass,
+        lattice,
+        box,
+        window,
+        x,
+        changes,
+        lowest: Ints,
+        highest: Ints,
         impulse_out: wp.array(dtype=wp.vec3d),
-    ):  # fmt: skip
+    ):
         p = wp.tid()
         g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / lattice[3]
         low = first_node(g)
@@ -135,3 +121,42 @@ def make_contacts(real: Any):
         impulse_out[p] += wp.float64(mass[p]) * wide(change)
 
     return contacts
+
+
+IMPULSE, MOMENT, SUMS = 0, 3, 6
+"""Index of the first component of each sum, and the number of sums."""
+
+
+@cache
+def make_wall_wrench(real: Any):
+    """Kernel over the parts of `make_wall_copy`: adds what a wall has given since then.
+
+    The moment of an impulse is taken about the origin of the world. The gather keeps the angular
+    momentum of the nodes (APIC, Jiang et al. 2015), so it is what the material is given.
+    """
+
+    @kernel(f"phy124_wall_wrench_{real.__name__}", real, seconds=0.2)
+    def wall_wrench(lattice, each, box, window, grid, kept, sums_out):
+        i, j, part = wp.tid()
+        row = row_in_grid(box, window, i, j)
+        copy = row_in_copy(box, i, j)
+        origin = wide(wp.vector(lattice[0], lattice[1], lattice[2]))
+        dx = wp.float64(lattice[3])
+        impulse = wp.vec3d()
+        moment = wp.vec3d()
+        for k in range(part * each, part * each + each):
+            q = grid[row + k]
+            if q[3] > real(0.0):
+                d = q - kept[copy + k]
+                if d[0] != real(0.0) or d[1] != real(0.0) or d[2] != real(0.0):
+                    node = window[0] + box[0] + wp.vec3i(i, j, k)
+                    at = origin + dx * wp.vec3d(
+                        wp.float64(node[0]), wp.float64(node[1]), wp.float64(node[2])
+                    )
+                    J = wp.float64(q[3]) * wide(d)
+                    impulse += J
+                    moment += wp.cross(at, J)
+        add3(sums_out, IMPULSE, impulse)
+        add3(sums_out, MOMENT, moment)
+
+    return wall_wrench

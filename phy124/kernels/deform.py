@@ -13,11 +13,11 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import types
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.native import code, constants, native_func
 from phy124.kernels.spectral import to_double
-from phy124.kernels.transfer import types
 
 MODULE = "phy124_deform"
 SWEEPS = wp.constant(24)
@@ -44,10 +44,16 @@ def matrix_of(q: wp.vec4d) -> wp.mat33d:
     u = q / wp.length(q)
     w, x, y, z = u[0], u[1], u[2], u[3]
     return wp.mat33d(
-        one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y),
-        two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x),
-        two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y),
-    )  # fmt: skip
+        one - two * (y * y + z * z),
+        two * (x * y - w * z),
+        two * (x * z + w * y),
+        two * (x * y + w * z),
+        one - two * (x * x + z * z),
+        two * (y * z - w * x),
+        two * (x * z - w * y),
+        two * (y * z + w * x),
+        one - two * (x * x + y * y),
+    )
 
 
 @wp.func
@@ -258,9 +264,15 @@ def within(f: wp.mat33d, limit: wp.float64) -> wp.mat33d:
 
 @wp.func
 def shape_of(
-    f: wp.mat33d, quat0: wp.vec4f, scale0: wp.vec3f, hold: wp.float64, max_stretch: wp.float64,
-    becomes_ball: bool, inner: wp.vec4f, quat: wp.vec4f,
-):  # fmt: skip
+    f: wp.mat33d,
+    quat0: wp.vec4f,
+    scale0: wp.vec3f,
+    hold: wp.float64,
+    max_stretch: wp.float64,
+    becomes_ball: bool,
+    inner: wp.vec4f,
+    quat: wp.vec4f,
+):
     """Sigma_t = F Sigma0 F^T of a Gaussian: (V, quaternion, scales), V and quaternion follow on
     those of the previous frame.
     """
@@ -288,27 +300,30 @@ def shape_of(
 
 @kernel(MODULE, seconds=1.5)
 def deform_shapes(
-    # model
     carrier: wp.array(dtype=wp.int32),
     quats0: wp.array(dtype=wp.vec4f),
     scales0: wp.array(dtype=wp.vec3f),
     holds: wp.array(dtype=wp.float64),
     max_stretch: wp.array(dtype=wp.float64),
     rounds: wp.array(dtype=wp.bool),
-    # state in
     deformation: wp.array(dtype=wp.mat33d),
     # in place: the previous frame becomes this one
     inner_out: wp.array(dtype=wp.vec4f),
     quats_out: wp.array(dtype=wp.vec4f),
-    # out
     scales_out: wp.array(dtype=wp.vec3f),
 ):
     """One frame: Sigma_t = F Sigma0 F^T as quaternion and scales."""
     i = wp.tid()
     inner, quat, scale = shape_of(
-        deformation[carrier[i]], quats0[i], scales0[i], holds[i], max_stretch[i], rounds[i],
-        inner_out[i], quats_out[i],
-    )  # fmt: skip
+        deformation[carrier[i]],
+        quats0[i],
+        scales0[i],
+        holds[i],
+        max_stretch[i],
+        rounds[i],
+        inner_out[i],
+        quats_out[i],
+    )
     inner_out[i] = inner
     quats_out[i] = quat
     scales_out[i] = scale
@@ -335,34 +350,46 @@ shapes_of_eight = native_func(
 
 @kernel("phy124_deform_simd", seconds=1.5)
 def deform_shapes_simd(
-    # model
     carrier: wp.array(dtype=wp.int32),
     quats0: wp.array(dtype=wp.vec4f),
     scales0: wp.array(dtype=wp.vec3f),
     holds: wp.array(dtype=wp.float64),
     max_stretch: wp.array(dtype=wp.float64),
     rounds: wp.array(dtype=wp.bool),
-    # state in
     deformation: wp.array(dtype=wp.mat33d),
     # in place: the previous frame becomes this one
     inner_out: wp.array(dtype=wp.vec4f),
     quats_out: wp.array(dtype=wp.vec4f),
-    # out
     scales_out: wp.array(dtype=wp.vec3f),
 ):
     """One thread per eight Gaussians, of which the unusual ones are left to `shape_of`."""
     group = wp.tid()
     left = shapes_of_eight(
-        group, carrier, quats0, scales0, holds, max_stretch, rounds, deformation, inner_out,
-        quats_out, scales_out,
-    )  # fmt: skip
+        group,
+        carrier,
+        quats0,
+        scales0,
+        holds,
+        max_stretch,
+        rounds,
+        deformation,
+        inner_out,
+        quats_out,
+        scales_out,
+    )
     i = int(8 * group)
     while left > 0:
         if (left & 1) == 1:
             inner, quat, scale = shape_of(
-                deformation[carrier[i]], quats0[i], scales0[i], holds[i], max_stretch[i],
-                rounds[i], inner_out[i], quats_out[i],
-            )  # fmt: skip
+                deformation[carrier[i]],
+                quats0[i],
+                scales0[i],
+                holds[i],
+                max_stretch[i],
+                rounds[i],
+                inner_out[i],
+                quats_out[i],
+            )
             inner_out[i] = inner
             quats_out[i] = quat
             scales_out[i] = scale
@@ -372,9 +399,7 @@ def deform_shapes_simd(
 
 @kernel(MODULE, seconds=1.5)
 def turn_of_material(
-    # model
     carrier: wp.array(dtype=wp.int32),
-    # state in
     deformation: wp.array(dtype=wp.mat33d),
     # in place: the previous frame becomes this one
     rotations_out: wp.array(dtype=wp.vec4f),
@@ -400,17 +425,18 @@ def make_carry(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_carry_{real.__name__}", seconds=0.4)
+    @kernel(f"phy124_carry_{real.__name__}", real, seconds=0.4)
     def carry(
-        # model
-        neighbours: wp.array2d(dtype=wp.int32), weights: wp.array2d(dtype=wp.float32),
-        means0: wp.array(dtype=wp.vec3f), flows: wp.array(dtype=wp.bool),
+        neighbours: wp.array2d(dtype=wp.int32),
+        weights: wp.array2d(dtype=wp.float32),
+        means0: wp.array(dtype=wp.vec3f),
+        flows: wp.array(dtype=wp.bool),
         rest: wp.array(dtype=wp.vec3f),
-        # state in
-        position: wp.array(dtype=t.vec3), deformation: wp.array(dtype=t.mat33),
-        # out
-        means_out: wp.array(dtype=wp.vec3f), deformation_out: wp.array(dtype=wp.mat33d),
-    ):  # fmt: skip
+        position: t.vec3s,
+        deformation: t.mat33s,
+        means_out: wp.array(dtype=wp.vec3f),
+        deformation_out: wp.array(dtype=wp.mat33d),
+    ):
         i = wp.tid()
         home = wp.vec3d(means0[i])
         x = wp.vec3d()

@@ -10,10 +10,11 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.reduction import add_to, raise_to
 from phy124.kernels.spectral import to_double
-from phy124.kernels.transfer import Law, types
+from phy124.kernels.transfer import Law
 
 MOMENTUM, ANGULAR, KINETIC, ELASTIC, MIDDLE, POWER, SUMS = 0, 3, 6, 7, 8, 11, 12
 """Index of each sum (of a vector: its first), and the number of sums.
@@ -64,25 +65,30 @@ def make_totals(law: Law, real: Any):
     unsound particles of each kind, `first_out` the lowest index of each. Each thread sums `each`
     particles before it writes, as in `make_measure`.
     """
-    t = types(real)
-    theta_type = wp.types.vector(law.width, real)
     energy, stress = law.energy, law.stress
     exact, all_sums = (wp.types.vector(n, wp.float64) for n in (law.width, SUMS))
     has_history = law.project is not None
 
-    @kernel(f"phy124_totals_{law.name}_{real.__name__}", seconds=0.65)
+    @kernel(f"phy124_totals_{law.name}_{real.__name__}", real, width=law.width, seconds=0.65)
     def totals(
-        # model
-        first: int, each: int, stride: int,
-        theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
-        volume: wp.array(dtype=real), dx: real, start: int,
-        # state in
-        x: wp.array(dtype=t.vec3), v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
-        F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
-        # out
-        sums_out: wp.array(dtype=wp.float64), range_out: wp.array(dtype=wp.float64),
-        counts_out: wp.array(dtype=int), first_out: wp.array(dtype=int),
-    ):  # fmt: skip
+        first,
+        each,
+        stride,
+        theta,
+        mass,
+        volume,
+        dx,
+        start: int,
+        x,
+        v,
+        C,
+        F,
+        history,
+        sums_out,
+        range_out: Doubles,
+        counts_out: Ints,
+        first_out: Ints,
+    ):
         sums = all_sums()
         min_J = wp.float64(wp.inf)
         max_J = wp.float64(-wp.inf)
@@ -134,22 +140,11 @@ def make_totals(law: Law, real: Any):
 @cache
 def make_energies(law: Law, real: Any):
     """Kernel: kinetic and elastic energy of each particle [J]; to find one, not to sum them."""
-    t = types(real)
-    theta_type = wp.types.vector(law.width, real)
     energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 
-    @kernel(f"phy124_energies_{law.name}_{real.__name__}")
-    def energies(
-        # model
-        theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
-        volume: wp.array(dtype=real), dx: real,
-        # state in
-        v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
-        F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
-        # out
-        energy_out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
+    @kernel(f"phy124_energies_{law.name}_{real.__name__}", real, width=law.width)
+    def energies(theta, mass, volume, dx, v, C, F, history, energy_out: Doubles):
         p = wp.tid()
         h = wp.vec2d()
         if wp.static(has_history):
@@ -163,3 +158,37 @@ def make_energies(law: Law, real: Any):
         energy_out[p] = kinetic + psi * wp.float64(volume[p])
 
     return energies
+
+
+@cache
+def make_probe(law: Law, real: Any):
+    """Kernel: stress, modulus, energy and return mapping of a law for single states."""
+    t = types(real)
+    stress, modulus, energy, project = law.stress, law.modulus, law.energy, law.project
+    plastic = project is not None
+
+    @kernel(f"phy124_probe_{law.name}_{real.__name__}", real, width=law.width)
+    def probe(
+        theta,
+        dt: real,
+        F,
+        C,
+        history,
+        stress_out: t.mat33s,
+        modulus_out: t.reals,
+        energy_out: t.reals,
+        projected_out: t.mat33s,
+        history_out,
+    ):
+        p = wp.tid()
+        stress_out[p] = stress(F[p], C[p], history[p], theta[0])
+        modulus_out[p] = modulus(F[p], history[p], theta[0])
+        energy_out[p] = energy(F[p], history[p], theta[0])
+        projected_out[p] = F[p]
+        history_out[p] = history[p]
+        if wp.static(plastic):
+            elastic, after = project(F[p], history[p], theta[0], dt)
+            projected_out[p] = elastic
+            history_out[p] = after
+
+    return probe

@@ -12,7 +12,7 @@ import warp as wp
 from phy124.kernels.build import kernel
 from phy124.kernels.reduction import add_to
 from phy124.kernels.spectral import to_double
-from phy124.kernels.transfer import Law, member, types
+from phy124.kernels.transfer import Law, member
 
 RUBBED, STRAINED, LOST = 0, 1, 2
 """Index of each sum, and the number of sums: the work of the part of the stress that depends on the
@@ -25,24 +25,25 @@ def make_dissipation(law: Law, real: Any):
 
     Each thread sums `each` particles before it writes, as in `make_measure`.
     """
-    t = types(real)
-    theta_type = wp.types.vector(law.width, real)
     stress, exact = law.stress, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 
-    @kernel(f"phy124_dissipation_{law.name}_{real.__name__}")
+    @kernel(f"phy124_dissipation_{law.name}_{real.__name__}", real, width=law.width)
     def dissipation(
-        # model
-        first: int, each: int, stride: int, count: int, chosen: wp.array(dtype=int),
-        theta: wp.array(dtype=theta_type), volume: wp.array(dtype=real),
-        clock: wp.array(dtype=real),
-        # state in
-        C: wp.array(dtype=t.mat33), F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
-        # in place
+        first,
+        each,
+        stride,
+        count,
+        chosen,
+        theta,
+        volume,
+        clock,
+        C,
+        F,
+        history,
         stress_out: wp.array(dtype=wp.mat33d),
-        # out
-        sums_out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
+        sums_out,
+    ):
         rubbed = wp.float64(0.0)
         strained = wp.float64(0.0)
         dt = wp.float64(clock[1])

@@ -10,8 +10,14 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.spectral import from_double, signed_stretch, to_double
-from phy124.kernels.symmetric import deviator, gram, symmetric
+from phy124.kernels.spectral import (
+    deviator,
+    from_double,
+    gram,
+    signed_stretch,
+    symmetric,
+    to_double,
+)
 
 SMALLEST_J = wp.constant(1.0e-4)
 """Volume ratio below which log J follows its tangent, so that inverted elements push back."""
@@ -172,3 +178,26 @@ def fixed_corotated_modulus(F: Any, h: Any, theta: Any):
     J = wp.determinant(F)
     volumetric = wp.max(theta[1] * (two * J * J - J), type(J)(0.0))
     return two * theta[0] * (two * s2 - wp.sqrt(s2)) + type(J)(3.0) * volumetric
+
+
+@wp.func
+def newtonian(F: Any, C: Any, eta: Any):
+    """J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, with D the rate of strain.
+
+    For an inverted element it is zero, so that it never adds energy; for one larger than at rest, J
+    counts as 1, since the limit of the substep assumes that.
+    """
+    strength = wp.clamp(wp.determinant(F), type(eta)(0.0), type(eta)(1.0)) * eta
+    return strength * (C + wp.transpose(C))
+
+
+@wp.func
+def neo_hookean_damped(F: Any, C: Any, h: Any, theta: Any):
+    """Neo-Hookean with viscosity; theta = (mu, lam, eta)."""
+    return neo_hookean(F, C, h, theta) + newtonian(F, C, theta[2])
+
+
+@wp.func
+def fixed_corotated_damped(F: Any, C: Any, h: Any, theta: Any):
+    """Fixed corotated with viscosity; theta = (mu, lam, eta)."""
+    return fixed_corotated(F, C, h, theta) + newtonian(F, C, theta[2])

@@ -1,9 +1,14 @@
-"""The part of the particles' motion that the grid does not carry, and how much of it they keep.
+"""What damps the motion of particles in the transfers, and what keeps it: fluctuations, and RPIC.
 
-APIC forgets it in every substep, which damps. It is what is left of (v, C) after a round trip over
-the grid, D = 1 - S S^+ in the notation of Hammerquist and Nairn 2017. FLIP gives it all back, AFLIP
-(Fei et al. 2021) a share of it, XPIC(m) all but D^m, in which only noise is left. Here C makes the
-round trip as v does, so that the trip changes neither momentum nor angular momentum.
+The grid does not carry all of the particles' motion, and APIC forgets the rest in every substep,
+which damps. It is what is left of (v, C) after a round trip over the grid, D = 1 - S S^+ in the
+notation of Hammerquist and Nairn 2017. FLIP gives it all back, AFLIP (Fei et al. 2021) a share of
+it, XPIC(m) all but D^m, in which only noise is left. Here C makes the round trip as v does, so that
+the trip changes neither momentum nor angular momentum.
+
+RPIC: the symmetric part of C decays, its skew part, which is spin, stays. PhysGaussian's
+`rpic_damping` r scatters (1 - r) C + r/2 (C - C^T) in each substep, so that r = 1 is RPIC (Jiang et
+al. 2015, section 5.1) and what it damps depends on the substep. Here it is a rate.
 """
 
 from functools import cache
@@ -11,34 +16,18 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import types
 from phy124.kernels.build import kernel
-from phy124.kernels.transfer import (
-    GATHERS,
-    SCATTERS,
-    columns4,
-    first_node,
-    in_window,
-    member,
-    types,
-)
+from phy124.kernels.transfer import GATHERS, SCATTERS, columns4, first_node, in_window, member
 
 
 @cache
 def make_carry(real: Any, form: str):
     """Kernel: the momentum and mass of a motion (v, C) to the grid, without stress."""
-    t = types(real)
     spread = SCATTERS[form]
 
-    @kernel(f"phy124_carry_{real.__name__}_{form}", seconds=0.3)
-    def carry(
-        # model
-        chosen: wp.array(dtype=int), mass: wp.array(dtype=real), lattice: t.vec4,
-        window: wp.array(dtype=wp.vec3i),
-        # state in
-        x: wp.array(dtype=t.vec3), v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
-        # out
-        grid_out: wp.array(dtype=t.vec4),
-    ):  # fmt: skip
+    @kernel(f"phy124_carry_{real.__name__}_{form}", real, seconds=0.3)
+    def carry(chosen, mass, lattice, window, x, v, C, grid_out):
         p = member(chosen, wp.tid())
         dx = lattice[3]
         g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
@@ -62,16 +51,8 @@ def make_fluctuation(real: Any, form: str):
     t = types(real)
     collect = GATHERS[form]
 
-    @kernel(f"phy124_fluctuation_{real.__name__}_{form}", seconds=0.3)
-    def fluctuation(
-        # model
-        chosen: wp.array(dtype=int), lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
-        # state in
-        grid: wp.array(dtype=t.vec4), x: wp.array(dtype=t.vec3),
-        v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
-        # out
-        v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
-    ):  # fmt: skip
+    @kernel(f"phy124_fluctuation_{real.__name__}_{form}", real, seconds=0.3)
+    def fluctuation(chosen, lattice, window, grid, x, v, C, v_out, C_out):
         p = member(chosen, wp.tid())
         dx = lattice[3]
         g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
@@ -102,18 +83,35 @@ def make_keep(real: Any):
     """Kernel: gives particles back a share of what the grid did not carry, less the noise in it."""
     t = types(real)
 
-    @kernel(f"phy124_keep_{real.__name__}")
-    def keep(
-        # model
-        chosen: wp.array(dtype=int), share: real,
-        # state in
-        v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
-        v_noise: wp.array(dtype=t.vec3), C_noise: wp.array(dtype=t.mat33),
-        # in place
-        v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
-    ):  # fmt: skip
+    @kernel(f"phy124_keep_{real.__name__}", real)
+    def keep(chosen, share: real, v, C, v_noise: t.vec3s, C_noise: t.mat33s, v_out, C_out):
         p = member(chosen, wp.tid())
         v_out[p] = v_out[p] + share * (v[p] - v_noise[p])
         C_out[p] = C_out[p] + share * (C[p] - C_noise[p])
 
     return keep
+
+
+@wp.func
+def decayed(x: Any):
+    """1 - exp(-x), right to rounding for small x, too."""
+    t = wp.tanh(type(x)(0.5) * x)
+    return type(x)(2.0) * t / (type(x)(1.0) + t)
+
+
+@wp.func
+def without_strain(C: Any, share: Any):
+    """C less a share of its symmetric part; a skew C comes back bit for bit."""
+    return C - (type(share)(0.5) * share) * (C + wp.transpose(C))
+
+
+@cache
+def make_rpic(real: Any):
+    """Kernel, right before a scatter: sym C decays as exp(-rate t), rate in 1/s."""
+
+    @kernel(f"phy124_rpic_{real.__name__}", real)
+    def rpic(chosen, rate: real, clock, C_out):
+        p = member(chosen, wp.tid())
+        C_out[p] = without_strain(C_out[p], decayed(rate * clock[0]))
+
+    return rpic

@@ -10,8 +10,15 @@ from phy124.kernels.elastic import (
     fixed_corotated_modulus,
 )
 from phy124.kernels.hencky import log_strain
-from phy124.kernels.spectral import eigenvalues, from_double, to_double, with_values
-from phy124.kernels.symmetric import deviator, exponential, gram
+from phy124.kernels.spectral import (
+    deviator,
+    eigenvalues,
+    exponential,
+    from_double,
+    gram,
+    to_double,
+    with_values,
+)
 
 HARDEST = wp.constant(4.0)
 """Largest exponent of snow's hardening: at most e^4 = 55 times stiffer than fresh."""

@@ -1,28 +1,79 @@
-"""The grid update between scatter and gather: momentum to velocity."""
+"""The grid update between scatter and gather, and what is done to rows of nodes.
+
+Rows of nodes in a box of the grid are copied, cleared, added and compared by loops in C++ that a
+CPU vectorises (native/rows.h). On a GPU each thread has one node, the part before the loop.
+"""
 
 from functools import cache
 from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import Box, Ints, types
 from phy124.kernels.build import kernel
+from phy124.kernels.native import code
 from phy124.kernels.reduction import raise_to
-from phy124.kernels.rows import add_row, clear_row, copy_row
-from phy124.kernels.transfer import types
+
+
+@wp.func
+def row_in_grid(box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i), i: int, j: int):
+    """Index of the first node of row (i, j) of a box (lowest node, extent) in a window's nodes."""
+    low = box[0]
+    size = window[1]
+    return ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
+
+
+@wp.func
+def row_in_copy(box: wp.array(dtype=wp.vec3i), i: int, j: int):
+    """Index of the first node of row (i, j) of a box in a copy of its nodes."""
+    count = box[1]
+    return (i * count[1] + j) * count[2]
+
+
+@wp.func_native(code("rows:copy_row"))
+def copy_row(
+    nodes: wp.array(dtype=Any), at: int, others: wp.array(dtype=Any), start: int, count: int
+):
+    """Copy nodes that follow each other from others."""
+    ...
+
+
+@wp.func_native(code("rows:clear_row"))
+def clear_row(nodes: wp.array(dtype=Any), at: int, count: int):
+    """Set nodes that follow each other to zero."""
+    ...
+
+
+@wp.func_native(code("rows:add_row"))
+def add_row(
+    nodes: wp.array(dtype=Any), at: int, others: wp.array(dtype=Any), start: int, count: int
+):
+    """Add others to nodes that follow each other."""
+    ...
+
+
+# Warp forgets the result of a generic native function, so this one has an overload per precision.
+for vec4 in (wp.vec4, wp.vec4d):
+
+    @wp.func_native(code("rows:next_changed"))
+    def next_changed(
+        nodes: wp.array(dtype=vec4),
+        at: int,
+        others: wp.array(dtype=vec4),
+        start: int,
+        first: int,
+        end: int,
+    ) -> int:
+        """Return the first k >= `first` whose nodes differ in velocity, or `end` if none does."""
+        ...
 
 
 @cache
 def make_update(real: Any):
     """Kernel: (momentum, mass) to (velocity, mass), kicked by the uniform acceleration."""
-    t = types(real)
 
-    @kernel(f"phy124_grid_{real.__name__}", seconds=0.15)
-    def update(
-        # model
-        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # in place
-        grid_out: wp.array(dtype=t.vec4),
-    ):  # fmt: skip
+    @kernel(f"phy124_grid_{real.__name__}", real, seconds=0.15)
+    def update(clock, values, grid_out):
         n = wp.tid()
         q = grid_out[n]
         m = q[3]
@@ -47,16 +98,8 @@ def make_merge(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_merge_{real.__name__}")
-    def merge(
-        # model
-        layer: int, window: wp.array(dtype=wp.vec3i), boxes: wp.array(dtype=wp.vec3i),
-        starts: wp.array(dtype=int),
-        # state in
-        pool: wp.array(dtype=t.vec4),
-        # out
-        grid_out: wp.array(dtype=t.vec4),
-    ):  # fmt: skip
+    @kernel(f"phy124_merge_{real.__name__}", real)
+    def merge(layer: int, window, boxes: Box, starts: Ints, pool: t.vec4s, grid_out):
         i, j = wp.tid()
         size = window[1]
         row = ((layer + i) * size[1] + j) * size[2]
@@ -86,13 +129,8 @@ def make_grid_speed(real: Any):
     """Kernel: the largest squared speed of a node with mass, which decides about step rejection."""
     t = types(real)
 
-    @kernel(f"phy124_grid_speed_{real.__name__}")
-    def grid_speed(
-        # state in
-        grid: wp.array(dtype=t.vec4),
-        # out
-        fastest_out: wp.array(dtype=real),
-    ):  # fmt: skip
+    @kernel(f"phy124_grid_speed_{real.__name__}", real)
+    def grid_speed(grid, fastest_out: t.reals):
         q = grid[wp.tid()]
         if q[3] > real(0.0):
             square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]

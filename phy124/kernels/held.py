@@ -10,8 +10,8 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import Doubles, types
 from phy124.kernels.build import kernel
-from phy124.kernels.transfer import types
 
 PLACE, SPEED = 0, 1
 """Where X and V stand among the means."""
@@ -47,9 +47,9 @@ def angular_acceleration(torque: wp.vec3d, mass: wp.float64, second: wp.mat33d):
 
 @kernel("phy124_held_forget")
 def forget(
-    # out
-    means_out: wp.array(dtype=wp.vec3d), second_out: wp.array(dtype=wp.mat33d),
-):  # fmt: skip
+    means_out: wp.array(dtype=wp.vec3d),
+    second_out: wp.array(dtype=wp.mat33d),
+):
     """The means of a part become zero."""
     for i in range(2):
         means_out[i] = wp.vec3d()
@@ -59,18 +59,9 @@ def forget(
 @cache
 def make_centre(real: Any):
     """Kernel: X and V of a part, while its track is active."""
-    t = types(real)
 
-    @kernel(f"phy124_held_centre_{real.__name__}")
-    def centre(
-        # model
-        first: int, each: int, stride: int, chosen: wp.array(dtype=int),
-        share: wp.array(dtype=wp.float64), slot: int, values: wp.array(dtype=t.vec4),
-        # state in
-        x: wp.array(dtype=t.vec3), v: wp.array(dtype=t.vec3),
-        # in place
-        means_out: wp.array(dtype=wp.vec3d),
-    ):  # fmt: skip
+    @kernel(f"phy124_held_centre_{real.__name__}", real)
+    def centre(first, each, stride, chosen, share: Doubles, slot, values, x, v, means_out):
         if values[slot][3] > real(0.0):
             place = wp.vec3d()
             speed = wp.vec3d()
@@ -89,18 +80,9 @@ def make_centre(real: Any):
 @cache
 def make_second(real: Any):
     """Kernel: the second moments of a part about X, divided by its mass [m^2]."""
-    t = types(real)
 
-    @kernel(f"phy124_held_second_{real.__name__}")
-    def second(
-        # model
-        first: int, each: int, stride: int, chosen: wp.array(dtype=int),
-        share: wp.array(dtype=wp.float64), slot: int, values: wp.array(dtype=t.vec4),
-        # state in
-        x: wp.array(dtype=t.vec3), means: wp.array(dtype=wp.vec3d),
-        # in place
-        second_out: wp.array(dtype=wp.mat33d),
-    ):  # fmt: skip
+    @kernel(f"phy124_held_second_{real.__name__}", real)
+    def second(first, each, stride, chosen, share: Doubles, slot, values, x, means, second_out):
         if values[slot][3] > real(0.0):
             total = wp.mat33d()
             for k in range(each):
@@ -118,16 +100,10 @@ def make_draw(real: Any):
     """Kernel: a spring and a damper draw X to a target that moves."""
     t = types(real)
 
-    @kernel(f"phy124_held_draw_{real.__name__}")
+    @kernel(f"phy124_held_draw_{real.__name__}", real)
     def draw(
-        # model
-        chosen: wp.array(dtype=int), per_force: wp.array(dtype=real), spring: wp.vec4d, slot: int,
-        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
-        # state in
-        means: wp.array(dtype=wp.vec3d),
-        # in place
-        v_out: wp.array(dtype=t.vec3),
-    ):  # fmt: skip
+        chosen, per_force: t.reals, spring: wp.vec4d, slot, clock, values, rates, means, v_out
+    ):
         target = values[slot]
         if target[3] > real(0.0):
             i = wp.tid()
@@ -145,17 +121,20 @@ def make_wrench(real: Any):
     """Kernel: a force at X, and a torque about it as if the part were rigid."""
     t = types(real)
 
-    @kernel(f"phy124_held_wrench_{real.__name__}")
+    @kernel(f"phy124_held_wrench_{real.__name__}", real)
     def wrench(
-        # model
-        chosen: wp.array(dtype=int), per_force: wp.array(dtype=real), mass: wp.float64,
-        push: int, turn: int, clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # state in
-        x: wp.array(dtype=t.vec3), means: wp.array(dtype=wp.vec3d),
-        second: wp.array(dtype=wp.mat33d),
-        # in place
-        v_out: wp.array(dtype=t.vec3),
-    ):  # fmt: skip
+        chosen,
+        per_force: t.reals,
+        mass: wp.float64,
+        push: int,
+        turn: int,
+        clock,
+        values,
+        x,
+        means,
+        second,
+        v_out,
+    ):
         i = wp.tid()
         p = chosen[i]
         f = values[push]

@@ -11,14 +11,17 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.spectral import floored_log, from_double, to_double
-from phy124.kernels.symmetric import (
+from phy124.kernels.elastic import newtonian
+from phy124.kernels.spectral import (
+    floored_log,
+    from_double,
     gram,
     invariants,
     linear_range,
     next_power,
     quadratic,
     symmetric,
+    to_double,
 )
 
 SMALLEST_STRETCH = wp.constant(1.0e-4)
@@ -139,3 +142,9 @@ def hencky_modulus(F: Any, h: Any, theta: Any):
     root = wp.cbrt(k)
     shear = wp.min(root * root, type(k)(1.0) + wp.log(two * k))
     return two * theta[0] * shear + type(zero)(3.0) * wp.max(theta[1], zero)
+
+
+@wp.func
+def hencky_damped(F: Any, C: Any, h: Any, theta: Any):
+    """Hencky with viscosity; theta = (mu, lam, eta)."""
+    return hencky(F, C, h, theta) + newtonian(F, C, theta[2])

@@ -133,11 +133,8 @@ def _kernels(name: str, Surface: Any, gradient: Any) -> Kernels:
 
     @kernel(module, seconds=0.5)
     def evaluate(
-        # model
         surface: Surface,
-        # state in
         points: wp.array[wp.vec3d],
-        # out
         values_out: wp.array[wp.float64],
         gradients_out: wp.array[wp.vec3d],
     ):
@@ -148,11 +145,8 @@ def _kernels(name: str, Surface: Any, gradient: Any) -> Kernels:
 
     @kernel(module, seconds=0.5)
     def orient(
-        # model
         surface: Surface,
-        # state in
         points: wp.array[wp.vec3d],
-        # out
         normals_out: wp.array[wp.vec3d],
     ):
         i = wp.tid()
@@ -162,10 +156,8 @@ def _kernels(name: str, Surface: Any, gradient: Any) -> Kernels:
 
     @kernel(module, seconds=0.5)
     def project(
-        # model
         surface: Surface,
         rounds: int,
-        # in place
         points_out: wp.array[wp.vec3d],
     ):
         i = wp.tid()
@@ -186,12 +178,10 @@ HULL = _kernels("hull", Hull, hull)
 
 @kernel("phy124_implicit_push", seconds=0.4)
 def push(
-    # state in
     points: wp.array[wp.vec3d],
     normals: wp.array[wp.vec3d],
     wanted: wp.array[wp.float64],
     near: wp.array2d[wp.int32],
-    # out
     moved_out: wp.array[wp.vec3d],
     spacings_out: wp.array[wp.float64],
 ):

@@ -16,8 +16,8 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import types
 from phy124.kernels.build import kernel
-from phy124.kernels.transfer import types
 
 
 @cache
@@ -28,15 +28,8 @@ def make_vortex(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_vortex_{real.__name__}")
-    def vortex(
-        # model
-        ring: t.vec4, clock: wp.array(dtype=real),
-        # state in
-        x: wp.array(dtype=t.vec3),
-        # out
-        v_out: wp.array(dtype=t.vec3),
-    ):  # fmt: skip
+    @kernel(f"phy124_vortex_{real.__name__}", real)
+    def vortex(ring: t.vec4, clock, x, v_out):
         p = wp.tid()
         along_x = x[p][0]
         along_y = x[p][1]

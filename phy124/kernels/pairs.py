@@ -19,12 +19,12 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import Box, types
 from phy124.kernels.build import kernel
 from phy124.kernels.collide import place, steepest, strides, xyz
+from phy124.kernels.columns import coulomb
+from phy124.kernels.contacts import IMPULSE, MOMENT
 from phy124.kernels.diagnostics import add3, wide
-from phy124.kernels.friction import coulomb
-from phy124.kernels.transfer import types
-from phy124.kernels.wrenches import IMPULSE, MOMENT
 
 LIGHTEST = wp.constant(1e-6)
 """Fraction of its volume that each body must fill to be looked at."""
@@ -47,9 +47,13 @@ def mass_at(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: w
     size = window[1]
     n = wp.dot(at, strides(size))
     inside = (
-        at[0] >= 0 and at[1] >= 0 and at[2] >= 0
-        and at[0] < size[0] and at[1] < size[1] and at[2] < size[2]
-    )  # fmt: skip
+        at[0] >= 0
+        and at[1] >= 0
+        and at[2] >= 0
+        and at[0] < size[0]
+        and at[1] < size[1]
+        and at[2] < size[2]
+    )
     q = grid[wp.where(inside, n, 0)]
     return wp.where(inside, q[3], type(q[3])(0.0))
 
@@ -100,10 +104,13 @@ def outward(n: Any):
 
 @wp.func
 def shared_most(
-    first: wp.array(dtype=Any), first_window: wp.array(dtype=wp.vec3i),
-    second: wp.array(dtype=Any), second_window: wp.array(dtype=wp.vec3i),
-    node: wp.vec3i, step: wp.vec3i,
-):  # fmt: skip
+    first: wp.array(dtype=Any),
+    first_window: wp.array(dtype=wp.vec3i),
+    second: wp.array(dtype=Any),
+    second_window: wp.array(dtype=wp.vec3i),
+    node: wp.vec3i,
+    step: wp.vec3i,
+):
     """The node that two bodies share most, of three in a row: the one closest to their surfaces."""
     at = node
     most = mass_at(first, first_window, node) * mass_at(second, second_window, node)
@@ -118,9 +125,13 @@ def shared_most(
 
 @wp.func
 def filled(
-    grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i, inward: wp.vec3i,
-    fill: Any, narrowest: Any,
-):  # fmt: skip
+    grid: wp.array(dtype=Any),
+    window: wp.array(dtype=wp.vec3i),
+    node: wp.vec3i,
+    inward: wp.vec3i,
+    fill: Any,
+    narrowest: Any,
+):
     """Mass of a body around a node as a fraction of that in its depth, up to two nodes inward; -1
     where it fills less than `narrowest` there.
 
@@ -136,10 +147,14 @@ def filled(
 
 @wp.func
 def gap(
-    first: wp.array(dtype=Any), first_window: wp.array(dtype=wp.vec3i),
-    second: wp.array(dtype=Any), second_window: wp.array(dtype=wp.vec3i),
-    at: wp.vec3i, step: wp.vec3i, fill: Any,
-):  # fmt: skip
+    first: wp.array(dtype=Any),
+    first_window: wp.array(dtype=wp.vec3i),
+    second: wp.array(dtype=Any),
+    second_window: wp.array(dtype=wp.vec3i),
+    at: wp.vec3i,
+    step: wp.vec3i,
+    fill: Any,
+):
     """What two bodies do not fill around a node, as a fraction; 1 where only one of them is."""
     a = filled(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
     b = filled(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
@@ -168,10 +183,14 @@ def closed(gap: Any, more: Any):
 
 @wp.func
 def met(
-    first: wp.array(dtype=Any), first_window: wp.array(dtype=wp.vec3i),
-    second: wp.array(dtype=Any), second_window: wp.array(dtype=wp.vec3i),
-    at: wp.vec3i, step: wp.vec3i, fill: Any,
-):  # fmt: skip
+    first: wp.array(dtype=Any),
+    first_window: wp.array(dtype=wp.vec3i),
+    second: wp.array(dtype=Any),
+    second_window: wp.array(dtype=wp.vec3i),
+    at: wp.vec3i,
+    step: wp.vec3i,
+    fill: Any,
+):
     """Whether the surfaces of two bodies have met at the node of a row that they share most."""
     here = gap(first, first_window, second, second_window, at, step, fill)
     more = type(here)(0.0)
@@ -208,16 +227,20 @@ def make_pair(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_pair_{real.__name__}", seconds=0.5)
+    @kernel(f"phy124_pair_{real.__name__}", real, seconds=0.5)
     def pair(
-        # model
-        low: wp.vec3i, lattice: t.vec4, fill: t.vec2, yields: t.vec2, friction: real, sticky: int,
-        first_window: wp.array(dtype=wp.vec3i), second_window: wp.array(dtype=wp.vec3i),
-        # in place
-        first_out: wp.array(dtype=t.vec4), second_out: wp.array(dtype=t.vec4),
-        # out
-        sums_out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
+        low: wp.vec3i,
+        lattice,
+        fill: t.vec2,
+        yields: t.vec2,
+        friction,
+        sticky,
+        first_window: Box,
+        second_window: Box,
+        first_out: t.vec4s,
+        second_out: t.vec4s,
+        sums_out,
+    ):
         i, j, k = wp.tid()
         node = low + wp.vec3i(i, j, k)
         a = wp.dot(node - first_window[0], strides(first_window[1]))

@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from phy124.kernels.hencky import log_strain
-from phy124.kernels.symmetric import deviator, exponential
+from phy124.kernels.spectral import deviator, exponential
 
 
 @wp.func

@@ -11,8 +11,8 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
-from phy124.kernels.transfer import types
 
 MEAN = 1
 """Flag of a track that is averaged over the kick."""
@@ -61,9 +61,14 @@ def folded(at: Any, period: Any):
 
 @wp.func
 def mean(
-    times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, span: Any,
-    a: Any, b: Any,
-):  # fmt: skip
+    times: wp.array(dtype=Any),
+    keys: wp.array(dtype=Any),
+    first: int,
+    last: int,
+    span: Any,
+    a: Any,
+    b: Any,
+):
     """Mean from a to b [s], zero outside span = (start, end, origin, period)."""
     zero = a - a
     low = wp.max(a, span[0])
@@ -128,14 +133,17 @@ def make_sampler(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_tracks_{real.__name__}", seconds=0.65)
+    @kernel(f"phy124_tracks_{real.__name__}", real, seconds=0.65)
     def sample(
-        # model
-        starts: wp.array(dtype=int), times: wp.array(dtype=real), keys: wp.array(dtype=t.vec3),
-        spans: wp.array(dtype=t.vec4), flags: wp.array(dtype=int), clock: wp.array(dtype=real),
-        # out
-        values_out: wp.array(dtype=t.vec4), rates_out: wp.array(dtype=t.vec4),
-    ):  # fmt: skip
+        starts: Ints,
+        times: t.reals,
+        keys: t.vec3s,
+        spans: t.vec4s,
+        flags: Ints,
+        clock,
+        values_out: t.vec4s,
+        rates_out: t.vec4s,
+    ):
         slot = wp.tid()
         now = clock[2]
         b = now + real(0.5) * clock[1]

@@ -9,24 +9,17 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import types
 from phy124.kernels.build import kernel
-from phy124.kernels.transfer import types
 
 
 @cache
 def make_accelerate(real: Any, per_mass: bool):
     """Kernel: v += kick a, or kick f / m where `per_mass` (the paper's particle force)."""
-    t = types(real)
     name = f"phy124_accelerate_{'force' if per_mass else 'field'}_{real.__name__}"
 
-    @kernel(name)
-    def accelerate(
-        # model
-        chosen: wp.array(dtype=int), slot: int, mass: wp.array(dtype=real),
-        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # in place
-        v_out: wp.array(dtype=t.vec3),
-    ):  # fmt: skip
+    @kernel(name, real)
+    def accelerate(chosen, slot, mass, clock, values, v_out):
         p = chosen[wp.tid()]
         a = values[slot]
         scale = clock[0]
@@ -45,16 +38,8 @@ def make_zone(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_zone_{real.__name__}")
-    def zone(
-        # model
-        lower: t.vec3, upper: t.vec3, axis: int, radius: real, slot: int,
-        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # state in
-        x: wp.array(dtype=t.vec3),
-        # in place
-        v_out: wp.array(dtype=t.vec3),
-    ):  # fmt: skip
+    @kernel(f"phy124_zone_{real.__name__}", real)
+    def zone(lower: t.vec3, upper: t.vec3, axis: int, radius: real, slot, clock, values, x, v_out):
         p = wp.tid()
         inside = bool(True)
         across = x[p] - real(0.5) * (lower + upper)
@@ -80,16 +65,9 @@ def make_drag(real: Any):
     v + (u + a / rate - v)(1 - exp(-rate kick)), so that less a kick is what is left here: one after
     the other, what falls through a stream would be too fast by rate kick / 2.
     """
-    t = types(real)
 
-    @kernel(f"phy124_drag_{real.__name__}")
-    def drag(
-        # model
-        chosen: wp.array(dtype=int), slot: int, rate: real,
-        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # in place
-        v_out: wp.array(dtype=t.vec3),
-    ):  # fmt: skip
+    @kernel(f"phy124_drag_{real.__name__}", real)
+    def drag(chosen, slot, rate: real, clock, values, v_out):
         p = chosen[wp.tid()]
         u = values[slot]
         if u[3] > real(0.0):
@@ -106,16 +84,8 @@ def make_attract(real: Any):
     """Kernel: v += kick g d / r, g linear inside `radius` and falling as 1 / d^2 outside."""
     t = types(real)
 
-    @kernel(f"phy124_attract_{real.__name__}")
-    def attract(
-        # model
-        chosen: wp.array(dtype=int), slot: int, centre: t.vec3, radius: real,
-        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # state in
-        x: wp.array(dtype=t.vec3),
-        # in place
-        v_out: wp.array(dtype=t.vec3),
-    ):  # fmt: skip
+    @kernel(f"phy124_attract_{real.__name__}", real)
+    def attract(chosen, slot, centre: t.vec3, radius: real, clock, values, x, v_out):
         p = chosen[wp.tid()]
         d = (centre - x[p]) / radius
         r = wp.max(wp.length(d), real(1.0))
@@ -129,16 +99,10 @@ def make_set_velocity(real: Any):
     """Kernel: v = s (u + omega x (x - centre)) and C = s [omega]x while active, s the profile."""
     t = types(real)
 
-    @kernel(f"phy124_set_velocity_{real.__name__}")
+    @kernel(f"phy124_set_velocity_{real.__name__}", real)
     def set_velocity(
-        # model
-        chosen: wp.array(dtype=int), slot: int, u: t.vec3, centre: t.vec3, omega: t.vec3,
-        values: wp.array(dtype=t.vec4),
-        # state in
-        x: wp.array(dtype=t.vec3),
-        # out
-        v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
-    ):  # fmt: skip
+        chosen, slot, u: t.vec3, centre: t.vec3, omega: t.vec3, values, x, v_out, C_out
+    ):
         p = chosen[wp.tid()]
         s = values[slot]
         if s[3] > real(0.0):

@@ -1,10 +1,14 @@
-"""Reductions: sums at the nodes of the grid, and sums and maxima over all particles.
+"""What many threads do together: sums, maxima, stores, and a barrier.
 
 On a GPU, atomic operations on one address are serialised, so each thread first reduces its own
 part, and then the 32 threads of a warp theirs: one of them writes for all. Where some of a warp
 are elsewhere (at the end of a launch, or in another branch), each writes for itself. From compute
 capability 9.0 on, a GPU adds four float32 to a node in one transaction; older ones, float64 and
 the CPU add component by component.
+
+At the barrier CPU threads that run kernels in parallel wait for each other. They spin inside a
+kernel, where Warp has released Python's global lock, for tens of microseconds; the caller yields
+the core before it tries again.
 """
 
 from collections.abc import Iterable
@@ -12,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.native import code
+from phy124.kernels.native import code, native_kernel
 
 EACH, MOST_THREADS = 32, 2**14
 """Number of particles per thread on the CPU, and largest number of threads on a GPU."""
@@ -102,4 +106,15 @@ def store(matrices: wp.array(dtype=wp.mat33), particle: int, value: wp.mat33):
 @wp.func_native("wp::array_store(matrices, particle, value);")
 def store(matrices: wp.array(dtype=wp.mat33d), particle: int, value: wp.mat33d):  # noqa: F811
     """Write a particle's matrix in float64."""
+    ...
+
+
+@native_kernel("phy124_barrier", code("reduction:meet"))
+def meet(
+    parties: int,
+    spins: int,
+    counter_out: wp.array(dtype=int),
+    ticket_out: wp.array(dtype=int),
+):
+    """One thread's attempt to pass in `spins` looks; `ticket_out[0]` is zero once it has."""
     ...

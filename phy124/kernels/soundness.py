@@ -1,12 +1,13 @@
-"""Resets deformations that no law can handle, and bounds F_total."""
+"""Finds and mends deformations that no law can handle, F_total that overflows, torn material."""
 
 from functools import cache
 from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import types
 from phy124.kernels.build import kernel
-from phy124.kernels.transfer import types
+from phy124.kernels.elastic import largest_stretch_squared
 
 
 @cache
@@ -19,15 +20,8 @@ def make_reset(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_reset_{real.__name__}", seconds=0.2)
-    def reset(
-        # model
-        min_J: real, max_J: real, max_norm: real, narrowest: real,
-        # in place
-        F_out: wp.array(dtype=t.mat33), C_out: wp.array(dtype=t.mat33),
-        # out
-        found_out: wp.array(dtype=int),
-    ):  # fmt: skip
+    @kernel(f"phy124_reset_{real.__name__}", real, seconds=0.2)
+    def reset(min_J: real, max_J: real, max_norm: real, narrowest: real, F_out, C_out, found_out):
         p = wp.tid()
         deformation = F_out[p]
         a = wp.cross(deformation[1], deformation[2])
@@ -51,17 +45,9 @@ def make_reset(real: Any):
 @cache
 def make_limit_total(real: Any):
     """Kernel: scales down the F_total of flowing material before it overflows."""
-    t = types(real)
 
-    @kernel(f"phy124_limit_total_{real.__name__}", seconds=0.15)
-    def limit_total(
-        # model
-        max_norm: real,
-        # state in
-        F: wp.array(dtype=t.mat33),
-        # in place
-        total_out: wp.array(dtype=t.mat33),
-    ):  # fmt: skip
+    @kernel(f"phy124_limit_total_{real.__name__}", real, seconds=0.15)
+    def limit_total(max_norm: real, F, total_out):
         p = wp.tid()
         size = wp.sqrt(wp.ddot(total_out[p], total_out[p]))
         if not wp.isfinite(size):
@@ -70,3 +56,25 @@ def make_limit_total(real: Any):
             total_out[p] = (max_norm / size) * total_out[p]
 
     return limit_total
+
+
+@cache
+def make_apart(real: Any):
+    """Kernel: finds particles that are stretched apart from their neighbours.
+
+    `most` is the square of the stretch at which each is: at rest it fills a cube, whose side is the
+    distance of its neighbours. `found_out` is the number of those that are stretched more and their
+    lowest index, `max_out` the largest stretch.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_apart_{real.__name__}", real, seconds=0.2)
+    def apart(most: t.reals, start: int, F, found_out, max_out: t.reals):
+        p = wp.tid()
+        square = largest_stretch_squared(F[p])
+        if square > most[p]:
+            wp.atomic_add(found_out, 0, 1)
+            wp.atomic_min(found_out, 1, start + p)
+            wp.atomic_max(max_out, 0, wp.sqrt(square))
+
+    return apart

@@ -4,6 +4,11 @@ The eigenvalues have a closed form (Smith 1961). A function of the matrix is the
 the function's values there (Newton's divided differences). It remains exact to rounding where
 eigenvalues coincide, because the error of a node is multiplied by the gap. The laws use this for
 the few particles outside the range of their fast forms.
+
+Symmetric 3x3 matrices: squares, and power series by the Cayley-Hamilton theorem.
+
+Every power of A is a quadratic c0 I + c1 A + c2 A^2 whose coefficients follow from the invariants
+of A, so each further term of a series costs a few scalar operations but no matrix product.
 """
 
 from typing import Any
@@ -99,3 +104,110 @@ def floored_log(F: wp.mat33d, floor: wp.float64) -> wp.mat33d:
             wp.log(wp.max(at[2], floor_squared)),
         ),
     )
+
+
+@wp.func
+def symmetric(xx: Any, xy: Any, xz: Any, yy: Any, yz: Any, zz: Any):
+    """A symmetric matrix from its six entries."""
+    return wp.matrix_from_rows(wp.vector(xx, xy, xz), wp.vector(xy, yy, yz), wp.vector(xz, yz, zz))
+
+
+@wp.func
+def gram(a: Any):
+    """A A^T; the square of a symmetric A."""
+    x = a[0]
+    y = a[1]
+    z = a[2]
+    return symmetric(
+        wp.dot(x, x), wp.dot(x, y), wp.dot(x, z), wp.dot(y, y), wp.dot(y, z), wp.dot(z, z)
+    )
+
+
+@wp.func
+def deviator(a: Any):
+    """A without its mean, A - tr A / 3 I."""
+    mean = wp.trace(a) / type(a[0, 0])(3.0)
+    return symmetric(a[0, 0] - mean, a[0, 1], a[0, 2], a[1, 1] - mean, a[1, 2], a[2, 2] - mean)
+
+
+@wp.func
+def invariants(a: Any, squared: Any):
+    """The principal invariants of A, given its square."""
+    first = wp.trace(a)
+    second = (first * first - wp.trace(squared)) * type(first)(0.5)
+    return wp.vector(first, second, wp.determinant(a))
+
+
+@wp.func
+def next_power(c: Any, i: Any):
+    """Coefficients of A (c0 I + c1 A + c2 A^2), with i the invariants of A."""
+    return wp.vector(c[2] * i[2], c[0] - c[2] * i[1], c[1] + c[2] * i[0])
+
+
+@wp.func
+def quadratic(c: Any, a: Any, squared: Any):
+    """c0 I + c1 A + c2 A^2."""
+    return symmetric(
+        c[0] + c[1] * a[0, 0] + c[2] * squared[0, 0],
+        c[1] * a[0, 1] + c[2] * squared[0, 1],
+        c[1] * a[0, 2] + c[2] * squared[0, 2],
+        c[0] + c[1] * a[1, 1] + c[2] * squared[1, 1],
+        c[1] * a[1, 2] + c[2] * squared[1, 2],
+        c[0] + c[1] * a[2, 2] + c[2] * squared[2, 2],
+    )
+
+
+@wp.func
+def linear_range(s: wp.float32):
+    """|A|^2 below which, in float32, exp A is I + A to rounding and atanh A is A.
+
+    Higher powers of such a small matrix would be denormal numbers, which are slow.
+    """
+    return wp.float32(1.0e-10)
+
+
+@wp.func
+def linear_range(s: wp.float64):  # noqa: F811
+    """The same in float64."""
+    return wp.float64(1.0e-18)
+
+
+@wp.func
+def small_enough(s: wp.float32):
+    """|A|^2 for which the series of exp A up to A^5 / 120 is exact in float32."""
+    return wp.float32(0.015625)
+
+
+@wp.func
+def small_enough(s: wp.float64):  # noqa: F811
+    """|A|^2 for which the series of exp A up to A^5 / 120 is exact in float64."""
+    return wp.float64(2.5e-5)
+
+
+@wp.func
+def exponential(a: Any):
+    """exp A: A is halved until small, then the power series up to A^5 / 120 is squared again."""
+    s = a[0, 0]
+    small = a
+    size = wp.ddot(a, a)
+    if size < linear_range(s):
+        return wp.identity(3, dtype=type(s)) + a
+    doublings = int(0)
+    while size > small_enough(s) and doublings < 24:
+        small = type(s)(0.5) * small
+        size *= type(s)(0.25)
+        doublings += 1
+    squared = gram(small)
+    i = invariants(small, squared)
+    power = wp.vector(type(s)(0.0), type(s)(0.0), type(s)(0.5))
+    total = wp.vector(type(s)(1.0), type(s)(1.0), type(s)(0.5))
+    n = type(s)(2.0)
+    for _ in range(3):
+        n += type(s)(1.0)
+        power = (type(s)(1.0) / n) * next_power(power, i)
+        total += power
+    result = quadratic(total, small, squared)
+    while doublings > 0:
+        result = gram(result)
+        doublings -= 1
+    return result

@@ -9,7 +9,8 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels import maxima as at
+from phy124.kernels import measure as at
+from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import kernel
 
 DONE, LOOK, CAREFUL = 1, 2, 3
@@ -176,17 +177,19 @@ def make_timestep(real: Any):
     the lengths of substeps in units of what each limit allowed.
     """
 
-    @kernel(f"phy124_timestep_{real.__name__}")
+    @kernel(f"phy124_timestep_{real.__name__}", real)
     def timestep(
-        # model
-        limits: wp.array(dtype=Limits), window: wp.array(dtype=wp.vec3i),
-        # state in
-        maxima: wp.array(dtype=real), stray: wp.array(dtype=int),
-        # out
-        progress_out: wp.array(dtype=Progress), clock_out: wp.array(dtype=real),
-        limiters_out: wp.array(dtype=int), needed_out: wp.array(dtype=wp.float64),
-        on_out: wp.array(dtype=int), look_out: wp.array(dtype=int),
-    ):  # fmt: skip
+        limits: wp.array(dtype=Limits),
+        window,
+        maxima: wp.array(dtype=real),
+        stray: Ints,
+        progress_out: wp.array(dtype=Progress),
+        clock_out: wp.array(dtype=real),
+        limiters_out: Ints,
+        needed_out: Doubles,
+        on_out: Ints,
+        look_out: Ints,
+    ):
         given = limits[0]
         s = finish(progress_out[0], given)
         s.reason = 0

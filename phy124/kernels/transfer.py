@@ -20,12 +20,11 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
+from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
-from phy124.kernels.gradient import gather_slopes, scatter_with_stress
-from phy124.kernels.maxima import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
 from phy124.kernels.native import code
-from phy124.kernels.reduction import add, finite, greater, load, raise_to, store
-from phy124.kernels.spline import offsets, spline
+from phy124.kernels.reduction import add, load, store
+from phy124.kernels.spline import gather_slopes, offsets, scatter_with_stress, spline
 
 
 class Law(NamedTuple):
@@ -43,25 +42,6 @@ class Law(NamedTuple):
     """`(F, history, theta, dt) -> (F, history)`, the return mapping; None if purely elastic."""
     energy: Any = None
     """`(F, history, theta) -> psi`, elastic energy per rest volume [J/m^3]."""
-
-
-class Types(NamedTuple):
-    """Vector and matrix types of one precision."""
-
-    real: Any
-    vec2: Any
-    vec3: Any
-    vec4: Any
-    mat33: Any
-    mat44: Any
-
-
-@cache
-def types(real: Any) -> Types:
-    """The types of one precision; `real` is wp.float32 or wp.float64."""
-    vector, matrix = wp.types.vector, wp.types.matrix
-    sizes = (vector(2, real), vector(3, real), vector(4, real))
-    return Types(real, *sizes, matrix((3, 3), real), matrix((4, 4), real))
 
 
 NOWHERE = wp.constant(-1e9)
@@ -123,9 +103,15 @@ def between(x: Any, low: Any, high: Any):
 
 @wp.func
 def scatter(
-    grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any,
-    base: Any, column_x: Any, column_y: Any, column_z: Any,
-):  # fmt: skip
+    grid: wp.array(dtype=Any),
+    size: wp.vec3i,
+    first: wp.vec3i,
+    f: Any,
+    base: Any,
+    column_x: Any,
+    column_y: Any,
+    column_z: Any,
+):
     """Add w (base + i X + j Y + k Z) to the 27 nodes around a particle."""
     wx = spline(f[0])
     wy = spline(f[1])
@@ -180,9 +166,15 @@ def columns4(a: Any, s: Any):
 
 @wp.func_native(code("transfer", "transfer:scatter"))
 def scatter_rows(
-    grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3,
-    base: wp.vec4, column_x: wp.vec4, column_y: wp.vec4, column_z: wp.vec4,
-):  # fmt: skip
+    grid: wp.array(dtype=wp.vec4),
+    size: wp.vec3i,
+    first: wp.vec3i,
+    f: wp.vec3,
+    base: wp.vec4,
+    column_x: wp.vec4,
+    column_y: wp.vec4,
+    column_z: wp.vec4,
+):
     """`scatter` for the vector units of a CPU, in float32."""
     ...
 
@@ -198,31 +190,20 @@ def gather_rows(
 SCATTERS = {"plain": scatter, "simd": scatter_rows, "spline": scatter}
 GATHERS = {"plain": gather, "simd": gather_rows, "spline": gather}
 """Two forms of one algorithm: a readable one that GPUs use, and one for CPU cores in float32; with
-"spline" stress and strain go by the weights' own gradients (kernels/gradient.py)."""
+"spline" stress and strain go by the weights' own gradients (kernels/spline.py)."""
 
 
 @cache
 def make_p2g(law: Law, real: Any, form: str):
     """Kernel: stress, then momentum and mass to the grid."""
     t = types(real)
-    theta_type = wp.types.vector(law.width, real)
     stress = law.stress
     spread = SCATTERS[form]
     has_history = law.project is not None
     name = f"phy124_p2g_{law.name}_{real.__name__}_{form}"
 
-    @kernel(name, seconds=0.6)
-    def p2g(
-        # model
-        chosen: wp.array(dtype=int),
-        mass: wp.array(dtype=real), volume: wp.array(dtype=real), theta: wp.array(dtype=theta_type),
-        lattice: t.vec4, window: wp.array(dtype=wp.vec3i), clock: wp.array(dtype=real),
-        # state in
-        x: wp.array(dtype=t.vec3), v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
-        F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
-        # out
-        grid_out: wp.array(dtype=t.vec4),
-    ):  # fmt: skip
+    @kernel(name, real, width=law.width, seconds=0.6)
+    def p2g(chosen, mass, volume, theta, lattice, window, clock, x, v, C, F, history, grid_out):
         p = member(chosen, wp.tid())
         dx = lattice[3]
         g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
@@ -259,27 +240,28 @@ def make_g2p(law: Law, real: Any, form: str):
     (kernels/ballistic.py), or the run is unstable. Plastic laws also update F_total, which the
     Gaussians follow.
     """
-    t = types(real)
-    theta_type = wp.types.vector(law.width, real)
     project, collect = law.project, GATHERS[form]
     plastic = project is not None
     owner = law.name if plastic else f"elastic{law.width}"
     name = f"phy124_g2p_{owner}_{real.__name__}_{form}"
 
-    @kernel(name, seconds=0.5)
+    @kernel(name, real, width=law.width, seconds=0.5)
     def g2p(
-        # model
-        chosen: wp.array(dtype=int),
-        theta: wp.array(dtype=theta_type), lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
-        clock: wp.array(dtype=real),
-        # state in
-        grid: wp.array(dtype=t.vec4),
-        # in place
-        x_out: wp.array(dtype=t.vec3), residue_out: wp.array(dtype=t.vec3),
-        v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
-        F_out: wp.array(dtype=t.mat33), history_out: wp.array(dtype=t.vec2),
-        total_out: wp.array(dtype=t.mat33), missed_out: wp.array(dtype=int),
-    ):  # fmt: skip
+        chosen,
+        theta,
+        lattice,
+        window,
+        clock,
+        grid,
+        x_out,
+        residue_out,
+        v_out,
+        C_out,
+        F_out,
+        history_out,
+        total_out,
+        missed_out: Ints,
+    ):
         p = member(chosen, wp.tid())
         dx = lattice[3]
         g = (x_out[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
@@ -328,104 +310,3 @@ def make_g2p(law: Law, real: Any, form: str):
             wp.atomic_max(missed_out, 0, 1)
 
     return g2p
-
-
-@cache
-def make_measure(law: Law, real: Any):
-    """Kernel: measures the limits of the substep and the extent of the particles.
-
-    The maxima (phy124/kernels/maxima.py) are over the particles inside the domain. Those that are
-    not finite are counted as stray. Each thread measures `each` particles, `stride` apart, starting
-    with that of index `first` times its number.
-    """
-    t = types(real)
-    theta_type = wp.types.vector(law.width, real)
-    modulus = law.modulus
-    has_history = law.project is not None
-
-    @kernel(f"phy124_measure_{law.name}_{real.__name__}", seconds=0.4)
-    def measure(
-        # model
-        first: int, each: int, stride: int, count: int, chosen: wp.array(dtype=int),
-        theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
-        volume: wp.array(dtype=real), domain: wp.array(dtype=t.vec3),
-        # state in
-        x: wp.array(dtype=t.vec3), v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
-        F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
-        # out
-        maxima_out: wp.array(dtype=real), stray_out: wp.array(dtype=int),
-    ):  # fmt: skip
-        # Squares, from 0 on: the root of -inf would be NaN in a thread without particles.
-        speed = real(0.0)
-        gradient = real(0.0)
-        stiffness = real(-wp.inf)
-        low = t.vec3(real(-wp.inf))
-        high = t.vec3(real(-wp.inf))
-        lower = domain[0]
-        upper = domain[1]
-        for k in range(each):
-            i = wp.tid() * first + k * stride
-            if i < count:
-                p = member(chosen, i)
-                h = t.vec2()
-                if wp.static(has_history):
-                    h = history[p]
-                fast = wp.dot(v[p], v[p])
-                rate = wp.ddot(C[p], C[p])
-                A = modulus(F[p], h, theta[wp.min(p, theta.shape[0] - 1)])
-                here = x[p]
-                if not finite(fast + rate + A + wp.dot(here, here)):
-                    wp.atomic_add(stray_out, 0, 1)
-                elif between(here, lower, upper):
-                    speed = greater(speed, fast)
-                    gradient = greater(gradient, rate)
-                    stiffness = greater(stiffness, A * volume[p] / mass[p])
-                    for axis in range(3):
-                        low[axis] = greater(low[axis], -here[axis])
-                        high[axis] = greater(high[axis], here[axis])
-        raise_to(maxima_out, SPEED, wp.sqrt(speed))
-        raise_to(maxima_out, GRADIENT, wp.sqrt(gradient))
-        raise_to(maxima_out, STIFFNESS, stiffness)
-        for axis in range(3):
-            raise_to(maxima_out, LOW + axis, low[axis])
-            raise_to(maxima_out, HIGH + axis, high[axis])
-
-    return measure
-
-
-@cache
-def make_measure_speeds(real: Any):
-    """Kernel: measures `SPEED` and `GRADIENT` alone, of all particles of any law.
-
-    It takes a quarter of the time of `make_measure`, whose threads have the same particles.
-    """
-    t = types(real)
-
-    @kernel(f"phy124_measure_speeds_{real.__name__}")
-    def measure_speeds(
-        # model
-        first: int, each: int, stride: int, count: int, chosen: wp.array(dtype=int),
-        # state in
-        v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
-        # out
-        maxima_out: wp.array(dtype=real), stray_out: wp.array(dtype=int),
-    ):  # fmt: skip
-        speed = real(0.0)
-        gradient = real(0.0)
-        broken = int(0)
-        for k in range(each):
-            i = wp.tid() * first + k * stride
-            if i < count:
-                p = member(chosen, i)
-                fast = wp.dot(v[p], v[p])
-                rate = wp.ddot(C[p], C[p])
-                if not finite(fast + rate):
-                    broken += 1
-                speed = greater(speed, fast)
-                gradient = greater(gradient, rate)
-        raise_to(maxima_out, SPEED, wp.sqrt(speed))
-        raise_to(maxima_out, GRADIENT, wp.sqrt(gradient))
-        if broken > 0:
-            wp.atomic_add(stray_out, 0, broken)
-
-    return measure_speeds

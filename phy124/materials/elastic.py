@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from phy124.kernels import damping, elastic, hencky
+from phy124.kernels import elastic, hencky
 from phy124.kernels.transfer import Law
 from phy124.materials.base import Elastic, Logarithmic, viscous_substep
 
@@ -47,7 +47,7 @@ class NeoHookean(Springy):
     """Compressible neo-Hookean solid with log J: the default; stays sound in hard impacts."""
 
     law: Literal["neo_hookean"] = "neo_hookean"
-    damped: ClassVar[Any] = staticmethod(damping.neo_hookean_damped)
+    damped: ClassVar[Any] = staticmethod(elastic.neo_hookean_damped)
     lossless: ClassVar[Law] = Law(
         name="neo_hookean",
         stress=elastic.neo_hookean,
@@ -69,7 +69,7 @@ class FixedCorotated(Springy):
     law: Literal["fixed_corotated"] = "fixed_corotated"
     may_collapse: ClassVar[bool] = True
     sounder_law: ClassVar[str | None] = "neo_hookean"
-    damped: ClassVar[Any] = staticmethod(damping.fixed_corotated_damped)
+    damped: ClassVar[Any] = staticmethod(elastic.fixed_corotated_damped)
     lossless: ClassVar[Law] = Law(
         name="fixed_corotated",
         stress=elastic.fixed_corotated,
@@ -84,7 +84,7 @@ class Hencky(Logarithmic, Springy):
 
     law: Literal["hencky"] = "hencky"
     sounder_law: ClassVar[str | None] = "neo_hookean"
-    damped: ClassVar[Any] = staticmethod(damping.hencky_damped)
+    damped: ClassVar[Any] = staticmethod(hencky.hencky_damped)
     lossless: ClassVar[Law] = Law(
         name="hencky",
         stress=hencky.hencky,

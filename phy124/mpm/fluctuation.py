@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from phy124.kernels.fluctuation import make_carry, make_fluctuation, make_keep
-from phy124.kernels.rpic import make_rpic
-from phy124.kernels.transfer import types
+from phy124.kernels.arguments import types
+from phy124.kernels.fluctuation import make_carry, make_fluctuation, make_keep, make_rpic
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Recorded

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Wrench, rotation_matrices
 from phy124.kernels import free as kernels
-from phy124.kernels.transfer import types
+from phy124.kernels.arguments import types
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.pairs import fill_of

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.transfer import types
+from phy124.kernels.arguments import types
 from phy124.mpm.model import Model
 from phy124.mpm.timestep import TRAVEL
 

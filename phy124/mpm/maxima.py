@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.kernels.maxima import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
+from phy124.kernels.measure import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
 from phy124.mpm.timestep import Extremes
 
 

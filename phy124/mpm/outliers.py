@@ -15,8 +15,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.kernels.arguments import types
 from phy124.kernels.ballistic import make_fly, make_hide
-from phy124.kernels.transfer import types
 from phy124.mpm.grid import MARGIN, Grid
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Recorded

@@ -15,9 +15,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.gaussians import Wrench
+from phy124.kernels.arguments import types
+from phy124.kernels.contacts import MOMENT, SUMS
 from phy124.kernels.pairs import make_pair
-from phy124.kernels.transfer import types
-from phy124.kernels.wrenches import MOMENT, SUMS
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Recorded

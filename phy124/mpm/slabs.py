@@ -18,8 +18,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.maxima import COUNT, SPEEDS
-from phy124.kernels.transfer import types
+from phy124.kernels.arguments import types
+from phy124.kernels.measure import COUNT, SPEEDS
 from phy124.mpm.grid import MARGIN, Grid
 from phy124.mpm.maxima import Maxima
 from phy124.mpm.model import Group, Model

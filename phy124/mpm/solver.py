@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.maxima import COUNT
+from phy124.kernels.measure import COUNT
 from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.fluctuation import APIC, Fluctuation, Scheme, usable_rpic
 from phy124.mpm.free import FreeBodies, FreeBody, Plane

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import warp as wp
 
-from phy124.kernels import transfer
+from phy124.kernels import measure, transfer
+from phy124.kernels.fluctuation import make_rpic
 from phy124.kernels.grid import make_merge, make_update
 from phy124.kernels.reduction import shared_out
-from phy124.kernels.rpic import make_rpic
 from phy124.kernels.transfer import Law
 from phy124.mpm.fluctuation import Fluctuation
 from phy124.mpm.free import FreeBodies
@@ -42,7 +42,7 @@ class Transfers(NamedTuple):
     def of(cls, law: Law, real: Any, form: str) -> Transfers:
         """Those of one precision and form."""
         return cls(
-            transfer.make_measure(law, real),
+            measure.make_measure(law, real),
             transfer.make_p2g(law, real, form),
             transfer.make_g2p(law, real, form),
         )
@@ -51,7 +51,7 @@ class Transfers(NamedTuple):
 def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
     """What the substeps of one worker launch, besides forces and boundaries."""
     yield make_update(real)
-    yield transfer.make_measure_speeds(real)
+    yield measure.make_measure_speeds(real)
     for law in laws:
         yield from Transfers.of(law, real, form)
 
@@ -243,7 +243,7 @@ class Recorder:
         for part in worker.parts:
             run, (threads, *fraction) = part.particles, shared_out(part.count, model.device)
             inputs = [*fraction, part.count, part.chosen, self.state.v[run], self.state.C[run]]
-            kernel = transfer.make_measure_speeds(model.real)
+            kernel = measure.make_measure_speeds(model.real)
             found.append(model.launch(kernel, threads, inputs, [worker.speeds, stray]))
         return [launch for launch in found if launch is not None]
 

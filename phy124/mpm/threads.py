@@ -17,7 +17,7 @@ from typing import Any, Generic, TypeVar
 
 import warp as wp
 
-from phy124.kernels.barrier import meet
+from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS, NAP = 20, 5e-5

@@ -16,8 +16,8 @@ import warp as wp
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from phy124.kernels.arguments import types
 from phy124.kernels.profile import DRIFT, JOINS, KICK, LIMITED, MEAN, make_sampler
-from phy124.kernels.transfer import types
 from phy124.schema.bounds import LONGEST, SHORTEST, Factor, Instant
 from phy124.schema.region import Vector
 from phy124.schema.section import Section

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.maxima import COUNT, SPEEDS
+from phy124.kernels.measure import COUNT, SPEEDS
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Group, Model
 from phy124.mpm.stage import Named
@@ -46,7 +46,7 @@ class Part:
     nodes: Grid
     """The nodes they are scattered to: the shared grid of the body, or nodes of their own."""
     maxima: wp.array
-    """What measuring them finds (phy124/kernels/maxima.py)."""
+    """What measuring them finds (phy124/kernels/measure.py)."""
 
     def indices(self) -> slice | NDArray[np.int64]:
         """Indices of its particles among all."""

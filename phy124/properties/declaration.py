@@ -75,12 +75,13 @@ class Properties(Section):
         """The file's points [K,3], m, moved and scaled so that their box is that of the object."""
         if table.points is None:
             raise InputError(
-                "properties.file", self.file,
+                "properties.file",
+                self.file,
                 f"it holds {len(table):,} values without positions, the object has {len(means):,} "
                 "Gaussians.",
                 "Give x, y, z beside them, or one value per Gaussian of the gaussians.ply that a "
                 "run writes.",
-            )  # fmt: skip
+            )
         turned = orientation(self.up, self.front).T
         points = table.points @ turned
         low, high = points.min(axis=0), points.max(axis=0)
@@ -92,11 +93,12 @@ class Properties(Section):
         scale = longest / max((high - low).max(), 1e-12)
         if np.abs(scale * (high - low) - (last - first)).max() > ALIKE * longest:
             raise InputError(
-                "properties.file", self.file,
+                "properties.file",
+                self.file,
                 f"its points fill a box of {_sides(scale * (high - low))} m, the object one of "
                 f"{_sides(last - first)} m.",
                 "Set properties.up and properties.front to the directions of its axes.",
-            )  # fmt: skip
+            )
         return (points - (low + high) / 2) * scale + (first + last) / 2
 
 

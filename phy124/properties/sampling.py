@@ -81,9 +81,11 @@ def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], ND
     index = np.rint((points - low) / spacing).astype(int)
     if np.abs((points - low) / spacing - index).max() > REGULAR or index.max() >= FINEST:
         raise InputError(
-            "properties.sampling", "trilinear", "the file's points lie on no regular grid.",
+            "properties.sampling",
+            "trilinear",
+            "the file's points lie on no regular grid.",
             "Use nearest.",
-        )  # fmt: skip
+        )
     return index, spacing, low
 
 

@@ -21,13 +21,24 @@ FRACTION = "fraction"
 EVERY = (*COLUMNS, FRACTION, "law")
 """All columns."""
 NAMES = {
-    "youngs_modulus": "E", "poissons_ratio": "nu", "poisson_ratio": "nu", "rho": "density",
-    "material_id": "law", "voxel_coords_world": "points", "query_coords_world": "points",
-}  # fmt: skip
+    "youngs_modulus": "E",
+    "poissons_ratio": "nu",
+    "poisson_ratio": "nu",
+    "rho": "density",
+    "material_id": "law",
+    "voxel_coords_world": "points",
+    "query_coords_world": "points",
+}
 """Name in files of VoMP, Pixie and others -> column."""
 LAWS = {
-    0: "neo_hookean", 1: "metal", 2: "sand", 3: "foam", 4: "fluid", 5: "snow", 6: "rigid",
-}  # fmt: skip
+    0: "neo_hookean",
+    1: "metal",
+    2: "sand",
+    3: "foam",
+    4: "fluid",
+    5: "snow",
+    6: "rigid",
+}
 """Number of a law in PhysGaussian and Pixie -> its name; 6 is immovable there and rigid here."""
 MAX_POINTS = 5_000_000
 FORMS = "Give .ply with columns, or .npz with arrays of E, nu, density, damping, law or fraction."

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Array, Gaussians
-from phy124.kernels.splat import bin as binning
 from phy124.kernels.splat import blend, project, screen, stage
 from phy124.rendering.pinhole import NEAR as NEAR
 from phy124.rendering.pinhole import pinhole
@@ -84,7 +83,7 @@ class Renderer:
         self._blend = BLENDS[blend]
         # The GPU's way of binning goes with its way of blending, so a CPU can test both.
         self._per_pixel = blend == "pixel"
-        binned = binning.bin_parallel if self._per_pixel else binning.bin_serial
+        binned = project.bin_parallel if self._per_pixel else project.bin_serial
         # A form of projection goes with it too: how many Gaussians a thread has, and the kernel.
         self._vectorised = simd = blend == "simd"
         self._projection = (16, project.project_simd) if simd else (1, project.project)
@@ -237,14 +236,14 @@ class Renderer:
             lists = self._buffer("lists", total, wp.int32)
             inputs = [n, view.columns, first, last, order, tiles]
             wp.launch(
-                binning.bin_serial, 1, inputs=inputs, outputs=[ends, lists], device=self.device
+                project.bin_serial, 1, inputs=inputs, outputs=[ends, lists], device=self.device
             )
             return starts, ends, lists
         ranks = self._buffer("ranks", 2 * total, wp.int32)
         lists = self._buffer("lists", 2 * total, wp.int32)
         inputs = [view.columns, first, last, order, tiles]
         wp.launch(
-            binning.bin_parallel, n, inputs=inputs, outputs=[ends, ranks, lists], device=self.device
+            project.bin_parallel, n, inputs=inputs, outputs=[ends, ranks, lists], device=self.device
         )
         wp.utils.segmented_sort_pairs(ranks, lists, total, starts[first:last], ends[first:last])
         return starts, ends, lists

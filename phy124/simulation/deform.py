@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians, rotate_sh
 from phy124.kernels import deform as field
-from phy124.kernels.transfer import types
+from phy124.kernels.arguments import types
 from phy124.particles import Particles, by_object
 
 THREADS = "shapes"

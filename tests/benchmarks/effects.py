@@ -27,7 +27,7 @@ from phy124.camera import Camera
 from phy124.forces import Acceleration, Gravity
 from phy124.generators import make
 from phy124.imaging.cutout import cut_out
-from phy124.kernels import damping, elastic, fluid, granular, hencky, plastic, transfer
+from phy124.kernels import elastic, fluid, granular, hencky, plastic, transfer
 from phy124.kernels.transfer import Law
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.metrics import psnr
@@ -84,11 +84,11 @@ def any_law(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
     """The stress of whatever law is meant, as a program without specialisation asks for it."""
     kind = int(theta[5])
     if kind == 10:
-        return damping.neo_hookean_damped(F, C, h, five_of(theta))
+        return elastic.neo_hookean_damped(F, C, h, five_of(theta))
     if kind == 11:
-        return damping.fixed_corotated_damped(F, C, h, five_of(theta))
+        return elastic.fixed_corotated_damped(F, C, h, five_of(theta))
     if kind == 12:
-        return damping.hencky_damped(F, C, h, five_of(theta))
+        return hencky.hencky_damped(F, C, h, five_of(theta))
     return any_lossless(F, C, h, theta)
 
 

@@ -7,8 +7,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124 import materials
-from phy124.kernels.probe import make_probe
-from phy124.kernels.transfer import types
+from phy124.kernels.arguments import types
+from phy124.kernels.diagnostics import make_probe
 from phy124.materials import Fluid, Material, NeoHookean, Rigid
 
 REALS = {"float32": wp.float32, "float64": wp.float64}

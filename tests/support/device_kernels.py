@@ -14,14 +14,13 @@ from phy124.kernels import (
     diagnostics,
     external_work,
     grid,
+    measure,
     profile,
     push,
     soundness,
-    stretch,
     timestep,
     transfer,
 )
-from phy124.kernels.splat import bin as bins
 from phy124.kernels.splat import blend, project, shadow, stage
 from phy124.kernels.splat.arrange import arrange
 from phy124.kernels.transfer import Law
@@ -58,7 +57,7 @@ def of_law(law: Law, real: Any = wp.float32) -> dict[str, Any]:
     """Every kernel that is built for a law."""
     return {
         **main(law, real),
-        "measure": transfer.make_measure(law, real),
+        "measure": measure.make_measure(law, real),
         "totals": diagnostics.make_totals(law, real),
         "energies": diagnostics.make_energies(law, real),
     }
@@ -68,9 +67,9 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
     """Kernels for all laws; of walls, those that move."""
     makers = (
         grid.make_update, grid.make_merge, grid.make_grid_speed, profile.make_sampler,
-        transfer.make_measure_speeds, timestep.make_timestep,
+        measure.make_measure_speeds, timestep.make_timestep,
         soundness.make_reset, soundness.make_limit_total,
-        stretch.make_apart, ballistic.make_hide, ballistic.make_fly,
+        soundness.make_apart, ballistic.make_hide, ballistic.make_fly,
         contacts.make_contact_copy, contacts.make_contact_reach, contacts.make_contacts,
         external_work.make_push_copy, external_work.make_push_sums,
         external_work.make_push_sums_v, external_work.make_wall_copy,
@@ -86,7 +85,7 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
     for shape in ("box", "cylinder", "half_space"):
         yield f"contact {shape}, held", collide.make_contact(shape, "held", True, real)
     yield "collide box, slip", collide.make_collider("box", "slip", True, real)
-    for module in (project.project, bins.bin_parallel, blend.blend_pixels):
+    for module in (project.project, project.bin_parallel, blend.blend_pixels):
         yield module.key, module
     yield stage.draw_setting.key, stage.draw_setting
     yield arrange.key, arrange

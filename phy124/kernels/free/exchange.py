@@ -5,8 +5,10 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import Doubles, types
 from phy124.kernels.build import kernel
 from phy124.kernels.collide import strides
+from phy124.kernels.columns import coulomb
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.free.numbers import (
     ANGULAR,
@@ -36,9 +38,7 @@ from phy124.kernels.free.numbers import (
     put3,
     spin_of,
 )
-from phy124.kernels.friction import coulomb
 from phy124.kernels.reduction import add_to
-from phy124.kernels.transfer import types
 
 
 @wp.func
@@ -57,15 +57,9 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 @cache
 def make_begin(real: Any):
     """Kernel of one thread: a body is kicked once in a substep, and is the first solution."""
-    t = types(real)
 
-    @kernel(f"phy124_free_begin_{real.__name__}")
-    def begin(
-        # model
-        moments: wp.vec3d, clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # in place
-        body_out: wp.array(dtype=wp.float64), trial_out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
+    @kernel(f"phy124_free_begin_{real.__name__}", real)
+    def begin(moments, clock, values, body_out, trial_out):
         if body_out[KICKED] == wp.float64(0.0):
             pull = wp.float64(clock[0]) * wide(values[0])
             put3(body_out, VELOCITY, at3(body_out, VELOCITY) + pull)
@@ -79,20 +73,21 @@ def make_begin(real: Any):
 @cache
 def make_assemble(real: Any):
     """Kernel over rows of the nodes around a body: adds their part of the six equations."""
-    t = types(real)
     numbers = wp.types.vector(SYSTEM, wp.float64)
 
-    @kernel(f"phy124_free_assemble_{real.__name__}", seconds=0.6)
+    @kernel(f"phy124_free_assemble_{real.__name__}", real, seconds=0.6)
     def assemble(
-        # model
-        reach: int, friction: wp.float64, sticky: int, lattice: t.vec4,
-        window: wp.array(dtype=wp.vec3i),
-        # state in
-        body: wp.array(dtype=wp.float64), trial: wp.array(dtype=wp.float64),
-        contact: wp.array3d(dtype=t.vec4), grid: wp.array(dtype=t.vec4),
-        # out
-        system_out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
+        reach: int,
+        friction: wp.float64,
+        sticky,
+        lattice,
+        window,
+        body,
+        trial,
+        contact,
+        grid,
+        system_out,
+    ):
         i, j = wp.tid()
         first = first_node(body, lattice, reach)
         sums = numbers()
@@ -140,19 +135,19 @@ def make_apply(real: Any):
     t = types(real)
     numbers = wp.types.vector(GIVEN, wp.float64)
 
-    @kernel(f"phy124_free_apply_{real.__name__}", seconds=0.4)
+    @kernel(f"phy124_free_apply_{real.__name__}", real, seconds=0.4)
     def apply(
-        # model
-        reach: int, friction: wp.float64, sticky: int, lattice: t.vec4,
-        window: wp.array(dtype=wp.vec3i),
-        # state in
-        body: wp.array(dtype=wp.float64), trial: wp.array(dtype=wp.float64),
-        contact: wp.array3d(dtype=t.vec4),
-        # in place
-        grid_out: wp.array(dtype=t.vec4),
-        # out
-        given_out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
+        reach: int,
+        friction: wp.float64,
+        sticky,
+        lattice,
+        window,
+        body,
+        trial,
+        contact,
+        grid_out,
+        given_out,
+    ):
         i, j = wp.tid()
         first = first_node(body, lattice, reach)
         sums = numbers()
@@ -197,14 +192,8 @@ def make_finish(real: Any):
     origin of the world.
     """
 
-    @kernel(f"phy124_free_finish_{real.__name__}")
-    def finish(
-        # model
-        mass: wp.float64, trial: wp.array(dtype=wp.float64),
-        # in place
-        given_out: wp.array(dtype=wp.float64), body_out: wp.array(dtype=wp.float64),
-        total_out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
+    @kernel(f"phy124_free_finish_{real.__name__}", real)
+    def finish(mass: wp.float64, trial, given_out, body_out, total_out: Doubles):
         J = at3(given_out, IMPULSE)
         moment = at3(given_out, MOMENT)
         put3(body_out, VELOCITY, at3(body_out, VELOCITY) + (at3(trial, WALLS) - J) / mass)

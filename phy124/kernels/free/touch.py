@@ -5,6 +5,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import types
 from phy124.kernels.build import kernel
 from phy124.kernels.collide import xyz
 from phy124.kernels.columns import covered
@@ -12,7 +13,6 @@ from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.free.numbers import arm_of, axes, first_node
 from phy124.kernels.pairs import beside_of, closed, filled, mass_at, outward
-from phy124.kernels.transfer import types
 
 NARROWEST = wp.constant(0.2)
 """Fraction of its volume that each must fill in its depth. Less lets a light box hover over
@@ -87,10 +87,14 @@ def make_touch(shape: str, real: Any):
 
     @wp.func
     def shared_most(
-        node: wp.vec3i, step: wp.vec3i, geometry: Any, lattice: Any,
-        body: wp.array(dtype=wp.float64), grid: wp.array(dtype=Any),
+        node: wp.vec3i,
+        step: wp.vec3i,
+        geometry: Any,
+        lattice: Any,
+        body: wp.array(dtype=wp.float64),
+        grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
-    ):  # fmt: skip
+    ):
         """The node of three in a row that the body and the material share most."""
         at = node
         most = real(0.0)
@@ -106,10 +110,15 @@ def make_touch(shape: str, real: Any):
 
     @wp.func
     def gap(
-        at: wp.vec3i, step: wp.vec3i, geometry: Any, lattice: Any, fill: Any,
-        body: wp.array(dtype=wp.float64), grid: wp.array(dtype=Any),
+        at: wp.vec3i,
+        step: wp.vec3i,
+        geometry: Any,
+        lattice: Any,
+        fill: Any,
+        body: wp.array(dtype=wp.float64),
+        grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
-    ):  # fmt: skip
+    ):
         """What neither fills around a node, as a fraction; 1 where only one of them is."""
         inside = filled(grid, window, at, step, fill, type(fill)(NARROWEST))
         part = solid(at, geometry, lattice, body)[3]
@@ -120,16 +129,8 @@ def make_touch(shape: str, real: Any):
         nothing = inside < type(inside)(0.0) or deep < type(inside)(NARROWEST)
         return wp.where(nothing, one, one - part - inside)
 
-    @kernel(f"phy124_free_touch_{shape}_{real.__name__}", seconds=0.5)
-    def touch(
-        # model
-        geometry: t.mat33, reach: int, fill: real, lattice: t.vec4,
-        window: wp.array(dtype=wp.vec3i),
-        # state in
-        body: wp.array(dtype=wp.float64), grid: wp.array(dtype=t.vec4),
-        # out
-        contact_out: wp.array3d(dtype=t.vec4),
-    ):  # fmt: skip
+    @kernel(f"phy124_free_touch_{shape}_{real.__name__}", real, seconds=0.5)
+    def touch(geometry, reach: int, fill: real, lattice, window, body, grid, contact_out):
         i, j, k = wp.tid()
         node = first_node(body, lattice, reach) + wp.vec3i(i, j, k)
         contact_out[i, j, k] = t.vec4()

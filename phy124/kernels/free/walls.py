@@ -5,6 +5,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.free.numbers import (
@@ -31,7 +32,6 @@ from phy124.kernels.free.numbers import (
     spin_of,
     turned,
 )
-from phy124.kernels.transfer import types
 
 SWEEPS = wp.constant(24)
 """Over the points at which walls act."""
@@ -94,20 +94,25 @@ def make_walls(drifts: bool, real: Any):
     one that drifts ends a substep: walls stop the body, and it moves on; L stays, and w follows
     from it half way through the turn. A turning corner that would be in a wall is taken back.
     """
-    t = types(real)
     name = f"phy124_free_{'drift' if drifts else 'solve'}_{real.__name__}"
 
-    @kernel(name, seconds=0.8)
+    @kernel(name, real, seconds=0.8)
     def walls(
-        # model
-        mass: wp.float64, moments: wp.vec3d, half: wp.vec3d, points: int,
-        planes: wp.array2d(dtype=wp.vec3d), frictions: wp.array(dtype=wp.float64),
-        slots: wp.array(dtype=int), clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        rates: wp.array(dtype=t.vec4),
-        # in place
-        impulses_out: wp.array(dtype=wp.vec3d), system_out: wp.array(dtype=wp.float64),
-        trial_out: wp.array(dtype=wp.float64), body_out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
+        mass: wp.float64,
+        moments,
+        half: wp.vec3d,
+        points: int,
+        planes: wp.array2d(dtype=wp.vec3d),
+        frictions: Doubles,
+        slots: Ints,
+        clock,
+        values,
+        rates,
+        impulses_out,
+        system_out,
+        trial_out,
+        body_out,
+    ):
         zero = wp.float64(0.0)
         R = axes(body_out)
         inertia = inertia_of(R, moments)

@@ -117,12 +117,10 @@ def outline(view: View, solid: Solid) -> Outline:
 
 @kernel("phy124_arrange")
 def arrange(
-    # model
     view: View,
     low: wp.vec3,
     high: wp.vec3,
     solids: wp.array(dtype=Solid),
-    # out
     arranged_out: wp.array(dtype=Solid),
     outlines_out: wp.array(dtype=Outline),
     counts_out: wp.array(dtype=int),

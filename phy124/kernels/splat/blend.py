@@ -1,6 +1,7 @@
 """Blends splats front to back: per pixel (CUDA), per tile, or per tile in C++ (CPUs).
 
-The last two are one algorithm; tests/test_render.py compares them.
+The last two are one algorithm; tests/test_render.py compares them. `gather_pixels` is the adjoint:
+how much of each pixel a splat's colour makes up, summed by splat.
 """
 
 import warp as wp
@@ -24,16 +25,13 @@ PIXELS = wp.constant(256)
 
 @kernel("phy124_blend")
 def blend_pixels(
-    # model
     view: View,
     background: wp.vec3,
     first: int,
-    # state in
     starts: wp.array(dtype=int),
     ends: wp.array(dtype=int),
     pairs: wp.array(dtype=int),
     splats: wp.array(dtype=Splat),
-    # out
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
@@ -62,16 +60,13 @@ def blend_pixels(
 
 @kernel("phy124_blend")
 def blend_tiles(
-    # model
     view: View,
     background: wp.vec3,
     first: int,
-    # state in
     starts: wp.array(dtype=int),
     ends: wp.array(dtype=int),
     pairs: wp.array(dtype=int),
     splats: wp.array(dtype=Splat),
-    # out
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
@@ -125,3 +120,42 @@ blend_tiles_simd = native_kernel(
     "phy124_blend_simd", SUM_TILE + STORE_TILE, name="blend_tiles_simd"
 )(blend_tiles.func)
 """`blend_tiles` for the vector units of a CPU."""
+
+
+@kernel("phy124_gather")
+def gather_pixels(
+    view: View,
+    first: int,
+    values: wp.array(dtype=wp.vec3),
+    starts: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    pairs: wp.array(dtype=int),
+    splats: wp.array(dtype=Splat),
+    sums_out: wp.array(dtype=wp.vec3),
+    weights_out: wp.array(dtype=float),
+):
+    """One thread per pixel, as in `blend.blend_pixels`: adds its value and 1, as it shows it."""
+    thread = wp.tid()
+    tile = first + thread / PIXELS
+    x = (tile % view.columns) * TILE + thread % TILE
+    y = (tile / view.columns) * TILE + (thread % PIXELS) / TILE
+    if x >= view.width or y >= view.height:
+        return
+    value = values[y * view.width + x]
+    transmittance = float(1.0)
+    for k in range(starts[tile], ends[tile]):
+        i = pairs[k]
+        alpha = alpha_at(splats[i], x, y)
+        if alpha > 0.0:
+            rest = transmittance * (1.0 - alpha)
+            if rest < MIN_TRANSMITTANCE:
+                break
+            wp.atomic_add(sums_out, i, alpha * transmittance * value)
+            wp.atomic_add(weights_out, i, alpha * transmittance)
+            transmittance = rest
+
+
+gather_tiles_simd = native_kernel(
+    "phy124_gather_simd", OPEN_TILE + code("tile:gather", "tile:splats"), name="gather_tiles_simd"
+)(gather_pixels.func)
+"""`gather_pixels` for CPUs, one tile per thread; tiles run in turn since they share splats."""

@@ -185,5 +185,5 @@ def within(outline: Outline, x: float, y: float) -> bool:
 
 VEIL = constants(
     "float", FACE=FACE, LINE=LINE, RIM=RIM, WIDTH=WIDTH, NEARLY=NEARLY, TINT=TINT
-) + code("glass")
+) + code("stage:veil")
 """`veil` in C++, for sixteen rays from `view`."""

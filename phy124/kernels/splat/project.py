@@ -1,10 +1,14 @@
-"""Project Gaussians to the screen (Zwicker et al. 2001, EWA Splatting) and evaluate colours."""
+"""Projects Gaussians to the screen, evaluates their colours, and assigns each splat to its tiles.
+
+The projection is that of Zwicker et al. 2001, EWA Splatting. A counting sort lists the splats that
+touch a tile from front to back.
+"""
 
 import warp as wp
 
 from phy124.gaussians import SH_C0, SH_C1, SH_C2, SH_C3
 from phy124.kernels.build import kernel
-from phy124.kernels.native import code, constants, native_func
+from phy124.kernels.native import code, constants, native_func, native_kernel
 from phy124.kernels.reduction import finite
 from phy124.kernels.splat.screen import MIN_ALPHA, Splat, View, tiles_of
 
@@ -119,7 +123,6 @@ def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: Vi
 
 @kernel("phy124_project")
 def project(
-    # model
     means: wp.array(dtype=wp.vec3),
     quats: wp.array(dtype=wp.vec4),
     scales: wp.array(dtype=wp.vec3),
@@ -127,7 +130,6 @@ def project(
     sh: wp.array2d(dtype=wp.vec3),
     degree: int,
     view: View,
-    # out
     splats_out: wp.array(dtype=Splat),
     tiles_out: wp.array(dtype=wp.vec4i),
     depths_out: wp.array(dtype=float),
@@ -159,7 +161,7 @@ def project(
 
 
 project_sixteen = native_func(
-    code("elementary", "group")
+    code("elementary", "elementary:sixteen")
     + constants("float", MIN_ALPHA=MIN_ALPHA, LOG2_E=LOG2_E, C0=C0)
     + code("project"),
     project.func,
@@ -170,7 +172,6 @@ project_sixteen = native_func(
 
 @kernel("phy124_project_simd")
 def project_simd(
-    # model
     means: wp.array(dtype=wp.vec3),
     quats: wp.array(dtype=wp.vec4),
     scales: wp.array(dtype=wp.vec3),
@@ -178,7 +179,6 @@ def project_simd(
     sh: wp.array2d(dtype=wp.vec3),
     degree: int,
     view: View,
-    # out
     splats_out: wp.array(dtype=Splat),
     tiles_out: wp.array(dtype=wp.vec4i),
     depths_out: wp.array(dtype=float),
@@ -188,9 +188,20 @@ def project_simd(
     """One thread per sixteen Gaussians."""
     group = wp.tid()
     project_sixteen(
-        group, means, quats, scales, opacities, sh, degree, view, splats_out, tiles_out,
-        depths_out, order_out, corners_out,
-    )  # fmt: skip
+        group,
+        means,
+        quats,
+        scales,
+        opacities,
+        sh,
+        degree,
+        view,
+        splats_out,
+        tiles_out,
+        depths_out,
+        order_out,
+        corners_out,
+    )
     if degree == 0:
         return
     for i in range(16 * group, wp.min(16 * group + 16, means.shape[0])):
@@ -205,3 +216,44 @@ def project_simd(
                 wp.atomic_add(corners_out, tiles[1], tiles[2], 1)
                 wp.atomic_add(corners_out, tiles[3], tiles[0], 1)
                 wp.atomic_add(corners_out, tiles[3], tiles[2], -1)
+
+
+@native_kernel("phy124_bin_serial", code("tile:bin"))
+def bin_serial(
+    count: int,
+    columns: int,
+    first: int,
+    last: int,
+    order: wp.array(dtype=int),
+    tiles: wp.array(dtype=wp.vec4i),
+    # in place: start of each tile's list, then its end
+    ends_out: wp.array(dtype=int),
+    pairs_out: wp.array(dtype=int),
+):
+    """A single thread, for CPUs: following `order` keeps every list in depth order."""
+    ...
+
+
+@kernel("phy124_bin")
+def bin_parallel(
+    columns: int,
+    first: int,
+    last: int,
+    order: wp.array(dtype=int),
+    tiles: wp.array(dtype=wp.vec4i),
+    # in place: start of each tile's list, then its end
+    ends_out: wp.array(dtype=int),
+    ranks_out: wp.array(dtype=int),
+    pairs_out: wp.array(dtype=int),
+):
+    """One thread per splat, for GPUs: the lists are unordered and are then sorted by rank."""
+    k = wp.tid()
+    i = order[k]
+    box = tiles[i]
+    for row in range(box[1], box[3]):
+        for column in range(box[0], box[2]):
+            tile = row * columns + column
+            if tile >= first and tile < last:
+                slot = wp.atomic_add(ends_out, tile, 1)
+                ranks_out[slot] = k
+                pairs_out[slot] = i

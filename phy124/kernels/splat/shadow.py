@@ -21,9 +21,7 @@ def thickness(opacity: float) -> float:
 
 
 @wp.func
-def put(
-    layers: wp.array3d(dtype=float), i: int, j: int, layer: int, upper: float, amount: float
-):  # fmt: skip
+def put(layers: wp.array3d(dtype=float), i: int, j: int, layer: int, upper: float, amount: float):
     """Add to a cell of two neighbouring layers."""
     if i >= 0 and j >= 0 and i < layers.shape[1] and j < layers.shape[2]:
         wp.atomic_add(layers, layer, i, j, (1.0 - upper) * amount)
@@ -32,14 +30,12 @@ def put(
 
 @kernel("phy124_shadow")
 def cover(
-    # model
     origin: wp.vec3,
     cell: float,
     slope: wp.vec2,
     tallest: float,
     weight: float,
     opacities: wp.array(dtype=float),
-    # state in
     means: wp.array(dtype=wp.vec3),
     quats: wp.array(dtype=wp.vec4),
     scales: wp.array(dtype=wp.vec3),
@@ -117,7 +113,9 @@ def cover(
 
 cover_simd = native_kernel(
     "phy124_shadow_simd",
-    code("elementary", "group") + constants("float", NARROW=NARROW, REACH=REACH) + code("shadow"),
+    code("elementary", "elementary:sixteen")
+    + constants("float", NARROW=NARROW, REACH=REACH)
+    + code("shadow"),
     name="cover_simd",
 )(cover.func)
 """`cover` for the vector units of a CPU, sixteen Gaussians per thread, on a map of sixteen cells or

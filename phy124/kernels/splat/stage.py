@@ -76,7 +76,6 @@ def floor_along(setting: Setting, eye: wp.vec3, ray: wp.vec3) -> float:
 
 @kernel("phy124_stage")
 def draw_setting(
-    # model
     view: View,
     setting: Setting,
     shade: wp.array2d(dtype=wp.uint16),
@@ -84,7 +83,6 @@ def draw_setting(
     before: int,
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
-    # state in
     coverage: wp.array(dtype=float),
     # in place: light of the Gaussians, then the picture
     image_out: wp.array(dtype=wp.vec3),
@@ -131,15 +129,12 @@ def draw_setting(
 
 @kernel("phy124_stage")
 def tint_splats(
-    # model
     view: View,
     first: int,
     last: int,
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
-    # state in
     means: wp.array(dtype=wp.vec3),
-    # in place
     splats_out: wp.array(dtype=Splat),
 ):
     """One thread per Gaussian: the colour of what is seen through glass among them.
@@ -167,7 +162,6 @@ DRAW = f"const auto draw = [&]() {APART} {{ {VEIL + code('stage')} }};\ndraw();"
     SUM_TILE + DRAW + STORE_TILE,
 )
 def blend_staged_simd(
-    # model
     view: View,
     background: wp.vec3,
     first: int,
@@ -177,12 +171,10 @@ def blend_staged_simd(
     before: int,
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
-    # state in
     starts: wp.array(dtype=int),
     ends: wp.array(dtype=int),
     pairs: wp.array(dtype=int),
     splats: wp.array(dtype=Splat),
-    # out
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):

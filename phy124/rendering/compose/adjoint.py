@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from phy124.camera import Camera
 from phy124.gaussians import Gaussians
-from phy124.kernels.splat import gather, screen
+from phy124.kernels.splat import blend, screen
 from phy124.rendering.render import MAX_PAIRS, Renderer, runs
 
 
@@ -31,9 +31,9 @@ class Adjoint(Renderer):
         pixels = self._given(np.ascontiguousarray(values.reshape(-1, 3), np.float32), wp.vec3)
         sums = wp.zeros(len(gaussians), dtype=wp.vec3, device=self.device)
         weights = wp.zeros(len(gaussians), dtype=wp.float32, device=self.device)
-        kernel, each = gather.gather_pixels, screen.TILE**2
+        kernel, each = blend.gather_pixels, screen.TILE**2
         if self._vectorised:
-            kernel, each = gather.gather_tiles_simd, 1
+            kernel, each = blend.gather_tiles_simd, 1
         for first, last in runs(counts, MAX_PAIRS):
             lists = self._bin(len(gaussians), view, counts, first, last)
             wp.launch(

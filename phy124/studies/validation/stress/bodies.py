@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.transfer import types
+from phy124.kernels.arguments import types
 from phy124.materials import Material, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Model, Solver, State

@@ -9,8 +9,8 @@ import warp as wp
 
 from phy124.boundaries import Container, Ground
 from phy124.forces import Gravity
-from phy124.kernels.probe import make_probe
-from phy124.kernels.transfer import types
+from phy124.kernels.arguments import types
+from phy124.kernels.diagnostics import make_probe
 from phy124.materials import LAWS, Hencky, Material, Rigid, Sand
 from phy124.mpm import Solver
 from phy124.mpm.model import PRECISIONS

@@ -1,0 +1,96 @@
+"""Types of one precision, and the arguments of kernels: each has one name, type and meaning.
+
+A kernel that is built for a precision names its arguments; `build.kernel` gives them the types that
+are declared here. An argument that is written has the name of what is read, followed by `_out`.
+Arguments with other types, or of a single kernel, are annotated in its signature.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import warp as wp
+
+Ints = wp.array(dtype=int)
+Doubles = wp.array(dtype=wp.float64)
+Box = wp.array(dtype=wp.vec3i)
+"""A box of nodes: the lowest, and their number along each axis."""
+
+
+class Types(NamedTuple):
+    """Numbers, vectors and matrices of one precision, and arrays of them."""
+
+    real: Any
+    vec2: Any
+    vec3: Any
+    vec4: Any
+    mat33: Any
+    mat44: Any
+    reals: Any
+    vec2s: Any
+    vec3s: Any
+    vec4s: Any
+    mat33s: Any
+
+
+@cache
+def types(real: Any) -> Types:
+    """The types of one precision; `real` is wp.float32 or wp.float64."""
+    vector, matrix = wp.types.vector, wp.types.matrix
+    single = [real, *(vector(n, real) for n in (2, 3, 4)), matrix((3, 3), real)]
+    return Types(*single, matrix((4, 4), real), *(wp.array(dtype=kind) for kind in single))
+
+
+@cache
+def arguments(real: Any, width: int = 0) -> dict[str, Any]:
+    """Name -> type of the arguments of kernels.
+
+    Args:
+        real: wp.float32 or wp.float64.
+        width: Number of parameters of the law.
+    """
+    t = types(real)
+    model = {
+        "chosen": Ints,  # indices of the particles that take part; empty: all
+        "first": int,  # a thread reduces the items `thread * first + k * stride`, k < each
+        "each": int,  # items, or nodes of a row, of a thread
+        "stride": int,
+        "count": int,  # of the items
+        "mass": t.reals,  # of the particles [kg]
+        "volume": t.reals,  # of the particles at rest [m^3]
+        "theta": wp.array(dtype=wp.types.vector(width, real)),  # of the law
+        "dx": real,  # spacing of the grid [m]
+        "lattice": t.vec4,  # origin x, y, z and spacing of the grid [m]
+        "window": Box,  # nodes of the body's grid on the lattice
+        "box": Box,  # nodes that walls may reach, within the window
+        "clock": t.reals,  # kick, drift, time [s]
+        "values": t.vec4s,  # of the tracks now, and 1 if active; the first: uniform acceleration
+        "rates": t.vec4s,  # of the tracks now [1/s]
+        "slot": int,  # of a track
+        "geometry": t.mat33,  # three vectors that define a shape (distance.py)
+        "friction": real,  # coefficient of Coulomb friction
+        "sticky": int,  # 1: what touches does not slide
+        "moments": wp.vec3d,  # principal moments of inertia [kg m^2]
+    }
+    state = {
+        "x": t.vec3s,  # positions of the particles [m]
+        "residue": t.vec3s,  # rounding that the sums of the positions have left [m]
+        "v": t.vec3s,  # velocities of the particles [m/s]
+        "C": t.mat33s,  # velocity gradients of the particles [1/s]
+        "F": t.mat33s,  # elastic deformation gradients
+        "total": t.mat33s,  # deformation gradients that the Gaussians follow
+        "history": t.vec2s,  # variables of plastic laws
+        "grid": t.vec4s,  # nodes: momentum, then velocity, and mass [kg]
+        "kept": t.vec4s,  # nodes of a box before walls act
+        "changes": t.vec4s,  # of the nodes, wanted by the columns at a wall
+        "given": Doubles,  # sums of impulse and work (external_work.py)
+        "sums": Doubles,
+        "found": Ints,  # number of particles that a check has found, and the lowest index
+        "means": wp.array(dtype=wp.vec3d),  # position and velocity of a part (held.py)
+        "second": wp.array(dtype=wp.mat33d),  # its second moment by mass [m^2]
+        "contact": wp.array3d(dtype=t.vec4),  # normal and fraction, where a free body touches
+        "impulses": wp.array(dtype=wp.vec3d),  # [N s]
+        "body": Doubles,  # a free body (free/numbers.py)
+        "trial": Doubles,  # its velocity in a solution
+        "system": Doubles,  # its six equations
+    }
+    return {**model, **state, **{f"{name}_out": kind for name, kind in state.items()}}
