@@ -16,7 +16,7 @@ from phy124.io.clip import Clip, shape_of
 from phy124.io.export import write_ply_sequence
 from phy124.io.export.html import write_html
 from phy124.io.files import staged
-from phy124.io.formats import FORMATS, WRITTEN, Format
+from phy124.io.formats import FORMATS, Format, written_formats
 from phy124.rendering.framing import standing
 from phy124.rendering.shine import glossed
 from phy124.rendering.stage.build import stage_of
@@ -168,5 +168,5 @@ EXPORTS = {
         "MCAP", "Opens in Foxglove, ROS 2", "phy124.mcap", _mcap, _bridge, moving=60.0
     ),
     # The Gaussians at rest are among the files as a PLY already.
-    **{name: _of(FORMATS[name]) for name in WRITTEN if name != "ply"},
+    **{name: _of(format) for name, format in written_formats().items() if name != "ply"},
 }  # fmt: skip

@@ -17,7 +17,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from phy124.errors import InputError
-from phy124.io.formats import ENDINGS
+from phy124.io.formats import endings
 from phy124.studies.fit.video import FILMS
 
 from .gaussian_files import SMALLER
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .jobs import Studio
 
 ADDRESS = "/gradio_api/upload"
-SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", ".avif", *FILMS, *ENDINGS}
+SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", ".avif", *FILMS, *endings()}
 """Suffixes that uploads keep; others are removed."""
 NOT_READ = {
     ".ksplat": "Save it as .ply or .spz with the program it comes from, or convert it with"

@@ -11,7 +11,7 @@ from phy124.__main__ import main
 from phy124.gaussians import Frame
 from phy124.generators import make, needs_image
 from phy124.io.clip import Clip
-from phy124.io.formats import FORMATS, WRITTEN, read_as_is, read_gaussians, write_gaussians
+from phy124.io.formats import FORMATS, read_as_is, read_gaussians, write_gaussians
 from phy124.io.ply import raw_table
 from support.plys import ply_of
 from support.quantisation import many
@@ -30,7 +30,7 @@ def told(capsys, *words) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("name", [n for n in WRITTEN if FORMATS[n].encode])
+@pytest.mark.parametrize("name", [n for n, f in FORMATS.items() if f.encode])
 def test_one_frame_and_all_frames_of_still_formats(clip, capsys, three_gaussians, name):
     suffix = FORMATS[name].suffix
     (file,) = told(capsys, "export", clip, "--to", name, "--frame", 2)["files"]

@@ -31,7 +31,7 @@ from phy124.gaussians import Frame
 from phy124.imaging.grabcut import apply_marks
 from phy124.io.clip import Clip, shape_of
 from phy124.io.export.html import LICENCE, SCRIPTS, STYLE, VIEWER
-from phy124.io.formats import FORMATS, WRITTEN, read_gaussians
+from phy124.io.formats import FORMATS, read_gaussians
 from phy124.scene import Scene
 from support.quantisation import many
 
@@ -105,7 +105,9 @@ def test_a_recording_is_made_by_the_bridge(export, done):
     assert export("mcap").read_bytes()[1:5] == b"MCAP"
 
 
-@pytest.mark.parametrize("name", [name for name in WRITTEN if name != "ply"])
+@pytest.mark.parametrize(
+    "name", [name for name, f in FORMATS.items() if f.written and name != "ply"]
+)
 def test_each_format_is_offered_with_size_and_program(export, done, name, results):
     offer = EXPORTS[name]
     assert offer.hint == f"Opens in {FORMATS[name].opens_in}" and offer.available()

@@ -21,7 +21,7 @@ from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io import ply
 from phy124.io.axes import orientation, turned
 from phy124.io.dialect import Axes
-from phy124.io.formats import ENDINGS
+from phy124.io.formats import endings
 from phy124.rendering.orienting import UPS
 from phy124.runtime.isolated import Deadline, Unfinished
 from phy124.scene import Scene
@@ -153,7 +153,7 @@ def test_file_type_follows_content_and_has_limits(studio):
         studio.take("a", sent(studio, of(10 * ROWS)))
     with pytest.raises(InputError, match="one object only"):
         studio.take("a", sent(studio, of()), (0.5, 0.5))
-    assert catalogue(studio.settings)["limits"]["file_endings"] == ENDINGS
+    assert catalogue(studio.settings)["limits"]["file_endings"] == endings()
 
 
 def test_what_is_told_must_suit_the_object(studio):

@@ -13,7 +13,6 @@ from phy124.io.axes import orientation, turned
 from phy124.io.content import MAX_GAUSSIANS
 from phy124.io.formats import (
     FORMATS,
-    WRITTEN,
     is_file_of_gaussians,
     read_as_is,
     read_gaussians,
@@ -21,6 +20,7 @@ from phy124.io.formats import (
     spz,
     write_gaussians,
     written_as,
+    written_formats,
 )
 from phy124.io.formats.codebook import codebook, nearest, palette
 from phy124.io.ply import read_ply, write_ply
@@ -225,7 +225,7 @@ def test_every_format_is_declared_whole():
     for name, format in FORMATS.items():
         assert format.name == name and format.suffix.startswith(".") and format.opens_in
         assert format.read or format.written
-        assert (name in WRITTEN) == format.written
+        assert (name in written_formats()) == format.written
         orientation(*format.axes)
 
 

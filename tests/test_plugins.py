@@ -27,6 +27,16 @@ from phy124.boundaries import Ground
 from phy124.budget.effects import Effects
 from phy124.errors import InputError
 from phy124.forces import Force, Gravity
+from phy124.io.formats import (
+    FORMATS,
+    Format,
+    endings,
+    read_gaussians,
+    recognised,
+    write_gaussians,
+    written_as,
+    written_formats,
+)
 from phy124.materials import FixedCorotated
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Stage
@@ -270,6 +280,50 @@ def test_the_sink_of_the_docs_sends_each_frame(monkeypatch, tmp_path):
         got = [json.loads(plotjuggler.recv(1000)) for _ in range(3)]
     assert [one["timestamp"] for one in got] == pytest.approx(clip.times)
     assert got[0]["centre"]["x"] == pytest.approx(clip.means[0, :, 0].mean(), abs=1e-6)
+
+
+def register_format(monkeypatch, format: Format, name: str = "npz") -> None:
+    register(monkeypatch, EntryPoints([EntryPoint(name, "docs:NPZ", "phy124.formats")]))
+    monkeypatch.setattr(EntryPoint, "load", lambda self: format)
+
+
+def test_format_of_the_docs_is_read_and_written(monkeypatch, tmp_path, capsys):
+    register_format(monkeypatch, examples(monkeypatch)["NPZ"])
+    body = ball(50)
+    write_gaussians(tmp_path / "ball.ply", body)
+    assert main(["convert", str(tmp_path / "ball.ply"), str(tmp_path / "ball.npz")]) == 0
+    assert "NumPy archive" in capsys.readouterr().out
+    read = read_gaussians(tmp_path / "ball.npz")
+    np.testing.assert_allclose(read.gaussians.means, body.means, atol=1e-6)
+    assert recognised(tmp_path / "ball.npz").name == "npz" and ".npz" in endings()
+    generator = generators.make(str(tmp_path / "ball.npz"))
+    assert len(generator(None, seed=0, progress=lambda *event: None)) == 50
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(InputError, match="no archive of Gaussians"):
+        read_gaussians(tmp_path / "other.npz")
+
+
+def test_signs_shared_by_two_formats_leave_it_to_the_ending(monkeypatch, tmp_path):
+    register_format(monkeypatch, examples(monkeypatch)["NPZ"])
+    write_gaussians(tmp_path / "ball.sog", ball(50))
+    write_gaussians(tmp_path / "ball.npz", ball(50))
+    assert recognised(tmp_path / "ball.sog").name == "sog"
+    (tmp_path / "ball.npz").rename(tmp_path / "ball")
+    assert recognised(tmp_path / "ball").name == "sog"
+
+
+def test_format_from_outside_does_not_replace_ply(monkeypatch, tmp_path):
+    register_format(monkeypatch, examples(monkeypatch)["NPZ"], "ply")
+    assert written_as(tmp_path / "ball.ply") is FORMATS["ply"]
+    assert ".npz" not in endings()
+
+
+def test_broken_format_is_left_out_and_refused(monkeypatch, tmp_path):
+    points = EntryPoints([EntryPoint("odd", "no_such_module:Odd", "phy124.formats")])
+    register(monkeypatch, points)
+    assert "odd" not in written_formats()
+    with pytest.raises(InputError, match="cannot be loaded"):
+        write_gaussians(tmp_path / "ball.odd", ball(10), "odd")
 
 
 def test_plugins_appear_in_reference_schema_and_editor(installed):

@@ -17,19 +17,18 @@ from phy124.generators.ply_file import Reading
 from phy124.io.clip import Clip
 from phy124.io.content import Content
 from phy124.io.formats import (
-    FORMATS,
-    WRITTEN,
     Format,
     read_gaussians,
     write_frames,
     write_gaussians,
     written_as,
+    written_formats,
 )
 from phy124.particles.merging import fewer, fewer_in
 
 MERGE = tyro.conf.arg(metavar="N")
 AXIS = tyro.conf.arg(metavar="AXIS")
-TO = "; ".join(f"{name}: {FORMATS[name].title}" for name in WRITTEN)
+TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().items())
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from phy124.errors import InputError
-from phy124.io.formats import ENDINGS
+from phy124.io.formats import endings
 from phy124.io.formats.spz import begins
 
 PICTURES = (
@@ -25,7 +25,6 @@ PICTURES = (
 )
 KINDS = {
     **dict.fromkeys(PICTURES, "a picture"),
-    **dict.fromkeys(ENDINGS, "a file of Gaussians"),
     ".safetensors": "a clip",
     ".toml": "a scene",
 }
@@ -90,4 +89,5 @@ def _kind(path: Path) -> str | None:
         signed = "a file of Gaussians"
     if head[8:10] == b'{"' and not any(head[4:8]):  # safetensors: the length of a header of JSON
         signed = "a clip"
-    return signed or KINDS.get(path.suffix.lower())
+    ending = path.suffix.lower()
+    return signed or KINDS.get(ending) or ("a file of Gaussians" if ending in endings() else None)

@@ -17,7 +17,7 @@ from pydantic_core import core_schema
 from phy124.errors import InputError
 from phy124.schema.section import Section
 
-GROUPS = ("materials", "forces", "boundaries", "generators", "sinks")
+GROUPS = ("materials", "forces", "boundaries", "generators", "formats", "sinks")
 """Entry points are phy124.materials, phy124.forces and so on; the bridge reads phy124.sinks."""
 
 

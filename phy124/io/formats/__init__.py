@@ -1,98 +1,53 @@
-"""All formats that are read or written: `FORMATS` declares each once.
+"""All formats of files of Gaussians that are read or written.
 
-The command line, the page and docs/guide/formats.md show what stands here. To add a still format,
-write a module with `read(path) -> Content` and `encode(gaussians, *, antialiased) -> bytes` beside
-a table of its layout, both in the axes of the file, and add a line to `FORMATS`.
+`FORMATS` declares each of phy124's own once; the command line and the page list what is declared.
+To add a still format, write a module with `read(path) -> Content` and
+`encode(gaussians, *, antialiased) -> bytes` next to a table of its layout, both in the axes of the
+file, and add a `Format` to `FORMATS`. A package registers its `Format` by an entry point of
+`phy124.formats` (docs/guide/extending.md).
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError, suggest
-from phy124.gaussians import Frame, Gaussians
+from phy124.gaussians import Gaussians
 from phy124.io import ply
 from phy124.io.axes import orientation, turned
 from phy124.io.clip import Clip
-from phy124.io.content import Y_DOWN, Y_UP, Content
+from phy124.io.content import Y_UP, Content
 from phy124.io.export import write_fourdgs, write_sequence, write_usd
-from phy124.io.files import replacing
 from phy124.io.formats import compressed_ply, glb, sog, splat, spz
+from phy124.io.formats.format import Format
 from phy124.io.opening import obstacle
 from phy124.io.plyheader import read_header
 from phy124.progress import Progress, silent
+from phy124.schema.plugins import list_plugins, load_plugin
 
-
-class Encoder(Protocol):
-    """Makes the bytes of a file from Gaussians in the file's axes."""
-
-    def __call__(self, gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-        """The bytes."""
-        ...
-
-
-class ClipWriter(Protocol):
-    """Writes all frames into one file."""
-
-    def __call__(self, path: Path, clip: Clip, *, progress: Progress = silent) -> None:
-        """Write a clip in our axes."""
-        ...
-
-
-@dataclass(frozen=True)
-class Format:
-    """One format of files of Gaussians."""
-
-    name: str
-    """Name in commands."""
-    title: str
-    suffix: str
-    holds: str
-    """What of a Gaussian it holds, and how exactly."""
-    opens_in: str
-    """Programs that read it."""
-    bytes_each: float
-    """Bytes that a Gaussian of degree 0 takes per frame, as the duck has them."""
-    degree: int = 3
-    """Highest degree of the harmonics it holds."""
-    objects: str = ""
-    """Where it keeps the object of each Gaussian; empty if it does not."""
-    axes: tuple[str, str] = Y_DOWN
-    """Directions of its files that point up and to the front."""
-    read: Callable[[Path], Content] | None = None
-    encode: Encoder | None = None
-    write_clip: ClipWriter | None = None
-    """Writes all frames into one file; None if it holds one instant."""
-    package: str | None = None
-    """What must be installed besides phy124 to write it."""
-
-    @property
-    def installed(self) -> bool:
-        """Whether what it needs to be written is there."""
-        return self.package is None or find_spec(self.package) is not None
-
-    @property
-    def written(self) -> bool:
-        """Whether this program writes it."""
-        return self.encode is not None or self.write_clip is not None
-
-    def write(self, path: Path, gaussians: Gaussians, *, antialiased: bool = False) -> None:
-        """Write one instant; the file appears whole or not at all."""
-        if self.encode is None:
-            assert self.write_clip is not None, f"{self.name} is not written"
-            return self.write_clip(path, Clip.from_frames([Frame(0, 0.0, gaussians)]))
-        there = turned(gaussians, orientation(*self.axes).T)
-        with replacing(path) as temporary:
-            temporary.write_bytes(self.encode(there, antialiased=antialiased))
+__all__ = [
+    "FORMATS",
+    "Format",
+    "endings",
+    "formats",
+    "is_file_of_gaussians",
+    "read_as_is",
+    "read_gaussians",
+    "recognised",
+    "rotation_of",
+    "write_frames",
+    "write_gaussians",
+    "written_as",
+    "written_formats",
+]
 
 
 FORMATS = {
@@ -102,6 +57,7 @@ FORMATS = {
             "ply", "3DGS PLY", ".ply", "everything, in float32",
             "SuperSplat, Blender and Unity add-ons, nearly every viewer", 68,
             objects="property `object_id`", read=ply.read, encode=ply.encode,
+            signs=(b"ply\n", b"ply\r"),
         ),
         Format(
             "compressed-ply", "compressed PLY of SuperSplat", ".ply",
@@ -127,16 +83,19 @@ FORMATS = {
             "sog", "SOG 2", ".sog", "centres in 16 bits, the rest by codebooks of 256 values",
             "PlayCanvas, SuperSplat, Spark, Babylon.js", 7.3,
             objects="picture `object_id.webp`, named in `extras`", read=sog.read, encode=sog.encode,
+            signs=(b"PK\x03\x04",),
         ),
         Format(
             "glb", "GLB", ".glb", "everything, in float32 (KHR_gaussian_splatting)",
             "PlayCanvas, Babylon.js, CesiumJS, glTF Sample Renderer", 60,
             objects="attribute `_OBJECT_ID`", axes=Y_UP, read=glb.read, encode=glb.encode,
+            signs=(b"glTF",),
         ),
         Format(
             "usd", "OpenUSD", ".usdc", "everything, in float32, and its motion",
             "Isaac Sim, Omniverse, Houdini Solaris, Kaolin, Newton", 44,
             objects="primvar `objectId`", axes=("z", "x"), write_clip=write_usd, package="pxr",
+            other_suffixes=(".usda", ".usd"),
         ),
         Format(
             "4dgs", "4DGS container", ".4dgs", "motion, within bounds that the file declares",
@@ -146,16 +105,34 @@ FORMATS = {
     )
 }  # fmt: skip
 """Name -> format; of several with one suffix the first is written by that suffix."""
-ENDINGS = tuple(dict.fromkeys(f.suffix for f in FORMATS.values() if f.read))
-"""Endings of files that are read."""
-OTHER_ENDINGS = {".usda": "usd", ".usd": "usd"}
-WRITTEN = tuple(name for name, f in FORMATS.items() if f.written)
-MAGIC = {b"ply\n": "ply", b"ply\r": "ply", b"glTF": "glb", b"PK\x03\x04": "sog"}
-"""First bytes of a file -> its format."""
 GZIP = b"\x1f\x8b\x08"
 """First bytes of what gzip packs."""
 HEAD = 4096
 """Bytes that are looked at to recognise a file."""
+
+
+def formats() -> dict[str, Format]:
+    """Return all formats by name: phy124's own, then those that packages have registered.
+
+    A registered format that cannot be loaded is left out, and none replaces one of phy124's own.
+    """
+    known = dict(FORMATS)
+    for name in list_plugins("formats"):
+        with suppress(InputError):
+            plugin = load_plugin("formats", name)
+            if name not in FORMATS and isinstance(plugin, Format):
+                known[name] = replace(plugin, name=name)
+    return known
+
+
+def endings() -> tuple[str, ...]:
+    """Return the endings of files that are read."""
+    return tuple(dict.fromkeys(f.suffix for f in formats().values() if f.read))
+
+
+def written_formats() -> dict[str, Format]:
+    """Return the formats that are written, by name."""
+    return {name: f for name, f in formats().items() if f.written}
 
 
 def read_gaussians(
@@ -249,18 +226,19 @@ def written_as(path: Path, name: str | None = None) -> Format:
     Raises:
         InputError: If there is none, or it is not written.
     """
+    written = written_formats()
     if name is None:
         ending = path.suffix.lower()
-        name = OTHER_ENDINGS.get(ending) or next(
-            (known for known in WRITTEN if FORMATS[known].suffix == ending), None
-        )
-        if name is None:
-            endings = ", ".join(dict.fromkeys(FORMATS[known].suffix for known in WRITTEN))
-            limit = "Its ending names no format that is written."
-            raise InputError("output", path, limit, f"End the name in one of {endings}.")
-    if name not in WRITTEN:
-        raise InputError("to", name, "No such format is written.", suggest(name, WRITTEN))
-    return FORMATS[name]
+        for chosen in written.values():
+            if ending in (chosen.suffix, *chosen.other_suffixes):
+                return chosen
+        known = ", ".join(dict.fromkeys(f.suffix for f in written.values()))
+        limit = "Its ending names no format that is written."
+        raise InputError("output", path, limit, f"End the name in one of {known}.")
+    if name not in written:
+        load_plugin("formats", name)  # a broken plug-in says what is wrong with it
+        raise InputError("to", name, "No such format is written.", suggest(name, list(written)))
+    return written[name]
 
 
 def recognised(path: Path) -> Format:
@@ -276,28 +254,36 @@ def recognised(path: Path) -> Format:
         head = file.read(HEAD)
     if spz.begins(head):
         return FORMATS["spz"]
-    name = MAGIC.get(head[:4])
-    if name == "ply" and compressed_ply.is_compressed(read_header(path)):
+    known = formats()
+    signed = _signed(known.values(), head, path.suffix.lower())
+    if signed is FORMATS["ply"] and compressed_ply.is_compressed(read_header(path)):
         return FORMATS["compressed-ply"]
+    if signed is not None:
+        return signed
     if head.startswith(GZIP):
         limit = "It is packed by gzip, and no SPZ."
         raise InputError("file", path, limit, "Unpack it with gunzip, and give what is in it.")
-    if name is None and path.suffix.lower() in ENDINGS:
-        # Broken, or without a mark: its own reader says what is wrong.
-        name = next(known for known, f in FORMATS.items() if f.suffix == path.suffix.lower())
-    if name is None and splat.likely(path):
-        name = "splat"
-    if name is None:
-        limit = "It is no file of Gaussians that is read here."
-        remedy = f"Give one of {', '.join(ENDINGS)}; splat-transform converts .ksplat and others."
-        raise InputError("file", path, limit, remedy)
-    return FORMATS[name]
+    # Broken, or without a mark: its own reader says what is wrong.
+    for named in known.values():
+        if named.read and named.suffix == path.suffix.lower():
+            return named
+    if splat.likely(path):
+        return FORMATS["splat"]
+    limit = "It is no file of Gaussians that is read here."
+    remedy = f"Give one of {', '.join(endings())}; splat-transform converts .ksplat and others."
+    raise InputError("file", path, limit, remedy)
+
+
+def _signed(known: Iterable[Format], head: bytes, ending: str) -> Format | None:
+    """Return the format of a file's first bytes; of several, the one that has its ending."""
+    signed = [f for f in known if f.signs and head.startswith(f.signs)]
+    return next((f for f in signed if f.suffix == ending), signed[0] if signed else None)
 
 
 def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
     """Whether a name is that of a file of Gaussians: by its ending, else by its content."""
     path = Path(name)
-    if path.suffix.lower() in ENDINGS:
+    if path.suffix.lower() in endings():
         return True
     try:
         return recognised(path).read is not None
