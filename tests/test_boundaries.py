@@ -26,9 +26,8 @@ from phy124.forces import Gravity
 from phy124.materials import Fluid, Foam, NeoHookean, Plasticine, Sand, Snow
 from phy124.mpm import Solver
 from phy124.schema.region import Region
+from phy124.studies.validation.bodies import lattice, make_solver
 from support.distances import distances
-from support.shapes import lattice
-from support.solvers import make_solver
 
 DX = 0.1
 EYE = np.eye(3)
@@ -36,7 +35,7 @@ EYE = np.eye(3)
 
 def block(size=(0.4, 0.4, 0.4), low=(0.0, 0.0, 0.0)) -> np.ndarray:
     """Eight particles per cell, from a corner on [m]."""
-    return lattice(*[round(2 * side / DX) for side in size], spacing=DX / 2, corner=low)
+    return lattice([round(2 * side / DX) for side in size], DX / 2, low)
 
 
 def solver(x: np.ndarray, *walls, material=None, **options) -> Solver:

@@ -22,9 +22,8 @@ from phy124.kernels.reduction import along_rows
 from phy124.materials import Fluid
 from phy124.mpm import Grid
 from phy124.schema.region import Region
+from phy124.studies.validation.bodies import lattice, make_solver
 from support.distances import distances
-from support.shapes import lattice
-from support.solvers import make_solver
 
 DX = 0.1
 EYE = np.eye(3)
@@ -198,7 +197,7 @@ def test_the_face_of_a_box_acts_as_a_plane_does(rng):
 def test_no_drop_gets_through_the_walls_of_a_bin():
     """Water that splashes to and fro: what got behind a wall once went on, 0.4 cells here."""
     low, high = np.zeros(3), np.array([1.8, 1.8, 1e6])
-    water = lattice(16, 16, 16, spacing=DX / 2, corner=(0.5, 0.5, 0.8))
+    water = lattice((16,) * 3, DX / 2, (0.5, 0.5, 0.8))
     basin = Container(inside=Region(lower=tuple(low), upper=tuple(high)), friction=0.0)
     s = make_solver(
         water,

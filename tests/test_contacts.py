@@ -13,8 +13,8 @@ from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
 from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from support.shapes import ball, block
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import block, make_solver
+from support.shapes import ball
 
 SCENE = {"accuracy": {"cells": 8}, "time.frames": 4, "time.fps": 60.0, "object.lift": 0.0}
 

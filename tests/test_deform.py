@@ -16,7 +16,7 @@ from phy124.particles import Particles, make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.deform import THREADS, Deformer, carriers
-from support.shapes import lattice
+from phy124.studies.validation.bodies import lattice
 
 IDENTITY = np.eye(3)
 
@@ -269,7 +269,7 @@ def test_field_follows_bending_to_second_order(rng):
 
     errors = []
     for cells in (10, 20):
-        x = lattice(*[cells] * 3, spacing=1 / cells).astype(np.float32)
+        x = lattice([cells] * 3, 1 / cells).astype(np.float32)
         F = np.tile(IDENTITY, (len(x), 1, 1))
         F[:, 2, 0] = x[:, 0]
         one = np.ones(len(x))

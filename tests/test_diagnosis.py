@@ -10,8 +10,7 @@ from phy124.monitor.diagnostics import (
     describe_substep,
     law_of,
 )
-from support.shapes import block
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import block, make_solver
 
 
 @pytest.fixture

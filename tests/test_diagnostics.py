@@ -7,8 +7,7 @@ import pytest
 
 from phy124.materials import Hencky, NeoHookean
 from phy124.monitor.diagnostics import Diagnostics, diagnose, energies, speeds
-from support.shapes import block
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import block, make_solver
 
 DX = 0.125
 

@@ -13,8 +13,7 @@ from phy124.monitor.dissipation import Dissipation
 from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.studies.validation.accuracy.problems import block
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import block, make_solver
 
 
 def bar_after_a_period(damping):
@@ -62,7 +61,7 @@ def test_a_damped_bar_loses_what_friction_takes():
 @pytest.mark.slow
 def test_metal_loses_its_plastic_work(rng):
     """A block stretched at a steady rate: yield stress times plastic strain."""
-    x = block(5, 0.1)
+    x = block(10, 0.5)
     rate, duration, strength = 1.0, 0.02, 2e3
     metal = Metal(E=1e6, nu=0.3, yield_stress=strength, hardening=0.0)
     C = np.tile(rate * np.diag([1.0, -0.5, -0.5]), (len(x), 1, 1))

@@ -12,6 +12,7 @@ from phy124.commands import validate
 from phy124.commands.validate import Validate
 from phy124.errors import Cancelled, InputError
 from phy124.progress import silent
+from phy124.studies.validation.bodies import ball_of_shells, lattice
 from phy124.studies.validation.experiments import (
     EXPERIMENTS,
     Experiment,
@@ -30,7 +31,6 @@ from phy124.studies.validation.experiments import (
 )
 from phy124.studies.validation.experiments import page as page_module
 from phy124.studies.validation.experiments import running as running_module
-from phy124.studies.validation.experiments.bodies import brick, shells
 from phy124.studies.validation.experiments.elastic_ball import Law, law
 from phy124.studies.validation.experiments.outcome import Outcome, found
 from phy124.studies.validation.experiments.page import data, details, save_page, summary
@@ -42,6 +42,7 @@ from phy124.studies.validation.experiments.running import (
     outcomes,
     runs,
 )
+from phy124.studies.validation.experiments.symmetry import sheet
 
 QUARTER = Quantity.within("a quarter", 0.25, 0.02)
 
@@ -143,11 +144,12 @@ def test_blocks_stay_where_friction_holds_them():
     assert incline.acceleration(1.0, 0.0) == pytest.approx(math.sqrt(0.5))
 
 
-def test_a_ball_of_shells_has_its_volume_and_a_brick_its_corner():
-    x, volume = shells(0.5, 0.1)
+def test_a_ball_of_shells_has_its_volume_and_a_lattice_its_corner():
+    x, volume = ball_of_shells(0.5, 0.1)
     assert volume.sum() == pytest.approx(math.pi / 6)
     assert np.linalg.norm(x, axis=1).max() == pytest.approx(0.45)
-    assert brick((2, 1, 3), 0.5, (1, 2, 3)).min(axis=0).tolist() == [1.25, 2.0, 3.25]
+    assert lattice((2, 1, 3), 0.5, (1, 2, 3)).min(axis=0).tolist() == [1.25, 2.25, 3.25]
+    assert sheet((2, 3), 0.5, (1, 2, 3)).min(axis=0).tolist() == [1.25, 2.0, 3.25]
 
 
 def test_three_grids_give_the_value_of_none():

@@ -21,8 +21,7 @@ from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm.tracks import Sine, Tracks
-from support.shapes import block
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import block, make_solver
 
 FRAMES, FPS = 4, 100
 

@@ -8,8 +8,8 @@ from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Scheme
 from phy124.scene import Scene
-from phy124.studies.validation.accuracy.problems import angular_momentum, block
-from support.solvers import make_solver
+from phy124.studies.validation.accuracy.problems import angular_momentum
+from phy124.studies.validation.bodies import block, make_solver
 
 SOFT = NeoHookean(E=2e4)
 
@@ -17,7 +17,7 @@ SOFT = NeoHookean(E=2e4)
 def shaken(scheme, *, speed=0.3, **options):
     """A block of random velocities."""
     rng = np.random.default_rng(1)
-    x = block(4, 0.1)
+    x = block(8, 0.4)
     v = rng.normal(scale=speed, size=x.shape)
     volume = np.full(len(x), 0.05**3)
     return make_solver(x, volume, [SOFT], dx=0.1, v=v, scheme=scheme, **options)

@@ -25,8 +25,7 @@ from phy124.monitor.diagnostics import Diagnostics
 from phy124.mpm import Solver
 from phy124.mpm.tracks import Keyframes, Ramp, Sine
 from phy124.schema.region import Region
-from support.shapes import block
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import block, make_solver
 
 DX = 0.125
 LEFT = Region(upper=(0.0, 1e9, 1e9))

@@ -18,9 +18,9 @@ from phy124.particles.scenery import Scenery
 from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation, props
+from phy124.studies.validation.bodies import lattice, make_solver
 from support.balls import elements, pressed_on_box
-from support.shapes import ball
-from support.solvers import make_solver, watch_run
+from support.shapes import ball, watch_run
 
 DX, G = 0.05, 9.81
 BALL = FreeBody("ball", "sphere", (0.15,) * 3, (0.0, 0.0, 1.0))
@@ -29,8 +29,7 @@ JELLY = NeoHookean(E=1e5)
 
 def block(sides, at=(0.0, 0.0, 0.0), dx=DX):
     """Particles of a block, two per cell and axis, whose lowest side's middle is at a place."""
-    line = [(np.arange(round(2 * side / dx)) + 0.5) * dx / 2 for side in sides]
-    x = np.stack(np.meshgrid(*line, indexing="ij"), -1).reshape(-1, 3)
+    x = lattice([round(2 * side / dx) for side in sides], dx / 2)
     return x - [sides[0] / 2, sides[1] / 2, 0] + at
 
 

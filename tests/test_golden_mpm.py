@@ -15,10 +15,10 @@ from phy124.forces import Force, Gravity, ParticleForce, SetVelocity
 from phy124.materials import FixedCorotated, Fluid, Hencky, Material, Metal, Plasticine, Sand, Snow
 from phy124.mpm import Solver
 from phy124.schema.region import Region
+from phy124.studies.validation.bodies import make_solver
 from reference.material_point import evaluate
 from reference.oracle import TWINS
 from reference.physgaussian import MAPS, Original, Recording
-from support.solvers import make_solver
 
 EYE = np.eye(3)
 

@@ -9,15 +9,15 @@ from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver, State
 from phy124.scene import Scene
 from phy124.simulation.kernels import kernels
+from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.experiments import beam, elastica
-from phy124.studies.validation.experiments.bodies import brick
 
 A = np.array([[0.3, -0.8, 0.2], [0.5, -0.1, 0.4], [-0.6, 0.7, -0.2]])
 
 
 def block(E: float) -> Model:
     """Random places, so that no symmetry hides an error."""
-    x = brick((8, 8, 8), 0.05) + np.random.default_rng(1).uniform(-0.01, 0.01, (512, 3))
+    x = lattice((8, 8, 8), 0.05) + np.random.default_rng(1).uniform(-0.01, 0.01, (512, 3))
     section = NeoHookean(E=E, nu=0.3, density=1000.0)
     return Model.of(x, np.full(512, 0.05**3), [section], dx=0.1, gradient="spline")
 

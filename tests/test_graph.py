@@ -12,9 +12,9 @@ from phy124.mpm import MEASURE_EVERY, Solver, Unstable
 from phy124.mpm.tracks import Sine
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.studies.validation.bodies import make_solver
 from support.scenes import OF_ONE
 from support.shapes import ball
-from support.solvers import make_solver
 
 SWING = Acceleration(a=(0, 3, 0), profile=Sine(frequency=3.0), start=0.05, end=0.4)
 PRESS = Press()

@@ -21,6 +21,7 @@ from phy124.materials import (
     Sand,
     Snow,
 )
+from phy124.studies.validation.bodies import make_solver
 from reference.material_point import (
     EYE,
     PLASTIC,
@@ -33,7 +34,6 @@ from reference.material_point import (
     transposed,
 )
 from reference.oracle import TWINS
-from support.solvers import make_solver
 
 
 @pytest.mark.parametrize("material", [m for m in SOLIDS if isinstance(m, Elastic)], ids=name)

@@ -18,6 +18,7 @@ from phy124.materials import (
     Rigid,
     Sand,
 )
+from phy124.studies.validation.bodies import make_solver
 from reference.material_point import (
     EYE,
     LAWS,
@@ -31,7 +32,6 @@ from reference.material_point import (
     transposed,
 )
 from reference.oracle import TWINS
-from support.solvers import make_solver
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -16,8 +16,8 @@ from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver, Unstable
 from phy124.mpm.maxima import Maxima
 from phy124.schema.region import Region
-from support import shapes
-from support.solvers import make_solver
+from phy124.studies.validation import bodies
+from phy124.studies.validation.bodies import make_solver
 
 DX = 1 / 8
 FORMS = [("float32", True), ("float32", False), ("float64", False)]
@@ -25,7 +25,7 @@ FORMS = [("float32", True), ("float32", False), ("float64", False)]
 
 def block(per_axis: int = 8) -> np.ndarray:
     """A cube of 0.5 m around (0, 0, 1)."""
-    return shapes.block(per_axis, 0.5, middle=(0, 0, 1))
+    return bodies.block(per_axis, 0.5, (0, 0, 1))
 
 
 def solver(x: np.ndarray, material=None, size: float = 0.5, **options) -> Solver:

@@ -12,8 +12,7 @@ from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.timestep import MEMORY, Extremes
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from support.shapes import block
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import block, make_solver
 
 CALM = 1e-6
 """A substep in which nothing happens [s]."""

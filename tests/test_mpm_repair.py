@@ -5,8 +5,7 @@ import pytest
 
 from phy124.materials import NeoHookean, Sand
 from phy124.mpm.repair import MAX_TOTAL, SOUND_F
-from support.shapes import block
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import block, make_solver
 
 IMPOSSIBLE = {
     "not finite": np.full((3, 3), np.nan),

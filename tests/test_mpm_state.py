@@ -9,7 +9,7 @@ from phy124.mpm import Clock, Model, State
 from phy124.mpm.maxima import Maxima
 from phy124.mpm.stage import launches
 from phy124.mpm.timestep import Extremes
-from support.shapes import block
+from phy124.studies.validation.bodies import block
 
 
 def model(*materials, **options) -> Model:

@@ -9,8 +9,8 @@ from phy124.materials import NeoHookean
 from phy124.mpm import slabs, workers
 from phy124.mpm.slabs import GROWN, layers
 from phy124.mpm.workers import MIN_PARTICLES, timed, usable_workers
+from phy124.studies.validation.bodies import make_solver
 from support.shapes import cloud
-from support.solvers import make_solver
 
 DX = 1 / 8
 

@@ -7,8 +7,7 @@ import warp as wp
 from phy124.forces import Gravity
 from phy124.materials import NeoHookean
 from phy124.mpm import Grid, Unstable
-from support.shapes import block
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import block, make_solver
 
 
 def test_the_window_forgets_a_particle_that_flew_off():

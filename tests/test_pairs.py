@@ -14,12 +14,12 @@ from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Model, Pair
 from phy124.mpm.pairs import STAGE
 from phy124.schema.region import Region
+from phy124.studies.validation.bodies import lattice, make_solver
 from support.balls import collision, elements, pressed
-from support.shapes import trimmed_ball
-from support.solvers import make_solver, watch_run
+from support.shapes import trimmed_ball, watch_run
 
 CELL = 0.1
-BOX = np.stack(np.meshgrid(*[(np.arange(8) + 0.5) / 20] * 3, indexing="ij"), -1).reshape(-1, 3)
+BOX = lattice((8,) * 3, 1 / 20)
 """A cube of 0.4 m."""
 
 
@@ -119,9 +119,7 @@ H = DX / 2
 
 def box(low, high, h=H):
     """Particles in a box [P,3], m."""
-    count = np.round((np.array(high) - low) / h).astype(int)
-    axes = [(np.arange(n) + 0.5) * h for n in count]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3) + low
+    return lattice(np.round((np.array(high) - low) / h).astype(int), h, low)
 
 
 def ball(middle, radius, h):

@@ -8,8 +8,8 @@ from phy124.scene import Part, Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation
 from phy124.simulation.parts import assign
+from phy124.studies.validation.bodies import make_solver
 from support.shapes import ball
-from support.solvers import make_solver
 
 GRID = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 8)] * 3), axis=-1).reshape(-1, 3)
 NOBODY = np.full(len(GRID), -1)

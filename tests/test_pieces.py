@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from phy124.monitor.tearing import FAR, Pieces, labels
-from support.shapes import lattice
+from phy124.studies.validation.bodies import lattice
 
 
 def block(corner, cells=4) -> np.ndarray:
     """Eight particles in each of cells^3 cells of 1 m."""
-    return lattice(*[2 * cells] * 3, spacing=0.5, corner=corner)
+    return lattice([2 * cells] * 3, 0.5, corner)
 
 
 def test_touching_cells_hang_together_and_an_empty_layer_parts():

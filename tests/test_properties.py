@@ -15,8 +15,8 @@ from phy124.properties import Properties, read_table
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.materials import with_properties
-from support.shapes import ball, lattice
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import lattice, make_solver
+from support.shapes import ball
 from test_stiffness import AT, E, bar, length, pulled
 
 VOMP = [
@@ -75,7 +75,7 @@ def particles(x: np.ndarray) -> Particles:
 
 def test_voxels_of_vomp_lie_where_the_object_does(tmp_path):
     """In another place, size and frame (y up): stiff where the object's z is high."""
-    x = lattice(5, 5, 9, spacing=0.125)
+    x = lattice((5, 5, 9), 0.125)
     theirs = (np.stack([x[:, 1], x[:, 2], x[:, 0]], axis=1) - 0.3) * 0.5
     rows = voxels(theirs, youngs_modulus=np.where(x[:, 2] > 0.5, 1e6, 1e5), density=700)
     file = saved(tmp_path / "materials.npz", voxel_data=rows)
@@ -209,7 +209,7 @@ def test_columns_of_the_gaussians_own_file(tmp_path):
     ],
 )
 def test_what_does_not_fit_is_refused_in_words(tmp_path, arrays, limit):
-    file, x = saved(tmp_path / "bad.npz", **arrays), lattice(1, 2, 5, spacing=0.1)
+    file, x = saved(tmp_path / "bad.npz", **arrays), lattice((1, 2, 5), 0.1)
     with pytest.raises(InputError, match=limit):
         with_properties(particles(x), Properties(file=file).columns(x, x, None), [NeoHookean()])
 
@@ -230,7 +230,7 @@ def test_irregular_points_are_not_interpolated(tmp_path, rng):
 
 
 def test_what_has_no_field_of_that_name_keeps_its_own():
-    x = lattice(1, 1, 4, spacing=0.1)
+    x = lattice((1, 1, 4), 0.1)
     base = replace(particles(x), material=np.array([0, 0, 1, 1], np.int32))
     columns = {"E": np.array([1e5, 2e5, 3e5, 4e5])}
     made, materials, _ = with_properties(base, columns, [NeoHookean(), Fluid()])
@@ -247,7 +247,7 @@ def test_a_file_that_is_missing_is_refused_before_any_work(tmp_path, capsys):
 
 
 def test_points_cover_the_object_without_surroundings(tmp_path):
-    x = lattice(5, 5, 9, spacing=0.125)
+    x = lattice((5, 5, 9), 0.125)
     floor = np.array([[-9.0, -9, 0], [9, 9, 0]])
     rows = voxels(x, youngs_modulus=np.where(x[:, 2] > 0.5, 1e6, 1e5))
     properties = Properties(file=saved(tmp_path / "m.npz", voxel_data=rows))

@@ -16,9 +16,9 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.kernels import kernels
-from phy124.studies.validation.accuracy.problems import angular_momentum, block
+from phy124.studies.validation.accuracy.problems import angular_momentum
+from phy124.studies.validation.bodies import block, make_solver
 from reference.physgaussian import Original, Recording
-from support.solvers import make_solver
 from test_golden_mpm import run, solver_of
 
 RATE = 30.0
@@ -84,7 +84,7 @@ def test_its_substeps_are_stable_up_to_the_limit_and_no_further():
 
 def spinning(rate, precision="float32"):
     """A block that turns as a whole and is free."""
-    x, turn = block(4, 0.1), np.array([[0.0, -2.0, 1.0], [2.0, 0.0, -3.0], [-1.0, 3.0, 0.0]])
+    x, turn = block(8, 0.4), np.array([[0.0, -2.0, 1.0], [2.0, 0.0, -3.0], [-1.0, 3.0, 0.0]])
     C = np.tile(turn, (len(x), 1, 1))
     return make_solver(
         x,

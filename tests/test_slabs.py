@@ -21,8 +21,8 @@ from phy124.runtime.cores import MOST_THREADS
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names
 from phy124.simulation import Simulation
+from phy124.studies.validation.bodies import make_solver
 from support.shapes import ball
-from support.solvers import make_solver
 
 COUNTS = (2, 3, 4, 7, 16)
 DX = 1 / 16

@@ -13,7 +13,8 @@ from phy124.mpm.tracks import Constant, Keyframes, Ramp, Sine, Track
 from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from support.shapes import ball, lattice
+from phy124.studies.validation.bodies import lattice
+from support.shapes import ball
 
 UP = (0.0, 0.0, 1.0)
 BLOW = {"kind": "impulse", "p": [0, 200.0, 0], "start": 0.25, "duration": 0.02}
@@ -28,7 +29,7 @@ def scene(**changes) -> Scene:
 
 def cube() -> Gaussians:
     """A solid cube of ten round Gaussians a side."""
-    x = lattice(10, 10, 10, spacing=0.1)
+    x = lattice((10,) * 3, 0.1)
     n = len(x)
     quats, scales = np.tile([1, 0, 0, 0], (n, 1)), np.full((n, 3), 0.04)
     return Gaussians.from_rgb(x, quats, scales, np.full(n, 0.95), x)

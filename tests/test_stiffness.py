@@ -12,8 +12,8 @@ from phy124.properties.stiffness import Gradient, Picture
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation
-from support.shapes import ball, lattice
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import lattice, make_solver
+from support.shapes import ball
 
 DX = 1 / 16
 E = 1e5
@@ -26,7 +26,7 @@ AT = np.array([0.25, 0.75])
 
 def bar() -> np.ndarray:
     """A bar of length 1 m along z, two particles per cell and axis."""
-    return lattice(8, 8, 32, spacing=DX / 2)
+    return lattice((8, 8, 32), DX / 2)
 
 
 def pulled(fraction: np.ndarray | None) -> np.ndarray:

@@ -6,8 +6,7 @@ import pytest
 from phy124.materials import NeoHookean, Sand
 from phy124.monitor.tearing import APART, Tearing
 from phy124.mpm import Solver
-from support.shapes import lattice
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import lattice, make_solver
 
 CELLS = 16
 
@@ -24,7 +23,7 @@ def pulled(
 ) -> tuple[Solver, Tearing]:
     """A bar of 1 m whose ends fly apart at `speed` m/s each; looked at in every frame."""
     h = 1 / cells / particles_per_axis
-    x = lattice(*[round(side / h) for side in (0.25, 0.25, 1.0)], spacing=h)
+    x = lattice([round(side / h) for side in (0.25, 0.25, 1.0)], h)
     rate = np.zeros((len(x), 3, 3))
     rate[:, 2, 2] = 2 * speed
     v = np.einsum("pij,pj->pi", rate, x - 0.5)
@@ -73,7 +72,7 @@ def test_a_bar_about_to_part_is_reported_with_the_place():
 def test_lone_particles_at_rest_are_not_called_stretched():
     """Each stands for more than a cell, as the particle of a floater does."""
     h, dx = 0.025, 0.05
-    x = np.concatenate([lattice(4, 4, 4, spacing=h), [[1.0, 1, 1], [1.5, 1, 1], [1, 1.5, 1]]])
+    x = np.concatenate([lattice((4,) * 3, h), [[1.0, 1, 1], [1.5, 1, 1], [1, 1.5, 1]]])
     volume = np.concatenate([np.full(64, h**3), np.full(3, (1.3 * dx) ** 3)])
     s = make_solver(x, volume, [NeoHookean(E=1e4)], dx=dx, threads=1)
     tearing = searched(s)
@@ -96,8 +95,8 @@ def test_a_thin_stem_that_parts_is_reported():
 def dumb_bell(speed: float) -> Solver:
     """Blocks of 10 cells, a rod of one cell and 6 long; they fly apart at `speed` m/s each."""
     dx, h = 0.05, 0.025
-    block = lattice(20, 20, 20, spacing=h)
-    rod = lattice(2, 2, 12, spacing=h, corner=(0.225, 0.225, 0.5))
+    block = lattice((20,) * 3, h)
+    rod = lattice((2, 2, 12), h, (0.225, 0.225, 0.5))
     x = np.concatenate([block, rod, block + [0, 0, 0.8]])
     v = np.zeros_like(x)
     v[:, 2] = speed * np.clip((x[:, 2] - 0.65) / 0.15, -1, 1)

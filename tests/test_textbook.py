@@ -6,8 +6,8 @@ import pytest
 from phy124.boundaries import Held
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated
+from phy124.studies.validation.bodies import make_solver
 from reference.textbook import Textbook
-from support.solvers import make_solver
 
 
 class AtNodes(Held):

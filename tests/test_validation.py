@@ -14,9 +14,8 @@ from phy124.materials import (
 )
 from phy124.mpm import Solver
 from phy124.schema.region import Region
+from phy124.studies.validation.bodies import lattice, make_solver
 from reference.material_point import KINDS, evaluate
-from support.shapes import lattice
-from support.solvers import make_solver
 
 G = 9.81
 MARTIN_MOYCE = {1.19: 1.44, 1.63: 1.89, 1.98: 2.33, 2.32: 2.78, 2.65: 3.22}
@@ -25,7 +24,7 @@ MARTIN_MOYCE = {1.19: 1.44, 1.63: 1.89, 1.98: 2.33, 2.32: 2.78, 2.65: 3.22}
 
 def channel(material: Material, width: float, height: float, dx: float, friction: float) -> Solver:
     """A column in the corner of a channel four cells wide with smooth sides."""
-    x = lattice(round(2 * width / dx), 8, round(2 * height / dx), spacing=dx / 2)
+    x = lattice((round(2 * width / dx), 8, round(2 * height / dx)), dx / 2)
     sides = Region(lower=(0.0, 0.0, -1e9), upper=(1e9, 4 * dx, 1e9))
     walls = [Container(inside=sides, contact="slip"), Ground(friction=friction)]
     return make_solver(
@@ -106,7 +105,7 @@ def test_a_breaking_dam_advances_as_measured(cells):
 def test_water_comes_to_its_hydrostatic_pressure():
     """Gravity sets in at once; the sound that makes is gone in a second (it rang on for many)."""
     dx, height, water = 0.1, 0.4, Fluid()
-    x = lattice(8, 8, 8, spacing=dx / 2)
+    x = lattice((8,) * 3, dx / 2)
     tank = Region(lower=(0.0, 0.0, 0.0), upper=(height, height, 1e4))
     s = make_solver(
         x,
@@ -135,7 +134,7 @@ def sag(cells: int, height: float = 0.1, length: float = 0.5) -> float:
     dx, theory = height / cells, 0.03 * length
     E = 1.5 * 1000 * G * length**4 / height**2 / theory
     clamped = 2 * cells
-    x = lattice(round(2 * length / dx) + clamped, 2 * cells, 2 * cells, spacing=dx / 2)
+    x = lattice((round(2 * length / dx) + clamped, 2 * cells, 2 * cells), dx / 2)
     x[:, 0] -= clamped * dx / 2
     s = make_solver(
         x,
@@ -168,7 +167,7 @@ def test_a_cantilever_sags_as_beam_theory_says(coarse, fine, close):
 def test_loose_sand_flies_apart_without_a_force():
     """Thrown up and expanding: no stress, so it moves as if it had no stiffness at all."""
     dx, k, rise, time = 0.1, 2.0, 3.0, 0.2
-    x = lattice(8, 8, 8, spacing=dx / 2)
+    x = lattice((8,) * 3, dx / 2)
     middle = x.mean(axis=0)
     v = k * (x - middle) + [0, 0, rise]
     C = np.tile(k * np.eye(3), (len(x), 1, 1))
@@ -197,7 +196,7 @@ def test_loose_sand_flies_apart_without_a_force():
 def test_materials_side_by_side_each_obey_their_own_law():
     """A stiff block on a soft one: momentum is kept, the soft one is squeezed, F_total is told."""
     dx = 0.1
-    x = lattice(8, 8, 8, spacing=dx / 2)
+    x = lattice((8,) * 3, dx / 2)
     upper = (x[:, 2] > 0.2).astype(int)
     order = np.argsort(upper, kind="stable")
     soft, sand = NeoHookean(E=2e4, density=500.0), Sand(density=2000.0)
@@ -225,7 +224,7 @@ def test_materials_side_by_side_each_obey_their_own_law():
 def test_varying_stiffness_agrees_on_two_threads():
     """Two materials of one law: each particle keeps its own row of parameters."""
     dx, places = 0.1, []
-    x = lattice(12, 6, 6, spacing=dx / 2)
+    x = lattice((12, 6, 6), dx / 2)
     stiff = (x[:, 0] > 0.3).astype(int)
     for threads in (1, 2):
         s = make_solver(
@@ -264,7 +263,7 @@ def energy(s: Solver, material: Material) -> float:
 def test_every_law_lands_hard_without_making_energy(material, mach):
     """A block hits the floor at 0.3 and 1.5 times its speed of sound (at most 60 m/s)."""
     dx, sound = 0.1, material.wave_speed()
-    x = lattice(8, 8, 8, spacing=dx / 2, corner=(0, 0, 0.05))
+    x = lattice((8,) * 3, dx / 2, (0, 0, 0.05))
     v = np.tile([0, 0, -min(mach * sound, 60.0)], (len(x), 1))
     s = make_solver(
         x,

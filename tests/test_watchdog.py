@@ -21,8 +21,8 @@ from phy124.mpm.tracks import Sine
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation
-from support.shapes import ball, block
-from support.solvers import make_solver, watch_run
+from phy124.studies.validation.bodies import block, make_solver
+from support.shapes import ball, watch_run
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 5}
 

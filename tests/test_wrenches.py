@@ -16,9 +16,9 @@ from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation
+from phy124.studies.validation.bodies import block, make_solver
 from support.pages import ROOT
-from support.shapes import ball, block
-from support.solvers import make_solver
+from support.shapes import ball
 
 SCENE = {"accuracy": {"cells": 8}, "time.frames": 4, "time.fps": 60.0, "wrenches": True}
 

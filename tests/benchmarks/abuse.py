@@ -35,8 +35,8 @@ from phy124.studies.validation.stress.bodies import (
 from phy124.studies.validation.stress.inputs import quick
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.shapes import ball, block
-from support.solvers import make_solver, watch_run
+from phy124.studies.validation.bodies import block, make_solver
+from support.shapes import ball, watch_run
 
 SIZE = 0.5
 """Edge of the cubes [m]; 512 particles are two per cell and axis."""

@@ -40,9 +40,9 @@ from phy124.schema.region import Region
 from phy124.simulation import Simulation
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from phy124.studies.validation.bodies import make_solver
 from support import cubin
 from support.shapes import cloud
-from support.solvers import make_solver
 
 wp.config.log_level = wp.LOG_WARNING
 DUCK = Path(__file__).parents[2] / "demo/examples/duck.png"

@@ -31,8 +31,7 @@ from phy124.materials import (
 from phy124.mpm import Solver
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.shapes import lattice
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import lattice, make_solver
 
 SIDE = 51
 DX = 1 / 64
@@ -68,7 +67,7 @@ LAWS: dict[str, Material] = {
 def solver(material: Material, strain: float, *, simd: bool = True) -> Solver:
     """A cube of particles with a random strain each."""
     rng = np.random.default_rng(0)
-    x = lattice(SIDE, SIDE, SIDE, spacing=DX / 2, corner=(0.3, 0.3, 0.3))
+    x = lattice((SIDE,) * 3, DX / 2, (0.3, 0.3, 0.3))
     made = make_solver(x, np.full(len(x), (DX / 2) ** 3), [material], dx=DX, threads=1, simd=simd)
     F = np.eye(3) + strain * rng.standard_normal((len(x), 3, 3))
     if isinstance(material, Fluid):

@@ -22,9 +22,9 @@ from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from phy124.studies.validation.bodies import make_solver
 from reference.textbook import Textbook
 from support.shapes import cloud
-from support.solvers import make_solver
 
 wp.config.log_level = wp.LOG_WARNING
 FORMS = {"simd": ("float32", True), "plain": ("float32", False), "double": ("float64", False)}

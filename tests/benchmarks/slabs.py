@@ -27,8 +27,8 @@ from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Solver, slabs
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.studies.validation.bodies import make_solver
 from support.shapes import cloud
-from support.solvers import make_solver
 
 COUNTS = (1, 2, 4, 8, 16)
 OBJECTS = {

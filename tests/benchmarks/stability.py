@@ -22,8 +22,7 @@ from phy124.studies.validation.stress.impact import hit
 from phy124.studies.validation.stress.limits import heavy_on_light
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.shapes import block, lattice
-from support.solvers import make_solver
+from phy124.studies.validation.bodies import block, lattice, make_solver
 
 SETTING = Setting()
 POISSON = (0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.49)
@@ -129,7 +128,7 @@ def measure_tears() -> list[dict[str, Any]]:
 def pull(per_axis: int, speed: float, cells: int = 16) -> tuple[float, float]:
     """A bar of 1 m whose ends fly apart at `speed` m/s: largest stretch, widest gap in cells."""
     h = 1 / cells / per_axis
-    x = lattice(*[round(side / h) for side in (0.375, 0.375, 1.0)], spacing=h)
+    x = lattice([round(side / h) for side in (0.375, 0.375, 1.0)], h)
     rate = np.zeros((len(x), 3, 3))
     rate[:, 2, 2] = 2 * speed
     v = np.einsum("pij,pj->pi", rate, x - 0.5)

@@ -16,8 +16,8 @@ from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Model, Scheme, Solver, State
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.studies.validation.accuracy.problems import angular_momentum, block
-from phy124.studies.validation.experiments.bodies import brick, shells
+from phy124.studies.validation.accuracy.problems import angular_momentum
+from phy124.studies.validation.bodies import ball_of_shells, block, lattice
 
 SCHEMES = {
     "apic": Scheme(),
@@ -47,7 +47,7 @@ def tumble(scheme, cells=4, duration=0.3):
     edges, (wx, wy, wz) = (0.6, 0.4, 0.2), (1.0, 6.0, 0.0)
     dx = edges[2] / cells
     counts = [round(2 * edge / dx) for edge in edges]
-    x = brick(counts, dx / 2, [-n * dx / 4 for n in counts])
+    x = lattice(counts, dx / 2, [-n * dx / 4 for n in counts])
     C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
     stiff = Rigid(nu=0.3, speed=2.0, strain=0.02)
     model = Model.of(x, np.full(len(x), (dx / 2) ** 3), [stiff], dx=dx)
@@ -81,7 +81,7 @@ def bar(scheme, cells=24, periods=5):
 def bounce(scheme, cells=16):
     """An elastic ball without damping on a floor; error: speed that it does not get back."""
     dx, radius = 1 / cells, 0.5
-    x, volume = shells(radius, dx / 2)
+    x, volume = ball_of_shells(radius, dx / 2)
     x = x + [0, 0, radius + 0.02]
     rubber = NeoHookean(E=5e4, density=1000)
     model = Model.of(x, volume, [rubber], dx=dx, origin=(0, 0, -0.75 * dx))
@@ -98,7 +98,7 @@ def bounce(scheme, cells=16):
 def shaken(scheme):
     """A block whose particles have random velocities, at the boldest cfl, for 0.2 s."""
     rng = np.random.default_rng(0)
-    x = block(5, 0.1)
+    x = block(10, 0.5)
     model = Model.of(x, np.full(len(x), 0.05**3), [NeoHookean(E=2e4)], dx=0.1, cfl=0.9)
     state = State.of(model, rng.normal(scale=0.3, size=x.shape))
     solver = Solver(model, state, threads=1, scheme=scheme)

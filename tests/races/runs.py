@@ -20,11 +20,11 @@ from phy124.scene import Scene, View
 from phy124.scene.scene import preset_names
 from phy124.simulation import Simulation
 from phy124.studies.validation.accuracy import problems
+from phy124.studies.validation.bodies import make_solver
 from phy124.studies.validation.stress.case import Setting
 from phy124.studies.validation.stress.laws import every_deformation
 from support.scenes import FORCES, LAWS, OTHER_SOLIDS, SOLIDS, SWING
 from support.shapes import ball, splats
-from support.solvers import make_solver
 
 SMALL = {"accuracy": {"cells": 8}, "time.frames": 3, "time.fps": 400.0}
 FALLING = {"object.lift": 0.0, "object.velocity": [0.3, 0.1, -1.5]}

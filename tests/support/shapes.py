@@ -1,18 +1,19 @@
-"""Small objects made of Gaussians; cubes, lattices and clouds of particles."""
+"""Small objects made of Gaussians, clouds of particles, and runs that are watched."""
 
-from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 
 from phy124.gaussians import Gaussians
-from phy124.studies.validation.stress.bodies import block as block
-from phy124.studies.validation.stress.inputs import shell
+from phy124.monitor.observer import Observer
+from phy124.monitor.watchdog import Watchdog
+from phy124.mpm import Solver
+from phy124.studies.validation.bodies import surface_of_ball
 
 
 def ball(count: int = 2000, radius: float = 0.5) -> Gaussians:
     """A closed shell of flat Gaussians on a sphere, coloured by direction."""
-    return shell(count, radius)
+    return surface_of_ball(count, radius)
 
 
 def trimmed_ball(radius: float, h: float, *, parts: int = 8) -> tuple[np.ndarray, np.ndarray]:
@@ -62,13 +63,14 @@ def splats(
     return Gaussians(means, quats, scales, opacities, sh)
 
 
-def lattice(*counts: int, spacing: float, corner: Sequence[float] = (0, 0, 0)) -> np.ndarray:
-    """Particles [N,3] in the middles of cubes of edge `spacing`, which fill a box from `corner`."""
-    lines = [(np.arange(count) + 0.5) * spacing for count in counts]
-    return np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 3) + np.asarray(corner)
-
-
 def cloud(count: int, *, size: float, corner: float, dx: float) -> np.ndarray:
     """Random particles [N,3] in a cube of edge `size` [m] from a corner on, sorted by cell."""
     x = np.random.default_rng(0).random((count, 3)) * size + corner
     return x[np.lexsort(np.floor(x / dx - 0.5).T[::-1])]
+
+
+def watch_run(solver: Solver, *observers: Observer) -> Watchdog:
+    """Return a watchdog of a solver and of what else observes it."""
+    watchdog = Watchdog()
+    watchdog.bind(solver, observers)
+    return watchdog

@@ -12,10 +12,10 @@ from arguments import device_asked
 RUN = """
 import sys
 from phy124.scene import Scene
-from phy124.studies.validation.stress.inputs import shell
+from phy124.studies.validation.bodies import surface_of_ball
 from phy124.simulation import Simulation
 few = {"accuracy": {"cells": 8}, "time.frames": 2}
-Simulation(shell(500), Scene.named("press").replaced(few), device=sys.argv[1]).run()
+Simulation(surface_of_ball(500), Scene.named("press").replaced(few), device=sys.argv[1]).run()
 """
 
 

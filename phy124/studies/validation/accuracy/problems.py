@@ -22,6 +22,7 @@ from phy124.kernels.manufactured import make_vortex
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Grid, Model, Solver, Stage, State
 from phy124.mpm.tracks import Tracks
+from phy124.studies.validation.bodies import block
 
 if TYPE_CHECKING:
     import warp as wp
@@ -32,13 +33,6 @@ Array = NDArray[np.float64]
 GRAVITY = 9.81
 FLOOR_NODE = 0.75
 """Depth of the lowest plane of nodes below a floor [cells], as in every simulation."""
-
-
-def block(cells: float, dx: float, per_axis: int = 2) -> Array:
-    """Positions [P,3], m, of a cube of particles around the origin, `cells` * dx [m] wide."""
-    n = round(cells * per_axis)
-    line = (np.arange(n) + 0.5) * dx / per_axis - cells * dx / 2
-    return np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def angular_momentum(solver: Solver) -> Array:
@@ -61,7 +55,7 @@ def fall(position: Array, velocity: Array, time: float) -> Array:
 
 def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
     """A thrown body: largest error of any particle, relative to its displacement."""
-    x, v = block(4, 0.1) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
+    x, v = block(8, 0.4) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
     volume = np.full(len(x), (0.1 / 2) ** 3)
     model = Model.of(x, volume, [NeoHookean(E=1e4)], dx=0.1, precision=precision)
     solver = Solver(model, State.of(model, np.tile(v, (len(x), 1))), forces=[Gravity()])
@@ -84,7 +78,7 @@ class Spin:
 def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spin:
     """A stiff cube rotating freely: |change| of angular momentum and of kinetic energy."""
     dx = 0.1
-    x = block(4, dx)
+    x = block(8, 4 * dx)
     gradient = np.array([[0, -omega, 0], [omega, 0, 0], [0, 0, 0]])
     C = np.broadcast_to(gradient, (len(x), 3, 3))
     material = NeoHookean(E=2e5, nu=0.3)

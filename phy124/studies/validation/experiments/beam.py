@@ -13,8 +13,8 @@ from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver
 from phy124.mpm.tracks import Keyframes
 from phy124.schema.region import Region
-from phy124.studies.validation.experiments.bodies import brick, plane
 from phy124.studies.validation.experiments.experiment import Quantity, Values
+from phy124.studies.validation.experiments.symmetry import plane, sheet
 
 LENGTH, THICKNESS = 1.2, 0.1
 """Of the beam, m. It is one particle wide, in a plane: with nu = 0 nothing varies across it."""
@@ -80,8 +80,8 @@ def drops(
     dx = THICKNESS / cells
     spacing, clamped = dx / PER_AXIS, 3 * PER_AXIS
     # The last cell of particles is around the end of the beam, where its load acts.
-    counts = (round(LENGTH / spacing) + clamped + PER_AXIS // 2, 1, PER_AXIS * cells)
-    x = brick(counts, spacing, (-clamped * spacing, 0, 0))
+    counts = (round(LENGTH / spacing) + clamped + PER_AXIS // 2, PER_AXIS * cells)
+    x = sheet(counts, spacing, (-clamped * spacing, 0, 0))
     end = Region(lower=(LENGTH - dx / 2 - 1e-9, -1, -1), upper=(LENGTH + dx / 2 + 1e-9, 1, 1))
     hold = REST * 2 * math.pi / first_frequency()
     force = bending(dx, _steps(loads, hold), end)

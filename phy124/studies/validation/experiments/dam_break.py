@@ -12,8 +12,8 @@ from phy124.forces import Gravity
 from phy124.materials import Fluid
 from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE, GRAVITY
-from phy124.studies.validation.experiments.bodies import brick, connected_end, mirrors, plane
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+from phy124.studies.validation.experiments.symmetry import connected_end, mirrors, plane, sheet
 
 FRONTS = (1.2, 1.6, 2.0, 2.5, 3.0)
 """Times t sqrt(2 g / a) at which the front is measured."""
@@ -85,7 +85,7 @@ def released(cells: int, material: Fluid) -> Values:
         material: What it consists of.
     """
     dx, unit = WIDTH / cells, math.sqrt(WIDTH / (2 * GRAVITY))
-    x = brick((2 * cells, 1, 4 * cells), dx / 2)
+    x = sheet((2 * cells, 4 * cells), dx / 2)
     model = Model.of(
         x, np.full(len(x), dx**3 / 4), [material], dx=dx,
         origin=(-FLOOR_NODE * dx, 0, -FLOOR_NODE * dx),

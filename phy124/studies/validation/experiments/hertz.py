@@ -11,10 +11,11 @@ from phy124.boundaries.motion import Path
 from phy124.materials import NeoHookean
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Model, Solver
+from phy124.studies.validation.bodies import ball_of_shells
 from phy124.studies.validation.experiments import impact
-from phy124.studies.validation.experiments.bodies import mirrors, shells
 from phy124.studies.validation.experiments.elastic_ball import Law, law
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+from phy124.studies.validation.experiments.symmetry import mirrors
 
 RADIUS, E, NU = 0.5, 1e5, 0.3
 """Of the pressed ball: m, Pa."""
@@ -51,7 +52,7 @@ def pressed(
         phase: Where the plate comes to rest between two nodes, from 0 to 1.
     """
     dx = RADIUS / cells
-    x, volume = shells(RADIUS, dx / per_axis)
+    x, volume = ball_of_shells(RADIUS, dx / per_axis)
     eighth = (x > 0).all(axis=1)
     x, volume = x[eighth], volume[eighth]
     x = x[order := np.argsort(x[:, 0])]

@@ -12,8 +12,9 @@ from phy124.boundaries import Ground
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver, State
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE
-from phy124.studies.validation.experiments.bodies import mean_along, mirrors, shells
+from phy124.studies.validation.bodies import ball_of_shells
 from phy124.studies.validation.experiments.elastic_ball import Law
+from phy124.studies.validation.experiments.symmetry import mean_along, mirrors
 
 RADIUS, DENSITY, E = 0.5, 1000.0, 1e6
 """Of the ball: m, kg/m^3, Pa; with nu = 0 its viscous stress is its elastic one's rate times
@@ -96,7 +97,7 @@ def bounced(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> B
         stiffer: Factor on E, for a control.
     """
     dx, v = RADIUS / cells, speed(depth)
-    x, volume = shells(RADIUS, dx / 2)
+    x, volume = ball_of_shells(RADIUS, dx / 2)
     quarter = (x[:, 0] > 0) & (x[:, 1] > 0)
     x, volume = x[quarter] + [0, 0, RADIUS + 0.5 * dx], volume[quarter]
     x = x[order := np.argsort(x[:, 0])]

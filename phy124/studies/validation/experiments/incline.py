@@ -11,8 +11,9 @@ from phy124.forces import Gravity
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE, GRAVITY
-from phy124.studies.validation.experiments.bodies import brick, mean_along
+from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+from phy124.studies.validation.experiments.symmetry import mean_along
 
 CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
 """Slope tan(angle) of the incline and coefficient of friction; the last block stays."""
@@ -50,7 +51,7 @@ def slid(cells: int, slope: float, friction: float, *, across: bool) -> float:
     """
     dx, angle = SIZE / cells, math.atan(slope)
     along, up = (math.cos(angle), 0.0, -math.sin(angle)), (math.sin(angle), 0.0, math.cos(angle))
-    x = brick((2 * cells,) * 3, dx / 2, (-SIZE / 2, -SIZE / 2, 0.0))
+    x = lattice((2 * cells,) * 3, dx / 2, (-SIZE / 2, -SIZE / 2, 0.0))
     g, way, wall = (GRAVITY * math.sin(angle), 0.0, -GRAVITY * math.cos(angle)), (1.0, 0, 0), None
     if across:
         x, g, way, wall = x @ np.array([along, (0, 1, 0), up]), (0.0, 0.0, -GRAVITY), along, up

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from phy124.materials import Rigid
 from phy124.mpm import Model, Solver, State
 from phy124.studies.validation.accuracy.problems import angular_momentum
-from phy124.studies.validation.experiments.bodies import brick
+from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 EDGES = (0.6, 0.4, 0.2)
@@ -76,7 +76,7 @@ def tumbled(cells: int, edges: Sequence[float]) -> Values:
     """
     dx = EDGES[2] / cells
     counts = [round(2 * edge / dx) for edge in edges]
-    x = brick(counts, dx / 2, [-n * dx / 4 for n in counts])
+    x = lattice(counts, dx / 2, [-n * dx / 4 for n in counts])
     wx, wy, wz = SPIN
     C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
     body = Rigid(nu=0.3, speed=2.0, strain=0.02)

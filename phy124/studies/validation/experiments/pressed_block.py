@@ -11,9 +11,10 @@ from phy124.boundaries.motion import Path
 from phy124.materials import NeoHookean
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Model, Solver
-from phy124.studies.validation.experiments.bodies import brick, mirrors
+from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 from phy124.studies.validation.experiments.roots import root
+from phy124.studies.validation.experiments.symmetry import mirrors
 
 E, NU, SIZE = 1e5, 0.3, 1.0
 """Pa, and the edge of the block [m], an eighth of which is simulated."""
@@ -62,7 +63,7 @@ def pressed(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, floa
         nu: Poisson's ratio.
     """
     half, dx = SIZE / 2, SIZE / 2 / cells
-    x = brick((2 * cells,) * 3, dx / 2)
+    x = lattice((2 * cells,) * 3, dx / 2)
     plates = [_plate(axis, moves=n < moving) for n, axis in enumerate((2, 1, 0)[: moving + fixed])]
     wrenches = Wrenches()
     model = Model.of(

@@ -11,8 +11,8 @@ from phy124.forces import Gravity
 from phy124.materials import Sand
 from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE, GRAVITY
-from phy124.studies.validation.experiments.bodies import brick, connected_end, mirrors, plane
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+from phy124.studies.validation.experiments.symmetry import connected_end, mirrors, plane, sheet
 
 ASPECTS = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Height over width at the start."""
@@ -73,7 +73,7 @@ def collapsed(cells: int, aspect: float, angle: float) -> float:
     """
     across, height = round(2 * cells / math.sqrt(aspect)), aspect * WIDTH
     dx = 2 * WIDTH / across
-    x = brick((across, 1, round(across * aspect)), dx / 2)
+    x = sheet((across, round(across * aspect)), dx / 2)
     sand = Sand(friction_angle=angle, E=STIFF * 1600 * GRAVITY * height)
     model = Model.of(
         x, np.full(len(x), dx**3 / 4), [sand], dx=dx,

@@ -8,8 +8,9 @@ from phy124.boundaries import Ground
 from phy124.materials import Metal
 from phy124.mpm import Model, Solver, State
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE
-from phy124.studies.validation.experiments.bodies import brick, mirrors
+from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+from phy124.studies.validation.experiments.symmetry import mirrors
 
 LENGTH, RADIUS = 32.4e-3, 3.2e-3
 """Of the bar, m."""
@@ -32,7 +33,7 @@ def struck(cells: int, copper: Metal) -> Values:
     """
     dx = RADIUS / cells
     count = round(2 * LENGTH / dx)
-    x = brick((2 * cells, 2 * cells, count), dx / 2) * [1, 1, LENGTH / (count * dx / 2)]
+    x = lattice((2 * cells, 2 * cells, count), dx / 2) * [1, 1, LENGTH / (count * dx / 2)]
     x = x[np.hypot(x[:, 0], x[:, 1]) < RADIUS]
     volume = np.full(len(x), np.pi / 4 * RADIUS**2 * LENGTH / len(x))
     model = Model.of(x, volume, [copper], dx=dx, origin=(-FLOOR_NODE * dx,) * 3)

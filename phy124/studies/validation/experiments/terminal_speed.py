@@ -10,8 +10,9 @@ from phy124.forces import Gravity, Wind
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import GRAVITY
-from phy124.studies.validation.experiments.bodies import brick, mean_along
+from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+from phy124.studies.validation.experiments.symmetry import mean_along
 
 RATE, STREAM = 5.0, 1.0
 """Of the drag [1/s], and speed of the stream upwards [m/s]."""
@@ -47,7 +48,7 @@ def blown(cells: int, rate: float) -> Values:
         rate: Of the drag [1/s].
     """
     dx = 0.4 / cells
-    x = brick((2 * cells,) * 3, dx / 2)
+    x = lattice((2 * cells,) * 3, dx / 2)
     model = Model.of(x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=1e4)], dx=dx)
     forces = [Gravity(), Wind(v=(0, 0, STREAM), rate=rate)]
     solver, up, ways = Solver(model, forces=forces, threads=1), (0, 0, 1), []

@@ -8,8 +8,8 @@ from typing import Any
 from phy124.errors import InputError, Remedy
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.studies.validation.bodies import surface_of_ball
 from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
-from phy124.studies.validation.stress.inputs import shell
 
 SMALL: dict[str, Any] = {
     "accuracy": {"cells": 6, "particles_per_axis": 2.0},
@@ -98,7 +98,7 @@ def _substeps(scene: Scene, setting: Setting) -> int:
 
 
 def _run(scene: Scene, setting: Setting) -> Simulation:
-    return Simulation(shell(40), scene, device=setting.device)
+    return Simulation(surface_of_ball(40), scene, device=setting.device)
 
 
 def _exploding(setting: Setting) -> Scene:

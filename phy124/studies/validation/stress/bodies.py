@@ -1,4 +1,4 @@
-"""Bodies and measurements that the hard cases share."""
+"""Bodies of the hard cases, and what is measured of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from phy124.kernels.arguments import types
 from phy124.materials import Material, NeoHookean
 from phy124.monitor.diagnostics import diagnose
-from phy124.mpm import Model, Solver, State
+from phy124.mpm import Solver
+from phy124.studies.validation.bodies import make_solver
 from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 Array = NDArray[np.float64]
@@ -22,19 +23,6 @@ REORDERED = {"float32": 1e-5, "float64": 1e-12}
 DX = 0.125
 """Grid spacing of the bodies [m], a power of two."""
 JELLY = NeoHookean(E=1e4, nu=0.3)
-
-
-def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 0, 0)) -> Array:
-    """Positions [P,3], m, of a cube of particles; two per cell and axis by default.
-
-    Args:
-        per_axis: Number of particles along each axis.
-        size: Side of the cube [m].
-        middle: Centre of the cube [m].
-    """
-    line = (np.arange(per_axis) + 0.5) / per_axis * size - size / 2
-    grid = np.meshgrid(line, line, line, indexing="ij")
-    return np.stack(grid, axis=-1).reshape(-1, 3) + np.asarray(middle, float)
 
 
 def body(
@@ -47,42 +35,10 @@ def body(
         setting: Device and precision.
         material: Material of all particles.
         size: Side of the cube [m].
-        **options: Options of `solver`.
+        **options: Options of `make_solver`.
     """
     volume = options.pop("volume", np.full(len(x), size**3 / len(x)))
-    return solver(x, volume, [material], setting, **options)
-
-
-def solver(
-    x: Array,
-    volume: Array,
-    materials: Sequence[Material],
-    setting: Setting,
-    *,
-    dx: float = DX,
-    origin: Sequence[float] = (0.0, 0.0, 0.0),
-    material: Array | None = None,
-    v: Array | None = None,
-    C: Array | None = None,
-    **options: Any,
-) -> Solver:
-    """A solver of particles.
-
-    Args:
-        x: Positions [P,3], m.
-        volume: Volumes [P], m^3.
-        materials: The materials they are made of.
-        setting: Device and precision.
-        dx: Grid spacing [m].
-        origin: Position of node (0, 0, 0) [m].
-        material: Indices into `materials` [P]; None: the first.
-        v: Velocities at the start [P,3], m/s.
-        C: Their gradients [P,3,3], 1/s.
-        **options: Options of `Solver`.
-    """
-    where = {"dx": dx, "origin": origin, "material": material, **setting.options}
-    model = Model.of(x, volume, materials, **where)
-    return Solver(model, State.of(model, v, C), **options)
+    return make_solver(x, volume, [material], dx=DX, **setting.options, **options)
 
 
 def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:

@@ -8,10 +8,10 @@ from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.monitor.diagnostics import diagnose
+from phy124.studies.validation.bodies import block
 from phy124.studies.validation.stress.bodies import (
     Meter,
     alike,
-    block,
     body,
     host,
     stable_dt,

@@ -9,7 +9,8 @@ from phy124.forces import Gravity
 from phy124.materials import Fluid, Material, Sand, Snow
 from phy124.mpm import Solver
 from phy124.schema.region import Region
-from phy124.studies.validation.stress.bodies import DX, Array, block, body, host
+from phy124.studies.validation.bodies import block
+from phy124.studies.validation.stress.bodies import DX, Array, body, host
 from phy124.studies.validation.stress.case import Check, Setting, at_most
 
 SIZE = 0.5

@@ -8,7 +8,8 @@ import numpy as np
 
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import FreeBody, Solver
-from phy124.studies.validation.stress.bodies import Array, block, body
+from phy124.studies.validation.bodies import block
+from phy124.studies.validation.stress.bodies import Array, body
 from phy124.studies.validation.stress.case import Check, Setting, at_most
 
 LOST = {"float32": 1e-5, "float64": 1e-11}

@@ -7,7 +7,8 @@ import numpy as np
 from phy124.materials import Fluid, Hencky, Material, Metal, NeoHookean, Sand
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.watchdog import Watchdog
-from phy124.studies.validation.stress.bodies import assign, block, body, finite, host, volume_ratios
+from phy124.studies.validation.bodies import block
+from phy124.studies.validation.stress.bodies import assign, body, finite, host, volume_ratios
 from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
 from phy124.studies.validation.stress.laws import IMPOSSIBLE, every_deformation
 

@@ -12,9 +12,9 @@ from phy124.forces import ParticleForce
 from phy124.materials import Elastic, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.schema.region import Region
+from phy124.studies.validation.bodies import block
 from phy124.studies.validation.stress.bodies import (
     assign,
-    block,
     body,
     deform,
     finite,

@@ -11,31 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.gaussians import Gaussians, quaternions, spread_directions
+from phy124.gaussians import Gaussians
 from phy124.io.ply import raw_table, read_ply
 from phy124.particles import clean, make_particles, solid, to_size
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.deform import Deformer
-from phy124.studies.validation.stress.bodies import DX, Array, block, body, host, relative
+from phy124.studies.validation.bodies import block, surface_of_ball
+from phy124.studies.validation.stress.bodies import DX, Array, body, host, relative
 from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
-
-
-def shell(count: int = 300, radius: float = 0.5) -> Gaussians:
-    """Flat Gaussians on a sphere, coloured by direction."""
-    normals = spread_directions(count)
-    helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    along = np.cross(normals, helper)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    axes = np.stack([along, np.cross(normals, along), normals], axis=2)
-    width = radius * math.sqrt(4 * math.pi / count)
-    scales = np.tile([0.7 * width, 0.7 * width, 0.1 * width], (count, 1))
-    colours = 0.5 + 0.4 * normals
-    return Gaussians.from_rgb(
-        normals * radius, quaternions(axes), scales, np.full(count, 0.95), colours
-    )
 
 
 def quick(setting: Setting, **changes: object) -> Scene:
@@ -46,7 +32,7 @@ def quick(setting: Setting, **changes: object) -> Scene:
 
 def broken_numbers(setting: Setting) -> list[Check]:
     """NaN, infinity and huge numbers in each value of a PLY file are dropped and counted."""
-    table = raw_table(shell())
+    table = raw_table(surface_of_ball())
     names = [name for name in table.dtype.names or () if not name.startswith("n")]
     poisons = [(name, value) for name in names for value in (math.nan, math.inf, -math.inf, 1e38)]
     unsound = sum(not _sound(_read(table, {5: poison})[0]) for poison in poisons)
@@ -124,7 +110,7 @@ def sizes(setting: Setting) -> list[Check]:
 
 def odd_gaussians(setting: Setting) -> list[Check]:
     """Opacity 0 and 1, all in one point, a single one, no volume: the mass is right."""
-    whole = shell()
+    whole = surface_of_ball()
     opacities = whole.opacities.copy()
     opacities[:50], opacities[50:100] = 0, 1
     kept, cleaning = clean(replace(whole, opacities=opacities))

@@ -15,7 +15,8 @@ from phy124.materials import LAWS, Hencky, Material, Rigid, Sand
 from phy124.mpm import Solver
 from phy124.mpm.model import PRECISIONS
 from phy124.schema.region import Region
-from phy124.studies.validation.stress.bodies import Array, block, body, host, solver
+from phy124.studies.validation.bodies import block, make_solver
+from phy124.studies.validation.stress.bodies import Array, body, host
 from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 MATERIALS: list[Material] = [kind() for kind in LAWS.by_name.values() if kind is not Rigid]
@@ -149,9 +150,10 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
     x = np.stack(np.meshgrid(along, along, up, indexing="ij"), axis=-1).reshape(-1, 3)
     x = x[x[:, 2] < height * (1 - np.hypot(x[:, 0], x[:, 1]) / HEAP)]
     walls = [Container(inside=Region(lower=(0, 0, -1e9)), contact="slip"), Ground(contact="sticky")]
-    return solver(
-        x, np.full(len(x), (dx / 2) ** 3), [Sand(friction_angle=angle, E=3e5)], setting, dx=dx,
+    return make_solver(
+        x, np.full(len(x), (dx / 2) ** 3), [Sand(friction_angle=angle, E=3e5)], dx=dx,
         boundaries=walls, forces=[Gravity()], origin=(0.25 * dx, 0.25 * dx, -0.75 * dx),
+        **setting.options,
     )  # fmt: skip
 
 

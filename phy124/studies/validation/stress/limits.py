@@ -13,16 +13,15 @@ from phy124.forces import Gravity
 from phy124.materials import NeoHookean
 from phy124.mpm import Unstable
 from phy124.mpm.timestep import CFL
+from phy124.studies.validation.bodies import block, make_solver
 from phy124.studies.validation.stress.bodies import (
     DX,
     Array,
     Meter,
-    block,
     body,
     finite,
     host,
     relative,
-    solver,
     stable_dt,
     steps,
     vibrating,
@@ -179,11 +178,12 @@ def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
     low, high = block(4, 0.25, (0, 0, 0.125)), block(4, 0.25, (0, 0, 0.375))
     x = np.concatenate([low, high])
     materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]
-    s = solver(
+    s = make_solver(
         x,
         np.full(len(x), 0.25**3 / len(low)),
         materials,
-        setting,
+        **setting.options,
+        dx=DX,
         material=np.repeat([0, 1], len(low)),
         forces=[Gravity()],
         boundaries=[Ground(contact="sticky")],

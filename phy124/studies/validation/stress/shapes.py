@@ -7,9 +7,9 @@ import numpy as np
 from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.mpm import Solver
 from phy124.simulation.deform import Deformer
+from phy124.studies.validation.bodies import block
 from phy124.studies.validation.stress.bodies import (
     Array,
-    block,
     body,
     host,
     stable_dt,

@@ -10,16 +10,8 @@ from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
-from phy124.studies.validation.stress.bodies import (
-    DX,
-    Array,
-    alike,
-    block,
-    body,
-    finite,
-    host,
-    relative,
-)
+from phy124.studies.validation.bodies import block
+from phy124.studies.validation.stress.bodies import DX, Array, alike, body, finite, host, relative
 from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 

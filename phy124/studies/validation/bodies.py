@@ -1,0 +1,105 @@
+"""Bodies of problems with known answers: particles on lattices and in shells, and their solver."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from inspect import signature
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import Gaussians, quaternions, spread_directions
+from phy124.materials import Material
+from phy124.mpm import Model, Solver, State
+
+Array = NDArray[np.float64]
+MODEL_OPTIONS = frozenset(signature(Model.of).parameters)
+
+
+def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
+    """Return particles [P,3], m, in the middles of cubes that fill a box.
+
+    Args:
+        counts: Particles along each axis [3].
+        spacing: Edge of the cubes [m].
+        corner: Lowest corner of the box [m].
+    """
+    lines = [(np.arange(count) + 0.5) * spacing for count in counts]
+    x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.asarray(x + np.asarray(corner), float)
+
+
+def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 0, 0)) -> Array:
+    """Return particles [P,3], m, of a cube.
+
+    Args:
+        per_axis: Number of particles along each axis.
+        size: Side of the cube [m].
+        middle: Centre of the cube [m].
+    """
+    return lattice((per_axis,) * 3, size / per_axis, [at - size / 2 for at in middle])
+
+
+def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
+    """Return particles [P,3], m, of a ball in shells, so that its surface is smooth, and volumes.
+
+    Args:
+        radius: Radius of the ball [m].
+        spacing: Approximate distance of neighbours [m].
+    """
+    count, rng = round(radius / spacing), np.random.default_rng(0)
+    step, x, volume = radius / count, [], []
+    for k in range(count):
+        middle = (k + 0.5) * step
+        many = max(4, round(4 * np.pi * (middle / step) ** 2))
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        x.append(middle * spread_directions(many) @ turn)
+        shell = 4 / 3 * np.pi * ((k + 1) ** 3 - k**3) * step**3
+        volume.append(np.full(many, shell / many))
+    return np.concatenate(x), np.concatenate(volume)
+
+
+def surface_of_ball(count: int = 300, radius: float = 0.5) -> Gaussians:
+    """Return flat Gaussians on a sphere, coloured by direction.
+
+    Args:
+        count: Number of Gaussians.
+        radius: Radius of the sphere [m].
+    """
+    normals = spread_directions(count)
+    helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    along = np.cross(normals, helper)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    axes = np.stack([along, np.cross(normals, along), normals], axis=2)
+    width = radius * math.sqrt(4 * math.pi / count)
+    scales = np.tile([0.7 * width, 0.7 * width, 0.1 * width], (count, 1))
+    colours = 0.5 + 0.4 * normals
+    return Gaussians.from_rgb(
+        normals * radius, quaternions(axes), scales, np.full(count, 0.95), colours
+    )
+
+
+def make_solver(
+    x: NDArray[Any],
+    volume: NDArray[Any],
+    materials: Sequence[Material],
+    *,
+    v: NDArray[Any] | None = None,
+    C: NDArray[Any] | None = None,
+    **options: Any,
+) -> Solver:
+    """Return a solver of particles.
+
+    Args:
+        x: Positions [P,3], m.
+        volume: Volumes [P], m^3.
+        materials: The materials they are made of.
+        v: Initial velocities [P,3], m/s.
+        C: Initial velocity gradients [P,3,3], 1/s.
+        **options: Options of `Model.of` and of `Solver`.
+    """
+    of_model = {name: options.pop(name) for name in MODEL_OPTIONS & options.keys()}
+    model = Model.of(x, volume, materials, **of_model)
+    return Solver(model, State.of(model, v, C), **options)
