@@ -38,7 +38,7 @@ def body(
         **options: Options of `make_solver`.
     """
     volume = options.pop("volume", np.full(len(x), size**3 / len(x)))
-    return make_solver(x, volume, [material], dx=DX, **setting.options, **options)
+    return make_solver(x, volume, [material], **{"dx": DX, **setting.options, **options})
 
 
 def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
