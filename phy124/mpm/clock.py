@@ -18,7 +18,7 @@ class Clock:
     def __init__(
         self, model: Model, *, ceiling: float = math.inf, measure_every: int = MEASURE_EVERY
     ) -> None:
-        self.dx, self.viscous, self._device = model.dx, model.viscous, model.device
+        self.dx, self.viscous = model.dx, model.viscous
         self.cfl, self.ceiling = model.cfl, ceiling
         """Fraction of the elastic limit that is used, and the longest substep allowed [s]."""
         self.measure_every = measure_every
@@ -45,6 +45,9 @@ class Clock:
         """The time of the last measurement [s], and substeps since the last complete one."""
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
         """On the device: kick and drift of the current substep, and the time before it [s]."""
+        self._shared = self.values.numpy() if model.device == "cpu" else None
+        self._limits: tuple[Any, Substep] | None = None
+        """The limits for which the longest stable substep was computed last, and the substep."""
 
     @property
     def due(self) -> bool:
@@ -53,8 +56,11 @@ class Clock:
 
     def stable(self) -> Substep:
         """The longest stable substep in the current state."""
-        limits = {"cfl": self.cfl, "ceiling": self.ceiling, "viscous": self.viscous}
-        return stable_substep(self.extremes, self.dx, **limits)
+        given = (self.extremes, self.cfl, self.ceiling)
+        if self._limits is None or self._limits[0] != given:
+            limits = {"cfl": self.cfl, "ceiling": self.ceiling, "viscous": self.viscous}
+            self._limits = given, stable_substep(self.extremes, self.dx, **limits)
+        return self._limits[1]
 
     def expire(self) -> None:
         """Require a complete measurement before the next substep."""
@@ -96,8 +102,8 @@ class Clock:
             drift: For positions and F.
         """
         values = (kick, drift, self.time)
-        if self._device == "cpu":
-            self.values.numpy()[:] = values
+        if self._shared is not None:
+            self._shared[:] = values
         else:
             self.values.assign(np.array(values))
 

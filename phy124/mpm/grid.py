@@ -95,11 +95,11 @@ class Grid:
         if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
             raise Unstable(f"particles flew {FARTHEST:.0e} cells far")
         low, high = self.reach(lower, upper)
-        below, above = low - self.low, self.low + self.size - high
         if not self.stale:
-            if min(below.min(), above.min()) < 0:
+            spare = [*(low - self.low).tolist(), *(self.low + self.size - high).tolist()]
+            if min(spare) < 0:
                 raise Unstable(CROSSED)
-            if _roomy(below) and _roomy(above):
+            if min(spare) >= MARGIN // 2 and max(spare) <= 3 * MARGIN:
                 return False
         self.rebase(low - MARGIN, high - low + 2 * MARGIN)
         return True
@@ -177,8 +177,3 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, anew: bool) ->
             # Wherever the body comes back, its window is a new one.
             grid.stale = True
     return changed
-
-
-def _roomy(spare: NDArray) -> bool:
-    """Whether the spare cells on one side of each axis [3] leave enough room, but not too much."""
-    return bool(np.all(spare >= MARGIN // 2) and np.all(spare <= 3 * MARGIN))

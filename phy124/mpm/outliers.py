@@ -8,6 +8,7 @@ and feel nothing but the uniform acceleration; one that comes back is part of th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -81,12 +82,13 @@ class Outliers:
         Args:
             corners: Lowest and highest corner of each body's particles [3], m.
         """
-        lower = np.min([low for low, _ in corners], axis=0)
-        upper = np.max([high for _, high in corners], axis=0)
-        if self.bounded and np.isfinite(lower).all():
-            measured = self._beyond()
-            self._centre((lower + upper) / 2)
-            return self.changed or not np.array_equal(measured, self.indices.numpy())
+        if self.bounded:
+            lower = np.min([low for low, _ in corners], axis=0)
+            upper = np.max([high for _, high in corners], axis=0)
+            if np.isfinite(lower).all():
+                measured = self._beyond()
+                self._centre((lower + upper) / 2)
+                return self.changed or not np.array_equal(measured, self.indices.numpy())
         if not self.bounded and sum(self._nodes(*pair) for pair in corners) <= self._allowed:
             return False
         x = self._state.x.numpy().astype(np.float64)
@@ -134,4 +136,5 @@ class Outliers:
 
     def _nodes(self, lower: NDArray, upper: NDArray) -> float:
         """Number of nodes of a window over a box; a float, since a box may exceed all integers."""
-        return float(np.prod((upper - lower) / self._model.dx + 3 + 2 * MARGIN))
+        cells = ((upper - lower) / self._model.dx).tolist()
+        return math.prod(extent + 3 + 2 * MARGIN for extent in cells)

@@ -34,11 +34,15 @@ from phy124.mpm.stage import Accumulator, Attachable
 from phy124.mpm.state import State
 from phy124.mpm.substep import Gathered, Recorder
 from phy124.mpm.threads import Team
+from phy124.mpm.timestep import Substep
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import GATHER, Timings, lone_worker, timed, usable_workers
 
 MEASURE, GLANCE = -2, -3
 """Given instead of a phase to measure the limits, or the speeds alone."""
+SCHEDULE, REPAIR, FOLLOW = "schedule", "repair", "follow"
+"""Stages of the host: the choice of substeps, mending of broken deformations, and what is called
+after each substep: progress, budget and observers."""
 CALM = 0.9
 """Growth of the stiffness between two measurements, as a fraction of what stays stable."""
 
@@ -184,7 +188,7 @@ class Solver:
         Raises:
             Unstable: A particle left the grid's window or is no longer finite.
         """
-        self.rejection.begin(self.clock.time, until)
+        timed(self.timings, SCHEDULE, lambda: self.rejection.begin(self.clock.time, until))
         # What was calm in the last frame may not be so under the forces and walls of this one.
         if not self.clock.due:
             self.clock.interval = min(self.clock.interval, self._safe_interval())
@@ -192,9 +196,9 @@ class Solver:
             while self.clock.time < until:
                 if each or not self._run_graph(until):
                     self._stable_step(until)
-                self.repair.substep(self.clock)
+                timed(self.timings, REPAIR, lambda: self.repair.substep(self.clock))
                 if after is not None:
-                    after()
+                    timed(self.timings, FOLLOW, after)
             timed(self.timings, "measure", self._end_frame)
 
     def step(self, kick: float, drift: float) -> None:
@@ -249,10 +253,9 @@ class Solver:
     def _stable_step(self, until: float) -> None:
         """One substep: of a stable length that divides the remaining time evenly."""
         self._measure_if_due()
-        clock, limit = self.clock, self.clock.stable()
-        rest = until - clock.time
-        dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
-        if self.rejection.must_try(clock, dt):
+        clock = self.clock
+        limit, rest, dt, careful = timed(self.timings, SCHEDULE, lambda: self._choose(until))
+        if careful:
             dt = self._careful_step(dt)
         else:
             self.step((clock.last_dt + dt) / 2, dt)
@@ -260,6 +263,18 @@ class Solver:
             clock.time = until
         clock.last_dt = dt
         clock.count(limit.limiter, needed=dt / limit.dt)
+
+    def _choose(self, until: float) -> tuple[Substep, float, float, bool]:
+        """Choose a substep.
+
+        Returns:
+            The stable substep, the time that is left [s], the length to take [s], and whether it
+            must be tried first.
+        """
+        clock, limit = self.clock, self.clock.stable()
+        rest = until - clock.time
+        dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
+        return limit, rest, dt, self.rejection.must_try(clock, dt)
 
     def _careful_step(self, dt: float) -> float:
         """A substep of at most `dt` in which no node moves more than a cell; returns its length."""
@@ -276,7 +291,7 @@ class Solver:
 
     def _scatter(self, kick: float, drift: float) -> None:
         """All but the gather: clock, tracks, forces on particles, scatter, grid update, walls."""
-        self.clock.begin(kick, drift)
+        timed(self.timings, SCHEDULE, lambda: self.clock.begin(kick, drift))
         if self.tracks.vary:
             timed(self.timings, "tracks", self._sample.launch)
         for phase in range(len(self.workers[0].phases) - 1):
@@ -387,6 +402,8 @@ class Solver:
 
     def _corners(self, rows: NDArray[np.float64]) -> list[Corners]:
         """Lowest and highest corner of each body, of what was measured [m]."""
+        if len(self.grids) == 1:
+            return [Maxima.of(rows.max(axis=0)).corners]
         parts = self.slabs.parts if self.slabs else ()
         body = np.array([part.group.body for part in parts] or range(len(rows)))
         bodies = range(len(self.grids))

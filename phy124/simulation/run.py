@@ -331,7 +331,7 @@ class Simulation:
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
         """Try a frame; returns what is wrong with it, or None. A failure resets the state."""
         solver = self.solver
-        solver.repair.begin(solver.clock)
+        timed(solver.timings, "repair", lambda: solver.repair.begin(solver.clock))
         solver.pairs.begin()
         solver.free.begin()
         timed(solver.timings, "watchdog", lambda: self.before_attempt(closely=closely))
