@@ -79,11 +79,12 @@ def test_graph_leaves_moving_windows_and_violence_to_host():
     assert "speed" in host.clock.limiters
 
 
-def test_wind_is_left_to_the_host_until_it_has_shown_its_effect():
+def test_wind_runs_in_the_graph():
     host, alone = solvers(NeoHookean(E=3e4), forces=[Wind(v=(3, 0, 0))])
     host.advance(0.1)
     alone.advance(0.1)
     assert_same(host, alone)
+    assert "graph" in alone.timings
 
 
 def test_a_particle_that_is_no_number_stops_the_graph():

@@ -5,11 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from phy124.forces import Gravity, ParticleForce, SetVelocity
+from phy124.forces import Gravity, ParticleForce, SetVelocity, Wind
 from phy124.gaussians import Gaussians
 from phy124.materials import NeoHookean
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.timestep import MEMORY, Extremes
+from phy124.mpm.tracks import Sine
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.studies.validation.bodies import block, make_solver
@@ -84,6 +85,14 @@ def test_stiffening_snow_is_sound_at_any_interval():
     )
     extents = [np.ptp(clip.means[-1], axis=0) for clip in (often, rarely)]
     np.testing.assert_allclose(*extents, atol=0.02)
+
+
+def test_gusts_are_tried_only_where_they_are_fast():
+    for speed, tried in ((3.0, False), (300.0, True)):
+        s = solver([Wind(v=(speed, 0, 0), profile=Sine(frequency=3.0))], ceiling=1e-3)
+        s.advance(1e-3)
+        assert s.rejection.must_try(s.clock, 1e-3) == tried
+        assert s.rejection.wall == pytest.approx(speed)
 
 
 def counted(s) -> dict[str, int]:

@@ -15,6 +15,7 @@ from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Solver
+from phy124.mpm.workers import HOST
 from phy124.rendering.film import film
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
@@ -124,7 +125,7 @@ def _node_fraction(solver: Solver) -> float:
     total = nodes = 0.0
     for worker in solver.workers:
         for name, (seconds, _) in worker.timings.items():
-            if name != "wait":
+            if name != "wait" and name not in HOST:
                 total += seconds
                 nodes += seconds if name in NODE_STAGES or name in walls else 0.0
     return nodes / total if total else 0.0

@@ -181,6 +181,7 @@ def stage(
     *,
     read: Sequence[wp.array] = (),
     over: Over = "",
+    limited: bool = False,
 ) -> list[Stage]:
     """One launch over the chosen particles that reads a track and changes velocities.
 
@@ -195,9 +196,10 @@ def stage(
         tracks: Where its strength is registered.
         read: What the kernel reads of the state.
         over: The time over which a track that is no mean is averaged.
+        limited: Whether the stage gets a limit, so that the track's values bound nothing.
     """
     chosen = force.chosen(model)
-    slot = tracks.add(track, over=over)
+    slot = tracks.add(track, over=over, limited=limited)
 
     def record(grid: Grid) -> wp.Launch | None:
         own = within(chosen, grid.run(len(model)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -17,7 +17,6 @@ class Wind(Force):
     """Air or water that streams past and drags particles along: a = rate (wind - v)."""
 
     kind: Literal["wind"] = "wind"
-    sudden: ClassVar[bool] = True
     v: Velocity = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
     rate: float = Field(
         default=1.0,
@@ -30,4 +29,12 @@ class Wind(Force):
         """Drag the chosen particles along."""
         track = self.track(self.v, mean=False)
         kernel, inputs = push.make_drag(model.real), [self.rate]
-        return stage(self, "wind", kernel, track, inputs, model, state, tracks, over="kick")
+        (drag,) = stage(
+            self, "wind", kernel, track, inputs, model, state, tracks, over="kick", limited=True
+        )
+
+        def limit(start: float, end: float) -> float:
+            """Acceleration of a particle at rest; a faster one is dragged no further than that."""
+            return self.rate * track.largest(start, end)
+
+        return [drag._replace(limit=limit, top_speed=track.largest)]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import warp as wp
@@ -62,45 +62,6 @@ class Diagnostics:
     first_inverted: int
     """The lowest index of an inverted particle."""
 
-    @classmethod
-    def of(cls, model: Model, state: State, clock: Clock) -> Diagnostics:
-        """Return the diagnostics of a state, summed in float64."""
-        device = model.device
-        sums = wp.zeros(at.SUMS, dtype=wp.float64, device=device)
-        spread = wp.array([-math.inf, -math.inf], dtype=wp.float64, device=device)
-        counts = wp.zeros(2, dtype=int, device=device)
-        first = wp.array([NOBODY, NOBODY], dtype=int, device=device)
-        for group in model.groups:
-            part = group.particles
-            threads, *fraction = shared_out(len(group), device)
-            wp.launch(
-                make_totals(group.law, model.real),
-                threads,
-                inputs=[
-                    *fraction, group.theta, model.mass[part], model.volume[part], model.dx,
-                    group.start, state.x[part], state.v[part], state.C[part], state.F[part],
-                    part_of(state.history, part),
-                ],
-                outputs=[sums, spread, counts, first],
-                device=device,
-            )  # fmt: skip
-        total: NDArray[Any] = sums.numpy()
-        ends, bad, index = (np.asarray(array.numpy()) for array in (spread, counts, first))
-        return cls(
-            momentum=total[at.MOMENTUM : at.MOMENTUM + 3],
-            angular=total[at.ANGULAR : at.ANGULAR + 3],
-            kinetic=float(total[at.KINETIC]),
-            elastic=float(total[at.ELASTIC]),
-            lag=-clock.last_dt / 2 * float(total[at.POWER]),
-            middle=total[at.MIDDLE : at.MIDDLE + 3],
-            min_J=-float(ends[at.LEAST_J]),
-            max_J=float(ends[at.LARGEST_J]),
-            broken=int(bad[at.BROKEN]),
-            inverted=int(bad[at.INVERTED]),
-            first_broken=int(index[at.BROKEN]),
-            first_inverted=int(index[at.INVERTED]),
-        )
-
     @property
     def energy(self) -> float:
         """Return the kinetic plus elastic energy at one instant [J].
@@ -119,9 +80,67 @@ class Diagnostics:
         return cls(**{**data, **{name: np.array(data[name]) for name in VECTORS}})
 
 
+class Totals:
+    """Recorded launches that sum up the particles of a state in float64."""
+
+    def __init__(self, model: Model, state: State) -> None:
+        """Record them.
+
+        Args:
+            model: The particles' constants.
+            state: What is summed whenever `read` is called.
+        """
+        device, sums = model.device, at.SUMS
+        self._numbers = wp.zeros(sums + 2, dtype=wp.float64, device=device)
+        self._counts = wp.zeros(4, dtype=int, device=device)
+        self._empty = np.array([0.0] * sums + [-math.inf] * 2), np.array([0, 0] + [NOBODY] * 2)
+        outputs = [*_split(self._numbers, sums), *_split(self._counts, 2)]
+        self._launches = []
+        for group in model.groups:
+            part = group.particles
+            threads, *fraction = shared_out(len(group), device)
+            inputs = [
+                *fraction, group.theta, model.mass[part], model.volume[part], model.dx,
+                group.start, state.x[part], state.v[part], state.C[part], state.F[part],
+                part_of(state.history, part),
+            ]  # fmt: skip
+            kernel = make_totals(group.law, model.real)
+            self._launches.append(model.launch(kernel, threads, inputs, outputs))
+
+    def read(self, clock: Clock) -> Diagnostics:
+        """Return the diagnostics of the present state."""
+        self._numbers.assign(self._empty[0])
+        self._counts.assign(self._empty[1])
+        for launch in self._launches:
+            if launch is not None:
+                launch.launch()
+        total: NDArray[Any] = np.array(self._numbers.numpy())
+        least_J, largest_J = total[at.SUMS :].tolist()
+        broken, inverted, first_broken, first_inverted = self._counts.numpy().tolist()
+        return Diagnostics(
+            momentum=total[at.MOMENTUM : at.MOMENTUM + 3],
+            angular=total[at.ANGULAR : at.ANGULAR + 3],
+            kinetic=float(total[at.KINETIC]),
+            elastic=float(total[at.ELASTIC]),
+            lag=-clock.last_dt / 2 * float(total[at.POWER]),
+            middle=total[at.MIDDLE : at.MIDDLE + 3],
+            min_J=-least_J,
+            max_J=largest_J,
+            broken=broken,
+            inverted=inverted,
+            first_broken=first_broken,
+            first_inverted=first_inverted,
+        )
+
+
+def _split(array: wp.array, count: int) -> tuple[wp.array, wp.array]:
+    """The first elements of an array, and the others."""
+    return cast("wp.array", array[:count]), cast("wp.array", array[count:])
+
+
 def diagnose(solver: Solver) -> Diagnostics:
     """Return the diagnostics of a solver's state."""
-    return Diagnostics.of(solver.model, solver.state, solver.clock)
+    return Totals(solver.model, solver.state).read(solver.clock)
 
 
 def energies(model: Model, state: State) -> NDArray[np.float64]:

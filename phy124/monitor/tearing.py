@@ -101,6 +101,14 @@ class Tearing(Observer):
         stretch = np.where(spacing < ALONE, APART / spacing, STURDY)
         self._most = wp.array(stretch**2, dtype=model.real, device=model.device)
         """The square of the stretch from which a particle is beyond `APART` [P]."""
+        self._counts = wp.zeros(2, dtype=int, device=model.device)
+        self._max_stretch = wp.zeros(1, dtype=model.real, device=model.device)
+        self._launches = []
+        for group in self._elastic:
+            part = group.particles
+            inputs = [self._most[part], group.start, self._state.F[part]]
+            outputs = [self._counts, self._max_stretch]
+            self._launches.append(model.launch(make_apart(model.real), len(group), inputs, outputs))
         self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx, self._bodies())
 
     def _bodies(self) -> NDArray[np.int64] | None:
@@ -136,17 +144,14 @@ class Tearing(Observer):
 
     def after_attempt(self) -> None:
         """Check the state at the end of a frame."""
-        model, device = self._model, self._model.device
-        totals = wp.array([0, len(model)], dtype=int, device=device)
-        max_stretch = wp.zeros(1, dtype=model.real, device=device)
-        for group in self._elastic:
-            part = group.particles
-            inputs = [self._most[part], group.start, self._state.F[part]]
-            kernel, outputs = make_apart(model.real), [totals, max_stretch]
-            wp.launch(kernel, len(group), inputs=inputs, outputs=outputs, device=device)
-        count, first = totals.numpy().tolist()
+        self._counts.assign([0, len(self._model)])
+        self._max_stretch.zero_()
+        for launch in self._launches:
+            if launch is not None:
+                launch.launch()
+        count, first = self._counts.numpy().tolist()
         if count > self.count:
-            stretch: Any = max_stretch.numpy()
+            stretch: Any = self._max_stretch.numpy()
             self.count, self.first = count, first
             self.stretch = max(self.stretch, float(np.asarray(stretch)[0]))
         x: Any = self._state.x.numpy()

@@ -20,9 +20,9 @@ from phy124.gaussians import Frame
 from phy124.kernels.diagnostics import make_totals
 from phy124.monitor.diagnostics import (
     Diagnostics,
+    Totals,
     broken_particles,
     describe_particle,
-    diagnose,
     energies,
     speeds,
 )
@@ -101,7 +101,8 @@ class Watchdog(Observer):
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
         self.external = find(observers, ExternalWork)
         self._dissipation = find(observers, Dissipation)
-        self.first = self.last = diagnose(solver)
+        self._totals = Totals(solver.model, solver.state)
+        self.first = self.last = self._totals.read(self.clock)
         self.min_J, self.max_J = self.first.min_J, self.first.max_J
         self._stopped, self._pushed = solver.pairs.impulse(), solver.free.given()
 
@@ -115,7 +116,7 @@ class Watchdog(Observer):
         self._closely = closely
         if not self._begun:
             # Not when it is bound: the run may have been resumed since.
-            self.first = self.last = diagnose(self._solver)
+            self.first = self.last = self._totals.read(self.clock)
             turnover = max(self.first.energy, self._strained(math.sqrt(QUIET)))
             self.balance = Balance(turnover, math.sqrt(2 * self.model.total_mass * turnover))
             self._stopped = self._solver.pairs.impulse()
@@ -138,7 +139,7 @@ class Watchdog(Observer):
 
     def after_attempt(self) -> Violation | None:
         """Return the violation of a frame, or None."""
-        now = diagnose(self._solver)
+        now = self._totals.read(self.clock)
         balanced = self.external is not None
         problem = self._unsound(now) or (self._unbalanced(now) if balanced else None)
         if problem is None:

@@ -53,7 +53,8 @@ class StepRejection:
             accumulators: Sums that are restored after a rejected substep.
         """
         self._model, self._tracks, self._accumulators = model, tracks, accumulators
-        self._pushed = [state.v, state.C] if pushes else []
+        turning = any(not stage.keeps_C for stage in pushes)
+        self._pushed = [state.v, *([state.C] if turning else [])] if pushes else []
         self._fastest = wp.zeros(1, dtype=model.real, device=model.device)
         self._pushes = pushes
         self.begin(-math.inf, math.inf)
@@ -70,8 +71,9 @@ class StepRejection:
         before = start - ROUNDED * (end - start) if math.isfinite(start) else start
         self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
         """Upper bound of the acceleration of a particle by forces [m/s^2]."""
-        self.wall = _max_rate(self._tracks, before, end)
-        """Largest speed of a wall [m/s]."""
+        tops = [stage.top_speed(before, end) for stage in self._pushes if stage.top_speed]
+        self.wall = max(_max_rate(self._tracks, before, end), *tops, 0.0)
+        """Largest speed of a wall or a stream [m/s], which a particle may get in one substep."""
         self._changing = any(track.changes(before, end) for track in self._tracks.tracks)
 
     def sudden(self, clock: Clock) -> bool:

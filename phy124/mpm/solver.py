@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -34,15 +35,20 @@ from phy124.mpm.stage import Accumulator, Attachable
 from phy124.mpm.state import State
 from phy124.mpm.substep import Gathered, Recorder
 from phy124.mpm.threads import Team
-from phy124.mpm.timestep import Substep
 from phy124.mpm.tracks import Tracks
-from phy124.mpm.workers import GATHER, Timings, lone_worker, timed, usable_workers
+from phy124.mpm.workers import (
+    FOLLOW,
+    GATHER,
+    REPAIR,
+    SCHEDULE,
+    Timings,
+    lone_worker,
+    timed,
+    usable_workers,
+)
 
 MEASURE, GLANCE = -2, -3
 """Given instead of a phase to measure the limits, or the speeds alone."""
-SCHEDULE, REPAIR, FOLLOW = "schedule", "repair", "follow"
-"""Stages of the host: the choice of substeps, mending of broken deformations, and what is called
-after each substep: progress, budget and observers."""
 CALM = 0.9
 """Growth of the stiffness between two measurements, as a fraction of what stays stable."""
 
@@ -188,7 +194,8 @@ class Solver:
         Raises:
             Unstable: A particle left the grid's window or is no longer finite.
         """
-        timed(self.timings, SCHEDULE, lambda: self.rejection.begin(self.clock.time, until))
+        started, named = time.perf_counter(), self._seconds()
+        self.rejection.begin(self.clock.time, until)
         # What was calm in the last frame may not be so under the forces and walls of this one.
         if not self.clock.due:
             self.clock.interval = min(self.clock.interval, self._safe_interval())
@@ -200,6 +207,13 @@ class Solver:
                 if after is not None:
                     timed(self.timings, FOLLOW, after)
             timed(self.timings, "measure", self._end_frame)
+        between = self.timings.setdefault(SCHEDULE, [0.0, 0])
+        between[0] += time.perf_counter() - started - (self._seconds() - named)
+        between[1] += 1
+
+    def _seconds(self) -> float:
+        """Sum of all stages so far [s]."""
+        return sum(seconds for seconds, _ in self.timings.values())
 
     def step(self, kick: float, drift: float) -> None:
         """One substep: velocities change over `kick` s, positions and F over `drift` s."""
@@ -254,8 +268,10 @@ class Solver:
         """One substep: of a stable length that divides the remaining time evenly."""
         self._measure_if_due()
         clock = self.clock
-        limit, rest, dt, careful = timed(self.timings, SCHEDULE, lambda: self._choose(until))
-        if careful:
+        limit = clock.stable()
+        rest = until - clock.time
+        dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
+        if self.rejection.must_try(clock, dt):
             dt = self._careful_step(dt)
         else:
             self.step((clock.last_dt + dt) / 2, dt)
@@ -263,18 +279,6 @@ class Solver:
             clock.time = until
         clock.last_dt = dt
         clock.count(limit.limiter, needed=dt / limit.dt)
-
-    def _choose(self, until: float) -> tuple[Substep, float, float, bool]:
-        """Choose a substep.
-
-        Returns:
-            The stable substep, the time that is left [s], the length to take [s], and whether it
-            must be tried first.
-        """
-        clock, limit = self.clock, self.clock.stable()
-        rest = until - clock.time
-        dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
-        return limit, rest, dt, self.rejection.must_try(clock, dt)
 
     def _careful_step(self, dt: float) -> float:
         """A substep of at most `dt` in which no node moves more than a cell; returns its length."""
@@ -291,7 +295,7 @@ class Solver:
 
     def _scatter(self, kick: float, drift: float) -> None:
         """All but the gather: clock, tracks, forces on particles, scatter, grid update, walls."""
-        timed(self.timings, SCHEDULE, lambda: self.clock.begin(kick, drift))
+        self.clock.begin(kick, drift)
         if self.tracks.vary:
             timed(self.timings, "tracks", self._sample.launch)
         for phase in range(len(self.workers[0].phases) - 1):

@@ -33,6 +33,9 @@ class Stage(NamedTuple):
     limit: Callable[[float, float], float] | None = None
     """How much it accelerates a particle at most [m/s^2] from one time to another [s]; None: as
     much as its track has."""
+    top_speed: Callable[[float, float], float] | None = None
+    """The speed [m/s] above which it accelerates no particle from one time to another [s]; None: it
+    has no such speed."""
 
 
 class Attachable(Protocol):

@@ -31,7 +31,7 @@ from phy124.monitor.observer import (
 )
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import MEASURE_EVERY, Unstable
-from phy124.mpm.workers import timed, usable_workers
+from phy124.mpm.workers import HOST, REPAIR, timed, usable_workers
 from phy124.particles.thickness import relative_thickness
 from phy124.progress import Progress, silent
 from phy124.runtime.compiling import compile_missing
@@ -223,7 +223,9 @@ class Simulation:
             self.stopped, self.remedies = str(stop), stop.remedies
         except Cancelled as wish:
             raise Interrupted(self) from wish
-        launches = sum(count for _, count in self.solver.timings.values())
+        launches = sum(
+            count for name, (_, count) in self.solver.timings.items() if name not in HOST
+        )
         self.watch.launches["simulate"] = int(launches)
         return self.clip()
 
@@ -305,8 +307,8 @@ class Simulation:
     def _advance(self, index: int, until: float) -> None:
         """Take substeps up to a frame's time; after a failure, once more with half the substep."""
         with self.watch.stage("simulate"), self.spent.counting():
-            for observer in self.observers:
-                observer.before_frame((index - 1) / self.scene.time.fps)
+            start = (index - 1) / self.scene.time.fps
+            timed(self.solver.timings, "watchdog", lambda: self.before_frame(start))
             problem = self._try(index, until)
             if problem is not None:
                 self.retried.append(index)
@@ -331,7 +333,7 @@ class Simulation:
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
         """Try a frame; returns what is wrong with it, or None. A failure resets the state."""
         solver = self.solver
-        timed(solver.timings, "repair", lambda: solver.repair.begin(solver.clock))
+        timed(solver.timings, REPAIR, lambda: solver.repair.begin(solver.clock))
         solver.pairs.begin()
         solver.free.begin()
         timed(solver.timings, "watchdog", lambda: self.before_attempt(closely=closely))
@@ -352,6 +354,11 @@ class Simulation:
             self._failed_dt = solver.clock.last_dt or math.inf
             self.roll_back(before)
         return problem
+
+    def before_frame(self, time: float) -> None:
+        """Prepare the observers for a frame that starts at this time [s]."""
+        for observer in self.observers:
+            observer.before_frame(time)
 
     def before_attempt(self, *, closely: bool = False) -> None:
         """Prepare the observers for an attempt at a frame."""
