@@ -17,7 +17,7 @@ from phy124.io import ply
 from phy124.io.dialect import likely_axes
 from phy124.io.files import replacing, staged
 from phy124.io.formats import recognised
-from phy124.particles.thinning import thinned
+from phy124.particles.thinning import thin
 from phy124.rendering.orienting import ENOUGH, UNTURNED, candidates, drawn
 from phy124.rendering.render import Renderer
 from phy124.runtime import isolated
@@ -70,12 +70,12 @@ def opened(path: Path, out: Path, count: int, deadline: Deadline) -> GaussianFil
 def _opened(path: Path, out: Path, count: int) -> GaussianFile:
     """What `opened` does, in this process."""
     found = PlyFile(str(path), UNTURNED).open()
-    kept = thinned(found.gaussians, count)
+    kept = thin(found.gaussians, count)
     notes = [*found.notes, *found.cleaning]
     if len(kept) < len(found.gaussians):
         there = f"The file has {len(found.gaussians):,} Gaussians; fewer and larger ones cover"
         notes.append(f"{there} the same here, where {count:,} are the most.")
-    few = normalised(thinned(kept, ENOUGH), path.name)
+    few = normalised(thin(kept, ENOUGH), path.name)
     with staged(out) as folder:
         _draw(few, folder)
         with replacing(folder / "gaussians.ply") as temporary:

@@ -7,7 +7,7 @@ import torch
 from safetensors.torch import save_file
 
 from phy124.errors import InputError
-from phy124.weights.checkpoints import fill, read_tensors, without_prefix
+from phy124.weights.checkpoints import fill, read_tensors, strip_prefix
 
 
 @pytest.fixture
@@ -81,5 +81,5 @@ def test_what_does_not_fit_is_named_and_changes_nothing(tensors):
 
 def test_prefixes_go_where_there_are_any(tensors):
     named = {f"model.{name}": value for name, value in tensors.items()} | {"other": torch.ones(1)}
-    assert without_prefix(named, "model.").keys() == tensors.keys()
-    assert without_prefix(tensors, "model.").keys() == tensors.keys()
+    assert strip_prefix(named, "model.").keys() == tensors.keys()
+    assert strip_prefix(tensors, "model.").keys() == tensors.keys()

@@ -50,7 +50,7 @@ from support.shapes import ball
         ("simulate clip.safetensors", "Use `phy124 render clip.safetensors` or"),
         ("render photo.JPG", "Use `phy124 generate photo.JPG`."),
         ("generate scene.toml", "Give it after --scene."),
-        ("weights fetch u2net --weights /dev/null/x", "no folder that files can be written to"),
+        ("weights fetch u2net --weights /dev/null/x", "files cannot be written to this folder"),
     ],
 )
 def test_what_cannot_be_read_is_one_sentence(typed, sentence, capsys, tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 
 from phy124.gaussians import Gaussians
 from phy124.materials import Fluid, NeoHookean, Sand
-from phy124.particles.grains import CLEARANCE, SIZE, shaded, with_grains
+from phy124.particles.grains import CLEARANCE, SIZE, add_grains, vary_brightness
 from phy124.particles.seeding import make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -23,7 +23,7 @@ def body() -> Gaussians:
 
 def grained(body, material, binding="particles"):
     made = make_particles(body, density=1000, spacing=SPACING, binding=binding)
-    return made, *with_grains(body, made, np.ones(len(body), bool), [material], SPACING)
+    return made, *add_grains(body, made, np.ones(len(body), bool), [material], SPACING)
 
 
 def test_inner_particles_get_balls_in_the_colour_above(body):
@@ -59,14 +59,14 @@ def test_on_a_lattice_the_particles_carry_them_like_all_others(body):
 
 def test_shades_differ_by_grain_and_are_those_of_the_seed(body):
     amounts = np.where(np.arange(len(body)) < 1000, 0.15, 0.0)
-    sandy = shaded(body, amounts, seed=3)
+    sandy = vary_brightness(body, amounts, seed=3)
     same = (body.rgb > 0.1).all(axis=1) & (body.rgb < 0.7).all(axis=1)
     ratio = (sandy.rgb / body.rgb)[same]
     np.testing.assert_allclose(ratio[:, 0], ratio[:, 2], rtol=1e-3, err_msg="only the brightness")
     assert 0.1 < ratio[amounts[same] > 0].std() < 0.2
     np.testing.assert_allclose(ratio[amounts[same] == 0], 1, rtol=1e-5)
-    np.testing.assert_array_equal(shaded(body, amounts, seed=3).sh, sandy.sh)
-    assert (shaded(body, amounts, seed=4).sh != sandy.sh).any()
+    np.testing.assert_array_equal(vary_brightness(body, amounts, seed=3).sh, sandy.sh)
+    assert (vary_brightness(body, amounts, seed=4).sh != sandy.sh).any()
 
 
 def test_grains_are_in_every_frame_and_change_no_motion(body):

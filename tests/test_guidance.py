@@ -102,7 +102,7 @@ def test_zero123_networks_load_from_files(small_zero123, tmp_path, monkeypatch):
     (folder / "clip_camera_projection").mkdir()
     path = folder / "clip_camera_projection/diffusion_pytorch_model.fp16.safetensors"
     save_file(small_zero123["projection"].state_dict(), path)
-    assert weights.have("zero123", tmp_path)
+    assert weights.is_complete("zero123", tmp_path)
     # Full-size networks refuse the small files by name.
     with pytest.raises(InputError, match="not those of Zero123's U-Net, which has 686"):
         zero123.trained(tmp_path, "cpu", torch.float32)

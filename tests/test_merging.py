@@ -10,7 +10,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.io.formats import read_gaussians, write_gaussians
-from phy124.particles.merging import fewer, fewer_in, groups, merged
+from phy124.particles.merging import group_neighbours, merge_clip_to, merge_groups, merge_to
 from support.shapes import ball, splats
 
 
@@ -35,7 +35,7 @@ def moving(gaussians: Gaussians, frames: int = 3) -> Clip:
 @pytest.mark.parametrize("count", [1, 50, 199, 599])
 def test_mass_middle_and_colour_are_kept(count):
     body = splats(np.random.default_rng(0))
-    less = fewer(body, count)
+    less = merge_to(body, count)
     assert len(less) == count
     assert less.opacities.max() <= 1
     before, after = mass(body), mass(less)
@@ -55,7 +55,7 @@ def test_two_become_one_with_the_covariance_of_both():
         np.full(2, 0.3),
         np.array([[1.0, 0, 0], [0, 0, 1.0]]),
     )
-    one = merged(pair, np.zeros(2, int))
+    one = merge_groups(pair, np.zeros(2, int))
     np.testing.assert_allclose(one.covariances()[0], np.diag([0.02, 0.01, 0.01]), rtol=1e-5)
     np.testing.assert_allclose(one.rgb[0], [0.5, 0, 0.5], atol=1e-6)
     assert one.opacities[0] == pytest.approx(0.6 / np.sqrt(2))
@@ -63,8 +63,8 @@ def test_two_become_one_with_the_covariance_of_both():
 
 def test_lone_gaussians_stay_unmerged():
     body = ball(300)
-    assert fewer(body, 300) is body
-    less = fewer(body, 299)
+    assert merge_to(body, 300) is body
+    less = merge_to(body, 299)
     same = (less.means[:, None] == body.means[None]).all(axis=2)
     assert same.any(axis=1).sum() == 298
     at = same.argmax(axis=1)[same.any(axis=1)]
@@ -73,14 +73,14 @@ def test_lone_gaussians_stay_unmerged():
 
 def test_neighbours_are_joined():
     line = np.array([[0.0], [0.1], [5.0], [5.1], [9.0]])
-    group = groups(line, 3)
+    group = group_neighbours(line, 3)
     assert group[0] == group[1] != group[2] == group[3] != group[4]
-    assert len(np.unique(groups(np.zeros((7, 2)), 1))) == 1
+    assert len(np.unique(group_neighbours(np.zeros((7, 2)), 1))) == 1
 
 
 def test_in_a_clip_those_are_joined_that_stay_together():
     clip = moving(ball(400))
-    less = fewer_in(clip, 100)
+    less = merge_clip_to(clip, 100)
     assert less.means.shape == (3, 100, 3) and less.report["gaussians"] == 100
     lower = less.means[0, :, 2] < 0
     gone = np.linalg.norm(less.means[-1] - less.means[0], axis=1)
@@ -89,7 +89,7 @@ def test_in_a_clip_those_are_joined_that_stay_together():
     for frame in (0, 2):
         after = mass(less.frame(frame).gaussians).sum()
         assert after == pytest.approx(mass(clip.frame(frame).gaussians).sum(), rel=1e-4)
-    assert fewer_in(clip, 400) is clip
+    assert merge_clip_to(clip, 400) is clip
 
 
 def test_commands_merge(tmp_path, capsys):

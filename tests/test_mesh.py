@@ -9,7 +9,7 @@ from phy124 import Scene
 from phy124.errors import InputError
 from phy124.generators import mesh as meshes
 from phy124.generators.mesh import mesh
-from phy124.particles.solid import solid
+from phy124.particles.solid import find_solid
 from phy124.pipeline.objects import with_others
 from phy124.runtime import isolated
 
@@ -42,7 +42,7 @@ def test_a_mesh_has_its_size_colours_volume_and_stands_upright(tmp_path, kind, u
     np.testing.assert_allclose(np.linalg.norm(made.means, axis=1), 0.5, atol=5e-3)
     closest = [np.corrcoef(made.means[:, 2], made.rgb[:, axis])[0, 1] for axis in range(3)]
     assert np.argmax(closest) == up
-    assert solid(made, 1 / 32).volume == pytest.approx(np.pi / 6, rel=0.02)
+    assert find_solid(made, 1 / 32).volume == pytest.approx(np.pi / 6, rel=0.02)
 
 
 def test_inverted_mesh_is_lit_from_outside(tmp_path):
@@ -78,7 +78,7 @@ def test_an_open_mesh_is_filled(tmp_path):
     box = trimesh.creation.box((1, 1, 1))
     box.update_faces(box.face_normals[:, 2] < 0.5)
     made = mesh(saved(tmp_path / "open.stl", box), RED)
-    assert solid(made, 1 / 32).volume == pytest.approx(1, rel=0.05)
+    assert find_solid(made, 1 / 32).volume == pytest.approx(1, rel=0.05)
 
 
 def corners(values, faces="3 0 1 2"):

@@ -24,8 +24,8 @@ from phy124.metrics import (
     centre_paths_differ,
     evaluate,
     flicker,
+    measure_physics,
     motion,
-    physics,
     psnr,
     similarity,
     ssim,
@@ -171,7 +171,7 @@ def test_motion_and_flicker_separate_videos(rng):
 
 def test_physics_of_exact_free_fall():
     clip = falling(speed=3.0)
-    p = physics(clip)
+    p = measure_physics(clip)
     assert p.mass == 2.5 and p.finite
     assert (p.volume_lowest, p.volume_highest) == pytest.approx((1, 1))
     # The trapezoid is exact for constant acceleration.
@@ -184,15 +184,17 @@ def test_physics_sees_cheats():
     honest = falling()
     frozen = falling()
     frozen.means[:] = frozen.means[0]
-    assert physics(frozen).momentum_residual > 0.5 and physics(frozen).travelled == 0
+    assert (
+        measure_physics(frozen).momentum_residual > 0.5 and measure_physics(frozen).travelled == 0
+    )
     swollen = falling()
     swollen.scales[3] *= 2
-    assert physics(swollen).volume_highest == pytest.approx(8)
+    assert measure_physics(swollen).volume_highest == pytest.approx(8)
     broken = falling()
     broken.means[2, 0, 0] = np.nan
-    assert not physics(broken).finite
+    assert not measure_physics(broken).finite
     still = Clip(**{**vars(honest), "velocities": None})
-    assert physics(still).momentum_residual is None
+    assert measure_physics(still).momentum_residual is None
 
 
 def test_paths_of_two_clips_are_compared_in_path_lengths():

@@ -11,7 +11,15 @@ from scipy.spatial import KDTree
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, joined, quaternions
 from phy124.generators.shapes import shape
-from phy124.particles import bounds, clean, fill, in_box, make_particles, solid, to_size
+from phy124.particles import (
+    clean,
+    compute_bounds,
+    fill,
+    find_solid,
+    is_in_box,
+    make_particles,
+    scale_to_size,
+)
 from phy124.particles.seeding import MAX_PARTICLES
 
 BALL = math.pi / 6
@@ -86,7 +94,7 @@ def test_the_object_is_the_same_on_every_grid(make, rng):
 @pytest.mark.parametrize("name", SHAPES)
 def test_volume_is_right_to_three_percent_at_every_resolution(name, cells, rng):
     make, volume = SHAPES[name]
-    assert solid(make(20_000, rng), 1 / cells).volume == pytest.approx(volume, rel=0.03)
+    assert find_solid(make(20_000, rng), 1 / cells).volume == pytest.approx(volume, rel=0.03)
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e3])
@@ -106,9 +114,9 @@ def test_gaps_are_sealed_and_half_shells_are_closed(rng):
     holed = whole.select(np.linalg.norm(up[:, :2], axis=1) > 0.045)
     sparse = whole.select(rng.random(20_000) < 0.2)
     half = whole.select(up[:, 2] > 0)
-    assert solid(holed, 1 / 32).volume == pytest.approx(BALL, rel=0.03)
-    assert solid(sparse, 1 / 32).volume == pytest.approx(BALL, rel=0.03)
-    assert solid(half, 1 / 32).volume == pytest.approx(BALL / 2, rel=0.05)
+    assert find_solid(holed, 1 / 32).volume == pytest.approx(BALL, rel=0.03)
+    assert find_solid(sparse, 1 / 32).volume == pytest.approx(BALL, rel=0.03)
+    assert find_solid(half, 1 / 32).volume == pytest.approx(BALL / 2, rel=0.05)
 
 
 def test_a_hollow_with_thick_walls_stays_open(rng):
@@ -128,8 +136,8 @@ def test_a_hollow_with_thick_walls_stays_open(rng):
     parts.append(plate(0.4, 0.5, 1))
     cup = discs(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]), 0.02)
     volume = math.pi * (0.25 - 0.16 * 0.9)
-    assert solid(cup, 1 / 40).volume == pytest.approx(volume, rel=0.05)
-    assert not in_box(fill(cup, 1 / 40), [-0.25, -0.25, 0.2], [0.25, 0.25, 1]).any()
+    assert find_solid(cup, 1 / 40).volume == pytest.approx(volume, rel=0.05)
+    assert not is_in_box(fill(cup, 1 / 40), [-0.25, -0.25, 0.2], [0.25, 0.25, 1]).any()
 
 
 def test_fillers_are_the_regular_lattice_inside(rng):
@@ -226,7 +234,7 @@ def test_any_points_make_finite_positive_particles(n, rank, sigma, spacing, seed
     centres = rng.random((n, 3)) * (np.arange(3) < rank)
     gaussians = dots(centres, 10.0**sigma)
     assume(10.0 ** (sigma - spacing) < 4)
-    volume = solid(gaussians, 10.0**spacing).volume
+    volume = find_solid(gaussians, 10.0**spacing).volume
     for binding in ("particles", "lattice"):
         p = make_particles(gaussians, density=1, spacing=10.0**spacing, binding=binding)
         assert len(p) >= 1 and (p.volume > 0).all() and np.isfinite(p.mass).all()
@@ -318,7 +326,7 @@ def test_bounds_leave_out_a_thousandth_of_the_opacity(rng, faint):
     """However many of the outermost are faint: the few lowest may not weigh enough."""
     given = box(5000, rng)
     given.opacities[given.means[:, 0] < 2 * faint - 1] = 1e-6
-    found = np.array(bounds(given))
+    found = np.array(compute_bounds(given))
     reach = np.sqrt(np.einsum("nii->ni", given.covariances()))
     for axis in range(3):
         for sign, edge in ((1, found[0, axis]), (-1, found[1, axis])):
@@ -331,8 +339,8 @@ def test_bounds_leave_out_a_thousandth_of_the_opacity(rng, faint):
 
 def test_to_size_sets_the_longest_side_and_the_ground(rng):
     given = box(40_000, rng).moved(37.0, np.array([5.0, 6, 7]))
-    sized = to_size(given, 2.0)
-    low, high = bounds(sized)
+    sized = scale_to_size(given, 2.0)
+    low, high = compute_bounds(sized)
     assert high - low == pytest.approx(2 * SIDES, rel=0.03)
     assert (high - low).max() == pytest.approx(2)
     assert (low + high)[:2] == pytest.approx([0, 0], abs=1e-6)
@@ -341,9 +349,9 @@ def test_to_size_sets_the_longest_side_and_the_ground(rng):
     assert (sized.means[:, 2] - reach).min() == pytest.approx(0, abs=1e-5)
     growth = sized.scales / given.scales
     assert np.ptp(growth) < 1e-6 * growth[0, 0]
-    low, high = bounds(to_size(given, 2.0, ground=False))
+    low, high = compute_bounds(scale_to_size(given, 2.0, ground=False))
     assert low == pytest.approx(-high, abs=1e-6)
-    one = to_size(dots(np.ones((1, 3)), 4), 1.0)
+    one = scale_to_size(dots(np.ones((1, 3)), 4), 1.0)
     assert one.scales[0] == pytest.approx([0.5] * 3)
     assert one.means[0] == pytest.approx([0, 0, 0.5], abs=1e-6)
 
@@ -359,4 +367,4 @@ def test_refusals_say_what_to_do(rng):
     with pytest.raises(InputError, match=rf"limit is {MAX_PARTICLES:,}.* coarser grid"):
         make_particles(gaussians, density=1, spacing=1e-3)
     with pytest.raises(InputError, match=r"size = -1: the longest side"):
-        to_size(gaussians, -1)
+        scale_to_size(gaussians, -1)

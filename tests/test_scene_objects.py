@@ -16,7 +16,7 @@ from phy124.io.clip import Clip
 from phy124.io.export.usd import write_usd
 from phy124.io.ply import read_ply, write_ply
 from phy124.monitor.tearing import Pieces
-from phy124.particles import Particles, bounds
+from phy124.particles import Particles, compute_bounds
 from phy124.particles.scenery import Scenery
 from phy124.pipeline import resume
 from phy124.scene import Pair, Scene
@@ -103,7 +103,7 @@ def test_the_entry_that_names_most_decides_about_a_pair():
 @pytest.mark.parametrize("name", ["sphere", "box", "capsule"])
 def test_a_shape_is_as_large_as_asked_and_faces_outwards(name):
     made = shape(name, (0.5, 1.0, 0.5), (1, 0, 0))
-    low, high = bounds(made)
+    low, high = compute_bounds(made)
     assert np.allclose(high, [0.25, 0.5, 0.25], atol=0.02) and np.allclose(low, -high, atol=0.02)
     assert 900 < len(made) < 1300
     assert made.rgb[:, 0].mean() > 0.6 and made.rgb[:, 1:].max() == 0
@@ -111,12 +111,12 @@ def test_a_shape_is_as_large_as_asked_and_faces_outwards(name):
 
 def test_objects_stand_where_they_are_told(run):
     middle, box, copy = (run.gaussians.of_object(index) for index in range(3))
-    assert bounds(box)[0][2] == pytest.approx(0, abs=0.01)
-    assert bounds(middle)[0][2] == pytest.approx(bounds(box)[1][2] + 0.3, abs=0.03)
-    assert bounds(copy)[0][2] == pytest.approx(bounds(middle)[1][2], abs=0.03)
+    assert compute_bounds(box)[0][2] == pytest.approx(0, abs=0.01)
+    assert compute_bounds(middle)[0][2] == pytest.approx(compute_bounds(box)[1][2] + 0.3, abs=0.03)
+    assert compute_bounds(copy)[0][2] == pytest.approx(compute_bounds(middle)[1][2], abs=0.03)
     beside = scene(objects=[{**BOX, "turn": [0, 90, 0]}])
     turned = Simulation(ball(400), beside, threads=1).gaussians.of_object(1)
-    low, high = bounds(turned)
+    low, high = compute_bounds(turned)
     assert (low + high)[:2] / 2 == pytest.approx([0, 2], abs=0.01)
     assert high - low == pytest.approx([0.48, 1.2, 1.2], abs=0.03)
 
@@ -141,8 +141,8 @@ def test_particles_are_sorted_by_object(run):
     assert np.all(np.diff(body) >= 0)
     for index in range(3):
         own, x = run.gaussians.of_object(index), run.particles.x[body == index]
-        assert np.all(x.min(axis=0) > bounds(own)[0] - 0.1)
-        assert np.all(x.max(axis=0) < bounds(own)[1] + 0.1)
+        assert np.all(x.min(axis=0) > compute_bounds(own)[0] - 0.1)
+        assert np.all(x.max(axis=0) < compute_bounds(own)[1] + 0.1)
 
 
 def test_what_goes_on_after_a_pause_is_the_same(run, tmp_path):

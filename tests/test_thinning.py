@@ -9,23 +9,23 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile
 from phy124.generators.relief import relief
-from phy124.particles.thinning import asked_for, check_count, thinned
+from phy124.particles.thinning import check_count, thin, with_count
 from phy124.rendering.render import Renderer
 from support.shapes import ball
 
 
 def test_few_stay_as_they_are():
     g = ball(300)
-    assert thinned(g, None) is g
-    assert thinned(g, len(g)) is g
+    assert thin(g, None) is g
+    assert thin(g, len(g)) is g
 
 
 def test_so_many_are_left_and_the_same_each_time():
     g = ball(4000)
-    some, again = thinned(g, 1000), thinned(g, 1000)
+    some, again = thin(g, 1000), thin(g, 1000)
     assert 950 < len(some) <= 1000
     assert np.array_equal(some.means, again.means)
-    others = [thinned(g, 1000, seed=seed) for seed in range(1, 9)]
+    others = [thin(g, 1000, seed=seed) for seed in range(1, 9)]
     assert any(not np.array_equal(some.means, other.means) for other in others)
 
 
@@ -38,17 +38,17 @@ def test_what_is_left_covers_what_all_covered():
     def alpha(gaussians):
         return 1 - (draw(gaussians, camera, white) - draw(gaussians, camera, black)).mean(axis=2)
 
-    all_of_it, few = alpha(g), alpha(thinned(g, 2000))
+    all_of_it, few = alpha(g), alpha(thin(g, 2000))
     assert few.sum() == pytest.approx(all_of_it.sum(), rel=0.1)
     bare = alpha(g.select(np.arange(0, len(g), len(g) // 2000)))
     assert abs(few - all_of_it).mean() < abs(bare - all_of_it).mean()
 
 
 def test_a_generator_that_can_be_told_makes_so_many_itself():
-    assert asked_for(relief, 700).keywords == {"count": 700}
+    assert with_count(relief, 700).keywords == {"count": 700}
     reader = PlyFile("object.ply")
-    assert asked_for(reader, 700) is reader
-    assert asked_for(relief, None) is relief
+    assert with_count(reader, 700) is reader
+    assert with_count(relief, None) is relief
 
 
 @pytest.mark.parametrize("count", [0, 99, -5, 10**9])
@@ -62,7 +62,7 @@ def test_a_giant_leaves_no_hole_where_the_others_were(size):
     g = ball(4000)
     scales = g.scales.copy()
     scales[7] = size
-    some, wanted = thinned(replace(g, scales=scales), 1000), thinned(g, 1000)
+    some, wanted = thin(replace(g, scales=scales), 1000), thin(g, 1000)
     assert len(some) > 900
     usual = some.scales.max(axis=1) < 1
     assert np.median(some.scales[usual]) == pytest.approx(np.median(wanted.scales), rel=0.1)

@@ -17,7 +17,7 @@ from phy124.imaging.cutout import foreground
 from phy124.imaging.matting import fit_edge
 from phy124.imaging.u2net.network import WIDTHS, ConvBnRelu, U2Net
 from phy124.imaging.u2net.network import load as build
-from phy124.weights.store import KNOWN, require, sha256_of
+from phy124.weights.store import KNOWN, compute_sha256, require
 from reference import formula
 
 SHIPPED = require("u2netp")
@@ -173,7 +173,7 @@ def test_auto_takes_alpha_then_full_then_small_network(no_weights, small):
 def test_the_small_network_cuts_photographs_out(no_weights):
     """Where GrabCut takes half the cat, and all of the sky around the rocket."""
     path = SHIPPED["u2netp.onnx"]
-    assert sha256_of(path) == KNOWN["u2netp"][0].sha256
+    assert compute_sha256(path) == KNOWN["u2netp"][0].sha256
     for photo, shown, hidden in (
         (data.chelsea(), [(100, 100), (150, 250), (200, 250), (40, 160)], [(40, 420), (150, 440)]),
         (data.rocket(), [(160, 322), (250, 322), (350, 322)], [(100, 200), (60, 60), (250, 400)]),

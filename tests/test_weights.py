@@ -11,7 +11,7 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.weights import store as weights
-from phy124.weights.store import KNOWN, WeightFile, fetch, find, looking_in, require, status
+from phy124.weights.store import KNOWN, WeightFile, check_all, fetch, find, require, search_first
 
 CONTENT = bytes(range(256)) * 2000
 DIGEST = hashlib.sha256(CONTENT).hexdigest()
@@ -113,8 +113,8 @@ def test_weights_are_sought_in_folder_environment_cache(tmp_path, monkeypatch):
 def test_folder_of_the_command_line_counts_everywhere_within_it(tmp_path):
     named = put(tmp_path / "named/toy/part/model.bin")
     assert find(TOY) is None
-    with looking_in(tmp_path / "named"):
-        assert find(TOY) == named and weights.have("toy")
+    with search_first(tmp_path / "named"):
+        assert find(TOY) == named and weights.is_complete("toy")
     assert find(TOY) is None
 
 
@@ -149,7 +149,7 @@ def test_cut_short_file_says_what_was_expected(tmp_path):
 
 
 def test_doctor_lists_every_file_with_its_verdict(tmp_path):
-    listed = status(tmp_path)
+    listed = check_all(tmp_path)
     assert {s.weights for s in listed} == set(KNOWN)
     assert {s.verdict for s in listed if not s.file.shipped} == {"missing"}
     assert {s.verdict for s in listed if s.file.shipped} == {"match"}
@@ -159,7 +159,7 @@ def test_doctor_lists_every_file_with_its_verdict(tmp_path):
 
     def verdict(content, **options):
         put(tmp_path / "toy/part/model.bin", content)
-        return next(s.verdict for s in status(tmp_path, **options) if s.weights == "toy")
+        return next(s.verdict for s in check_all(tmp_path, **options) if s.weights == "toy")
 
     assert verdict(CONTENT) == "match"
     assert verdict(CONTENT, check=False) == "unchecked"

@@ -16,7 +16,7 @@ from phy124.gaussians import Frame, Gaussians, as_objects
 from phy124.generators.relief import relief
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
-from phy124.particles.thinning import asked_for
+from phy124.particles.thinning import with_count
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.simulation import Simulation
 from phy124.simulation.parts import crop_of
@@ -56,7 +56,7 @@ def _made(order: Order, generator: Any, cutout: Image.Image, number: int, tell: 
     def progress(_: str, done: int, total: int) -> None:
         tell(Step("generate", number * total + done, (1 + len(order.others)) * total))
 
-    make = asked_for(generator, order.gaussians)
+    make = with_count(generator, order.gaussians)
     return make(cutout, seed=order.scene.seed, progress=progress)
 
 

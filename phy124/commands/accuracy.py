@@ -22,7 +22,7 @@ from phy124.progress import Progress
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, parse_changes
 from phy124.simulation.parts import WHOLE, Crop
-from phy124.weights.store import looking_in
+from phy124.weights.store import search_first
 
 KEPT = "the results are those of the settings that were run"
 
@@ -138,7 +138,7 @@ class ShowAccuracy:
         how = self.making.given()
         if is_file_of_gaussians(self.image):
             how["generator"] = str(self.image)
-        with looking_in(self.making.cutting.weights):
+        with search_first(self.making.cutting.weights):
             made = static(
                 self.image, scene, **how, looked=self._look, announce=self._announce,
                 device=device, progress=progress,

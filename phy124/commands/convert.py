@@ -24,7 +24,7 @@ from phy124.io.formats import (
     written_as,
     written_formats,
 )
-from phy124.particles.merging import fewer, fewer_in
+from phy124.particles.merging import merge_clip_to, merge_to
 
 MERGE = tyro.conf.arg(metavar="N")
 AXIS = tyro.conf.arg(metavar="AXIS")
@@ -63,7 +63,7 @@ class Convert:
         )
         gaussians = content.gaussians
         if self.merge is not None:
-            gaussians = fewer(gaussians, self.merge)
+            gaussians = merge_to(gaussians, self.merge)
         write_gaussians(self.out, gaussians, chosen.name, antialiased=content.antialiased)
         notes = [*_dropped(content.dropped), *content.remarks(), *_far(content)]
         notes += lost(gaussians, chosen)
@@ -102,7 +102,7 @@ class Export:
             limit = f"The clip has the frames 0 to {len(clip) - 1}."
             raise InputError("frame", self.frame, limit, "Choose one of them.")
         if self.merge is not None:
-            clip = fewer_in(clip, self.merge)
+            clip = merge_clip_to(clip, self.merge)
         with Bars(quiet=self.json) as bars:
             files = self._write(clip, chosen, bars)
         first = clip.frame(self.frame or 0).gaussians

@@ -18,7 +18,7 @@ from phy124.imaging.cutout import Cutout, cut_out, title_of
 from phy124.imaging.cutting import Cutting
 from phy124.io.files import replacing
 from phy124.runtime.isolated import Deadline
-from phy124.weights.store import looking_in
+from phy124.weights.store import search_first
 
 KINDS = (".png", ".webp")
 IF_WRONG = (
@@ -76,7 +76,7 @@ class CutOut:
 
     def _cut_out(self) -> Cutout:
         how = self.options
-        with looking_in(how.weights), Bars(quiet=self.json) as bars:
+        with search_first(how.weights), Bars(quiet=self.json) as bars:
             deadline = Deadline(beat=partial(bars, "cut out", 0, 1))
             found = cut_out(
                 self.image, how.foreground, mask=how.mask, pick=how.point, deadline=deadline

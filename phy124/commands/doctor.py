@@ -17,7 +17,7 @@ from phy124.runtime.driver import driver
 from phy124.runtime.installation import install_command
 from phy124.runtime.memory import free_memory
 from phy124.runtime.startup import start
-from phy124.weights.store import status
+from phy124.weights.store import check_all
 
 EXTRAS = {
     "lgm": ("torch", "diffusers", "transformers"),
@@ -53,7 +53,7 @@ class Doctor:
 
     def run(self) -> int:
         """Print the findings; returns status 1 if a required part is missing."""
-        found, files = examine(), status(self.weights, check=self.all or self.json)
+        found, files = examine(), check_all(self.weights, check=self.all or self.json)
         if self.json:
             print(json.dumps({**found, "weights": data(files)}))
         else:

@@ -22,7 +22,7 @@ from phy124.rendering.film import cameras
 from phy124.rendering.frames import render_frames
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, View
-from phy124.weights.store import looking_in
+from phy124.weights.store import search_first
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Evaluate:
         """Measure; prints the table and writes evaluation.json."""
         clip = Clip.load(self.clip)
         out = self.out or self.clip.parent / "evaluation.json"
-        weights, bars = looking_in(self.weights), Bars(quiet=self.json)
+        weights, bars = search_first(self.weights), Bars(quiet=self.json)
         with replacing(out) as path, weights, bars:  # refuses a file that cannot be written
             model, missing = self._model()
             videos = self._videos(clip, bars)

@@ -33,7 +33,7 @@ from phy124.progress import Progress, silent
 from phy124.runtime.device import pick_device
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.weights.store import looking_in
+from phy124.weights.store import search_first
 
 
 @dataclass(frozen=True)
@@ -70,10 +70,10 @@ class Generate:
             return go_on(out, self.options, scene, goal)
         announce(scene, as_json=self.options.json)
         if self.plan.dry_run:
-            with looking_in(self.making.cutting.weights):
+            with search_first(self.making.cutting.weights):
                 return self._predict(scene, device)
         with (
-            looking_in(self.making.cutting.weights),
+            search_first(self.making.cutting.weights),
             Bars(quiet=self.options.json, keeps=True) as bars,
         ):
             result = pipeline.generate(

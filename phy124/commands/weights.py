@@ -11,7 +11,7 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.errors import InputError
-from phy124.weights.store import KNOWN, WeightStatus, fetch, status
+from phy124.weights.store import KNOWN, WeightStatus, check_all, fetch
 
 SENTENCES = {
     "match": "complete: size and sha256 are the published ones",
@@ -55,7 +55,7 @@ class Weights:
         return 0
 
     def _list(self) -> int:
-        found = status(self.weights)
+        found = check_all(self.weights)
         print(json.dumps(data(found)) if self.json else "\n".join(lines(found)))
         return 1 if any(s.verdict == "differs" for s in found) else 0
 

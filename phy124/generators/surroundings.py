@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
-from phy124.particles import clean, shown
+from phy124.particles import clean, visible_area
 
 SAMPLE = 100_000
 """Number of Gaussians, evenly picked, that represent all of them."""
@@ -48,7 +48,7 @@ def surroundings(
         return []
     some, _ = clean(gaussians.select(visible[:: 1 + len(visible) // SAMPLE]))
     means = some.means.astype(np.float64)
-    found = _sky(means) or _place(means, shown(some))
+    found = _sky(means) or _place(means, visible_area(some))
     if found is None:
         return []
     corners = np.array(found.box) + origin

@@ -1,4 +1,4 @@
-"""How good a clip is: CLIP-T as in the paper, and measures that need no trained weights.
+"""Measures how good a clip is: CLIP-T as in the paper, and figures without trained weights.
 
 `evaluate` takes a clip and its pictures; `phy124 evaluate` draws the pictures and prints the table.
 """
@@ -11,7 +11,7 @@ from typing import Any
 
 from phy124.io.clip import Clip
 from phy124.metrics import similarity
-from phy124.metrics.physics import Physics, centre_paths_differ, physics
+from phy124.metrics.physics import Physics, centre_paths_differ, measure_physics
 from phy124.metrics.pictures import Video, flicker, motion, psnr, ssim
 
 __all__ = [
@@ -21,8 +21,8 @@ __all__ = [
     "centre_paths_differ",
     "evaluate",
     "flicker",
+    "measure_physics",
     "motion",
-    "physics",
     "psnr",
     "ssim",
 ]
@@ -55,14 +55,14 @@ class Evaluation:
     order: str | None
     """Order of the colour channels given to it."""
     missing: str | None = None
-    """Why there are no CLIP-T figures."""
+    """Reason why there are no CLIP-T figures."""
 
     def data(self) -> dict[str, Any]:
-        """Plain data, for evaluation.json."""
+        """Return plain data for evaluation.json."""
         return {**asdict(self), "formulas": similarity.FORMULAS}
 
     def table(self) -> str:
-        """Text that names model and formula beside the numbers."""
+        """Return a table that names model and formula next to the numbers."""
         lines = [
             f"{'view':<8}{'CLIP-T cos':>12}{'CLIP-T dist':>13}{'motion %':>10}{'flicker %':>11}"
         ]
@@ -113,7 +113,7 @@ def evaluate(
         )
     return Evaluation(
         tuple(views),
-        physics(clip),
+        measure_physics(clip),
         len(clip),
         None if model is None else model.name,
         None if model is None else model.order,

@@ -14,14 +14,14 @@ from phy124.io.clip import Clip
 from phy124.metrics.pictures import psnr, ssim
 
 SAME_OBJECT = 0.1
-"""RMS distance at rest, in object sizes, from which two clips show different objects."""
+"""RMS distance at rest, in object sizes, above which two clips show different objects."""
 SAME_TIME = 1e-6
-"""Difference of two instants that is ignored, s."""
+"""Difference of two times that is ignored, s."""
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """How similar the pictures of two clips are from one side."""
+    """Similarity of the pictures of two clips from a side."""
 
     view: str
     psnr: float | None
@@ -32,7 +32,7 @@ class Likeness:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How far two clips are apart."""
+    """Differences between two clips."""
 
     frames: int
     gaussians: int
@@ -50,11 +50,11 @@ class Comparison:
     views: tuple[Likeness, ...] = ()
 
     def data(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return plain data."""
         return asdict(self)
 
     def table(self) -> str:
-        """Text."""
+        """Return a table."""
         lines = [
             f"{self.frames} frames, {self.gaussians:,} Gaussians, object of {self.size:.3g} m",
             f"positions  RMS {self.position_rms:.3g}, at most {self.position_max:.3g} "
@@ -63,9 +63,9 @@ class Comparison:
         ]
         if self.views:
             lines.append(f"{'view':<14}{'PSNR dB':>9}{'SSIM':>9}")
-        for one in self.views:
-            decibel = "equal" if one.psnr is None else f"{one.psnr:.2f}"
-            lines.append(f"{one.view:<14}{decibel:>9}{one.ssim:>9.4f}")
+        for likeness in self.views:
+            decibel = "equal" if likeness.psnr is None else f"{likeness.psnr:.2f}"
+            lines.append(f"{likeness.view:<14}{decibel:>9}{likeness.ssim:>9.4f}")
         return "\n".join(lines)
 
 
@@ -75,7 +75,7 @@ def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
     Args:
         a: The reference.
         b: The other clip.
-        views: How similar their pictures are, if that was measured.
+        views: Similarity of their pictures, if it was measured.
 
     Raises:
         InputError: If they are not two motions of one object at the same instants.
@@ -83,8 +83,10 @@ def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
     check_comparable(a, b)
     a, b = a.surface, b.surface
     size = _size(a)
-    own = a.own
-    squares = np.stack([_squares(x[own], y[own]) for x, y in zip(a.means, b.means, strict=True)])
+    keep = a.own
+    squares = np.stack(
+        [_squared_distances(x[keep], y[keep]) for x, y in zip(a.means, b.means, strict=True)]
+    )
     colours = a.frame(0).gaussians.rgb.astype(float) - b.frame(0).gaussians.rgb
     return Comparison(
         frames=len(a),
@@ -106,11 +108,11 @@ def check_comparable(a: Clip, b: Clip) -> None:
         InputError: If they are not two motions of one object at the same instants.
     """
     if not len(a) or not a.opacities.size:
-        raise _refusal("the first one is empty.", "Give clips with frames and Gaussians.")
-    one, other = len(a.surface.opacities), len(b.surface.opacities)
-    if one != other:
+        raise _refusal("the first clip is empty.", "Give clips with frames and Gaussians.")
+    first, second = len(a.surface.opacities), len(b.surface.opacities)
+    if first != second:
         raise _refusal(
-            f"they have {one:,} and {other:,} Gaussians.",
+            f"they have {first:,} and {second:,} Gaussians.",
             "Make both from one picture or .ply file, with the same generator and seed.",
         )
     if len(a) != len(b):
@@ -124,7 +126,7 @@ def check_comparable(a: Clip, b: Clip) -> None:
             f"their frames are up to {late:.3g} s apart in time.",
             "Simulate one of them again with the other's time.fps.",
         )
-    apart = math.sqrt(_squares(_centred(a, a.own), _centred(b, a.own)).mean()) / _size(a)
+    apart = math.sqrt(_squared_distances(_centre(a, a.own), _centre(b, a.own)).mean()) / _size(a)
     if not apart <= SAME_OBJECT:
         raise _refusal(
             f"they begin as different objects: {apart:.0%} of the size apart at rest.",
@@ -145,7 +147,7 @@ class Pictures:
         self.similarities.append(ssim(a, b))
 
     def likeness(self, view: str) -> Likeness:
-        """The likeness of all frames added so far."""
+        """Return the similarity of all frames added."""
         error = float(np.mean(self.errors))
         decibel = None if error == 0 else -10 * math.log10(error)
         return Likeness(view, decibel, float(np.mean(self.similarities)))
@@ -155,12 +157,12 @@ def _size(clip: Clip) -> float:
     return float(np.ptp(clip.means[0][clip.own], axis=0).max()) or 1.0
 
 
-def _centred(clip: Clip, own: NDArray[np.bool_]) -> NDArray[np.float64]:
-    rest = clip.means[0][own].astype(np.float64)
+def _centre(clip: Clip, keep: NDArray[np.bool_]) -> NDArray[np.float64]:
+    rest = clip.means[0][keep].astype(np.float64)
     return rest - rest.mean(axis=0)
 
 
-def _squares(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+def _squared_distances(a: NDArray, b: NDArray) -> NDArray[np.float64]:
     return ((a.astype(np.float64) - b) ** 2).sum(axis=-1)
 
 

@@ -15,7 +15,7 @@ class Physics:
     """Measures of one clip; None where the clip lacks what is needed."""
 
     mass: float | None
-    """Mass of the particles, kg; conserved by construction, hence a single number."""
+    """Mass of the particles, kg; a single number, since it is conserved by construction."""
     volume_lowest: float
     """Smallest total volume of the Gaussians over time, relative to the first frame."""
     volume_highest: float
@@ -30,11 +30,11 @@ class Physics:
     travelled: float
     """Length of the centre's path, in object sizes: 0 for a frozen clip."""
     finite: bool
-    """Whether every number of every frame is finite."""
+    """True if every number of every frame is finite."""
 
 
-def physics(clip: Clip) -> Physics:
-    """The physical measures of `clip`; all Gaussians have equal weight."""
+def measure_physics(clip: Clip) -> Physics:
+    """Measure the physics of a clip; all Gaussians have equal weight."""
     volumes = np.prod(np.asarray(clip.scales, dtype=np.float64), axis=2).sum(axis=1)
     ratio = volumes / volumes[0]
     centres = np.asarray(clip.means, dtype=np.float64).mean(axis=1)
@@ -63,7 +63,7 @@ def _momentum_residual(clip: Clip, centres: NDArray[np.float64]) -> float | None
 
 
 def centre_paths_differ(a: Clip, b: Clip) -> float:
-    """Largest distance of two clips' centres at equal times, relative to the longer path.
+    """Return the largest distance of two clips' centres at equal times, per longer path.
 
     Both must have the same frames. It measures whether two generators lead to "the same dynamics".
     """

@@ -16,27 +16,27 @@ REACH = 5
 K1, K2 = 0.01, 0.03
 
 
-def unit(images: NDArray) -> NDArray[np.float64]:
-    """Colours in 0..1, from uint8 or float pictures."""
+def to_unit(images: NDArray) -> NDArray[np.float64]:
+    """Convert uint8 or float pictures to colours in 0..1."""
     images = np.asarray(images)
     return images / 255.0 if images.dtype == np.uint8 else images.astype(np.float64)
 
 
 def psnr(a: NDArray, b: NDArray) -> float:
-    """Peak signal-to-noise ratio [dB] of two pictures of equal shape; infinite if equal."""
-    error = float(np.mean((unit(a) - unit(b)) ** 2))
+    """Return the peak signal-to-noise ratio [dB] of two pictures; infinite if they are equal."""
+    error = float(np.mean((to_unit(a) - to_unit(b)) ** 2))
     return math.inf if error == 0 else -10 * math.log10(error)
 
 
 def ssim(a: NDArray, b: NDArray) -> float:
-    """Structural similarity of two pictures [H,W,C], -1 to 1.
+    """Return the structural similarity of two pictures [H,W,C], -1 to 1.
 
     Wang et al. 2004, "Image Quality Assessment": a Gaussian window of 11 x 11 pixels, the mean
     over all windows that lie inside the picture and over the channels.
     """
     import cv2
 
-    x, y = unit(a), unit(b)
+    x, y = to_unit(a), to_unit(b)
 
     def mean(values: NDArray) -> NDArray:
         return cv2.GaussianBlur(values, (2 * REACH + 1, 2 * REACH + 1), SIGMA)
@@ -50,20 +50,20 @@ def ssim(a: NDArray, b: NDArray) -> float:
 
 
 def motion(video: Video) -> float:
-    """Mean change of a colour value from frame to frame, in per cent of its range.
+    """Return the mean change of a colour value from frame to frame, in per cent of its range.
 
     It is zero for a frozen video, whose CLIP-T is perfect: never read one without the other.
     """
-    video = unit(video)
+    video = to_unit(video)
     return 100 * float(np.abs(np.diff(video, axis=0)).mean()) if len(video) > 1 else 0.0
 
 
 def flicker(video: Video) -> float:
-    """How much the mean colour of the picture oscillates, in per cent of its range.
+    """Return the oscillation of the picture's mean colour, in per cent of its range.
 
     Half the mean |second difference| in time of each channel's mean over the picture: 0 where it
     drifts steadily, 100 where it alternates between black and white. The mean hardly changes when
     an object merely moves, so this does not measure motion.
     """
-    colours = unit(video).mean(axis=(1, 2))
+    colours = to_unit(video).mean(axis=(1, 2))
     return 50 * float(np.abs(np.diff(colours, n=2, axis=0)).mean()) if len(colours) > 2 else 0.0

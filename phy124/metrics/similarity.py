@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.metrics.pictures import unit
+from phy124.metrics.pictures import to_unit
 from phy124.runtime.installation import install_command
 from phy124.weights.store import require
 
@@ -31,33 +31,33 @@ FORMULAS = {
 MEAN = (0.48145466, 0.4578275, 0.40821073)
 STD = (0.26862954, 0.26130258, 0.27577711)
 Order = Literal["rgb", "bgr"]
-"""Channel order given to CLIP. 4DGen's program gives BGR, which CLIP was not trained on."""
+"""Channel order of CLIP's input. 4DGen uses BGR, on which CLIP was not trained."""
 
 
 def cosine(embeddings: NDArray) -> float:
-    """Mean cosine of consecutive rows of `embeddings [T,D]`."""
+    """Return the mean cosine of consecutive rows of `embeddings [T,D]`."""
     return float(cosine_pairs(embeddings).mean())
 
 
 def distance(embeddings: NDArray) -> float:
-    """Mean spherical distance of consecutive rows of `embeddings [T,D]`."""
+    """Return the mean spherical distance of consecutive rows of `embeddings [T,D]`."""
     return float(distance_pairs(embeddings).mean())
 
 
 def cosine_pairs(embeddings: NDArray) -> NDArray[np.float64]:
-    """Cosines [T-1] of consecutive rows."""
-    e = _normalised(embeddings)
+    """Return the cosines [T-1] of consecutive rows."""
+    e = _normalise(embeddings)
     return (e[1:] * e[:-1]).sum(axis=1)
 
 
 def distance_pairs(embeddings: NDArray) -> NDArray[np.float64]:
-    """Half the squared angles [T-1] of consecutive rows, exact for small ones too."""
-    e = _normalised(embeddings)
+    """Return half the squared angles [T-1] of consecutive rows, exact for small angles, too."""
+    e = _normalise(embeddings)
     chord = np.linalg.norm(e[1:] - e[:-1], axis=1)
     return 2 * np.arcsin(np.clip(chord / 2, 0, 1)) ** 2
 
 
-def _normalised(embeddings: NDArray) -> NDArray[np.float64]:
+def _normalise(embeddings: NDArray) -> NDArray[np.float64]:
     e = np.asarray(embeddings, dtype=np.float64)
     if e.ndim != 2 or len(e) < 2:
         raise ValueError(f"embeddings have shape {e.shape}, wanted [T,D] with T of 2 at least")
@@ -93,7 +93,7 @@ class ClipModel:
 
 def _pixels(image: NDArray, size: int, order: Order) -> NDArray[np.float32]:
     """CLIP's input [3,S,S]: shorter side to S (bicubic), centre crop, normalised."""
-    picture = Image.fromarray((unit(image) * 255 + 0.5).astype(np.uint8))
+    picture = Image.fromarray((to_unit(image) * 255 + 0.5).astype(np.uint8))
     scale = size / min(picture.size)
     wide, high = (max(size, round(side * scale)) for side in picture.size)
     left, top = (wide - size) // 2, (high - size) // 2

@@ -23,7 +23,7 @@ from phy124.monitor.observer import Effect, Observed, Observer, Subject, find
 from phy124.monitor.tearing import APART, Tearing
 from phy124.mpm import Solver
 from phy124.particles import Particles, by_object
-from phy124.particles.grains import grains_at
+from phy124.particles.grains import make_grains
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -179,7 +179,7 @@ class Interior(Observer):
         every = len(gaussians) == len(self._shown)
         shown = self._shown if every else self._shown.select(gaussians)
         candidates = np.flatnonzero(free)
-        grains, above, clear = grains_at(shown, x[candidates], self._spacing)
+        grains, above, clear = make_grains(shown, x[candidates], self._spacing)
         inside = candidates[clear]
         count = min(NEIGHBOURS, len(x))
         near = np.reshape(

@@ -8,30 +8,37 @@ Gaussian is an MPM particle, and the closed interior is filled with more (as Phy
 2311.12198, does).
 """
 
-from phy124.particles.cleaning import Cleaning, bounds, clean, shown, sizing, to_size
+from phy124.particles.cleaning import (
+    Cleaning,
+    clean,
+    compute_bounds,
+    scale_to_size,
+    size_transform,
+    visible_area,
+)
 from phy124.particles.seeding import (
     BINDINGS,
     Particles,
     by_object,
     fill,
-    in_box,
+    is_in_box,
     make_particles,
 )
-from phy124.particles.solid import Solid, solid
+from phy124.particles.solid import Solid, find_solid
 
 __all__ = [
     "BINDINGS",
     "Cleaning",
     "Particles",
     "Solid",
-    "bounds",
     "by_object",
     "clean",
+    "compute_bounds",
     "fill",
-    "in_box",
+    "find_solid",
+    "is_in_box",
     "make_particles",
-    "shown",
-    "sizing",
-    "solid",
-    "to_size",
+    "scale_to_size",
+    "size_transform",
+    "visible_area",
 ]

@@ -1,4 +1,4 @@
-"""Cleaning before the physics: which Gaussians are kept, repaired or dropped.
+"""Drops or repairs Gaussians that the physics cannot use.
 
 Every rule is relative to the object itself, so that a micrometre and a kilometre are treated alike.
 The rules, in this order:
@@ -12,7 +12,7 @@ The rules, in this order:
    longest axis): dropped;
 5. stray (in a group separated from the rest by more than about `GAP` of the longest side, or the
    usual distance of neighbours if that is larger, that contains under `STRAY` of all, or of what is
-   seen, as `shown` weighs it): dropped.
+   seen, as `visible_area` weighs it): dropped.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ GIGANTIC = 0.5
 STRAY = 1e-3
 GAP = 0.05
 WIDE = 16.0
-"""Area from which a Gaussian shows no more, in usual areas."""
+"""Area at which the weight of a large Gaussian is cut off, in median areas."""
 VISIBLE = 0.1
 """Opacity from which a Gaussian counts as part of the surface."""
 
 
 @dataclass(frozen=True)
 class Cleaning:
-    """What `clean` did, as numbers of Gaussians."""
+    """Numbers of Gaussians that `clean` dropped and repaired."""
 
-    given: int
+    total: int
     not_finite: int = 0
     invisible: int = 0
     gigantic: int = 0
@@ -50,21 +50,21 @@ class Cleaning:
     repaired_quats: int = 0
     repaired_opacities: int = 0
     survivors: NDArray[np.bool_] | None = field(default=None, compare=False, repr=False)
-    """Which of the given Gaussians were kept."""
+    """Mask of the Gaussians that were kept."""
 
     @property
     def dropped(self) -> int:
-        """How many were dropped."""
+        """Number of dropped Gaussians."""
         return self.not_finite + self.invisible + self.gigantic + self.stray
 
     @property
     def kept(self) -> int:
-        """How many were kept."""
-        return self.given - self.dropped
+        """Number of Gaussians that were kept."""
+        return self.total - self.dropped
 
     @property
     def sentences(self) -> list[str]:
-        """One sentence per rule that had an effect, for the report."""
+        """Sentences for the report, one for each rule that had an effect."""
         texts = {
             "not_finite": "had NaN or infinite values and were dropped",
             "invisible": "were invisible (opacity under 1/255 or no extent) and were dropped",
@@ -75,37 +75,37 @@ class Cleaning:
             "repaired_opacities": "had an opacity above 1, replaced by 1",
         }
         counts = {name: getattr(self, name) for name in texts}
-        return [f"{n} of {self.given} Gaussians {texts[k]}." for k, n in counts.items() if n]
+        return [f"{n} of {self.total} Gaussians {texts[k]}." for k, n in counts.items() if n]
 
 
 def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
-    """Gaussians fit for physics and rendering, and a count of what was done.
+    """Return the Gaussians fit for physics and rendering, and numbers of what was changed.
 
-    The kept Gaussians stay in order; coincident ones are fine.
+    The order stays; coincident Gaussians are fine.
 
     Raises:
         InputError: If nothing visible is left.
     """
-    given = len(gaussians)
-    finite = _finite(gaussians)
+    total = len(gaussians)
+    finite = _are_finite(gaussians)
     usable, repairs = _repair(gaussians.select(finite))
     visible = (usable.opacities >= INVISIBLE) & (usable.longest > 0)
     usable = usable.select(visible)
-    huge = _gigantic(usable)
+    huge = _are_gigantic(usable)
     usable = usable.select(~huge)
-    stray = _stray(usable)
+    stray = _are_stray(usable)
     usable = usable.select(~stray)
-    survivors = np.zeros(given, bool)
+    survivors = np.zeros(total, bool)
     survivors[np.flatnonzero(finite)[visible][~huge][~stray]] = True
     if len(usable) == 0:
         raise InputError(
             "gaussians",
-            f"{given} Gaussians",
+            f"{total} Gaussians",
             "none of them is finite and visible, so there is no object to move.",
             "Check the file, or try another picture or generator.",
         )
     return usable, Cleaning(
-        given=given,
+        total=total,
         not_finite=int((~finite).sum()),
         invisible=int((~visible).sum()),
         gigantic=int(huge.sum()),
@@ -115,17 +115,17 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
     )
 
 
-def shown(gaussians: Gaussians) -> NDArray[np.float32]:
-    """How much each shows [N], m^2: opacity times area, which of large ones counts only in part.
+def visible_area(gaussians: Gaussians) -> NDArray[np.float32]:
+    """Return the visible area of each Gaussian [N], m^2: opacity times area, with a cut-off.
 
-    Those are a background, such as a sky, beside whose area an object is nothing.
+    Without the cut-off a background of large Gaussians, such as a sky, would outweigh the object.
     """
     cover = gaussians.cover
     return np.minimum(cover, WIDE * np.median(cover))
 
 
-def bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners [3], [3] m of the object's box: one standard deviation around the centres.
+def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the low and high corner [3] m of the object: one standard deviation around centres.
 
     The outermost 0.1 % of the opacity on either side is left out, so that a few faint Gaussians do
     not decide the size. Over 200,000 Gaussians, an even subset is used.
@@ -138,15 +138,15 @@ def bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float6
     return low, high
 
 
-def to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussians:
-    """The object scaled to metres, by `sizing`."""
-    return gaussians.moved(*sizing(gaussians, size, ground=ground))
+def scale_to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussians:
+    """Scale the object to metres, by `size_transform`."""
+    return gaussians.moved(*size_transform(gaussians, size, ground=ground))
 
 
-def sizing(
+def size_transform(
     gaussians: Gaussians, size: float, *, ground: bool = True
 ) -> tuple[float, NDArray[np.float64]]:
-    """Scale and then offset [3] that make the longest side `size` m, centred in x and y.
+    """Return scale and offset [3] that make the longest side `size` m, centred in x and y.
 
     With `ground` its lowest visible point (one standard deviation below a centre of opacity 0.1 or
     more) is at z = 0, otherwise it is centred in z too.
@@ -158,15 +158,15 @@ def sizing(
         raise InputError(
             "size", size, "the longest side must be a positive length.", "Give metres, as 1.0."
         )
-    low, high = bounds(gaussians)
+    low, high = compute_bounds(gaussians)
     scale = float(size / (high - low).max())
     offset = -scale * (low + high) / 2
     if ground:
-        offset[2] = -scale * _lowest(gaussians)
+        offset[2] = -scale * _lowest_height(gaussians)
     return scale, offset
 
 
-def _finite(gaussians: Gaussians) -> NDArray[np.bool_]:
+def _are_finite(gaussians: Gaussians) -> NDArray[np.bool_]:
     keep = np.ones(len(gaussians), bool)
     for name in ("means", "quats", "scales", "opacities", "sh"):
         finite = np.isfinite(getattr(gaussians, name))
@@ -193,7 +193,7 @@ def _repair(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
     return repaired, counts
 
 
-def _gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
+def _are_gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
     if len(gaussians) == 0:
         return np.zeros(0, bool)
     longest = gaussians.longest.astype(np.float64)
@@ -202,8 +202,8 @@ def _gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
     return (longest > GIGANTIC * (high - low).max()) & (longest > 20 * np.median(longest))
 
 
-def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Members of connected groups of cells of a coarse grid that hold or show next to nothing."""
+def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """Find Gaussians in separate groups of cells that hold or show almost nothing."""
     if len(gaussians) * STRAY < 1:
         return np.zeros(len(gaussians), bool)
     means = gaussians.means.astype(np.float64)
@@ -214,7 +214,7 @@ def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
         return np.zeros(len(gaussians), bool)
     # N points on a surface are about side / sqrt(N) apart; random gaps are a few times wider.
     cell = max(GAP / 2, 4 / np.sqrt(len(means)))
-    # Whatever lies further out than half the object is gathered in the outermost cells.
+    # Gaussians farther out than half the object go to the outermost cells.
     cells = np.clip((means - low) / side, -0.5, (high - low) / side + 0.5) / cell
     index = np.floor(cells - cells.min(axis=0)).astype(np.int64)
     shape = tuple(index.max(axis=0) + 1)
@@ -223,22 +223,22 @@ def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     groups, count = scipy.ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
     group = groups.ravel()[flat]
     members = np.bincount(group, minlength=count + 1)
-    seen = np.bincount(group, shown(gaussians), minlength=count + 1)
+    seen = np.bincount(group, visible_area(gaussians), minlength=count + 1)
     stray = (members < STRAY * len(gaussians)) | (seen < STRAY * seen.sum())
     return stray[group]
 
 
 def _quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.float64]:
-    """Per column of `values` [N,3], the value below which `fraction` of the weight lies."""
+    """Return the weighted quantile [3] of the columns of `values` [N,3]."""
     weights = weights.astype(np.float64)
     below = fraction * weights.sum()
-    return np.array([_at_weight(column, weights, below, fraction) for column in values.T])
+    return np.array([_weighted_quantile(column, weights, below, fraction) for column in values.T])
 
 
-def _at_weight(values: NDArray, weights: NDArray, below: float, fraction: float) -> float:
-    """The smallest value [N] up to which there is more than the weight `below`."""
+def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction: float) -> float:
+    """Return the smallest value up to which the weight exceeds `below`."""
     values = np.ascontiguousarray(values, np.float64)
-    # The few lowest are found without sorting all; mostly they weigh enough.
+    # Sort only the lowest values; mostly they weigh enough.
     count = min(len(values), 8 + int(4 * fraction * len(values)))
     for lowest in (np.argpartition(values, count - 1)[:count], np.arange(len(values))):
         order = lowest[np.argsort(values[lowest])]
@@ -248,8 +248,8 @@ def _at_weight(values: NDArray, weights: NDArray, below: float, fraction: float)
     return float(values[order[min(first, len(order) - 1)]])
 
 
-def _lowest(gaussians: Gaussians) -> float:
-    """Height of the lowest visible point."""
+def _lowest_height(gaussians: Gaussians) -> float:
+    """Return the height of the lowest visible point."""
     visible = gaussians.opacities >= VISIBLE
     some = gaussians.select(visible) if visible.any() else gaussians
     z = some.means[:, 2].astype(np.float64)

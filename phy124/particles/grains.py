@@ -1,8 +1,8 @@
-"""Grains: small round Gaussians inside what falls apart, so that it is not an empty skin.
+"""Adds grains: small round Gaussians inside materials that fall apart.
 
-The Gaussians of a generator lie on the surface. Where sand, snow or foam falls apart, they part,
-and what is seen between them is the background. So the particles inside get Gaussians, too: round
-ones, in the colours of the surface above them. They change nothing of the motion.
+The Gaussians of a generator lie on the surface. Where sand, snow or foam falls apart, the
+background would show between them. So the particles inside get round Gaussians in the colours of
+the surface above them. The motion does not change.
 """
 
 from __future__ import annotations
@@ -21,37 +21,37 @@ from phy124.particles.seeding import Particles
 SIZE = 0.55
 """Standard deviation of a grain, in distances of particles: a lattice of such is opaque."""
 CLEARANCE = 2.5
-"""A grain lies at least so many standard deviations below the surface at rest."""
+"""Smallest depth of a grain below the surface at rest, in its standard deviations."""
 NEAREST = 0.5
-"""Particles nearer to a Gaussian get no grain, in distances of particles."""
+"""Smallest distance of a grain from a Gaussian, in distances of particles."""
 OPACITY = 0.95
 IDENTITY = (1, 0, 0, 0)
 
 
-def with_grains(
+def add_grains(
     gaussians: Gaussians,
     particles: Particles,
     moves: NDArray[np.bool_],
     materials: Sequence[AnyMaterial],
     spacing: float,
 ) -> tuple[Gaussians, Particles]:
-    """The Gaussians with one more for each particle inside what falls apart, at the end.
+    """Add a Gaussian for each inner particle of a material that falls apart, at the end.
 
     Args:
         gaussians: The object at rest, N Gaussians, m.
         particles: The particles that move; those without a Gaussian may get one.
-        moves: Which of the Gaussians move [N]; particles name their Gaussian among these.
-        materials: The materials of the particles; those with `grains` get some.
+        moves: Mask of the moving Gaussians [N]; particles index their Gaussian among these.
+        materials: Materials of the particles; those with `grains` get grains.
         spacing: Distance of neighbouring particles, m.
 
     Returns:
-        N + G Gaussians, and the particles, G of which now have one of them.
+        N + G Gaussians, and the particles with the G new indices.
     """
     loose = np.array([section.grains for section in materials])[particles.material]
     inside = np.flatnonzero(loose & (particles.gaussian < 0))
     if not len(inside):
         return gaussians, particles
-    grains, _, clear = grains_at(gaussians, particles.x[inside], spacing)
+    grains, _, clear = make_grains(gaussians, particles.x[inside], spacing)
     inside = inside[clear]
     if (particles.gaussian >= 0).any():
         owner = particles.gaussian.copy()
@@ -60,10 +60,10 @@ def with_grains(
     return joined([gaussians, grains]), particles
 
 
-def grains_at(
+def make_grains(
     gaussians: Gaussians, x: NDArray, spacing: float
 ) -> tuple[Gaussians, NDArray[np.int64], NDArray[np.bool_]]:
-    """Grains at those of the places [P,3] that do not lie in a Gaussian already.
+    """Make grains at those places [P,3] that are not inside a Gaussian.
 
     Args:
         gaussians: The object at rest.
@@ -71,16 +71,16 @@ def grains_at(
         spacing: Distance of neighbouring particles, m.
 
     Returns:
-        G grains, for each the Gaussian above it [G], and which places have one [P].
+        G grains, the index of the Gaussian above each [G], and the mask of places with a grain [P].
     """
     depth, above = map(np.asarray, scipy.spatial.KDTree(gaussians.means).query(x, workers=-1))
     clear = depth >= NEAREST * spacing
     depth, above = depth[clear], above[clear]
-    return _grains(gaussians, x[clear], above, depth, spacing), above, clear
+    return _round_gaussians(gaussians, x[clear], above, depth, spacing), above, clear
 
 
-def shaded(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
-    """The Gaussians, each as much brighter or darker as chance has it.
+def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
+    """Make each Gaussian brighter or darker at random.
 
     Args:
         gaussians: N Gaussians.
@@ -94,7 +94,7 @@ def shaded(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
     return replace(gaussians, sh=sh)
 
 
-def _grains(
+def _round_gaussians(
     gaussians: Gaussians, x: NDArray, above: NDArray, depth: NDArray, spacing: float
 ) -> Gaussians:
     """Round Gaussians at x [G,3] in the colours of the Gaussians above them [G], seen from all

@@ -1,4 +1,4 @@
-"""Merging: neighbouring Gaussians are joined until there are fewer, for files that must be small.
+"""Merges neighbouring Gaussians, for files that must be small.
 
 Two Gaussians become one with the mean and the covariance of both, each weighted by its mass
 (opacity times volume), and with the mean of their colours. Its opacity is what the mass needs;
@@ -19,17 +19,17 @@ from phy124.gaussians import Gaussians, quaternions
 from phy124.io.clip import Clip
 
 COLOUR = 0.1
-"""How far apart two colours count as far as the object is long, in object sizes per unit."""
+"""Distance that a unit difference of colour counts as, in object sizes."""
 NEIGHBOURS = 6
-"""Among how many nearest ones a partner is looked for."""
+"""Number of nearest neighbours that are searched for a partner."""
 OPAQUE = 0.99
 """Largest opacity."""
 SAMPLES = 5
 """Number of frames that decide which Gaussians of a clip stay together."""
 
 
-def groups(places: NDArray, count: int) -> NDArray[np.int64]:
-    """Which of `count` groups each point belongs to [N]; neighbours are joined two by two.
+def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
+    """Assign each point to one of `count` groups [N], by joining neighbours in pairs.
 
     Args:
         places: Points in any number of dimensions [N,D].
@@ -63,10 +63,10 @@ def groups(places: NDArray, count: int) -> NDArray[np.int64]:
     return label
 
 
-def merged(
+def merge_groups(
     gaussians: Gaussians, group: NDArray[np.int64], opacities: NDArray | None = None
 ) -> Gaussians:
-    """One Gaussian for each of G groups, with the mass, the mean and the colour of all in it.
+    """Merge each of G groups into a Gaussian with their mass, mean and colour.
 
     Args:
         gaussians: N Gaussians.
@@ -102,7 +102,7 @@ def merged(
     return result
 
 
-def fewer(gaussians: Gaussians, count: int) -> Gaussians:
+def merge_to(gaussians: Gaussians, count: int) -> Gaussians:
     """The Gaussians, merged until there are at most so many.
 
     Args:
@@ -112,14 +112,16 @@ def fewer(gaussians: Gaussians, count: int) -> Gaussians:
     Raises:
         InputError: There would be none.
     """
-    refuse_none(count)
+    check_not_empty(count)
     if len(gaussians) <= count:
         return gaussians
-    return merged(gaussians, groups(_places([gaussians.means], gaussians.rgb), count))
+    return merge_groups(
+        gaussians, group_neighbours(_feature_points([gaussians.means], gaussians.rgb), count)
+    )
 
 
-def fewer_in(clip: Clip, count: int) -> Clip:
-    """The clip, in which those Gaussians are merged that stay together, with their plain colours.
+def merge_clip_to(clip: Clip, count: int) -> Clip:
+    """Merge Gaussians of a clip that stay together; their colours become plain.
 
     Args:
         clip: The clip.
@@ -128,23 +130,25 @@ def fewer_in(clip: Clip, count: int) -> Clip:
     Raises:
         InputError: There would be none.
     """
-    refuse_none(count)
+    check_not_empty(count)
     if clip.means.shape[1] <= count:
         return clip
     chosen = np.unique(np.linspace(0, len(clip) - 1, SAMPLES).astype(int))
     first = clip.frame(0).gaussians
-    group = groups(_places([clip.means[index] for index in chosen], first.rgb), count)
-    opacities = merged(first, group).opacities
+    group = group_neighbours(
+        _feature_points([clip.means[index] for index in chosen], first.rgb), count
+    )
+    opacities = merge_groups(first, group).opacities
     frames = []
     for frame in replace(clip, rotations=None, sh=clip.sh[:, :1]).frames():
-        joined = merged(frame.gaussians, group, opacities)
+        joined = merge_groups(frame.gaussians, group, opacities)
         frames.append(replace(frame, gaussians=joined, velocities=None, contacts=None))
     report = {**clip.report, "gaussians": len(opacities), "grains": 0, "shine": {}}
     return replace(Clip.from_frames(frames), scene=clip.scene, report=report)
 
 
-def refuse_none(count: int) -> None:
-    """Make sure that something is left.
+def check_not_empty(count: int) -> None:
+    """Refuse a number of Gaussians below one.
 
     Raises:
         InputError: Nothing would be.
@@ -153,7 +157,7 @@ def refuse_none(count: int) -> None:
         raise InputError("merge", count, "nothing would be left.", "Give 1 or more.")
 
 
-def _places(means: list[NDArray], rgb: NDArray) -> NDArray:
+def _feature_points(means: list[NDArray], rgb: NDArray) -> NDArray:
     """Points in which Gaussians are near that are so in all frames, and in colour [N,3T+3]."""
     size = max(float(np.ptp(means[0], axis=0).max()), 1e-12)
     return np.concatenate([*(x / size / len(means) ** 0.5 for x in means), COLOUR * rgb], axis=1)

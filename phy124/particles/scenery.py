@@ -1,7 +1,6 @@
-"""Scenery: the Gaussians of static parts, which are in every frame and never in the solver.
+"""Adds the Gaussians that the solver does not move to each frame.
 
-Objects with a motion of their own are scenery, too: their Gaussians are shifted by their tracks,
-or move and turn with the rigid solid that they are.
+They belong to static parts, to objects that follow a track, and to rigid solids.
 """
 
 from __future__ import annotations
@@ -23,25 +22,25 @@ INSTANT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """An object of which only some Gaussians move; completes frames of those to frames of all."""
+    """Completes a frame of the moving Gaussians to a frame of all Gaussians."""
 
     gaussians: Gaussians
-    """All of them at rest, N."""
+    """All Gaussians at rest, N."""
     moves: NDArray[np.bool_]
-    """Which of them move in the solver [N]."""
+    """Mask of the Gaussians that the solver moves [N]."""
     tracks: tuple[tuple[int, Track], ...] = ()
-    """Numbers of the objects that are shifted, and their displacements over time [m]."""
+    """Indices of the objects that follow a track -> their displacement over time [m]."""
     free: tuple[int, ...] = ()
-    """Numbers of the objects that are rigid solids."""
+    """Indices of the objects that are rigid solids."""
 
     @property
     def count(self) -> int:
-        """How many are static."""
+        """Number of Gaussians that the solver does not move."""
         return int((~self.moves).sum())
 
     @property
     def moving(self) -> Gaussians:
-        """Those that move, at rest, in order."""
+        """The moving Gaussians at rest, in order."""
         return self.gaussians.select(self.moves) if self.count else self.gaussians
 
     def whole(
@@ -75,9 +74,9 @@ class Scenery:
                 velocities[own] = (later - at) / INSTANT
         for place, index in enumerate(self.free):
             own, pose = rest.object_id == index, poses[-1][place]
-            turn = _product(pose[3:], poses[0][place][3:] * (1, -1, -1, -1))
+            turn = _multiply(pose[3:], poses[0][place][3:] * (1, -1, -1, -1))
             arms = (rest.means[own] - poses[0][place][:3]) @ rotation_matrices(turn[None])[0].T
-            means[own], quats[own] = pose[:3] + arms, _product(turn, rest.quats[own])
+            means[own], quats[own] = pose[:3] + arms, _multiply(turn, rest.quats[own])
             if velocities is not None and motions is not None:
                 velocities[own] = motions[place][:3] + np.cross(motions[place][3:], arms)
         gaussians = replace(rest, means=means, quats=quats, scales=scales, sh=sh)
@@ -95,7 +94,7 @@ class Scenery:
         return filled
 
 
-def _product(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+def _multiply(a: NDArray, b: NDArray) -> NDArray[np.float64]:
     """The rotation b, then a, of quaternions wxyz [4] and [..., 4]."""
     w, v = b[..., :1], b[..., 1:]
     first = a[0] * w - (v @ a[1:])[..., None]

@@ -1,4 +1,4 @@
-"""Where the particles are placed, and the volume that each one represents.
+"""Places the particles and computes the volume that each represents.
 
 The solid's volume in each lattice cell is shared evenly by the particles in it; cells without
 particles give theirs to the nearest one. The sum is the volume of the solid. A particle among 500
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.particles.solid import Solid, solid
+from phy124.particles.solid import Solid, find_solid
 
 BINDINGS = ("lattice", "particles")
 MAX_PARTICLES = 8_000_000
@@ -41,9 +41,9 @@ class Particles:
     material: NDArray[np.int32]
     """Index of each particle's material [P]."""
     gaussian: NDArray[np.int32]
-    """Index of the Gaussian that a particle is [P]; -1 for fillers and lattice particles."""
+    """Index of the Gaussian at which the particle is [P]; -1 for fillers and lattice particles."""
     body: NDArray[np.int32] | None = None
-    """Which object of its scene each particle is of [P], in order; None: all are of one."""
+    """Index of each particle's object in the scene [P]; None: there is a single object."""
 
     def __len__(self) -> int:
         return len(self.x)
@@ -62,7 +62,7 @@ def make_particles(
     binding: str = "lattice",
     material: int = 0,
 ) -> Particles:
-    """Particles for clean Gaussians in metres (see `clean`, `to_size`).
+    """Make particles for clean Gaussians in metres (see `clean`, `to_size`).
 
     Args:
         gaussians: The object, N Gaussians.
@@ -77,22 +77,22 @@ def make_particles(
             that the object would need more than `MAX_PARTICLES` particles.
     """
     _check(density, spacing, binding)
-    shape = solid(gaussians, spacing)
+    shape = find_solid(gaussians, spacing)
     room = _room_per_cell(shape, spacing)
     lattice = _lattice(shape, room, spacing)
     if binding == "particles":
-        lattice = _apart(lattice, gaussians.means, 0.5 * spacing)
+        lattice = _keep_apart(lattice, gaussians.means, 0.5 * spacing)
         x = np.concatenate([gaussians.means, lattice])
         owner = np.concatenate([np.arange(len(gaussians)), np.full(len(lattice), -1)])
     else:
-        x = _carrying(gaussians, lattice, shape, spacing)
+        x = _lattice_with_gaussians(gaussians, lattice, shape, spacing)
         owner = np.full(len(x), -1)
     x = x.astype(np.float32)
-    order = _by_cell(x, 2 * spacing)
+    order = _order_by_cell(x, 2 * spacing)
     x, owner = x[order], owner[order]
     return Particles(
         x=x,
-        volume=_volumes(x, shape, room),
+        volume=_share_volume(x, shape, room),
         density=np.full(len(x), float(density)),
         material=np.full(len(x), material, np.int32),
         gaussian=owner.astype(np.int32),
@@ -111,14 +111,14 @@ def by_object(
 
 
 def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:
-    """Points [M,3] m of the lattice (i + 1/2) * spacing inside the closed shape; M may be 0."""
+    """Return the points [M,3] m of the lattice (i + 1/2) * spacing inside a closed shape."""
     _check(1.0, spacing, BINDINGS[0])
-    shape = solid(gaussians, spacing)
+    shape = find_solid(gaussians, spacing)
     return _lattice(shape, _room_per_cell(shape, spacing), spacing)
 
 
-def in_box(x: NDArray, low: NDArray, high: NDArray) -> NDArray[np.bool_]:
-    """Which points [P,3] are in the box from `low` [3] to `high` [3], borders included, m."""
+def is_in_box(x: NDArray, low: NDArray, high: NDArray) -> NDArray[np.bool_]:
+    """Return which points [P,3] m are in a closed box from `low` [3] to `high` [3]."""
     inside: NDArray[np.bool_] = (x >= np.asarray(low)) & (x <= np.asarray(high))
     return np.logical_and.reduce(inside, axis=1)
 
@@ -134,7 +134,7 @@ def _check(density: float, spacing: float, binding: str) -> None:
 
 
 def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
-    """Points (i + 1/2) * spacing inside the solid, found cell by cell where it has volume."""
+    """Return the points (i + 1/2) * spacing inside the solid, cell by cell."""
     cells, n = room.cells, round(room.side / spacing)
     if len(cells) * n**3 > MAX_PARTICLES:
         raise InputError(
@@ -153,8 +153,8 @@ def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
     return np.concatenate(found)
 
 
-def _apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
-    """The points that have none of the others within `distance`."""
+def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
+    """Return the points that have none of the others within `distance`."""
     if len(points) == 0:
         return points
     tree = scipy.spatial.KDTree(others, balanced_tree=False)  # half the time to build
@@ -162,23 +162,23 @@ def _apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
     return points[np.isinf(nearest)]
 
 
-def _carrying(
+def _lattice_with_gaussians(
     gaussians: Gaussians, lattice: NDArray, shape: Solid, spacing: float
 ) -> NDArray[np.float64]:
-    """The lattice, and particles at Gaussians: those that it misses, and all where it is thin.
+    """Return lattice points, and the Gaussians that the lattice misses or where it is thin.
 
     Thin parts stretch most, and tear where particles come to lie a cell apart.
     """
     means = gaussians.means.astype(np.float64)
     thin = shape.thin(means, THIN * spacing)
-    close, others = _middles(means[thin], 0.5 * spacing), means[~thin]
-    lattice = _apart(lattice, close, 0.5 * spacing) if len(close) else lattice
-    missed = _apart(others, lattice, spacing) if len(lattice) else others
-    return np.concatenate([lattice, close, _middles(missed, spacing)])
+    close, others = _cell_means(means[thin], 0.5 * spacing), means[~thin]
+    lattice = _keep_apart(lattice, close, 0.5 * spacing) if len(close) else lattice
+    missed = _keep_apart(others, lattice, spacing) if len(lattice) else others
+    return np.concatenate([lattice, close, _cell_means(missed, spacing)])
 
 
-def _middles(points: NDArray, side: float) -> NDArray[np.float64]:
-    """The middle of the points in each cell of a side."""
+def _cell_means(points: NDArray, side: float) -> NDArray[np.float64]:
+    """Return the mean of the points in each cell of a side."""
     cells = np.floor(points / side).astype(np.int64)
     _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     which = which.reshape(-1)
@@ -186,13 +186,13 @@ def _middles(points: NDArray, side: float) -> NDArray[np.float64]:
     return np.stack(sums, axis=1) / count[:, None]
 
 
-def _by_cell(x: NDArray, side: float) -> NDArray[np.int64]:
-    """Order of the particles by cells of the given side; x varies slowest."""
+def _order_by_cell(x: NDArray, side: float) -> NDArray[np.int64]:
+    """Order particles by cells; x varies slowest."""
     cells = np.floor((x - x.min(axis=0)) / side).astype(np.int64)
     return np.lexsort(cells.T[::-1])
 
 
-def _volumes(x: NDArray[np.float32], shape: Solid, room: _Room) -> NDArray[np.float64]:
+def _share_volume(x: NDArray[np.float32], shape: Solid, room: _Room) -> NDArray[np.float64]:
     cells, side = room.cells, room.side
     own = np.floor(x / side + 1e-6).astype(np.int64)
     low = np.minimum(cells.min(axis=0), own.min(axis=0))
@@ -215,14 +215,14 @@ def _volumes(x: NDArray[np.float32], shape: Solid, room: _Room) -> NDArray[np.fl
 
 
 class _Room(NamedTuple):
-    """How much of the solid is in the cells of a lattice."""
+    """Volume of the solid in the cells of a lattice."""
 
     side: float
     """Side of a cell, m."""
     cells: NDArray[np.int64]
-    """Cells [L,3] that hold some of it."""
+    """Cells [L,3] that hold part of the solid."""
     volume: NDArray[np.float64]
-    """Its volume in each [L], m^3."""
+    """Volume of the solid in each cell [L], m^3."""
 
 
 def _room_per_cell(shape: Solid, spacing: float) -> _Room:

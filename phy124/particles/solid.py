@@ -35,25 +35,25 @@ Mask = NDArray[np.bool_]
 MAX_VOXELS = 4_000_000
 MAX_SAMPLES = 6_000_000
 ACROSS = 64
-"""Voxels along the longest side, unless the Gaussians are too sparse for that."""
+"""Voxels along the longest side, if the Gaussians are dense enough."""
 COARSER = 1.2
 """Ratio of one size of voxels to the next that is tried."""
 SEAL = 0.065
-"""Half the widest gap that is sealed, as a part of the longest side."""
+"""Half the widest gap that is sealed, as a fraction of the longest side."""
 CONNECTED = 6
-"""Occupied neighbours of 26 that a voxel of a surface or of a cloud has on average, at least."""
+"""Smallest mean number of occupied neighbours, of 26, in a surface or a cloud."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The part of space that the object takes."""
+    """The space inside an object, as fractions of voxels."""
 
     first: NDArray[np.int64]
     """Index [3] of the first voxel: its low corner is at first * voxel."""
     voxel: float
     """Side of a voxel, m."""
     fraction: NDArray[np.float32]
-    """Part of each voxel that is inside [X,Y,Z], 0..1."""
+    """Fraction of each voxel that is inside [X,Y,Z], 0..1."""
 
     @property
     def volume(self) -> float:
@@ -61,12 +61,12 @@ class Solid:
         return float(self.fraction.sum(dtype=np.float64)) * self.voxel**3
 
     def contains(self, points: NDArray) -> Mask:
-        """Whether points [M,3] m are inside (interpolated fraction over one half)."""
+        """Return whether points [M,3] m are inside (interpolated fraction over one half)."""
         at = np.asarray(points, dtype=np.float64) / self.voxel - self.first - 0.5
         return scipy.ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
     def thin(self, points: NDArray, width: float) -> Mask:
-        """Which points [M,3] m are outside, or in parts into which no cube of a width [m] fits."""
+        """Return which points [M,3] m are outside or in parts thinner than a width [m]."""
         radius = max(1, round(0.5 * (width / self.voxel - 1)))
         if 2 * radius >= min(self.fraction.shape):
             return np.ones(len(points), bool)
@@ -76,8 +76,8 @@ class Solid:
         at = np.floor(np.asarray(points) / self.voxel).astype(np.int64) - self.first
         return ~thick[tuple(np.clip(at, 0, np.array(thick.shape) - 1).T)]
 
-    def aligned(self, spacing: float) -> Solid:
-        """The same volume in voxels of about this size that fit a lattice of some spacing."""
+    def resample(self, spacing: float) -> Solid:
+        """Resample to voxels of about the same size that fit a lattice of a spacing."""
         ratio = spacing / self.voxel
         step = spacing / round(ratio) if ratio > 1 else spacing * round(1 / ratio)
         fraction, first = self.fraction.astype(np.float64), []
@@ -95,15 +95,15 @@ class Solid:
         return Solid(np.array(first), step, fraction.astype(np.float32))
 
 
-def solid(gaussians: Gaussians, spacing: float) -> Solid:
+def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
     """Find the solid outlined by clean Gaussians, for particles `spacing` m apart."""
     opaque = gaussians.opacities >= VISIBLE
     some = gaussians.select(opaque) if opaque.any() else gaussians
     grid = _voxelise(some)
-    region, outside = _inside(grid.occupied, grid.across)
+    region, outside = _find_inside(grid.occupied, grid.across)
     fraction = region.astype(np.float32)
     _trim_surface(fraction, region, outside, grid)
-    return Solid(grid.first, grid.voxel, fraction).aligned(spacing)
+    return Solid(grid.first, grid.voxel, fraction).resample(spacing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,14 +121,14 @@ class _Voxels:
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """The finest admissible grid on which the samples hang together; else the finest of all."""
+    """Return the finest grid on which the samples are connected, else the finest grid."""
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:
         if _admissible(gaussians, voxel, extent):
             grid = _rasterise(gaussians, voxel, extent)
             finest = finest or grid
-            if _neighbours(grid.occupied) >= CONNECTED:
+            if _mean_neighbours(grid.occupied) >= CONNECTED:
                 return grid
         voxel *= COARSER
     return finest
@@ -170,7 +170,7 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
 
 
 def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points [S,3] in voxels within one standard deviation, and the Gaussian of each [S]."""
+    """Return points [S,3] in voxels within one standard deviation, and their Gaussians [S]."""
     counts = _samples_per_axis(gaussians, voxel).astype(np.int64)
     key = counts @ np.array([1, 10**5, 10**10])
     points, owners = [], []
@@ -194,40 +194,40 @@ def _unit_ball(counts: NDArray[np.int64]) -> NDArray[np.float64]:
     return unit[(unit**2).sum(axis=1) <= 1 + 1e-9]
 
 
-def _neighbours(occupied: Mask) -> float:
-    """Mean number of occupied neighbours of an occupied voxel."""
+def _mean_neighbours(occupied: Mask) -> float:
+    """Return the mean number of occupied neighbours of an occupied voxel."""
     around = scipy.ndimage.uniform_filter(occupied.astype(np.float32), 3, mode="constant") * 27 - 1
     return float(around[occupied].mean())
 
 
-def _inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
-    """Voxels of the region, and voxels outside; they are each other's complement."""
+def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
+    """Return the voxels inside and the voxels outside, its complement."""
     widest = max(1, int(SEAL * across))
     region, enclosed = occupied.copy(), False
     for r in sorted({1, 2, 3, widest // 2, widest}):
         if r > widest:
             break
         thick = _dilate(occupied, r)
-        outside = _flood(~thick)
+        outside = _flood_outside(~thick)
         sealed = ~_dilate(outside, r)
         cavity = ~(outside | thick)
         enclosed |= bool(cavity.any())
         region |= sealed if r == 1 else _dilate(cavity & ~region, r) & sealed
     if not enclosed:
-        rays = _between(occupied)
+        rays = _enclosed(occupied)
         if (rays & ~region).sum() > 0.5 * occupied.sum():
             region |= rays
     return region, ~region
 
 
-def _flood(free: Mask) -> Mask:
-    """The free voxels connected by faces with the corner of the grid, which is free."""
+def _flood_outside(free: Mask) -> Mask:
+    """Return the free voxels connected by faces with the free corner of the grid."""
     labels, _ = scipy.ndimage.label(free)  # pyright: ignore
     return labels == labels[0, 0, 0]
 
 
-def _between(occupied: Mask) -> Mask:
-    """Voxels from which five of the six axis directions meet an occupied voxel."""
+def _enclosed(occupied: Mask) -> Mask:
+    """Return the voxels from which five of six axis directions meet an occupied voxel."""
     hits = np.zeros(occupied.shape, np.uint8)
     for axis in range(3):
         hits += np.logical_or.accumulate(occupied, axis=axis)
@@ -258,7 +258,7 @@ def _trim_surface(
     held[flat] = True
     voxels, which = np.flatnonzero(held), (np.cumsum(held) - 1)[flat]
     centre = np.stack(np.unravel_index(voxels, region.shape), axis=1)
-    normal, sheet = _normals(region, centre)
+    normal, sheet = _estimate_normals(region, centre)
     height = ((points - at - 0.5) * normal[which]).sum(axis=1)
     count = np.bincount(which)
     mean = np.bincount(which, height) / count
@@ -271,8 +271,8 @@ def _trim_surface(
     fraction.ravel()[voxels] = part
 
 
-def _normals(region: Mask, voxels: NDArray) -> tuple[NDArray[np.float64], Mask]:
-    """Outward normals [V,3], and where there is none: outside on both sides, a sheet."""
+def _estimate_normals(region: Mask, voxels: NDArray) -> tuple[NDArray[np.float64], Mask]:
+    """Return outward normals [V,3], and the mask of sheets, which have outside on both sides."""
     normal = np.zeros((len(voxels), 3))
     for size in (5, 3):
         smooth = scipy.ndimage.uniform_filter(region.astype(np.float32), size)

@@ -1,4 +1,4 @@
-"""Thinning: fewer Gaussians that cover what all of them covered."""
+"""Reduces the number of Gaussians and enlarges the rest, so that they cover the same area."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from phy124.gaussians import Gaussians
 
 FEWEST, MOST = 100, 5_000_000
 GIANT = 1e4
-"""Area, in usual areas, beyond which a Gaussian is one of a background or an error."""
+"""Area, in median areas, beyond which a Gaussian is a background or an error."""
 BITS = 16
 """Bits per coordinate along the space-filling curve."""
 
 
 def check_count(count: int | None) -> None:
-    """Check a number of Gaussians that somebody asks for.
+    """Check a requested number of Gaussians.
 
     Raises:
         InputError: If it is not a positive number.
@@ -31,16 +31,16 @@ def check_count(count: int | None) -> None:
         raise InputError("gaussians", count, limit, "Write 20000, say.")
 
 
-def asked_for(make: Any, count: int | None) -> Any:
-    """A generator that makes about `count` Gaussians by itself, if it has such an option."""
+def with_count(make: Any, count: int | None) -> Any:
+    """Set a generator's option for about `count` Gaussians, if it has such an option."""
     check_count(count)
     if count is None or "count" not in inspect.signature(make).parameters:
         return make
     return partial(make, count=count)
 
 
-def thinned(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians:
-    """At most `count` of the Gaussians, enlarged so that they cover the same area.
+def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians:
+    """Keep at most `count` Gaussians, enlarged so that they cover the same area.
 
     They are spread evenly: every n-th along a space-filling curve, large and opaque ones more
     often; giants beyond `GIANT` count no more and do not enlarge the others. Equal seeds keep the
@@ -48,10 +48,10 @@ def thinned(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussi
     """
     if count is None or len(gaussians) <= count:
         return gaussians
-    areas = _areas(gaussians)
+    areas = _compute_areas(gaussians)
     largest = GIANT * np.median(areas)
     weight = gaussians.opacities * np.sqrt(np.minimum(areas, largest)) + 1e-30
-    along = np.argsort(_morton(gaussians.means), kind="stable")
+    along = np.argsort(_morton_order(gaussians.means), kind="stable")
     ends = np.cumsum(weight[along])
     steps = (np.arange(count) + np.random.default_rng(seed).random()) / count * ends[-1]
     chosen = np.unique(along[np.searchsorted(ends, steps)])
@@ -62,8 +62,8 @@ def thinned(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussi
     return replace(kept, scales=kept.scales * growth)
 
 
-def _morton(points: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Positions [N] along the Morton curve, on which neighbours in space follow each other."""
+def _morton_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return positions [N] along the Morton curve, which keeps neighbours in space together."""
     low, size = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
     cells = ((points - low) / size * (2**BITS - 1)).astype(np.int64)
     code = np.zeros(len(points), np.int64)
@@ -73,6 +73,6 @@ def _morton(points: NDArray[np.float32]) -> NDArray[np.int64]:
     return code
 
 
-def _areas(gaussians: Gaussians) -> NDArray[np.float64]:
-    """Product of the two larger standard deviations [N], m^2."""
+def _compute_areas(gaussians: Gaussians) -> NDArray[np.float64]:
+    """Return the product of the two larger standard deviations [N], m^2."""
     return np.sort(gaussians.scales, axis=1)[:, 1:].prod(axis=1, dtype=np.float64)

@@ -22,7 +22,7 @@ from phy124.generators.other_views import OtherViews
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
 from phy124.imaging.objects import Point
-from phy124.particles.thinning import asked_for, thinned
+from phy124.particles.thinning import thin, with_count
 from phy124.pipeline.capture import capture
 from phy124.progress import Progress, silent
 from phy124.runtime.isolated import Deadline
@@ -96,7 +96,7 @@ def static(
     """
     watch, scene = watch or Stopwatch(), scene or Scene()
     name = generator if isinstance(generator, str) else type(generator).__name__
-    make = asked_for(make_generator(generator, reading, options, device), count)
+    make = with_count(make_generator(generator, reading, options, device), count)
     make = depth.given_to(make, name) if depth else make
     deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
     if views:
@@ -124,14 +124,14 @@ def static(
         if effort is not None:
             announce(effort)
             about["effort"] = {**effort.settings, "predicted": effort.seconds}
-            make = asked_for(make_generator("relief"), count) if stand_in else make
+            make = with_count(make_generator("relief"), count) if stand_in else make
         if isinstance(make, PlyFile):
             read = capture(make, scene, count=count, progress=progress)
             gaussians, scene = read.gaussians, read.scene
             about |= {"cleaning": read.cleaning, "notes": [*read.notes], **read.about}
         else:
             gaussians = make(picture, seed=scene.seed, progress=progress)
-            gaussians = thinned(gaussians, count, seed=scene.seed)
+            gaussians = thin(gaussians, count, seed=scene.seed)
     return Static(gaussians, scene, crop_of(picture), cutout, about, effort)
 
 

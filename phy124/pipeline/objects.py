@@ -15,7 +15,7 @@ from phy124.generators.mesh import mesh
 from phy124.imaging.cutout import Cutout
 from phy124.io.clip import Clip
 from phy124.io.formats import is_file_of_gaussians
-from phy124.particles.thinning import thinned
+from phy124.particles.thinning import thin
 from phy124.pipeline.gaussians import Static
 from phy124.pipeline.gaussians import static as one_static
 from phy124.progress import Progress, silent
@@ -153,14 +153,14 @@ def with_others(
         if one.mesh is not None and not len(made[index]):
             with named(scene, index):
                 whole = mesh(one.mesh, one.colour, seed=scene.seed)
-            made[index] = thinned(whole, count, seed=scene.seed)
+            made[index] = thin(whole, count, seed=scene.seed)
             about[one.name] = {"source": one.mesh.name, "generator": "mesh"}
         source = (next(by_hand, None) if one.waits else None) or one.picture or one.file
         if source is None:
             continue
         if Path(source).suffix == CLIP:
             with named(scene, index):
-                made[index] = thinned(at_rest(source), count, seed=scene.seed)
+                made[index] = thin(at_rest(source), count, seed=scene.seed)
             about[one.name] = {"source": Path(source).name, "generator": "clip"}
             continue
         makes = str(source) if is_file_of_gaussians(source) else one.generator or usual

@@ -9,7 +9,7 @@ from phy124.camera import Camera
 from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import PlyFile, Reading, normalised
 from phy124.io.axes import FRONTS, orientation, turned
-from phy124.particles.thinning import thinned
+from phy124.particles.thinning import thin
 from phy124.rendering.render import Renderer
 
 ENOUGH = 30_000
@@ -35,7 +35,7 @@ def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
         InputError: As `PlyFile.open`, or if all centres lie in one point.
     """
     opened = PlyFile(path, UNTURNED).open()
-    few = thinned(opened.gaussians, ENOUGH, seed=0)
+    few = thin(opened.gaussians, ENOUGH, seed=0)
     return normalised(few, path), opened.notes
 
 

@@ -14,7 +14,7 @@ from phy124.materials import AnyMaterial
 from phy124.materials.base import FLOWING
 from phy124.monitor.tearing import APART
 from phy124.particles import Particles
-from phy124.particles.grains import shaded, with_grains
+from phy124.particles.grains import add_grains, vary_brightness
 from phy124.scene import Scene
 from phy124.simulation.deform import of_gaussians
 
@@ -101,7 +101,7 @@ def appearance(
     """
     surface = len(gaussians)
     if scene.grains:
-        gaussians, particles = with_grains(gaussians, particles, moves, materials, spacing)
+        gaussians, particles = add_grains(gaussians, particles, moves, materials, spacing)
     moves = np.append(moves, np.ones(len(gaussians) - surface, bool))
     kinds = of_gaussians(gaussians.select(moves), particles, particles.material)
     flows = np.array([section.rounds for section in materials])[kinds]
@@ -109,7 +109,7 @@ def appearance(
     if scene.grains:
         shades[moves] = np.array([section.shade for section in materials])[kinds]
     return Appearance(
-        shaded(gaussians, shades, scene.seed) if shades.any() else gaussians,
+        vary_brightness(gaussians, shades, scene.seed) if shades.any() else gaussians,
         particles,
         moves,
         max_stretch=np.array([section.longest for section in materials])[kinds],

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.axes import euler, turned
-from phy124.particles import Particles, sizing
+from phy124.particles import Particles, size_transform
 from phy124.scene import Scene
 
 
@@ -52,7 +52,7 @@ def placing(
 ) -> tuple[float, NDArray[np.float64]]:
     """Scale and then offset [3] m that bring the object to its size on z = 0, before the lift."""
     object_ = gaussians if own.all() else gaussians.select(own)
-    return sizing(object_, scene.object.size)
+    return size_transform(object_, scene.object.size)
 
 
 def stacked(some: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 StateDict = Mapping[str, "Tensor"]
 SHOWN = 3
-"""How many differing tensors an error message names."""
+"""Number of differing tensors that an error message names."""
 
 
 def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
-    """All tensors of a .safetensors, .pth, .pt, .ckpt or .bin file, on the CPU.
+    """Read all tensors of a .safetensors, .pth, .pt, .ckpt or .bin file, on the CPU.
 
     Raises:
         InputError: If there is no such file, or it is cut short, or of another kind.
@@ -40,8 +40,8 @@ def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
         try:
             return load_file(path)
         except SafetensorError as error:
-            raise _unreadable(path, error) from error
-    return _tensors_only(_unpickle(path), path)
+            raise _refusal(path, error) from error
+    return _select_tensors(_unpickle(path), path)
 
 
 def _unpickle(path: Path) -> Any:
@@ -50,20 +50,20 @@ def _unpickle(path: Path) -> Any:
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, EOFError, RuntimeError, ValueError, KeyError) as error:
-        raise _unreadable(path, error) from error
+        raise _refusal(path, error) from error
 
 
-def _tensors_only(content: Any, path: Path) -> dict[str, Tensor]:
+def _select_tensors(content: Any, path: Path) -> dict[str, Tensor]:
     import torch
 
     if isinstance(content, Mapping) and isinstance(content.get("state_dict"), Mapping):
         content = content["state_dict"]
     if not isinstance(content, Mapping):
-        raise _unreadable(path, TypeError("it holds no table of tensors"))
+        raise _refusal(path, TypeError("it holds no table of tensors"))
     return {str(k): v for k, v in content.items() if isinstance(v, torch.Tensor)}
 
 
-def _unreadable(path: Path, error: Exception) -> InputError:
+def _refusal(path: Path, error: Exception) -> InputError:
     reason = str(error).splitlines()[0] if str(error) else type(error).__name__
     return InputError(
         "weights",
@@ -74,14 +74,14 @@ def _unreadable(path: Path, error: Exception) -> InputError:
     )
 
 
-def without_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
-    """The tensors whose name starts with `prefix`, without it; all of them if none does."""
+def strip_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
+    """Return the tensors whose name starts with `prefix`, without it; all if none does."""
     found = {k[len(prefix) :]: v for k, v in tensors.items() if k.startswith(prefix)}
     return found or dict(tensors)
 
 
 def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
-    """Give `module` (which may be on the meta device) exactly these tensors.
+    """Fill `module`, which may be on the meta device, with exactly these tensors.
 
     Args:
         module: The network.
@@ -92,18 +92,18 @@ def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
         InputError: If tensors are missing, left over, or of another shape; it names them.
     """
     wanted = {k: tuple(v.shape) for k, v in module.state_dict().items()}
-    given = {k: tuple(v.shape) for k, v in tensors.items()}
-    missing = [k for k in wanted if k not in given]
-    extra = [k for k in given if k not in wanted]
+    shapes_in_file = {k: tuple(v.shape) for k, v in tensors.items()}
+    missing = [k for k in wanted if k not in shapes_in_file]
+    extra = [k for k in shapes_in_file if k not in wanted]
     shapes = [
-        f"{k} is {list(given[k])}, wanted {list(wanted[k])}"
+        f"{k} is {list(shapes_in_file[k])}, wanted {list(wanted[k])}"
         for k in wanted
-        if k in given and given[k] != wanted[k]
+        if k in shapes_in_file and shapes_in_file[k] != wanted[k]
     ]
     if missing or extra or shapes:
         raise InputError(
             "weights",
-            f"{len(given)} tensors",
+            f"{len(shapes_in_file)} tensors",
             f"they are not those of {name}, which has {len(wanted)}: "
             + "; ".join(_differences(missing, extra, shapes))
             + ".",

@@ -1,4 +1,4 @@
-"""Trained weights: which files exist, where they are, whether they are intact, how to get them.
+"""Finds, checks and fetches files of trained weights.
 
 Nothing is downloaded unless `fetch` is called. Files are searched for in a folder the user names
 (`--weights`), then in the folder PHY124_WEIGHTS, then in the Hugging Face cache, then, if it is
@@ -29,7 +29,7 @@ BLOCK = 1 << 22
 
 @dataclass(frozen=True)
 class WeightFile:
-    """One public file of a repository on huggingface.co."""
+    """A public file of a repository on huggingface.co."""
 
     repo: str
     path: str
@@ -40,7 +40,7 @@ class WeightFile:
     sha256: str | None = None
     """Checksum; if None, `fetch` compares with the one the server states."""
     shipped: bool = False
-    """Whether this package contains it."""
+    """True if this package contains the file."""
 
     @property
     def command(self) -> str:
@@ -56,14 +56,14 @@ class WeightFile:
 
 @dataclass(frozen=True)
 class WeightStatus:
-    """What was found of one file."""
+    """State of a file on this machine."""
 
     weights: str
     """Name of the set, as `phy124 weights fetch` takes it."""
     file: WeightFile
     found: Path | None
     looked: tuple[Path, ...]
-    """Every place that was tried, in order."""
+    """Places that were searched, in order."""
     size: int | None
     """Size on disk, bytes."""
     verdict: Verdict
@@ -153,8 +153,8 @@ _named: ContextVar[str | os.PathLike[str] | None] = ContextVar("_named", default
 
 
 @contextmanager
-def looking_in(folder: str | os.PathLike[str] | None) -> Iterator[None]:
-    """Within this context, `folder` (the user's `--weights`) is searched first by default."""
+def search_first(folder: str | os.PathLike[str] | None) -> Iterator[None]:
+    """Search `folder` (the user's `--weights`) first within this context."""
     token = _named.set(folder)
     try:
         yield
@@ -163,13 +163,13 @@ def looking_in(folder: str | os.PathLike[str] | None) -> Iterator[None]:
 
 
 def hub_cache() -> Path:
-    """Folder of the Hugging Face cache, from its own environment variables."""
+    """Return the folder of the Hugging Face cache, from its environment variables."""
     home = os.environ.get("HF_HOME", "~/.cache/huggingface")
     return Path(os.path.expanduser(os.environ.get("HF_HUB_CACHE", os.path.join(home, "hub"))))
 
 
-def places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
-    """Where `file` may be, in order of preference.
+def list_places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
+    """Yield the places where `file` may be, in order of preference.
 
     In a plain folder both `NAME` and `REPOSITORY/PATH` are tried, so that one folder can hold
     several repositories whose files have equal names.
@@ -188,17 +188,17 @@ def places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> It
 
 
 def find(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """The first place that holds `file`, or None."""
-    return next((p for p in places(file, folder) if p.is_file()), None)
+    """Return the first place that holds `file`, or None."""
+    return next((p for p in list_places(file, folder) if p.is_file()), None)
 
 
-def have(name: str, folder: str | os.PathLike[str] | None = None) -> bool:
-    """Whether all files of a set are present."""
-    return all(find(file, folder) for file in files_of(name))
+def is_complete(name: str, folder: str | os.PathLike[str] | None = None) -> bool:
+    """Return whether all files of a set are present."""
+    return all(find(file, folder) for file in list_files(name))
 
 
-def files_of(name: str) -> tuple[WeightFile, ...]:
-    """The files of a set.
+def list_files(name: str) -> tuple[WeightFile, ...]:
+    """Return the files of a set.
 
     Raises:
         InputError: If there is no set of that name.
@@ -211,17 +211,17 @@ def files_of(name: str) -> tuple[WeightFile, ...]:
 
 
 def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str, Path]:
-    """Paths of all files of a set, by their name in the repository.
+    """Return the paths of all files of a set, by their name in the repository.
 
     Raises:
         InputError: If one is missing or does not have the published size. The message says what was
             expected, how to fetch it, and which generator needs no weights.
     """
-    found = {}
-    for file in files_of(name):
+    paths = {}
+    for file in list_files(name):
         path = find(file, folder)
         if path is None:
-            looked = ", ".join(str(p) for p in places(file, folder))
+            looked = ", ".join(str(p) for p in list_places(file, folder))
             raise InputError(
                 "weights",
                 name,
@@ -231,8 +231,8 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
             )
         if file.size is not None and path.stat().st_size != file.size:
             raise _wrong(name, path, f"it has {path.stat().st_size:,} bytes", file)
-        found[file.path] = path
-    return found
+        paths[file.path] = path
+    return paths
 
 
 def _wrong(name: str, path: Path, what: str, file: WeightFile) -> InputError:
@@ -244,8 +244,8 @@ def _wrong(name: str, path: Path, what: str, file: WeightFile) -> InputError:
     )
 
 
-def sha256_of(path: str | os.PathLike[str]) -> str:
-    """Checksum of an existing file, hexadecimal."""
+def compute_sha256(path: str | os.PathLike[str]) -> str:
+    """Compute the sha256 of a file, hexadecimal; that of nothing if it is missing."""
     digest = hashlib.sha256()
     if Path(path).is_file():
         with open(path, "rb") as file:
@@ -254,10 +254,10 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
     return digest.hexdigest()
 
 
-def status(
+def check_all(
     folder: str | os.PathLike[str] | None = None, *, check: bool = True
 ) -> list[WeightStatus]:
-    """Every known file: where it was found and whether it is intact, for `phy124 doctor`.
+    """Return the state of every known file, for `phy124 doctor`.
 
     With `check` the checksum of each file found is computed (about a second per gigabyte).
     """
@@ -269,7 +269,7 @@ def status(
 def _status(
     name: str, file: WeightFile, folder: str | os.PathLike[str] | None, *, check: bool
 ) -> WeightStatus:
-    looked = tuple(places(file, folder))
+    looked = tuple(list_places(file, folder))
     found = find(file, folder)
     size = None if found is None else found.stat().st_size
     return WeightStatus(name, file, found, looked, size, _verdict(file, found, size, check))
@@ -284,7 +284,7 @@ def _verdict(file: WeightFile, found: Path | None, size: int | None, check: bool
         return "unknown"
     if not check:
         return "unchecked"
-    return "match" if sha256_of(found) == file.sha256 else "differs"
+    return "match" if compute_sha256(found) == file.sha256 else "differs"
 
 
 def fetch(
@@ -306,7 +306,7 @@ def fetch(
         InputError: If the name is unknown, the library is missing, the server cannot be reached, or
             a file differs from the published one (it is then deleted).
     """
-    files = files_of(name)
+    files = list_files(name)
     target = folder or _named.get() or os.environ.get("PHY124_WEIGHTS")
     if target:
         _refuse_unwritable(Path(os.path.expanduser(target)))
@@ -327,19 +327,19 @@ def _refuse_unwritable(folder: Path) -> None:
         InputError: If they cannot.
     """
     if not writable(folder):
-        limit = "it is no folder that files can be written to."
+        limit = "files cannot be written to this folder."
         raise InputError("weights", folder, limit, "Choose another folder.")
 
 
 def _fetch(name: str, file: WeightFile, folder: Path | None, endpoint: str | None) -> Path:
     path, stated = _download(file, folder, endpoint)
     wanted, size = file.sha256 or stated, path.stat().st_size
-    found = sha256_of(path)
-    if (wanted is not None and found != wanted) or file.size not in (None, size):
+    sha256 = compute_sha256(path)
+    if (wanted is not None and sha256 != wanted) or file.size not in (None, size):
         # In the cache the name is a link to the content: both must go.
         path.resolve().unlink()
         path.unlink(missing_ok=True)
-        raise _wrong(name, path, f"it has {size:,} bytes and sha256 {found}", file)
+        raise _wrong(name, path, f"it has {size:,} bytes and sha256 {sha256}", file)
     return path
 
 

@@ -19,7 +19,7 @@ from phy124.gaussians import Gaussians, joined, quaternions, rotation_matrices
 from phy124.generators.ply_file import Opened, PlyFile, normalised, robust_bounds
 from phy124.io.axes import turned, upright
 from phy124.particles import clean
-from phy124.particles.thinning import thinned
+from phy124.particles.thinning import thin
 from phy124.pipeline.capture.floor import Floor, find_floor
 from phy124.progress import Progress, silent
 from phy124.scene import Part, Scene
@@ -65,7 +65,7 @@ def capture(
         InputError: If the file cannot be read, or no floor is found.
     """
     opened = file.open(progress)
-    opened = opened._replace(gaussians=thinned(opened.gaussians, count, seed=scene.seed))
+    opened = opened._replace(gaussians=thin(opened.gaussians, count, seed=scene.seed))
     told = file.reading.up is not None or file.reading.rotate is not None
     read = _on_floor(opened, told=told) if file.reading.floor else _alone(opened, file.path)
     scene = _with_floor(scene, read)

@@ -14,7 +14,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators import needs_image
 from phy124.io.clip import Clip
 from phy124.monitor.wrenches import wall_names
-from phy124.particles.thinning import thinned
+from phy124.particles.thinning import thin
 from phy124.pipeline import static
 from phy124.rendering.framing import cameras
 from phy124.scene import Scene
@@ -167,7 +167,7 @@ def _given(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Crop]:
         scene = Scene.named(declared.scene or "press").replaced(changes)
     if source is not None:
         gaussians = source.surface.frame(0).gaussians
-        return scene, thinned(gaussians, declared.gaussians, seed=scene.seed), WHOLE
+        return scene, thin(gaussians, declared.gaussians, seed=scene.seed), WHOLE
     if declared.object is None:
         limit = "nothing says which object was seen."
         raise InputError("object", None, limit, "Give its picture or file of Gaussians.")

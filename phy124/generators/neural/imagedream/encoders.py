@@ -17,7 +17,7 @@ from PIL import Image
 from torch import Tensor, nn
 from transformers import CLIPTextConfig, CLIPTextModel, CLIPVisionConfig, CLIPVisionModel
 
-from phy124.weights.checkpoints import fill, read_tensors, without_prefix
+from phy124.weights.checkpoints import fill, read_tensors, strip_prefix
 
 VAE: dict[str, Any] = {
     "down_block_types": ["DownEncoderBlock2D"] * 4,
@@ -90,7 +90,7 @@ def filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) 
         network: nn.Module = build()
     tensors = read_tensors(path)
     if prefix and not any(key.startswith(prefix) for key in network.state_dict()):
-        tensors = without_prefix(tensors, prefix)
+        tensors = strip_prefix(tensors, prefix)
     fill(network, {k: v for k, v in tensors.items() if not k.endswith(SPARE)}, name)
     for module in network.modules():
         for key, buffer in module.named_buffers(recurse=False):

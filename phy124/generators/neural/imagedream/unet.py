@@ -20,7 +20,7 @@ from phy124.errors import InputError
 from phy124.generators.neural.imagedream.attention import GROUPS, SpatialTransformer
 from phy124.generators.neural.imagedream.blocks import Downsample, ResBlock, Stage, Upsample
 from phy124.generators.neural.imagedream.resampler import Resampler
-from phy124.weights.checkpoints import StateDict, fill, read_tensors, without_prefix
+from phy124.weights.checkpoints import StateDict, fill, read_tensors, strip_prefix
 
 CLIP_WIDTH = 1280
 """Width of the picture's tokens: CLIP ViT-H/14."""
@@ -205,7 +205,7 @@ def load_unet(
     tensors = state_dict_or_path
     if isinstance(tensors, (str, os.PathLike)):
         tensors = read_tensors(tensors)
-    tensors = without_prefix(tensors, ORIGINAL_PREFIX)
+    tensors = strip_prefix(tensors, ORIGINAL_PREFIX)
     if not any(key.startswith("image_embed.") for key in tensors):
         config.setdefault("ip_dim", 0)
     try:

@@ -32,7 +32,7 @@ from phy124.generators.ply_file import normalised
 from phy124.imaging.image import recenter
 from phy124.imaging.u2net import multiply_mask
 from phy124.progress import Progress, silent
-from phy124.weights.store import have, require
+from phy124.weights.store import is_complete, require
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """ImageNet's colour statistics, by which the input is normalised."""
@@ -157,7 +157,7 @@ class Lgm:
         Raises:
             InputError: There are none.
         """
-        single = have("lgm-fp32", self.weights) and not have("lgm", self.weights)
+        single = is_complete("lgm-fp32", self.weights) and not is_complete("lgm", self.weights)
         (path,) = require("lgm-fp32" if single else "lgm", self.weights).values()
         return path
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from phy124.errors import InputError
 from phy124.generators.neural.lgm.unet import UNet
 from phy124.weights.checkpoints import StateDict, fill, read_tensors
-from phy124.weights.store import sha256_of
+from phy124.weights.store import compute_sha256
 
 Rotations = Literal["each", "all"]
 """Over what quaternions are normalised: each Gaussian alone, or all Gaussians of an object.
@@ -126,7 +126,7 @@ def load(
     rotations: Rotations | None = None
     tensors = path_or_state_dict
     if isinstance(tensors, (str, os.PathLike)):
-        rotations = GENERATIONS.get(sha256_of(tensors))
+        rotations = GENERATIONS.get(compute_sha256(tensors))
         tensors = read_tensors(tensors)
     tensors = {k: v for k, v in tensors.items() if not k.startswith("lpips_loss.")}
     with torch.device("meta"):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
 from phy124.io.ply import raw_table, read_ply
-from phy124.particles import clean, make_particles, solid, to_size
+from phy124.particles import clean, find_solid, make_particles, scale_to_size
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.deform import Deformer
@@ -117,10 +117,10 @@ def odd_gaussians(setting: Setting) -> list[Check]:
     checks = [equal("opacity 0 dropped and counted", cleaning.invisible == 50)]
     point = replace(whole, means=np.zeros_like(whole.means))
     for name, some in (("shell", kept), ("one point", point), ("one", whole.select(np.arange(1)))):
-        some = to_size(clean(some)[0], 1.0)
+        some = scale_to_size(clean(some)[0], 1.0)
         spacing = 1 / 16
         made = make_particles(some, density=700.0, spacing=spacing)
-        wanted = 700.0 * solid(some, spacing).volume
+        wanted = 700.0 * find_solid(some, spacing).volume
         checks += [
             at_least(f"{name}: least volume", float(made.volume.min()), 1e-12),
             at_most(f"{name}: mass error", abs(made.mass.sum() / wanted - 1), 1e-6),
