@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from phy124.gaussians import Gaussians
-from phy124.particles.solid import ACROSS, Solid, solid
+from phy124.particles.solid import ACROSS, Solid, find_solid
 
 FRACTION = 0.25
 """Fraction of the volume whose thickness counts.
@@ -27,7 +27,7 @@ def relative_thickness(gaussians: Gaussians, size: float) -> float:
         gaussians: The clean object.
         size: Its longest side [m].
     """
-    return local_thickness(solid(gaussians, size / ACROSS)) / size
+    return local_thickness(find_solid(gaussians, size / ACROSS)) / size
 
 
 def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
