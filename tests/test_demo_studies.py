@@ -125,7 +125,7 @@ def visit(tmp_path):
     return studio, cut.progress.result, scene.data()
 
 
-def test_study_is_offered_where_nothing_was_measured(visit, handlers):
+def test_study_is_offered_where_nothing_was_measured(visit, handlers, monkeypatch):
     studio, cutout, data = visit
 
     def shown(data):
@@ -133,6 +133,8 @@ def test_study_is_offered_where_nothing_was_measured(visit, handlers):
         return handlers.run.with_stops(studio, "a", cutout, data, None, text)
 
     drop = Scene.named("drop")
+    assert "whose thickness is not known yet" in shown(drop.replaced({"time.frames": 14}).data())
+    monkeypatch.setattr(studio, "thickness", lambda *about: 0.5)
     assert "data-measure" not in shown(drop.replaced({"time.frames": 14}).data())
     assert "Error after 0.65 s not measured; <button" in shown(drop.data())
     before = shown(data)

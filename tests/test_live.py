@@ -268,8 +268,8 @@ def test_external_binding_gets_motion_without_shapes():
 def test_the_grid_is_as_fine_as_this_machine_holds():
     slow = held_rate(thing(), scene(), rate=100, threads=1)
     assert slow.scene.resolution.cells == 8 and slow.scene.binding == "lattice"
-    exact = held_rate(thing(), scene(), max_error=0.05, threads=1)
-    assert exact.promise.error <= 0.05 and "at most" in exact.sentence
+    exact = held_rate(thing(), scene(), max_error=0.15, threads=1)
+    assert exact.promise.error <= 0.15 and "at most" in exact.sentence
     with pytest.raises(InputError, match="rate"):
         held_rate(thing(), scene(), rate=float("nan"))
 
