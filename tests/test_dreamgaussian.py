@@ -10,21 +10,23 @@ import torch
 
 from phy124.errors import Cancelled, InputError
 from phy124.generators.neural import splatting
-from phy124.generators.neural.dreamgaussian import (
+from phy124.generators.neural.dreamgaussian import density as density_module
+from phy124.generators.neural.dreamgaussian.density import (
     Density,
+    Pull,
+    densify,
+    prune,
+    reset_opacity,
+)
+from phy124.generators.neural.dreamgaussian.generator import (
     DreamGaussian,
-    Pose,
-    Rates,
     Settings,
-    Splats,
     fit,
+    framed,
     start,
 )
-from phy124.generators.neural.dreamgaussian import density as density_module
-from phy124.generators.neural.dreamgaussian.density import Pull, densify, prune, reset_opacity
-from phy124.generators.neural.dreamgaussian.generator import framed
-from phy124.generators.neural.dreamgaussian.guidance import timestep, zero123
-from phy124.generators.neural.dreamgaussian.splats import ball
+from phy124.generators.neural.dreamgaussian.guidance import Pose, timestep, zero123
+from phy124.generators.neural.dreamgaussian.splats import Rates, Splats, ball
 from phy124.generators.neural.orbit import orbit, to_opencv
 from phy124.generators.neural.splatting import View, orbit_view, project
 from phy124.generators.ply_file import PlyFile, Reading

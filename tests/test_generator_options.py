@@ -210,10 +210,11 @@ def test_the_work_of_the_networks_is_what_torch_counts():
     torch = pytest.importorskip("torch")
     from torch.utils.flop_counter import FlopCounterMode
 
-    from phy124.generators.neural.imagedream import Config, MultiViewUNet, encoders
+    from phy124.generators.neural.imagedream import encoders
+    from phy124.generators.neural.imagedream.unet import Config, MultiViewUNet
     from phy124.generators.neural.imagedream.work import AROUND, PARAMETERS, STEP
-    from phy124.generators.neural.lgm import OPTIONS, LgmModel
     from phy124.generators.neural.lgm.generator import WORK
+    from phy124.generators.neural.lgm.model import OPTIONS, LgmModel
 
     def counted(network, *shapes, call=None, **more) -> Work:
         network.requires_grad_(False)

@@ -9,8 +9,10 @@ import pytest
 from phy124 import generators
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, joined
+from phy124.generators import neural
 from phy124.generators.ply_file import PlyFile, Reading, normalised, robust_bounds
 from phy124.io.ply import write_ply
+from phy124.weights.store import KNOWN
 
 
 def box(rng, count=2000, opacity=0.9):
@@ -29,6 +31,22 @@ def test_every_entry_can_be_made():
     pytest.importorskip("torch")
     for name in generators.GENERATORS:
         assert callable(generators.make(name))
+
+
+def test_neural_generator_is_one_package(tmp_path, monkeypatch):
+    (tmp_path / "cube").mkdir()
+    code = 'GENERATORS = {"cube": lambda: "made"}\nWEIGHTS = ("u2net",)\n'
+    (tmp_path / "cube/__init__.py").write_text(code)
+    monkeypatch.setattr(neural, "__path__", [*neural.__path__, str(tmp_path)])
+    *_, last = generators.find_neural_packages()
+    monkeypatch.delitem(sys.modules, last.__name__)
+    names = {name for package in generators.find_neural_packages() for name in package.GENERATORS}
+    assert names == {"lgm", "lgm-aligned", "dreamgaussian", "cube"}
+
+
+def test_weights_of_generators_are_known():
+    assert set(generators.WEIGHTS) == {"lgm", "lgm-aligned", "dreamgaussian"}
+    assert {name for names in generators.WEIGHTS.values() for name in names} <= set(KNOWN)
 
 
 def test_missing_packages_are_named(monkeypatch):

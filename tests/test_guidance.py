@@ -9,16 +9,16 @@ import torch
 from safetensors.torch import save_file
 
 from phy124.errors import InputError
-from phy124.generators.neural.dreamgaussian import (
-    WITH_IMAGEDREAM,
+from phy124.generators.neural.dreamgaussian.generator import WITH_IMAGEDREAM, fit, start
+from phy124.generators.neural.dreamgaussian.guidance import (
     Pose,
-    fit,
+    alphas_cumprod,
+    noised,
     sds,
-    start,
+    zero123,
 )
-from phy124.generators.neural.dreamgaussian.guidance import alphas_cumprod, noised, zero123
 from phy124.generators.neural.dreamgaussian.guidance.multiview import MultiView
-from phy124.generators.neural.imagedream import load_unet
+from phy124.generators.neural.imagedream.unet import load_unet
 from reference import formula
 
 

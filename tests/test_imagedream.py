@@ -12,18 +12,24 @@ from safetensors.torch import save_file
 from transformers import CLIPTextConfig, CLIPTextModel, CLIPVisionConfig, CLIPVisionModel
 
 from phy124.errors import Cancelled, InputError
-from phy124.generators.neural.imagedream import (
-    Config,
-    ImageDream,
-    MultiViewUNet,
-    encoders,
-    load_unet,
-    pipeline,
-)
+from phy124.generators.neural.imagedream import encoders, pipeline
 from phy124.generators.neural.imagedream.cameras import cameras
-from phy124.generators.neural.imagedream.pipeline import Condition, decode, denoise, encode, predict
+from phy124.generators.neural.imagedream.pipeline import (
+    Condition,
+    ImageDream,
+    decode,
+    denoise,
+    encode,
+    predict,
+)
 from phy124.generators.neural.imagedream.sampling import SCHEDULE, scheduler_of
-from phy124.generators.neural.imagedream.unet import timestep_embedding, with_picture
+from phy124.generators.neural.imagedream.unet import (
+    Config,
+    MultiViewUNet,
+    load_unet,
+    timestep_embedding,
+    with_picture,
+)
 from reference import formula
 
 CLOSE = {"rtol": 1e-4, "atol": 2e-5}

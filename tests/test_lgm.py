@@ -11,12 +11,17 @@ from safetensors.torch import load_file, save_file
 
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians, rotation_matrices
-from phy124.generators.neural.lgm import OPTIONS, Lgm, LgmModel, Option, load, to_gaussians
 from phy124.generators.neural.lgm import generator as generator_module
 from phy124.generators.neural.lgm import model as lgm_model
 from phy124.generators.neural.lgm.align import four_views, front
-from phy124.generators.neural.lgm.generator import framed, network_input, over_white
-from phy124.generators.neural.lgm.model import activate
+from phy124.generators.neural.lgm.generator import (
+    Lgm,
+    framed,
+    network_input,
+    over_white,
+    to_gaussians,
+)
+from phy124.generators.neural.lgm.model import OPTIONS, LgmModel, Option, activate, load
 from phy124.generators.neural.lgm.rays import four_rays, pluecker
 from phy124.generators.neural.lgm.rotations import NOT_ROTATED, draw, judge, unrotated
 from phy124.generators.neural.lgm.unet import UNet

@@ -8,8 +8,11 @@ import torch
 
 from phy124.gaussians import Gaussians
 from phy124.generators import GENERATORS, make
-from phy124.generators.neural.dreamgaussian import Density, DreamGaussian, Settings, Splats
-from phy124.generators.neural.lgm import Lgm, LgmModel, Option, load, to_gaussians
+from phy124.generators.neural.dreamgaussian.density import Density
+from phy124.generators.neural.dreamgaussian.generator import DreamGaussian, Settings
+from phy124.generators.neural.dreamgaussian.splats import Splats
+from phy124.generators.neural.lgm.generator import Lgm, to_gaussians
+from phy124.generators.neural.lgm.model import LgmModel, Option, load
 from phy124.generators.neural.orbit import TO_WORLD
 from phy124.generators.ply_file import PlyFile
 from phy124.io.axes import DIALECTS, turned

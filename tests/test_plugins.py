@@ -340,7 +340,7 @@ def test_plugins_appear_in_reference_schema_and_editor(installed):
 def test_help_lists_registered_generators_and_sinks(installed, capsys):
     with pytest.raises(SystemExit):
         main(["generate", "--help"])
-    assert "dreamgaussian, sphere)" in " ".join(capsys.readouterr().out.replace("│", "").split())
+    assert "lgm-aligned, sphere)" in " ".join(capsys.readouterr().out.replace("│", "").split())
     with pytest.raises(SystemExit):
         run_bridge(["play", "--help"], None)
     shown = " ".join(capsys.readouterr().out.replace("│", "").split())

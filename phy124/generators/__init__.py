@@ -4,22 +4,23 @@ A generator is any callable `(image_rgba, *, seed, progress) -> Gaussians`. `ima
 picture or an array [H,W,4] of uint8 with the object cut out, `seed` an integer, and `progress` as
 in `phy124.progress`. The Gaussians are in the world's axes (z up, the object faces +x), centred on
 the origin, with a longest side of 1 m. One that works for minutes also has a method `effort`
-(`phy124.generators.effort`), which tells for how long before it starts. To add a generator, write a
-factory that imports it and add a line to `GENERATORS`; an object may also be passed wherever a name
-is accepted.
+(`phy124.generators.effort`), which tells for how long before it starts. A generator with a trained
+network is a package in `phy124/generators/neural`; one of another package is an entry point of
+`phy124.generators`. An object may also be passed wherever a name is accepted.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from functools import partial
 from importlib import import_module
 from inspect import signature
+from pkgutil import iter_modules
+from types import ModuleType
 from typing import TYPE_CHECKING, Protocol, cast
 
 from phy124.errors import InputError
-from phy124.generators.options import UNCHANGED, GeneratorOptions, Precision, Sampler
+from phy124.generators.options import UNCHANGED, GeneratorOptions
 from phy124.progress import Progress
 from phy124.runtime.installation import install_command
 from phy124.schema.plugins import list_plugins, load_plugin
@@ -49,34 +50,26 @@ def _relief() -> Generator:
     return relief
 
 
-def _lgm(
-    *,
-    device: str | None = None,
-    steps: int | None = None,
-    sampler: Sampler | None = None,
-    precision: Precision | None = None,
-    align: bool = False,
-) -> Generator:
-    lgm = import_module("phy124.generators.neural.lgm")
-    return lgm.Lgm(device=device, steps=steps, sampler=sampler, precision=precision, align=align)
+def find_neural_packages() -> list[ModuleType]:
+    """Import the packages of `neural` that name generators; none of them imports torch yet."""
+    folder = import_module("phy124.generators.neural")
+    names = [module.name for module in iter_modules(folder.__path__) if module.ispkg]
+    packages = [import_module(f"{folder.__name__}.{name}") for name in names]
+    return [package for package in packages if hasattr(package, "GENERATORS")]
 
 
-def _dreamgaussian(*, device: str | None = None, steps: int | None = None) -> Generator:
-    dreamgaussian = import_module("phy124.generators.neural.dreamgaussian")
-    return dreamgaussian.DreamGaussian(device=device, steps=steps)
-
-
+NEURAL = find_neural_packages()
 GENERATORS: dict[str, Callable[..., Generator]] = {
     "relief": _relief,
-    "lgm": _lgm,
-    "lgm-aligned": partial(_lgm, align=True),
-    "dreamgaussian": _dreamgaussian,
+    **{name: make for package in NEURAL for name, make in package.GENERATORS.items()},
 }
-"""Name -> factory; each imports its generator only when it is called, the neural ones by name.
+"""Name -> factory; each imports its generator only when it is called.
 
 A factory's keywords are those fields of `GeneratorOptions` that its generator takes, and `device`
 if it can use one.
 """
+WEIGHTS = {name: package.WEIGHTS for package in NEURAL for name in package.GENERATORS}
+"""Name of a generator -> names of the trained weights that it reads (`weights.store.KNOWN`)."""
 
 
 def known() -> list[str]:

@@ -30,7 +30,8 @@ REVISION = 2
 
 def lgm(device: str) -> dict:
     """The option `big`: 4 views of 256 x 256 to Gaussians, as `Lgm.from_views` does it."""
-    from phy124.generators.neural.lgm import OPTIONS, Lgm, LgmModel, load
+    from phy124.generators.neural.lgm.generator import Lgm
+    from phy124.generators.neural.lgm.model import OPTIONS, LgmModel, load
 
     with torch.device("meta"):
         empty = LgmModel(OPTIONS["big"])
@@ -49,8 +50,8 @@ def lgm(device: str) -> dict:
 
 def imagedream(device: str, precision: str, compiled: bool) -> dict:
     """One of the 30 steps: ten latents of 32 x 32, five of them with the picture."""
-    from phy124.generators.neural.imagedream import Config, MultiViewUNet, load_unet
     from phy124.generators.neural.imagedream.pipeline import Condition, predict
+    from phy124.generators.neural.imagedream.unet import Config, MultiViewUNet, load_unet
 
     with torch.device("meta"):
         empty = MultiViewUNet(Config())
@@ -81,10 +82,10 @@ def samplers(device: str) -> dict:
     DDIM. `mixture`: the exact noise of eight pictures, two of them meant, against 500 of
     DPM-Solver++.
     """
-    from phy124.generators.neural.imagedream import load_unet
     from phy124.generators.neural.imagedream.cameras import cameras
     from phy124.generators.neural.imagedream.pipeline import Condition, guided
     from phy124.generators.neural.imagedream.sampling import scheduler_of
+    from phy124.generators.neural.imagedream.unet import load_unet
 
     golden = Path(os.environ.get("PHY124_GOLDEN", "../shared/golden")) / "generators"
     config = json.loads((golden / "imagedream_unet_tiny.json").read_text())["config"]
@@ -143,7 +144,8 @@ class FormulaParts:
     """ImageDream's networks with weights by formula."""
 
     def __init__(self, device: str, dtype: torch.dtype) -> None:
-        from phy124.generators.neural.imagedream import Config, MultiViewUNet, encoders, load_unet
+        from phy124.generators.neural.imagedream import encoders
+        from phy124.generators.neural.imagedream.unet import Config, MultiViewUNet, load_unet
 
         with torch.device("meta"):
             empty = MultiViewUNet(Config())
@@ -165,8 +167,9 @@ class FormulaParts:
 
 def stage(device: str, steps: int) -> dict:
     """A cut-out picture of 512 x 512 to Gaussians; networks are in memory before it starts."""
-    from phy124.generators.neural.imagedream import ImageDream
-    from phy124.generators.neural.lgm import OPTIONS, Lgm, LgmModel, load
+    from phy124.generators.neural.imagedream.pipeline import ImageDream
+    from phy124.generators.neural.lgm.generator import Lgm
+    from phy124.generators.neural.lgm.model import OPTIONS, LgmModel, load
 
     dtype = torch.float16 if device == "cuda" else torch.float32
     with torch.device("meta"):

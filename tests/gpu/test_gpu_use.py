@@ -66,7 +66,8 @@ def test_networks_compute_in_half_precision(gpu):
     torch = pytest.importorskip("torch")
     if gpu != "cpu" and not torch.cuda.is_available():
         pytest.skip("this torch cannot use the GPU")
-    from phy124.generators.neural.lgm import Lgm, LgmModel, load
+    from phy124.generators.neural.lgm.generator import Lgm
+    from phy124.generators.neural.lgm.model import LgmModel, load
     from reference import formula
     from test_lgm import TINY
 

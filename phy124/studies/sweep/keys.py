@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 import phy124
-from phy124.generators import is_command, needs_image
+from phy124.generators import WEIGHTS, needs_image
 from phy124.scene import Scene
 from phy124.scene.files import files_named
 from phy124.studies.sweep.declaration import Sweep
@@ -76,9 +76,7 @@ def weights_of(generator: str) -> dict[str, str]:
     """Digests of the trained weights that a generator and its cut-out find on this machine."""
     if not needs_image(generator):
         return {}
-    own = () if is_command(generator) else (generator.partition("-")[0],)
-    named = {"lgm": ("lgm", "lgm-fp32", "imagedream"), "dreamgaussian": ("zero123", "imagedream")}
-    names = [*CUT_OUT, *(name for one in own for name in named.get(one, ()))]
+    names = [*CUT_OUT, *WEIGHTS.get(generator, ())]
     found = {file.path: find(file) for name in names for file in KNOWN[name]}
     return {name: digest(str(path)) for name, path in found.items() if path is not None}
 

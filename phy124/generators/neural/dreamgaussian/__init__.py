@@ -1,26 +1,24 @@
 """The first stage of DreamGaussian: optimisation by score distillation (Tang et al. 2024)."""
 
-from phy124.generators.neural.dreamgaussian.density import Density
-from phy124.generators.neural.dreamgaussian.generator import (
-    WITH_IMAGEDREAM,
-    DreamGaussian,
-    Settings,
-    fit,
-    start,
-)
-from phy124.generators.neural.dreamgaussian.guidance import Guidance, Pose, sds
-from phy124.generators.neural.dreamgaussian.splats import Rates, Splats
+from __future__ import annotations
 
-__all__ = [
-    "WITH_IMAGEDREAM",
-    "Density",
-    "DreamGaussian",
-    "Guidance",
-    "Pose",
-    "Rates",
-    "Settings",
-    "Splats",
-    "fit",
-    "sds",
-    "start",
-]
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from phy124.generators.neural.dreamgaussian.generator import DreamGaussian
+
+
+def make_dreamgaussian(*, device: str | None = None, steps: int | None = None) -> DreamGaussian:
+    """Return the generator.
+
+    Args:
+        device: Where it runs; None: a GPU if there is one.
+        steps: Steps of the optimisation.
+    """
+    from phy124.generators.neural.dreamgaussian.generator import DreamGaussian
+
+    return DreamGaussian(device=device, steps=steps)
+
+
+GENERATORS = {"dreamgaussian": make_dreamgaussian}
+WEIGHTS = ("zero123", "imagedream")

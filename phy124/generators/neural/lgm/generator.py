@@ -168,7 +168,7 @@ class Lgm:
         require("imagedream", self.weights)
         if self.model is None:
             self._file()
-        from phy124.generators.neural.imagedream import ImageDream
+        from phy124.generators.neural.imagedream.pipeline import ImageDream
 
         self.multiview = ImageDream(
             weights=self.weights, device=self.device, dtype=self.dtype,
