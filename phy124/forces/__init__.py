@@ -10,15 +10,10 @@ from typing import Annotated
 
 from pydantic import Field, SerializeAsAny
 
-from phy124.forces.attraction import Attraction
 from phy124.forces.base import Force
 from phy124.forces.body import Acceleration, Gravity, Impulse, TotalForce
-from phy124.forces.grab import Grab
-from phy124.forces.particle import ParticleForce
-from phy124.forces.velocity import SetVelocity
-from phy124.forces.wind import Wind
-from phy124.forces.wrench import WrenchForce
-from phy124.forces.zone import ZoneForce
+from phy124.forces.held import Grab, WrenchForce
+from phy124.forces.particle import Attraction, ParticleForce, SetVelocity, Wind, ZoneForce
 from phy124.schema.plugins import Kinds
 
 Kind = (

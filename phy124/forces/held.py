@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from phy124.errors import InputError
-from phy124.forces.base import of_object
+from phy124.forces.base import Force, of_object
 from phy124.kernels import held as kernels
 from phy124.kernels.reduction import shared_out
 from phy124.mpm import Grid, Model, Stage, State
-from phy124.mpm.tracks import Tracks
+from phy124.mpm.tracks import FOREVER, Track, Tracks, check_times
+from phy124.schema.bounds import Instant, Position, Push
 from phy124.schema.region import Vector
 
 
@@ -136,3 +138,119 @@ class Part(NamedTuple):
         yield Stage(name, centre, keeps_C=True)
         if turned:
             yield Stage(name, second, keeps_C=True)
+
+
+class Grab(Force):
+    """A spring and a damper draw a point of the object to a target that moves."""
+
+    kind: Literal["grab"] = "grab"
+    strengths: ClassVar[tuple[str, ...]] = ("strength",)
+    point: Position = Field(
+        default=(0.0, 0.0, 0.5), description="What is held: this point of the object at rest [m]."
+    )
+    radius: float = Field(
+        default=0.15,
+        ge=1e-6,
+        le=1e5,
+        description="Material so close to it at rest is held [m], less firmly towards the rim.",
+    )
+    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
+    targets: tuple[Position, ...] = Field(
+        default=((0.0, 0.0, 0.5), (0.0, 0.0, 1.0)), description="Where it is drawn to then [m]."
+    )
+    stiffness: float = Field(default=1e4, ge=0, le=1e12, description="Of the spring [N/m].")
+    damping: float = Field(default=1e3, ge=0, le=1e12, description="Of the damper [N s/m].")
+    strength: float = Field(default=1e4, ge=0, le=1e9, description="Largest force [N].")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Grab:
+        check_times(self.times, len(self.targets), "targets")
+        if self.region is not None:
+            raise ValueError("a grab holds what is within its radius of a point; leave region out")
+        if self.profile.kind != "constant":
+            raise ValueError("a grab varies by its targets; leave profile out")
+        return self
+
+    @property
+    def varies(self) -> bool:
+        """Always true, since its target moves."""
+        return True
+
+    def target(self) -> Track:
+        """Where it draws to over time [m]."""
+        start = -FOREVER if self.start <= 0 else self.start
+        end = FOREVER if self.end is None else self.end
+        return Track(tuple(zip(self.times, self.targets, strict=True)), start, end, self.start)
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Find the centre of what is held, and draw it."""
+        part = Part.of(model, self.point, self.radius, "forces.point", self.object)
+        slot = tracks.add(self.target(), limited=True)
+        spring = wp.vec4d(self.stiffness, self.damping, part.drawn, self.strength)
+        kernel = kernels.make_draw(model.real)
+
+        def record(grid: Grid) -> wp.Launch | None:
+            del grid
+            given = [part.chosen, part.per_force, spring, slot]
+            given += [tracks.clock, tracks.values, tracks.rates, part.means]
+            return model.launch(kernel, len(part.chosen), given, [state.v])
+
+        def limit(start: float, end: float) -> float:
+            return self.strength / part.mass if tracks.tracks[slot].acts(start, end) else 0.0
+
+        found = part.centred(self.kind, slot, model, state, tracks, turned=False)
+        return [*found, Stage(self.kind, record, keeps_C=True, limit=limit)]
+
+
+MARGIN = 2.0
+"""On the acceleration by a torque: what is deformed may have a smaller moment of inertia."""
+
+
+class WrenchForce(Force):
+    """A force and a torque on what is about a point of the object, or on the whole of it."""
+
+    kind: Literal["wrench"] = "wrench"
+    strengths: ClassVar[tuple[str, ...]] = ("force", "torque")
+    force: Push = Field(default=(0.0, 1.0, 0.0), description="Force [N].")
+    torque: Push = Field(default=(0.0, 0.0, 0.0), description="Torque about the point [N m].")
+    point: Position | None = Field(
+        default=None,
+        examples=[[0.0, 0.0, 0.5]],
+        description="Where it acts: this point of the object at rest [m]; absent: on all of it.",
+    )
+    radius: float = Field(
+        default=0.15,
+        ge=1e-6,
+        le=1e5,
+        description="Material so close to the point at rest is pushed [m], less towards the rim.",
+    )
+
+    @model_validator(mode="after")
+    def _a_ball(self) -> WrenchForce:
+        if self.region is not None:
+            raise ValueError("a wrench acts within its radius of a point; leave region out")
+        return self
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Find the centre of what is pushed, and push and turn it."""
+        part = Part.of(model, self.point, self.radius, "forces.point", self.object)
+        push = tracks.add(self.track(self.force), limited=True)
+        turn = tracks.add(self.track(self.torque), limited=True)
+        turned, kernel = any(self.torque), kernels.make_wrench(model.real)
+
+        def record(grid: Grid) -> wp.Launch | None:
+            del grid
+            given = [part.chosen, part.per_force, wp.float64(part.mass), push, turn]
+            given += [tracks.clock, tracks.values, state.x, part.means, part.second]
+            return model.launch(kernel, len(part.chosen), given, [state.v])
+
+        def limit(start: float, end: float) -> float:
+            pushed = tracks.tracks[push].largest(start, end) / part.mass
+            turning = MARGIN * part.reach / part.inertia if part.inertia else 0.0
+            return pushed + turning * tracks.tracks[turn].largest(start, end)
+
+        stage = Stage(self.kind, record, keeps_C=True, limit=limit)
+        if not turned:
+            return [stage]
+        found = part.centred(self.kind, turn, model, state, tracks, turned=True)
+        return [*found, stage]

@@ -1,15 +1,20 @@
-"""The paper's external force: newtons on each particle."""
+"""Forces on single particles: newtons, wind, attraction, a zone of space, prescribed velocities."""
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from functools import partial
+from typing import Any, ClassVar, Literal
 
-from pydantic import Field
+import warp as wp
+from pydantic import Field, model_validator
 
-from phy124.forces.base import Force, push
-from phy124.mpm import Model, Stage, State
+from phy124.forces.base import Force, push, stage, within
+from phy124.kernels import push as kernels
+from phy124.kernels.arguments import types
+from phy124.mpm import Grid, Model, Stage, State
 from phy124.mpm.tracks import Tracks
-from phy124.schema.bounds import Push
+from phy124.schema.bounds import Position, Push, Velocity
+from phy124.schema.region import Region, Vector, cylinder
 
 
 class ParticleForce(Force):
@@ -23,3 +28,118 @@ class ParticleForce(Force):
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Push each chosen particle."""
         return push(self, self.f, model, state, tracks)
+
+
+class Wind(Force):
+    """Air or water that streams past and drags particles along: a = rate (wind - v)."""
+
+    kind: Literal["wind"] = "wind"
+    v: Velocity = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
+    rate: float = Field(
+        default=1.0,
+        ge=1e-6,
+        le=1e6,
+        description="Fraction of the difference lost per second [1/s].",
+    )
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Drag the chosen particles along."""
+        track = self.track(self.v, mean=False)
+        kernel, inputs = kernels.make_drag(model.real), [self.rate]
+        (drag,) = stage(
+            self, "wind", kernel, track, inputs, model, state, tracks, over="kick", limited=True
+        )
+
+        def limit(start: float, end: float) -> float:
+            """Acceleration of a particle at rest; a faster one is dragged no further than that."""
+            return self.rate * track.largest(start, end)
+
+        return [drag._replace(limit=limit, top_speed=track.largest)]
+
+
+class Attraction(Force):
+    """A point that attracts, or repels if negative: linear inside its radius, 1 / d^2 outside."""
+
+    kind: Literal["attraction"] = "attraction"
+    strengths: ClassVar[tuple[str, ...]] = ("g",)
+    centre: Position = Field(default=(0.0, 0.0, 1.0), description="The point [m].")
+    g: float = Field(
+        default=10.0, ge=-1e9, le=1e9, description="Acceleration at the radius [m/s^2]."
+    )
+    radius: float = Field(default=0.5, ge=1e-6, le=1e5, description="Distance of the maximum [m].")
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Pull the chosen particles towards the point."""
+        track = self.track((self.g, 0.0, 0.0))
+        inputs = [types(model.real).vec3(*self.centre), self.radius]
+        kernel, read = kernels.make_attract(model.real), [state.x]
+        return stage(self, "attraction", kernel, track, inputs, model, state, tracks, read=read)
+
+
+class ZoneForce(Force):
+    """A push in a zone of space: it acts on whatever is inside at the moment."""
+
+    kind: Literal["zone"] = "zone"
+    strengths: ClassVar[tuple[str, ...]] = ("a",)
+    place: Region = Field(default=Region(), description="Where in space it acts.")
+    a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
+
+    @model_validator(mode="after")
+    def _everything(self) -> ZoneForce:
+        if self.region is not None:
+            raise ValueError("a zone acts on whatever is inside it; leave region out")
+        return self
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Push what is inside."""
+        t = types(model.real)
+        slot, kernel = tracks.add(self.track(self.a)), kernels.make_zone(model.real)
+        place: list[Any] = [t.vec3(*self.place.lower), t.vec3(*self.place.upper), -1, 0.0]
+        if self.place.cylinder:
+            place[2], _, place[3] = cylinder(
+                self.place.lower, self.place.upper, self.place.cylinder
+            )
+
+        def record(grid: Grid, own: slice) -> wp.Launch | None:
+            run = grid.run(len(model))
+            run = slice(max(run.start, own.start), min(run.stop, own.stop))
+            if run.stop <= run.start:
+                return None
+            inputs = [*place, slot, tracks.clock, tracks.values, state.x[run]]
+            return model.launch(kernel, run.stop - run.start, inputs, [state.v[run]])
+
+        wanted = model.named(self.object)
+        moving = [model.particles(b) for b in range(model.bodies) if b not in model.held]
+        # Bodies that never move are left out, as they are everywhere.
+        runs = [run for run in moving if wanted.start <= run.start and run.stop <= wanted.stop]
+        runs = runs if model.held else [wanted]
+        return [Stage("zone", partial(record, own=own), keeps_C=True, by_run=True) for own in runs]
+
+
+UNIT: Vector = (1.0, 0.0, 0.0)
+"""Value of a track that holds nothing but the profile."""
+
+
+class SetVelocity(Force):
+    """The paper's first kind of force: the velocity of particles is prescribed."""
+
+    kind: Literal["set_velocity"] = "set_velocity"
+    sudden: ClassVar[bool] = True
+    v: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity [m/s].")
+    spin: Velocity = Field(default=(0.0, 0.0, 0.0), description="Angular velocity [rad/s].")
+    centre: Position = Field(default=(0.0, 0.0, 0.0), description="Point the spin is about [m].")
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Overwrite v and C of the chosen particles while active."""
+        t = types(model.real)
+        slot = tracks.add(self.track(UNIT, mean=False), over="drift")
+        chosen = self.chosen(model)
+        kernel = kernels.make_set_velocity(model.real)
+        motion = [t.vec3(*self.v), t.vec3(*self.centre), t.vec3(*self.spin)]
+
+        def record(grid: Grid) -> wp.Launch | None:
+            own = within(chosen, grid.run(len(model)))
+            inputs = [own, slot, *motion, tracks.values, state.x]
+            return model.launch(kernel, len(own), inputs, [state.v, state.C])
+
+        return [Stage("set_velocity", record, self.sudden, by_run=True)]
