@@ -175,14 +175,15 @@ class Boundary(Section):
         if self.crosses(model.dx):
             recorders = SWEEPS * [*recorders, self._settler(model)]
         alone = self.spans(model)
-        return [Stage(name, self._own(model, one), alone=alone) for one in recorders]
+        recorders = [self._of_object(model, recorder) for recorder in recorders]
+        return [Stage(name, recorder, alone=alone) for recorder in recorders]
 
-    def _own(self, model: Model, recorder: Recorder) -> Recorder:
-        """What records nothing for the nodes of objects that do not meet the wall."""
+    def _of_object(self, model: Model, recorder: Recorder) -> Recorder:
+        """Return a recorder that records nothing for objects that do not meet the wall."""
         if self.object is None:
             return recorder
-        own = model.named(self.object)
-        return lambda grid: recorder(grid) if grid.particles == own else None
+        particles = model.named(self.object)
+        return lambda grid: recorder(grid) if grid.particles == particles else None
 
     def spans(self, model: Model) -> bool:
         """Whether its columns can lead from one layer of nodes to the next, which has another i."""

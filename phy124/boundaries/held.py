@@ -68,7 +68,7 @@ class Held(Clamp):
     )
 
     @model_validator(mode="after")
-    def _ordered(self) -> Held:
+    def _check_box(self) -> Held:
         if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
             raise ValueError(f"lower {self.lower} must be below upper {self.upper}; swap them")
         return self

@@ -51,9 +51,9 @@ class Path(Motion):
         """The points, with a cosine between them if the path is smooth."""
         times, points = np.array(self.times), np.array(self.points)
         if self.smooth:
-            times, points = eased(times, points)
+            times, points = ease(times, points)
         period = self.times[-1] if self.repeat else 0.0
-        return Track(keyed(times, points), origin=self.start, period=period)
+        return Track(to_keys(times, points), origin=self.start, period=period)
 
 
 class Swing(Motion):
@@ -68,7 +68,7 @@ class Swing(Motion):
         sine = Sine(frequency=self.frequency)
         times, factors = sine.table()
         return Track(
-            keyed(times, np.outer(factors, self.amplitude)), origin=self.start, period=sine.period
+            to_keys(times, np.outer(factors, self.amplitude)), origin=self.start, period=sine.period
         )
 
 
@@ -84,14 +84,14 @@ OwnMotion = Annotated[Path | Swing | Free, Field(discriminator="kind")]
 """That of a shape among the objects."""
 
 
-def keyed(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
+def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
     """Times [N] in s and points [N,3] in m as keys of a track."""
     return tuple(
         (t, (x, y, z)) for t, (x, y, z) in zip(times.tolist(), points.tolist(), strict=True)
     )
 
 
-def eased(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def ease(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times and points with each leg divided into `EASE` pieces, at rest at both of its ends."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2

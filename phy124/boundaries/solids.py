@@ -27,7 +27,7 @@ class Box(Movable):
     upper: Position = Field(default=(0.2, 0.2, 0.2), description="Highest corner [m].")
 
     @model_validator(mode="after")
-    def _ordered(self) -> Box:
+    def _check_box(self) -> Box:
         if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
             raise ValueError(f"lower {self.lower} must be below upper {self.upper}; swap them")
         return self

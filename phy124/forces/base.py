@@ -53,7 +53,7 @@ class Force(Section):
     )
 
     @model_validator(mode="after")
-    def _ordered(self) -> Force:
+    def _check_times(self) -> Force:
         if self.end is not None and self.start >= self.end:
             raise ValueError(
                 f"start {self.start} s must be before end {self.end} s; let it end later"
@@ -125,9 +125,9 @@ class Force(Section):
 
 def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
     """Which particles are of the object of a name [P]; None: all."""
-    own = np.zeros(len(model), bool)
-    own[model.named(name)] = True
-    return own
+    mask = np.zeros(len(model), bool)
+    mask[model.named(name)] = True
+    return mask
 
 
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
@@ -202,9 +202,9 @@ def stage(
     slot = tracks.add(track, over=over, limited=limited)
 
     def record(grid: Grid) -> wp.Launch | None:
-        own = within(chosen, grid.run(len(model)))
-        given = [own, slot, *inputs, tracks.clock, tracks.values, *read]
-        return model.launch(kernel, len(own), given, [state.v])
+        here = within(chosen, grid.run(len(model)))
+        arguments = [here, slot, *inputs, tracks.clock, tracks.values, *read]
+        return model.launch(kernel, len(here), arguments, [state.v])
 
     return [Stage(name, record, force.sudden, force.in_newtons, keeps_C=True, by_run=True)]
 

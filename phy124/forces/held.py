@@ -105,7 +105,7 @@ class Part(NamedTuple):
             total * float(max(moments.min(), 1e-6 * np.trace(second))),
         )
 
-    def centred(
+    def track_centre(
         self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
     ) -> Iterator[Stage]:
         """The stages that find its centre, and its second moments about it.
@@ -191,15 +191,15 @@ class Grab(Force):
 
         def record(grid: Grid) -> wp.Launch | None:
             del grid
-            given = [part.chosen, part.per_force, spring, slot]
-            given += [tracks.clock, tracks.values, tracks.rates, part.means]
-            return model.launch(kernel, len(part.chosen), given, [state.v])
+            inputs = [part.chosen, part.per_force, spring, slot]
+            inputs += [tracks.clock, tracks.values, tracks.rates, part.means]
+            return model.launch(kernel, len(part.chosen), inputs, [state.v])
 
         def limit(start: float, end: float) -> float:
             return self.strength / part.mass if tracks.tracks[slot].acts(start, end) else 0.0
 
-        found = part.centred(self.kind, slot, model, state, tracks, turned=False)
-        return [*found, Stage(self.kind, record, keeps_C=True, limit=limit)]
+        stages = part.track_centre(self.kind, slot, model, state, tracks, turned=False)
+        return [*stages, Stage(self.kind, record, keeps_C=True, limit=limit)]
 
 
 MARGIN = 2.0
@@ -240,9 +240,9 @@ class WrenchForce(Force):
 
         def record(grid: Grid) -> wp.Launch | None:
             del grid
-            given = [part.chosen, part.per_force, wp.float64(part.mass), push, turn]
-            given += [tracks.clock, tracks.values, state.x, part.means, part.second]
-            return model.launch(kernel, len(part.chosen), given, [state.v])
+            inputs = [part.chosen, part.per_force, wp.float64(part.mass), push, turn]
+            inputs += [tracks.clock, tracks.values, state.x, part.means, part.second]
+            return model.launch(kernel, len(part.chosen), inputs, [state.v])
 
         def limit(start: float, end: float) -> float:
             pushed = tracks.tracks[push].largest(start, end) / part.mass
@@ -252,5 +252,5 @@ class WrenchForce(Force):
         stage = Stage(self.kind, record, keeps_C=True, limit=limit)
         if not turned:
             return [stage]
-        found = part.centred(self.kind, turn, model, state, tracks, turned=True)
-        return [*found, stage]
+        stages = part.track_centre(self.kind, turn, model, state, tracks, turned=True)
+        return [*stages, stage]

@@ -100,9 +100,9 @@ class ZoneForce(Force):
                 self.place.lower, self.place.upper, self.place.cylinder
             )
 
-        def record(grid: Grid, own: slice) -> wp.Launch | None:
+        def record(grid: Grid, particles: slice) -> wp.Launch | None:
             run = grid.run(len(model))
-            run = slice(max(run.start, own.start), min(run.stop, own.stop))
+            run = slice(max(run.start, particles.start), min(run.stop, particles.stop))
             if run.stop <= run.start:
                 return None
             inputs = [*place, slot, tracks.clock, tracks.values, state.x[run]]
@@ -112,8 +112,8 @@ class ZoneForce(Force):
         moving = [model.particles(b) for b in range(model.bodies) if b not in model.held]
         # Bodies that never move are left out, as they are everywhere.
         runs = [run for run in moving if wanted.start <= run.start and run.stop <= wanted.stop]
-        runs = runs if model.held else [wanted]
-        return [Stage("zone", partial(record, own=own), keeps_C=True, by_run=True) for own in runs]
+        recorders = [partial(record, particles=run) for run in (runs if model.held else [wanted])]
+        return [Stage("zone", recorder, keeps_C=True, by_run=True) for recorder in recorders]
 
 
 UNIT: Vector = (1.0, 0.0, 0.0)
@@ -138,8 +138,8 @@ class SetVelocity(Force):
         motion = [t.vec3(*self.v), t.vec3(*self.centre), t.vec3(*self.spin)]
 
         def record(grid: Grid) -> wp.Launch | None:
-            own = within(chosen, grid.run(len(model)))
-            inputs = [own, slot, *motion, tracks.values, state.x]
-            return model.launch(kernel, len(own), inputs, [state.v, state.C])
+            here = within(chosen, grid.run(len(model)))
+            inputs = [here, slot, *motion, tracks.values, state.x]
+            return model.launch(kernel, len(here), inputs, [state.v, state.C])
 
         return [Stage("set_velocity", record, self.sudden, by_run=True)]

@@ -1,8 +1,8 @@
 """Particles beyond the grid: nothing but the uniform acceleration acts on them.
 
 Whether a particle takes part in a substep is decided when it scatters. While the others gather, it
-is moved to where nobody gathers; otherwise a particle that crosses the edge during the gather, in
-either direction, would be moved twice.
+is moved to where no particle gathers; otherwise a particle that crosses the edge during the
+gather, in either direction, would be moved twice.
 """
 
 from functools import cache

@@ -19,7 +19,7 @@ import warp as wp
 
 from phy124.kernels.arguments import types
 from phy124.kernels.build import kernel
-from phy124.kernels.columns import RESPONSES, add_rows, along_wall, relative, tied, xyz
+from phy124.kernels.columns import RESPONSES, add_rows, along_wall, relative, tie, xyz
 from phy124.kernels.distance import SHAPES
 
 
@@ -219,7 +219,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         normal = xyz(s0)
         across = dx * wp.abs(normal[axis])
         g = ratios(wp.vector(s0[3], s1[3], s2[3]), across)
-        change = tied(relative(q0, q1, q2, wall), m, g)
+        change = tie(relative(q0, q1, q2, wall), m, g)
         stop = change * normal
         pressed = wp.dot(m, stop)
         u = wp.vector(s0[3], s1[3], s2[3]) / across

@@ -7,7 +7,7 @@ with the ratios g of their distances (quadratic B-splines reproduce linear funct
 further behind). Momentum is projected onto such velocities, v_1 = sum(g m v) / sum(g^2 m), which
 never adds energy and pushes on all three nodes alike; without this a wall is as soft as a layer one
 cell thick. (Extended B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has
-reached it, as the masses of the nodes on its two sides show: see `covered`.
+reached it, as the masses of the nodes on its two sides show: see `coverage`.
 
 Held material ends in the same way at the surface of its region: the nodes inside are held, and the
 one next to the surface follows the one in front of it so that the velocity is zero where the region
@@ -79,16 +79,16 @@ the nearest particles are a quarter of a cell away from the wall."""
 
 
 @wp.func
-def covered(u: Any):
+def coverage(u: Any):
     """Fraction of a quadratic B-spline beyond a plane that is u cells before its centre."""
-    one = type(u)(1.0)
+    unit = type(u)(1.0)
     sixth = type(u)(1.0 / 6.0)
     reach = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
     tail = sixth * reach * reach * reach
     if u < type(u)(-0.5):
         return tail
     if u > type(u)(0.5):
-        return one - tail
+        return unit - tail
     return type(u)(0.5) + u * (type(u)(0.75) - u * u * type(u)(1.0 / 3.0))
 
 
@@ -105,20 +105,22 @@ def relative(q0: Any, q1: Any, q2: Any, wall: Any):
 
 
 @wp.func
-def narrowed(m: Any, farther: Any, u: Any):
+def narrow(m: Any, farther: Any, u: Any):
     """Factor on the mass expected nearer to a wall, of a body that narrows towards it.
 
     The body has the mass m on a node u cells in front of the wall, and `farther` on the next one.
-    If it were straight, their ratio would be that of `covered`. Where its cross-section grows with
+    If it were straight, their ratio would be that of `coverage`. Where its cross-section grows with
     a power of the distance, the ratio is smaller by a factor, and the next ratio towards the wall
     by about that factor to the power of `NARROWING`.
     """
-    one = type(u)(1.0)
-    return wp.pow(wp.min(m * covered(u + one) / (farther * covered(u)), one), type(u)(NARROWING))
+    unit = type(u)(1.0)
+    return wp.pow(
+        wp.min(m * coverage(u + unit) / (farther * coverage(u)), unit), type(u)(NARROWING)
+    )
 
 
 @wp.func
-def arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
+def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
     """Whether material has reached a wall: nodes u cells in front of it have masses m.
 
     A body that touches the wall covers their splines in a known ratio; with a gap, less is on the
@@ -135,19 +137,19 @@ def arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
     zero = type(above)(0.0)
     if m[1] <= zero:
         return False
-    behind = wp.min(m[0], lightest * covered(u[0]))
-    enough = full * behind * covered(u[1])
-    if m[1] * covered(u[0]) >= enough:
+    behind = wp.min(m[0], lightest * coverage(u[0]))
+    enough = full * behind * coverage(u[1])
+    if m[1] * coverage(u[0]) >= enough:
         return True
     if beyond > zero:
         return True
     if u[2] > type(above)(OUT_OF_REACH):
-        return m[2] * covered(u[1]) >= full * m[1] * covered(u[2]) * narrowed(m[1], m[0], u[1])
-    return above > zero and m[1] * covered(u[0]) >= enough * narrowed(m[0], above, u[0])
+        return m[2] * coverage(u[1]) >= full * m[1] * coverage(u[2]) * narrow(m[1], m[0], u[1])
+    return above > zero and m[1] * coverage(u[0]) >= enough * narrow(m[0], above, u[0])
 
 
 @wp.func
-def joined(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
+def has_mass(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
     """Whether the node next to the surface of a region that holds has mass."""
     return not m[1] <= type(above)(0.0)
 
@@ -161,13 +163,13 @@ def linear(distances: Any, across: Any):
 @wp.func
 def ending(distances: Any, across: Any):
     """Ratios g of a velocity that is zero where the region ends; `across` is the cell size [m]."""
-    one = type(across)(1.0)
+    unit = type(across)(1.0)
     w = spline(distances[0] / across)
-    return wp.vector(one, -w[0] / w[1], type(across)(0.0))
+    return wp.vector(unit, -w[0] / w[1], type(across)(0.0))
 
 
 @wp.func
-def tied(v: Any, m: Any, g: Any):
+def tie(v: Any, m: Any, g: Any):
     """Change of the velocities [node, axis] of masses m that makes them follow with ratios g."""
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
@@ -217,8 +219,8 @@ class Response(NamedTuple):
 
 
 RESPONSES = {
-    "sticky": Response(sticky, arrived, linear, either_way, all_of_it),
-    "slip": Response(slip, arrived, linear, either_way, none_of_it),
-    "separate": Response(separate, arrived, linear, pressing, coulomb),
-    "held": Response(sticky, joined, ending, either_way, all_of_it),
+    "sticky": Response(sticky, has_arrived, linear, either_way, all_of_it),
+    "slip": Response(slip, has_arrived, linear, either_way, none_of_it),
+    "separate": Response(separate, has_arrived, linear, pressing, coulomb),
+    "held": Response(sticky, has_mass, ending, either_way, all_of_it),
 }

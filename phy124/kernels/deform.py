@@ -29,49 +29,50 @@ LARGEST = wp.constant(wp.float64(3.0e38))
 TINY = wp.constant(wp.float64(1e-12))
 SOUND_SHAPE = wp.constant(wp.float64(1.5))
 ROUND_SHAPE = wp.constant(wp.float64(4.0))
-"""How many times more drawn out than at rest a Gaussian of what flows begins to be shown as a ball,
-and is one."""
+"""Elongation of a Gaussian of plastic or fluid material, relative to rest, from which on it becomes
+rounder, and at which it is a ball."""
 
 ARM = wp.constant(wp.float64(2.0))
-"""How many times as far as at rest what flows may be from a particle that carries it."""
+"""Largest distance of a Gaussian of plastic or fluid material from a particle that carries it,
+relative to that at rest."""
 
 
 @wp.func
 def matrix_of(q: wp.vec4d) -> wp.mat33d:
     """Rotation matrix of a quaternion wxyz of any length but zero."""
     two = wp.float64(2.0)
-    one = wp.float64(1.0)
+    unit = wp.float64(1.0)
     u = q / wp.length(q)
     w, x, y, z = u[0], u[1], u[2], u[3]
     return wp.mat33d(
-        one - two * (y * y + z * z),
+        unit - two * (y * y + z * z),
         two * (x * y - w * z),
         two * (x * z + w * y),
         two * (x * y + w * z),
-        one - two * (x * x + z * z),
+        unit - two * (x * x + z * z),
         two * (y * z - w * x),
         two * (x * z - w * y),
         two * (y * z + w * x),
-        one - two * (x * x + y * y),
+        unit - two * (x * x + y * y),
     )
 
 
 @wp.func
 def quaternion_of(r: wp.mat33d) -> wp.vec4d:
     """Unit quaternion wxyz of a rotation matrix (Shepperd's method)."""
-    one = wp.float64(1.0)
+    unit = wp.float64(1.0)
     t = r[0, 0] + r[1, 1] + r[2, 2]
-    q = wp.vec4d(one + t, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
+    q = wp.vec4d(unit + t, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
     best = t
     if r[0, 0] > best:
         best = r[0, 0]
-        q = wp.vec4d(q[1], one + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0])
+        q = wp.vec4d(q[1], unit + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0])
     if r[1, 1] > best:
         best = r[1, 1]
         q = wp.vec4d(
             r[0, 2] - r[2, 0],
             r[0, 1] + r[1, 0],
-            one + r[1, 1] - r[0, 0] - r[2, 2],
+            unit + r[1, 1] - r[0, 0] - r[2, 2],
             r[1, 2] + r[2, 1],
         )
     if r[2, 2] > best:
@@ -79,7 +80,7 @@ def quaternion_of(r: wp.mat33d) -> wp.vec4d:
             r[1, 0] - r[0, 1],
             r[0, 2] + r[2, 0],
             r[1, 2] + r[2, 1],
-            one + r[2, 2] - r[0, 0] - r[1, 1],
+            unit + r[2, 2] - r[0, 0] - r[1, 1],
         )
     return q / wp.length(q)
 
@@ -93,17 +94,17 @@ def column(m: wp.mat33d, j: int) -> wp.vec3d:
 @wp.func
 def plane_rotation(a: wp.vec3d, b: wp.vec3d, tolerance: wp.float64) -> wp.vec2d:
     """Cosine and sine of the rotation that makes two columns orthogonal; (1, 0) if they are."""
-    one = wp.float64(1.0)
-    turn = wp.vec2d(one, wp.float64(0.0))
+    unit = wp.float64(1.0)
+    turn = wp.vec2d(unit, wp.float64(0.0))
     p = wp.dot(a, a)
     q = wp.dot(b, b)
     c = wp.dot(a, b)
     if c * c > tolerance * tolerance * p * q:
         zeta = (q - p) / (wp.float64(2.0) * c)
-        t = one / (wp.abs(zeta) + wp.sqrt(one + zeta * zeta))
+        t = unit / (wp.abs(zeta) + wp.sqrt(unit + zeta * zeta))
         if zeta < wp.float64(0.0):
             t = -t
-        cosine = one / wp.sqrt(one + t * t)
+        cosine = unit / wp.sqrt(unit + t * t)
         turn = wp.vec2d(cosine, cosine * t)
     return turn
 
@@ -196,7 +197,7 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
 @wp.func
 def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
     """The signed permutation W, one of 24 proper ones, that brings U W closest to `previous`."""
-    one = wp.float64(1.0)
+    unit = wp.float64(1.0)
     m = wp.transpose(previous) * u
     best = wp.identity(n=3, dtype=wp.float64)
     if m[0, 0] + m[1, 1] + m[2, 2] < IDENTITY_ZONE:
@@ -208,7 +209,7 @@ def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
             p2 = (p0 + 2 - odd) % 3
             d = wp.vec3d(m[0, p0], m[1, p1], m[2, p2])
             s = wp.vec3d(wp.sign(d[0]), wp.sign(d[1]), wp.sign(d[2]))
-            parity = one - wp.float64(2.0) * wp.float64(odd)
+            parity = unit - wp.float64(2.0) * wp.float64(odd)
             if s[0] * s[1] * s[2] * parity < wp.float64(0.0):
                 weak = int(0)
                 if wp.abs(d[1]) < wp.abs(d[weak]):
@@ -227,19 +228,19 @@ def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
 
 
 @wp.func
-def rounded(lengths: wp.vec3d, rest: wp.vec3d):
-    """Axes of a Gaussian of what flows: the more it is drawn out, the closer they are to equal.
+def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
+    """Axes of a Gaussian of plastic or fluid material: the longer it is, the closer to equal.
 
     A ball of sqrt(a b), of its two longest axes a and b, covers as much of a picture as it does.
     """
-    one = wp.float64(1.0)
+    unit = wp.float64(1.0)
     longest = wp.max(lengths)
     shortest = wp.max(wp.min(lengths), TINY * longest)
     middle = lengths[0] + lengths[1] + lengths[2] - longest - wp.min(lengths)
     drawn = longest / shortest * wp.min(rest) / wp.max(rest)
-    w = wp.clamp((drawn - SOUND_SHAPE) / (ROUND_SHAPE - SOUND_SHAPE), wp.float64(0.0), one)
+    w = wp.clamp((drawn - SOUND_SHAPE) / (ROUND_SHAPE - SOUND_SHAPE), wp.float64(0.0), unit)
     ball = wp.sqrt(longest * wp.max(middle, shortest))
-    return (one - w) * lengths + w * wp.vec3d(ball, ball, ball)
+    return (unit - w) * lengths + w * wp.vec3d(ball, ball, ball)
 
 
 @wp.func
@@ -291,7 +292,9 @@ def shape_of(
     limit = wp.min(LARGEST, max_stretch * wp.max(s0))
     lengths = wp.transpose(labels) * lengths
     if becomes_ball:
-        lengths = rounded(wp.vec3d(wp.abs(lengths[0]), wp.abs(lengths[1]), wp.abs(lengths[2])), s0)
+        lengths = round_lengths(
+            wp.vec3d(wp.abs(lengths[0]), wp.abs(lengths[1]), wp.abs(lengths[2])), s0
+        )
     s = wp.vec3f()
     for k in range(3):
         s[k] = wp.float32(wp.min(wp.abs(lengths[k]), limit))
@@ -420,8 +423,8 @@ def turn_of_material(
 def make_carry(real: Any):
     """Kernel: centres and deformation gradients of the Gaussians, from particles of a precision.
 
-    x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carriers i. The F of what
-    flows grows without bound, so there the arms F_i (X_g - X_i) do not.
+    x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carriers i. The F of
+    plastic or fluid material grows without bound, so there the arms F_i (X_g - X_i) are limited.
     """
     t = types(real)
 

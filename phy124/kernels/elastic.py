@@ -172,9 +172,9 @@ def fixed_corotated(F: Any, C: Any, h: Any, theta: Any):
 @wp.func
 def fixed_corotated_modulus(F: Any, h: Any, theta: Any):
     """2 mu (2 s^2 - s) + 3 max(lam (2 J^2 - J), 0), s the largest stretch (at least 1)."""
-    one = type(theta[0])(1.0)
+    unit = type(theta[0])(1.0)
     two = type(theta[0])(2.0)
-    s2 = wp.max(largest_stretch_squared(F), one)
+    s2 = wp.max(largest_stretch_squared(F), unit)
     J = wp.determinant(F)
     volumetric = wp.max(theta[1] * (two * J * J - J), type(J)(0.0))
     return two * theta[0] * (two * s2 - wp.sqrt(s2)) + type(J)(3.0) * volumetric

@@ -26,17 +26,17 @@ of forces on particles, those of what a thread has summed.
 
 @wp.func
 def add_given(
-    given: wp.array(dtype=wp.float64),
+    sums: wp.array(dtype=wp.float64),
     impulse: wp.vec3d,
     work: wp.float64,
     moved: wp.float64,
     turned: wp.float64,
 ):
     """Add one impulse and its work to the `GIVEN` sums."""
-    add3(given, IMPULSE, impulse)
-    add_to(given, WORK, work)
-    add_to(given, MOVED, moved)
-    add_to(given, TURNED, turned)
+    add3(sums, IMPULSE, impulse)
+    add_to(sums, WORK, work)
+    add_to(sums, MOVED, moved)
+    add_to(sums, TURNED, turned)
 
 
 @cache

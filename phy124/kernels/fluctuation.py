@@ -93,7 +93,7 @@ def make_keep(real: Any):
 
 
 @wp.func
-def decayed(x: Any):
+def decay(x: Any):
     """1 - exp(-x), right to rounding for small x, too."""
     t = wp.tanh(type(x)(0.5) * x)
     return type(x)(2.0) * t / (type(x)(1.0) + t)
@@ -112,6 +112,6 @@ def make_rpic(real: Any):
     @kernel(f"phy124_rpic_{real.__name__}", real)
     def rpic(chosen, rate: real, clock, C_out):
         p = member(chosen, wp.tid())
-        C_out[p] = without_strain(C_out[p], decayed(rate * clock[0]))
+        C_out[p] = without_strain(C_out[p], decay(rate * clock[0]))
 
     return rpic

@@ -64,16 +64,16 @@ def tait(F: Any, C: Any, h: Any, theta: Any):
     With j = min(J, 1), fluid that has spread out keeps its viscosity per mass, which limits the
     substep, and not that per volume. zeta damps sound wherever there is pressure.
     """
-    one = type(theta[0])(1.0)
+    unit = type(theta[0])(1.0)
     J, more = squeeze(F)
-    viscous = wp.min(J, one) * theta[2]
+    viscous = wp.min(J, unit) * theta[2]
     rate = wp.trace(C)
-    mean = viscous * type(one)(2.0) / type(one)(3.0) * rate
+    mean = viscous * type(unit)(2.0) / type(unit)(3.0) * rate
     mean += weight_of_pressure(J, theta) - hardness(J, theta) * more
-    if J < one:
+    if J < unit:
         mean -= theta[3] * rate
     mean -= theta[4] * lag(F, h)
-    return viscous * (C + wp.transpose(C)) - mean * wp.identity(3, dtype=type(one))
+    return viscous * (C + wp.transpose(C)) - mean * wp.identity(3, dtype=type(unit))
 
 
 @wp.func
@@ -89,8 +89,8 @@ def isotropic(F: Any, h: Any, theta: Any, dt: Any):
 
     For a rotation, det(I + dt W) exceeds 1 by (dt omega)^2, which would let a vortex expand.
     """
-    one = type(dt)(1.0)
+    unit = type(dt)(1.0)
     j = wp.max(wp.trace(F) / type(dt)(3.0), type(dt)(0.0))
-    fraction = one - wp.exp(-dt * theta[5])
+    fraction = unit - wp.exp(-dt * theta[5])
     late = h[0] + fraction * (j * j * j - h[0])
     return j * wp.identity(3, dtype=type(dt)), wp.vector(late, h[1])

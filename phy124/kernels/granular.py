@@ -79,7 +79,7 @@ def snow_modulus(F: Any, h: Any, theta: Any):
 
 
 @wp.func
-def clamped(s: wp.vec3d, minimum: wp.float64, maximum: wp.float64) -> wp.vec3d:
+def clamp_stretches(s: wp.vec3d, minimum: wp.float64, maximum: wp.float64) -> wp.vec3d:
     """Stretches clamped to their range."""
     return wp.vec3d(
         wp.clamp(s[0], minimum, maximum),
@@ -91,9 +91,9 @@ def clamped(s: wp.vec3d, minimum: wp.float64, maximum: wp.float64) -> wp.vec3d:
 @wp.func
 def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float64) -> wp.float64:
     """`fixed_corotated_energy` of stretches; the smallest counts as `side` = -1 if inverted."""
-    one = wp.float64(1.0)
-    d = wp.vec3d(s[0] - one, s[1] - one, side * s[2] - one)
-    j1 = side * s[0] * s[1] * s[2] - one
+    unit = wp.float64(1.0)
+    d = wp.vec3d(s[0] - unit, s[1] - unit, side * s[2] - unit)
+    j1 = side * s[0] * s[1] * s[2] - unit
     return mu * wp.dot(d, d) + lam / wp.float64(2.0) * j1 * j1
 
 
@@ -120,7 +120,7 @@ def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     trial = wp.vec3d(
         wp.sqrt(wp.max(at[0], tiny)), wp.sqrt(wp.max(at[1], tiny)), wp.sqrt(wp.max(at[2], tiny))
     )
-    kept = clamped(trial, wp.float64(theta[2]), wp.float64(theta[3]))
+    kept = clamp_stretches(trial, wp.float64(theta[2]), wp.float64(theta[3]))
     f = wp.cw_div(kept, trial)
     volume = (type(s)(1.0) + h[0]) / type(s)(f[0] * f[1] * f[2])
     after = wp.vector(wp.min(volume, type(s)(LOOSEST)) - type(s)(1.0), h[1])

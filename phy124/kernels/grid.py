@@ -103,22 +103,22 @@ def make_merge(real: Any):
         i, j = wp.tid()
         size = window[1]
         row = ((layer + i) * size[1] + j) * size[2]
-        found = int(0)
+        added = int(0)
         for b in range(starts.shape[0]):
             low = boxes[2 * b] - window[0]
             extent = boxes[2 * b + 1]
             across = layer + i - low[0]
             along = j - low[1]
             if across >= 0 and across < extent[0] and along >= 0 and along < extent[1]:
-                own = starts[b] + (across * extent[1] + along) * extent[2]
-                if found == 0:
+                start = starts[b] + (across * extent[1] + along) * extent[2]
+                if added == 0:
                     clear_row(grid_out, row, low[2])
-                    copy_row(grid_out, row + low[2], pool, own, extent[2])
+                    copy_row(grid_out, row + low[2], pool, start, extent[2])
                     clear_row(grid_out, row + low[2] + extent[2], size[2] - low[2] - extent[2])
                 else:
-                    add_row(grid_out, row + low[2], pool, own, extent[2])
-                found += 1
-        if found == 0:
+                    add_row(grid_out, row + low[2], pool, start, extent[2])
+                added += 1
+        if added == 0:
             clear_row(grid_out, row, size[2])
 
     return merge

@@ -45,8 +45,8 @@ def left_strain(F: Any):
     """X = F F^T - I."""
     s = F[0, 0]
     b = gram(F)
-    one = type(s)(1.0)
-    return symmetric(b[0, 0] - one, b[0, 1], b[0, 2], b[1, 1] - one, b[1, 2], b[2, 2] - one)
+    unit = type(s)(1.0)
+    return symmetric(b[0, 0] - unit, b[0, 1], b[0, 2], b[1, 1] - unit, b[1, 2], b[2, 2] - unit)
 
 
 @wp.func
@@ -56,15 +56,15 @@ def inverse_tanh(z: Any):
     Z (1 + W/3 + W^2/5 + ...) with W = Z^2: the sum is first a quadratic in W; then Z W = Z^3 and
     Z W^2 = Z^5 are quadratics in Z. This takes half as many steps as a series in Z.
     """
-    one = type(z[0])(1.0)
+    unit = type(z[0])(1.0)
     two = type(z[0])(2.0)
     w = wp.vector(z[0] * z[0] - two * z[1], z[1] * z[1] - two * z[0] * z[2], z[2] * z[2])
     power = wp.vector(w[2], -w[1], w[0])
-    total = wp.vector(one, one / type(one)(3.0), one / type(one)(5.0))
-    total += (one / type(one)(7.0)) * power
+    total = wp.vector(unit, unit / type(unit)(3.0), unit / type(unit)(5.0))
+    total += (unit / type(unit)(7.0)) * power
     power = next_power(power, w)
-    total += (one / type(one)(9.0)) * power
-    total += (one / type(one)(11.0)) * next_power(power, w)
+    total += (unit / type(unit)(9.0)) * power
+    total += (unit / type(unit)(11.0)) * next_power(power, w)
     cube = wp.vector(z[2], -z[1], z[0])
     fifth = next_power(next_power(cube, z), z)
     return wp.vector(

@@ -62,17 +62,17 @@ def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
     last_row, last_column = fields.shape[0] - 1, fields.shape[1] - 1
     x = wp.clamp(x, wp.float64(0.0), wp.float64(last_column))
     y = wp.clamp(y, wp.float64(0.0), wp.float64(last_row))
-    found = Corner()
+    at = Corner()
     # The last pixel has none beyond it.
-    found.row = wp.clamp(int(y), 0, last_row - 1)
-    found.column = wp.clamp(int(x), 0, last_column - 1)
-    found.down = y - wp.float64(found.row)
-    found.right = x - wp.float64(found.column)
-    return found
+    at.row = wp.clamp(int(y), 0, last_row - 1)
+    at.column = wp.clamp(int(x), 0, last_column - 1)
+    at.down = y - wp.float64(at.row)
+    at.right = x - wp.float64(at.column)
+    return at
 
 
 @wp.func
-def sampled(fields: Fields, at: Corner, channel: int) -> wp.float64:
+def sample(fields: Fields, at: Corner, channel: int) -> wp.float64:
     """A field, linear between pixels."""
     above = wp.lerp(
         fields[at.row, at.column, channel], fields[at.row, at.column + 1, channel], at.right
@@ -84,37 +84,37 @@ def sampled(fields: Fields, at: Corner, channel: int) -> wp.float64:
 
 
 @wp.func
-def inflated(surface: Inflated, p: wp.vec3d) -> wp.vec4d:
+def evaluate_inflated(surface: Inflated, p: wp.vec3d) -> wp.vec4d:
     """F and its gradient at a point."""
     at = corner(surface.fields, p[0], p[1])
-    z = p[2] - sampled(surface.fields, at, 1)
+    z = p[2] - sample(surface.fields, at, 1)
     return wp.vec4d(
-        sampled(surface.fields, at, 0) - z * z,
-        sampled(surface.fields, at, 2) + wp.float64(2.0) * z * sampled(surface.fields, at, 4),
-        sampled(surface.fields, at, 3) + wp.float64(2.0) * z * sampled(surface.fields, at, 5),
+        sample(surface.fields, at, 0) - z * z,
+        sample(surface.fields, at, 2) + wp.float64(2.0) * z * sample(surface.fields, at, 4),
+        sample(surface.fields, at, 3) + wp.float64(2.0) * z * sample(surface.fields, at, 5),
         wp.float64(-2.0) * z,
     )
 
 
 @wp.func
-def hull(surface: Hull, p: wp.vec3d) -> wp.vec4d:
+def evaluate_hull(surface: Hull, p: wp.vec3d) -> wp.vec4d:
     """F and its gradient at a point."""
     zero = wp.float64(0.0)
     row = (p[1] - surface.first) / surface.pitch
     front = corner(surface.front, p[0] + wp.float64(surface.front.shape[1] // 2), row)
     side = corner(surface.side, p[2] + wp.float64(surface.side.shape[1] // 2), row)
-    found = wp.vec4d(
-        sampled(surface.front, front, 0) + sampled(surface.side, side, 0),
-        sampled(surface.front, front, 1),
-        sampled(surface.front, front, 2) + sampled(surface.side, side, 2),
-        sampled(surface.side, side, 1),
+    result = wp.vec4d(
+        sample(surface.front, front, 0) + sample(surface.side, side, 0),
+        sample(surface.front, front, 1),
+        sample(surface.front, front, 2) + sample(surface.side, side, 2),
+        sample(surface.side, side, 1),
     )
     for index in range(surface.planes.shape[0]):
         plane = surface.planes[index]
         value = plane[2] * plane[0] * (plane[1] - p[1])
-        if value < found[0]:
-            found = wp.vec4d(value, zero, -plane[0] * plane[2], zero)
-    return found
+        if value < result[0]:
+            result = wp.vec4d(value, zero, -plane[0] * plane[2], zero)
+    return result
 
 
 class Kernels(NamedTuple):
@@ -139,9 +139,9 @@ def _kernels(name: str, Surface: Any, gradient: Any) -> Kernels:
         gradients_out: wp.array[wp.vec3d],
     ):
         i = wp.tid()
-        found = gradient(surface, points[i])
-        values_out[i] = found[0]
-        gradients_out[i] = wp.vec3d(found[1], found[2], found[3])
+        surface_at = gradient(surface, points[i])
+        values_out[i] = surface_at[0]
+        gradients_out[i] = wp.vec3d(surface_at[1], surface_at[2], surface_at[3])
 
     @kernel(module, seconds=0.5)
     def orient(
@@ -150,8 +150,8 @@ def _kernels(name: str, Surface: Any, gradient: Any) -> Kernels:
         normals_out: wp.array[wp.vec3d],
     ):
         i = wp.tid()
-        found = gradient(surface, points[i])
-        slope = wp.vec3d(found[1], found[2], found[3])
+        surface_at = gradient(surface, points[i])
+        slope = wp.vec3d(surface_at[1], surface_at[2], surface_at[3])
         normals_out[i] = -slope / wp.max(wp.length(slope), wp.float64(1e-12))
 
     @kernel(module, seconds=0.5)
@@ -163,17 +163,17 @@ def _kernels(name: str, Surface: Any, gradient: Any) -> Kernels:
         i = wp.tid()
         p = points_out[i]
         for _ in range(rounds):
-            found = gradient(surface, p)
-            slope = wp.vec3d(found[1], found[2], found[3])
-            step = -(found[0] / wp.max(wp.dot(slope, slope), wp.float64(1e-9))) * slope
+            surface_at = gradient(surface, p)
+            slope = wp.vec3d(surface_at[1], surface_at[2], surface_at[3])
+            step = -(surface_at[0] / wp.max(wp.dot(slope, slope), wp.float64(1e-9))) * slope
             p += step / wp.max(wp.float64(1.0), wp.length(step))
         points_out[i] = p
 
     return Kernels(evaluate, orient, project)
 
 
-INFLATED = _kernels("inflated", Inflated, inflated)
-HULL = _kernels("hull", Hull, hull)
+INFLATED = _kernels("inflated", Inflated, evaluate_inflated)
+HULL = _kernels("hull", Hull, evaluate_hull)
 
 
 @kernel("phy124_implicit_push", seconds=0.4)

@@ -124,7 +124,7 @@ def shared_most(
 
 
 @wp.func
-def filled(
+def fill_fraction(
     grid: wp.array(dtype=Any),
     window: wp.array(dtype=wp.vec3i),
     node: wp.vec3i,
@@ -156,15 +156,15 @@ def gap(
     fill: Any,
 ):
     """What two bodies do not fill around a node, as a fraction; 1 where only one of them is."""
-    a = filled(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
-    b = filled(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
-    one = type(a)(1.0)
-    return wp.where(wp.min(a, b) < type(a)(0.0), one, one - a - b)
+    a = fill_fraction(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
+    b = fill_fraction(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
+    unit = type(a)(1.0)
+    return wp.where(wp.min(a, b) < type(a)(0.0), unit, unit - a - b)
 
 
 @wp.func
-def beside_of(step: wp.vec3i, n: int):
-    """The way to one of the four nodes beside a row along an axis."""
+def neighbour(step: wp.vec3i, n: int):
+    """The step to one of the four nodes next to a row along an axis."""
     axis = steepest(wp.vec3(float(step[0]), float(step[1]), float(step[2])))
     to = wp.vec3i()
     to[(axis + 1 + n / 2) % 3] = 1 - 2 * (n % 2)
@@ -172,17 +172,17 @@ def beside_of(step: wp.vec3i, n: int):
 
 
 @wp.func
-def closed(gap: Any, more: Any):
-    """Whether surfaces have met where a gap is left, and four beside that are larger by so much.
+def is_closed(gap: Any, more: Any):
+    """Return whether contact is closed at a gap whose four neighbours are larger by `more` in sum.
 
     At the rim of a contact the gap beyond it is a part of what a node sees.
     """
-    one = type(gap)(1.0)
-    return gap < one and gap <= type(gap)(ROUNDING) * wp.max(more, type(gap)(0.0))
+    unit = type(gap)(1.0)
+    return gap < unit and gap <= type(gap)(ROUNDING) * wp.max(more, type(gap)(0.0))
 
 
 @wp.func
-def met(
+def surfaces_meet(
     first: wp.array(dtype=Any),
     first_window: wp.array(dtype=wp.vec3i),
     second: wp.array(dtype=Any),
@@ -195,16 +195,16 @@ def met(
     here = gap(first, first_window, second, second_window, at, step, fill)
     more = type(here)(0.0)
     for n in range(4):
-        to = at + beside_of(step, n)
-        beside = shared_most(first, first_window, second, second_window, to, step)
-        there = gap(first, first_window, second, second_window, beside, step, fill)
+        to = at + neighbour(step, n)
+        at_neighbour = shared_most(first, first_window, second, second_window, to, step)
+        there = gap(first, first_window, second, second_window, at_neighbour, step, fill)
         if there < type(here)(1.0):
             more += there - here
-    return closed(here, more)
+    return is_closed(here, more)
 
 
 @wp.func
-def stopped(relative: Any, n: Any, friction: Any):
+def stop(relative: Any, n: Any, friction: Any):
     """The part of a relative velocity that contact takes: all of the approach along the normal n,
     and of the motion across it as much as Coulomb friction can.
     """
@@ -257,11 +257,13 @@ def make_pair(real: Any):
             away = fill[0] * slope(first_out, first_window, node, t.vec3())
             step = outward(normal(to, away, yields))
             at = shared_most(first_out, first_window, second_out, second_window, node, step)
-            if not met(first_out, first_window, second_out, second_window, at, step, fill):
+            if not surfaces_meet(
+                first_out, first_window, second_out, second_window, at, step, fill
+            ):
                 return
             to = fill[1] * slope(second_out, second_window, at, t.vec3())
             away = fill[0] * slope(first_out, first_window, at, t.vec3())
-            change = stopped(change, normal(to, away, yields), friction)
+            change = stop(change, normal(to, away, yields), friction)
         shared = yields[0] * q[3] + yields[1] * p[3]
         d = (yields[0] * q[3] / shared) * change
         first_out[a] = p - wp.vector(d[0], d[1], d[2], real(0.0))

@@ -37,14 +37,14 @@ def von_mises(F: Any, h: Any, theta: Any, dt: Any):
 @wp.func
 def remaining_fraction(log_k: Any, m: Any):
     """The root r in (0, 1] of r + k r^m = 1 with k >= 0, m >= 1, by Newton's method from above."""
-    one = type(log_k)(1.0)
+    unit = type(log_k)(1.0)
     r = wp.exp(wp.min(-log_k / m, type(log_k)(0.0)))
     if log_k > type(log_k)(40.0):
         return r
     k = wp.exp(log_k)
     for _ in range(5):
-        p = k * wp.pow(r, m - one)
-        r -= (r + p * r - one) / (one + m * p)
+        p = k * wp.pow(r, m - unit)
+        r -= (r + p * r - unit) / (unit + m * p)
     return r
 
 
@@ -56,14 +56,14 @@ def herschel_bulkley(F: Any, h: Any, theta: Any, dt: Any):
     theta = (mu, lam, limit, eta [Pa s^n], n). h[0] sums the plastic strain.
     """
     zero = type(theta[0])(0.0)
-    one = type(theta[0])(1.0)
+    unit = type(theta[0])(1.0)
     shear = type(theta[0])(2.0) * theta[0]
     dev = deviator(log_strain(F))
     size = wp.sqrt(wp.ddot(dev, dev))
     excess = shear * size - theta[2]
     if not excess > zero:
         return F, h
-    m = one / theta[4]
+    m = unit / theta[4]
     log_rate = wp.log(shear * dt / excess) + m * wp.log(excess / theta[3])
-    flow = excess * (one - remaining_fraction(log_rate, m)) / shear
+    flow = excess * (unit - remaining_fraction(log_rate, m)) / shear
     return exponential((-flow / size) * dev) * F, wp.vector(h[0] + flow, h[1])

@@ -52,7 +52,7 @@ def integral(
 
 
 @wp.func
-def folded(at: Any, period: Any):
+def fold(at: Any, period: Any):
     """Time since the current period began; unchanged without a period, or before the first."""
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
@@ -77,7 +77,7 @@ def mean(
         return zero * keys[first]
     if first == last:
         return ((high - low) / (b - a)) * keys[first]
-    at = folded(low - span[2], span[3])
+    at = fold(low - span[2], span[3])
     to = at + (high - low)
     total = integral(times, keys, first, last, at, to)
     if span[3] > zero and to > span[3]:
@@ -164,7 +164,7 @@ def make_sampler(real: Any):
         elif (flags[slot] & wp.static(MEAN)) != 0:
             value = mean(times, keys, first, last, span, a, b)
         else:
-            at = folded(now - span[2], span[3])
+            at = fold(now - span[2], span[3])
             value, rate = read(times, keys, first, last, at)
             ahead = clock[1]
             if ahead > real(0.0):
@@ -175,7 +175,7 @@ def make_sampler(real: Any):
                     always = wp.vector(a, b, span[2], span[3])
                     value = mean(times, keys, first, last, always, a, b)
                 elif skips(times, first, last, at, at + ahead, span[3]):
-                    to = folded(at + ahead, span[3])
+                    to = fold(at + ahead, span[3])
                     later, _ = read(times, keys, first, last, to)
                     rate = (later - value) / ahead
         active = real(0.0)

@@ -41,13 +41,15 @@ def from_double(m: wp.mat33d, like: Any):
 @wp.func
 def eigenvalues(b: wp.mat33d) -> wp.vec3d:
     """The eigenvalues of a symmetric matrix, largest first."""
-    one = wp.float64(1.0)
+    unit = wp.float64(1.0)
     q = wp.trace(b) / wp.float64(3.0)
     d = b - q * wp.identity(3, dtype=wp.float64)
     p = wp.sqrt(wp.ddot(d, d) / wp.float64(6.0))
     if p <= wp.float64(0.0):
         return wp.vec3d(q, q, q)
-    angle = wp.acos(wp.clamp(wp.determinant(d / p) / wp.float64(2.0), -one, one)) / wp.float64(3.0)
+    angle = wp.acos(wp.clamp(wp.determinant(d / p) / wp.float64(2.0), -unit, unit)) / wp.float64(
+        3.0
+    )
     high = q + wp.float64(2.0) * p * wp.cos(angle)
     low = q + wp.float64(2.0) * p * wp.cos(angle + THIRD_TURN)
     return wp.vec3d(high, wp.float64(3.0) * q - high - low, low)
@@ -66,8 +68,8 @@ def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
     """The function of b that is f_i at its eigenvalues at_i (largest first)."""
     first = slope(f[0] - f[1], at[0] - at[1])
     second = slope(first - slope(f[1] - f[2], at[1] - at[2]), at[0] - at[2])
-    one = wp.identity(3, dtype=wp.float64)
-    return f[0] * one + (b - at[0] * one) * (first * one + second * (b - at[1] * one))
+    unit = wp.identity(3, dtype=wp.float64)
+    return f[0] * unit + (b - at[0] * unit) * (first * unit + second * (b - at[1] * unit))
 
 
 @wp.func

@@ -96,14 +96,14 @@ def over(a: wp.float64, b: wp.float64):
 
 
 @wp.func
-def finish(s: Progress, given: Limits):
+def finish(s: Progress, bounds: Limits):
     """Count the substep that was taken, if any."""
     if s.next > wp.float64(0.0):
-        rest = given.until - s.time
+        rest = bounds.until - s.time
         s.strain += s.gradient * s.next
         s.time = s.time + s.next
         if s.next == rest:
-            s.time = given.until
+            s.time = bounds.until
         s.last = s.next
         s.taken += 1
         s.since += 1
@@ -124,48 +124,48 @@ def corner(maxima: wp.array(dtype=Any), i: int):
 
 
 @wp.func
-def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), given: Limits):
+def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bounds: Limits):
     """Whether the window leaves enough room around the particles, but not too much."""
     fits = bool(True)
     for axis in range(3):
         first = window[0][axis]
-        below = spare(low[axis], given.origin[axis], given.dx) - first
-        above = first + window[1][axis] - spare(high[axis], given.origin[axis], given.dx) - 3
-        minimum = given.margin // 2
-        most = 3 * given.margin
+        below = spare(low[axis], bounds.origin[axis], bounds.dx) - first
+        above = first + window[1][axis] - spare(high[axis], bounds.origin[axis], bounds.dx) - 3
+        minimum = bounds.margin // 2
+        most = 3 * bounds.margin
         if below < minimum or above < minimum or below > most or above > most:
             fits = False
     return fits
 
 
 @wp.func
-def limiter(s: Progress, given: Limits):
+def limiter(s: Progress, bounds: Limits):
     """The shortest of all limits [s], and which one it is; the first of equal ones."""
-    dt = over(given.reach, wp.sqrt(s.stiffness))
+    dt = over(bounds.reach, wp.sqrt(s.stiffness))
     which = int(wp.static(ELASTIC))
-    if over(given.stride, s.speed) < dt:
-        dt = over(given.stride, s.speed)
+    if over(bounds.stride, s.speed) < dt:
+        dt = over(bounds.stride, s.speed)
         which = int(wp.static(SPEED))
-    if over(given.turn, s.gradient) < dt:
-        dt = over(given.turn, s.gradient)
+    if over(bounds.turn, s.gradient) < dt:
+        dt = over(bounds.turn, s.gradient)
         which = int(wp.static(GRADIENT))
-    if given.viscous < dt:
-        dt = given.viscous
+    if bounds.viscous < dt:
+        dt = bounds.viscous
         which = int(wp.static(VISCOUS))
-    if given.ceiling < dt:
-        dt = given.ceiling
+    if bounds.ceiling < dt:
+        dt = bounds.ceiling
         which = int(wp.static(USER))
     return dt, which
 
 
 @wp.func
-def violent(dt: wp.float64, s: Progress, given: Limits):
+def violent(dt: wp.float64, s: Progress, bounds: Limits):
     """Whether a substep may move something by more than a cell."""
     two = wp.float64(2.0)
     return (
-        two * wp.max(s.speed, given.wall) * dt > given.stride
-        or two * s.gradient * dt > given.turn
-        or given.acceleration * dt * dt > wp.float64(0.1) * given.dx
+        two * wp.max(s.speed, bounds.wall) * dt > bounds.stride
+        or two * s.gradient * dt > bounds.turn
+        or bounds.acceleration * dt * dt > wp.float64(0.1) * bounds.dx
     )
 
 
@@ -190,33 +190,33 @@ def make_timestep(real: Any):
         on_out: Ints,
         look_out: Ints,
     ):
-        given = limits[0]
-        s = finish(progress_out[0], given)
+        bounds = limits[0]
+        s = finish(progress_out[0], bounds)
         s.reason = 0
-        look = s.strain > given.strain or s.taken >= given.most
-        if s.since >= given.every and s.time < given.until:
+        look = s.strain > bounds.strain or s.taken >= bounds.most
+        if s.since >= bounds.every and s.time < bounds.until:
             low = -corner(maxima, wp.static(at.LOW))
             high = corner(maxima, wp.static(at.HIGH))
-            look = look or given.apart > 0 or stray[0] > 0 or not roomy(low, high, window, given)
+            look = look or bounds.apart > 0 or stray[0] > 0 or not roomy(low, high, window, bounds)
             # What the host has to look at, it also measures itself.
             if not look:
                 s.speed = wp.float64(maxima[wp.static(at.SPEED)])
                 s.gradient = wp.float64(maxima[wp.static(at.GRADIENT)])
                 s.stiffness = wp.max(
-                    wp.float64(maxima[wp.static(at.STIFFNESS)]), given.memory * s.stiffness
+                    wp.float64(maxima[wp.static(at.STIFFNESS)]), bounds.memory * s.stiffness
                 )
                 s.since = 0
         s.fastest = wp.max(s.fastest, s.speed)
         s.steepest = wp.max(s.steepest, s.gradient)
-        if s.time >= given.until:
+        if s.time >= bounds.until:
             s.reason = wp.static(DONE)
         elif look:
             s.reason = wp.static(LOOK)
         else:
-            longest, which = limiter(s, given)
-            rest = given.until - s.time
+            longest, which = limiter(s, bounds)
+            rest = bounds.until - s.time
             dt = rest / wp.max(wp.float64(1.0), wp.ceil(rest / longest - wp.float64(1e-9)))
-            if violent(dt, s, given):
+            if violent(dt, s, bounds):
                 s.reason = wp.static(CAREFUL)
             else:
                 s.next = dt
@@ -227,6 +227,6 @@ def make_timestep(real: Any):
                 clock_out[2] = real(s.time)
         progress_out[0] = s
         on_out[0] = wp.where(s.reason == 0, 1, 0)
-        look_out[0] = wp.where(s.since + 1 >= given.every, 1, 0)
+        look_out[0] = wp.where(s.since + 1 >= bounds.every, 1, 0)
 
     return timestep

@@ -14,7 +14,7 @@ FEW = 1.5
 """Particles per cell and axis of plastic and granular materials, which cannot tear. With 2 a run
 takes 1.7 times as long and has the same error (docs/results/accuracy.md)."""
 FLOWING = 4.0
-"""Longest axis of a Gaussian of what flows, relative to its longest axis at rest."""
+"""Longest axis of a Gaussian of plastic or fluid material, relative to its longest axis at rest."""
 
 
 class Material(Section):

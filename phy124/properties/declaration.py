@@ -40,7 +40,7 @@ class Properties(Section):
         x: NDArray,
         means: NDArray,
         survivors: NDArray[np.bool_] | None,
-        own: NDArray[np.bool_] | None = None,
+        is_object: NDArray[np.bool_] | None = None,
     ) -> dict[str, NDArray[Any]]:
         """The file's values for each particle [P], by `phy124.properties.EVERY` column it has.
 
@@ -48,7 +48,7 @@ class Properties(Section):
             x: Particles at rest [P,3], m.
             means: All Gaussians at rest [N,3], m.
             survivors: Which of the Gaussians that were given are among them; None: all.
-            own: Which of them are the object and not its surroundings [N]; None: all.
+            is_object: Which of them are not its surroundings [N]; None: all.
 
         Raises:
             InputError: If the file cannot be read or does not fit the object.
@@ -63,15 +63,15 @@ class Properties(Section):
             return nearest(x, means, values)
         if len(table) == len(means) and self.sampling == "nearest":
             return nearest(x, means, table.columns)
-        means = means if own is None else means[own]
+        means = means if is_object is None else means[is_object]
         if table.points is None and len(table) == len(means):
             return nearest(x, means, table.columns)
-        points = self._fitted(table, means)
+        points = self._fit_points(table, means)
         if self.sampling == "nearest":
             return nearest(x, points, table.columns)
         return trilinear(x, points, table.columns)
 
-    def _fitted(self, table: Table, means: NDArray) -> NDArray[np.float64]:
+    def _fit_points(self, table: Table, means: NDArray) -> NDArray[np.float64]:
         """The file's points [K,3], m, moved and scaled so that their box is that of the object."""
         if table.points is None:
             raise InputError(
@@ -79,7 +79,7 @@ class Properties(Section):
                 self.file,
                 f"it holds {len(table):,} values without positions, the object has {len(means):,} "
                 "Gaussians.",
-                "Give x, y, z beside them, or one value per Gaussian of the gaussians.ply that a "
+                "Give x, y, z with them, or one value per Gaussian of the gaussians.ply that a "
                 "run writes.",
             )
         turned = orientation(self.up, self.front).T

@@ -56,16 +56,16 @@ def trilinear(
     shape = tuple(index.max(axis=0) + 1)
     at = ((x - low) / spacing).T
     weight = _between(np.ones(len(points)), index, shape, at)
-    found = nearest(x, points, columns)
-    beside = weight > 1e-6
+    values = nearest(x, points, columns)
+    near = weight > 1e-6
     for name, column in columns.items():
         if name != "law":
             total = _between(column - column.min(), index, shape, at)
-            # From the least value up, so that where all are alike the value is exactly theirs.
-            found[name] = np.where(
-                beside, column.min() + total / np.maximum(weight, 1e-6), found[name]
+            # Counted from the smallest value, so that equal values are reproduced exactly.
+            values[name] = np.where(
+                near, column.min() + total / np.maximum(weight, 1e-6), values[name]
             )
-    return found
+    return values
 
 
 def _between(values: NDArray, index: NDArray, shape: tuple[int, ...], at: NDArray) -> NDArray:

@@ -85,7 +85,7 @@ def check_profile(profile: Table) -> None:
     """
     factors = profile.table()[1]
     if not (factors.min() >= SOFTEST and factors.max() <= STIFFEST):
-        told = f"from {factors.min():g} to {factors.max():g}"
+        range_ = f"from {factors.min():g} to {factors.max():g}"
         raise ValueError(
-            f"factors {told} are beyond {SOFTEST:g} to {STIFFEST:g}; choose them between"
+            f"factors {range_} are beyond {SOFTEST:g} to {STIFFEST:g}; choose them between"
         )

@@ -65,12 +65,12 @@ def read_table(path: Path) -> Table:
     Raises:
         InputError: It cannot be read, has no property, or a value in it is not a finite number.
     """
-    given = _renamed(_columns_of(path))
-    points, whole = _places(path, given), False
-    if points is None and any(np.ndim(value) == 3 for value in given.values()):
-        whole = not {"lower", "upper"} <= given.keys()
-        given, points = _voxels(path, given)
-    columns = {name: given[name] for name in EVERY if name in given}
+    raw = _rename(_columns_of(path))
+    points, whole = _places(path, raw), False
+    if points is None and any(np.ndim(value) == 3 for value in raw.values()):
+        whole = not {"lower", "upper"} <= raw.keys()
+        raw, points = _voxels(path, raw)
+    columns = {name: raw[name] for name in EVERY if name in raw}
     if not columns:
         raise _refusal(path, "it holds none of E, nu, density, damping, fraction and law.", FORMS)
     sizes = {np.shape(value) for value in (*columns.values(), *_first(points))}
@@ -95,26 +95,26 @@ def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
         if path.suffix.lower() == ".npy":
             return {FRACTION: np.load(path, allow_pickle=False)}
         with np.load(path, allow_pickle=False) as archive:
-            found = {name: archive[name] for name in archive.files}
+            values = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise _refusal(path, f"it cannot be read ({error}).", FORMS) from None
-    for name, rows in list(found.items()):
+    for name, rows in list(values.items()):
         if rows.dtype.names:
-            del found[name]
-            found |= {column: rows[column] for column in rows.dtype.names}
-    return found
+            del values[name]
+            values |= {column: rows[column] for column in rows.dtype.names}
+    return values
 
 
-def _renamed(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def _rename(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     return {NAMES.get(name, name): value for name, value in columns.items()}
 
 
-def _places(path: Path, given: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
+def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
     """Positions of the points [K,3], from columns x, y, z or from one array."""
-    if "points" in given:
-        points = given["points"]
-    elif {"x", "y", "z"} <= given.keys():
-        points = np.stack([given[axis] for axis in "xyz"], axis=-1)
+    if "points" in columns:
+        points = columns["points"]
+    elif {"x", "y", "z"} <= columns.keys():
+        points = np.stack([columns[axis] for axis in "xyz"], axis=-1)
     else:
         return None
     if points.ndim != 2 or points.shape[1] != 3:
@@ -122,18 +122,18 @@ def _places(path: Path, given: dict[str, NDArray[Any]]) -> NDArray[np.float64] |
     return _numbers(path, "points", points)
 
 
-def _voxels(path: Path, given: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
+def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
     """Columns and centres of the voxels of dense arrays [X,Y,Z]; empty voxels are NaN.
 
     Without `lower` and `upper`, the first and last centre, the voxels fill a box of side 1.
     """
-    dense = {name: given[name] for name in EVERY if name in given}
+    dense = {name: columns[name] for name in EVERY if name in columns}
     shape = next(iter(dense.values())).shape
     if len(shape) != 3 or any(np.shape(value) != shape for value in dense.values()):
         remedy = "Give arrays [X,Y,Z] of one shape."
         raise _refusal(path, "its arrays of voxels have different shapes.", remedy)
     half = 0.5 / np.array(shape)
-    lower, upper = given.get("lower", half), given.get("upper", 1 - half)
+    lower, upper = columns.get("lower", half), columns.get("upper", 1 - half)
     lines = [
         np.linspace(a, b, n) for a, b, n in zip(*_bounds(path, lower, upper), shape, strict=True)
     ]
@@ -159,13 +159,13 @@ def _bounds(path: Path, *ends: Any) -> list[NDArray[np.float64]]:
 
 def _numbers(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]:
     try:
-        found = np.asarray(values, dtype=np.float64)
+        values = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise _refusal(path, f"its {name} are no numbers.", FORMS) from None
-    if not np.isfinite(found).all():
-        bad = int((~np.isfinite(found)).sum())
+    if not np.isfinite(values).all():
+        bad = int((~np.isfinite(values)).sum())
         raise _refusal(path, f"{bad:,} values of {name} are not finite.", "Leave those points out.")
-    return found
+    return values
 
 
 def _check_fractions(path: Path, fractions: NDArray[np.float64]) -> None:

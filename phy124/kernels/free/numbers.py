@@ -55,7 +55,7 @@ def spin_of(R: wp.mat33d, moments: wp.vec3d, L: wp.vec3d):
 
 
 @wp.func
-def turned(body: wp.array(dtype=wp.float64), w: wp.vec3d, dt: wp.float64):
+def turn_after(body: wp.array(dtype=wp.float64), w: wp.vec3d, dt: wp.float64):
     """The body's turn after `dt` s at an angular velocity."""
     angle = wp.length(w) * dt
     q = wp.quatd(body[TURN + 1], body[TURN + 2], body[TURN + 3], body[TURN])

@@ -8,15 +8,15 @@ import warp as wp
 from phy124.kernels.arguments import types
 from phy124.kernels.build import kernel
 from phy124.kernels.collide import xyz
-from phy124.kernels.columns import covered
+from phy124.kernels.columns import coverage
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.free.numbers import arm_of, axes, first_node
-from phy124.kernels.pairs import beside_of, closed, filled, mass_at, outward
+from phy124.kernels.pairs import fill_fraction, is_closed, mass_at, neighbour, outward
 
 NARROWEST = wp.constant(0.2)
 """Fraction of its volume that each must fill in its depth. Less lets a light box hover over
-jelly by a cell: beside its lower edge the thin end of the jelly would count as all of it."""
+jelly by a cell: next to its lower edge the thin end of the jelly would count as all of it."""
 THINNEST = wp.constant(0.015)
 """Fraction that the solid must fill around a node to touch anything there: a cell away from a flat
 side it is 0.021. With nodes farther away a light box creeps under its load."""
@@ -30,7 +30,7 @@ STEEP = wp.constant(1e-4)
 @wp.func
 def volume_of_round(d: Any, s: Any, geometry: Any, dx: Any):
     """Normal, and fraction of the volume around a node that a round body fills, as if flat."""
-    return wp.vector(s[0], s[1], s[2], covered(-s[3] / dx))
+    return wp.vector(s[0], s[1], s[2], coverage(-s[3] / dx))
 
 
 @wp.func
@@ -51,7 +51,7 @@ def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
     n = d - d
     for c in range(3):
         u = (wp.abs(d[c]) - geometry[1, c]) / dx
-        part = covered(-u)
+        part = coverage(-u)
         fill *= part
         n[c] = wp.sign(d[c]) * weight(u) / wp.max(part, type(dx)(1e-6))
     if wp.length(n) < type(dx)(STEEP):
@@ -76,8 +76,8 @@ def make_touch(shape: str, real: Any):
     def solid(node: wp.vec3i, geometry: Any, lattice: Any, body: wp.array(dtype=wp.float64)):
         """Normal, and fraction of the volume around a node that the body fills."""
         R = axes(body)
-        own = wp.transpose(R) @ arm_of(body, lattice, node)
-        d = t.vec3(real(own[0]), real(own[1]), real(own[2]))
+        local = wp.transpose(R) @ arm_of(body, lattice, node)
+        d = t.vec3(real(local[0]), real(local[1]), real(local[2]))
         s = distance(d, geometry)
         if s[3] >= real(1.5) * lattice[3]:
             return t.vec4()
@@ -120,14 +120,14 @@ def make_touch(shape: str, real: Any):
         window: wp.array(dtype=wp.vec3i),
     ):
         """What neither fills around a node, as a fraction; 1 where only one of them is."""
-        inside = filled(grid, window, at, step, fill, type(fill)(NARROWEST))
+        inside = fill_fraction(grid, window, at, step, fill, type(fill)(NARROWEST))
         part = solid(at, geometry, lattice, body)[3]
         deep = part
         for n in range(2):
             deep = wp.max(deep, solid(at - (n + 1) * step, geometry, lattice, body)[3])
-        one = type(inside)(1.0)
+        unit = type(inside)(1.0)
         nothing = inside < type(inside)(0.0) or deep < type(inside)(NARROWEST)
-        return wp.where(nothing, one, one - part - inside)
+        return wp.where(nothing, unit, unit - part - inside)
 
     @kernel(f"phy124_free_touch_{shape}_{real.__name__}", real, seconds=0.5)
     def touch(geometry, reach: int, fill: real, lattice, window, body, grid, contact_out):
@@ -144,13 +144,13 @@ def make_touch(shape: str, real: Any):
         here = gap(at, step, geometry, lattice, fill, body, grid, window)
         more = real(0.0)
         for n in range(4):
-            beside = shared_most(
-                at + beside_of(step, n), step, geometry, lattice, body, grid, window
+            at_neighbour = shared_most(
+                at + neighbour(step, n), step, geometry, lattice, body, grid, window
             )
-            there = gap(beside, step, geometry, lattice, fill, body, grid, window)
+            there = gap(at_neighbour, step, geometry, lattice, fill, body, grid, window)
             if there < real(1.0):
                 more += there - here
-        if closed(here, real(ROUND) * more):
+        if is_closed(here, real(ROUND) * more):
             contact_out[i, j, k] = t.vec4(q[0], q[1], q[2], real(1.0))
 
     return touch

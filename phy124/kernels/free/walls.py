@@ -30,7 +30,7 @@ from phy124.kernels.free.numbers import (
     put3,
     put_turn,
     spin_of,
-    turned,
+    turn_after,
 )
 
 SWEEPS = wp.constant(24)
@@ -48,17 +48,17 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
         half: Half its sides along them [m].
         n: Out of the wall.
     """
-    one = wp.float64(1.0)
+    unit = wp.float64(1.0)
     if shape == 1:
         return -half[0] * n
     if shape == 2:
         least = wp.min(half)
         along = R @ (half - wp.vec3d(least, least, least))
-        return wp.where(point == 0, one, -one) * along - least * n
+        return wp.where(point == 0, unit, -unit) * along - least * n
     signs = wp.vec3d(
-        wp.where((point & 1) == 0, -one, one),
-        wp.where((point & 2) == 0, -one, one),
-        wp.where((point & 4) == 0, -one, one),
+        wp.where((point & 1) == 0, -unit, unit),
+        wp.where((point & 2) == 0, -unit, unit),
+        wp.where((point & 4) == 0, -unit, unit),
     )
     return R @ wp.cw_mul(signs, half)
 
@@ -162,17 +162,17 @@ def make_walls(drifts: bool, real: Any):
                         turn = turn_by(a, b, c, r, more)
                         w += turn
                         V += a @ (more - b @ turn)
-        given = wp.vec3d()
+        impulse = wp.vec3d()
         moment = wp.vec3d()
         for wall in range(planes.shape[0]):
             for point in range(points):
                 J = impulses_out[wall * points + point]
-                given += J
+                impulse += J
                 r = arm_to(points, point, R, half, planes[wall, 1])
                 moment += wp.cross(r, J)
 
         if wp.static(drifts):
-            V = at3(body_out, VELOCITY) + given / mass
+            V = at3(body_out, VELOCITY) + impulse / mass
             L += moment
             put3(body_out, VELOCITY, V)
             put3(body_out, ANGULAR, L)
@@ -180,10 +180,10 @@ def make_walls(drifts: bool, real: Any):
             start = wp.quatd(
                 body_out[TURN + 1], body_out[TURN + 2], body_out[TURN + 3], body_out[TURN]
             )
-            put_turn(body_out, turned(body_out, spin_of(R, moments, L), dt / wp.float64(2.0)))
+            put_turn(body_out, turn_after(body_out, spin_of(R, moments, L), dt / wp.float64(2.0)))
             w = spin_of(axes(body_out), moments, L)
             put_turn(body_out, start)
-            put_turn(body_out, turned(body_out, w, dt))
+            put_turn(body_out, turn_after(body_out, w, dt))
             R = axes(body_out)
             for wall in range(planes.shape[0]):
                 normal = planes[wall, 1]
@@ -205,7 +205,7 @@ def make_walls(drifts: bool, real: Any):
                 system_out[n] = zero
             put3(trial_out, GUESS, V)
             put3(trial_out, GUESS + 3, w)
-            put3(trial_out, WALLS, given)
+            put3(trial_out, WALLS, impulse)
             put3(trial_out, WALLS + 3, moment)
 
     return walls

@@ -59,8 +59,8 @@ def native_func(body: str, like: Callable[..., Any], name: str, *, returns: Any 
     """
     result = "" if returns is None else " -> returns"
     # Warp reads from the text of the decorator that the function is native.
-    source = f"@wp.func_native(body)\ndef {name}(thread: int, {_declared(like)}){result}: ...\n"
-    return _defined(source, name, like, body=body, returns=returns)
+    source = f"@wp.func_native(body)\ndef {name}(thread: int, {_declare(like)}){result}: ...\n"
+    return _define(source, name, like, body=body, returns=returns)
 
 
 def native_kernel(
@@ -81,19 +81,19 @@ def native_kernel(
     def build(like: Callable[..., Any]) -> Any:
         title = name or like.__name__
         call = ", ".join(["wp.tid()", *inspect.signature(like).parameters])
-        source = f"def {title}({_declared(like)}):\n    body({call})\n"
+        source = f"def {title}({_declare(like)}):\n    body({call})\n"
         native = native_func(body, like, f"{title}_body")
-        return kernel(module, seconds=seconds)(_defined(source, title, like, body=native))
+        return kernel(module, seconds=seconds)(_define(source, title, like, body=native))
 
     return build
 
 
-def _declared(like: Callable[..., Any]) -> str:
+def _declare(like: Callable[..., Any]) -> str:
     """Return the parameters of a function as source text, which takes their types from `types`."""
     return ", ".join(f"{name}: types[{name!r}]" for name in inspect.signature(like).parameters)
 
 
-def _defined(source: str, name: str, like: Callable[..., Any], **known: Any) -> Any:
+def _define(source: str, name: str, like: Callable[..., Any], **known: Any) -> Any:
     """Return the function that a source text defines, which Warp can read as if from a file."""
     file = f"<{like.__module__}.{name}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)

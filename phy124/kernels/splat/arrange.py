@@ -14,10 +14,10 @@ AMONG = wp.constant(1)
 BEHIND = wp.constant(2)
 """Rank of glass that is behind all Gaussians."""
 THIN = wp.constant(0.2)
-"""What is thinner than this part of its width is a plate."""
+"""Thickness, as a fraction of the width, below which a box is a plate."""
 GIVE = wp.constant(0.3)
-"""What is pressed against a plate may be within it by this part of half its thickness and still
-counts as beside it."""
+"""Depth, as a fraction of half its thickness, to which things may be inside a plate and still count
+as outside."""
 
 
 @wp.func
@@ -32,7 +32,7 @@ def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
     sizes = solid.half + wp.vec3(solid.radius, solid.radius, solid.radius)
     to_box = solid.axes * (0.5 * (low + high) - solid.centre)
     to_eye = solid.axes * (eye - solid.centre)
-    found = int(AMONG)
+    order = int(AMONG)
     for axis in range(3):
         reach = 0.5 * wp.dot(wp.abs(solid.axes[axis]), high - low)
         size = sizes[axis]
@@ -41,8 +41,8 @@ def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
         if wp.abs(to_box[axis]) - reach > size:
             if wp.sign(to_box[axis]) * to_eye[axis] > sizes[axis]:
                 return BEHIND
-            found = BEFORE
-    return found
+            order = BEFORE
+    return order
 
 
 @wp.func
@@ -62,7 +62,7 @@ def corner_on_screen(view: View, solid: Solid, corner: int) -> wp.vec3:
 
 
 @wp.func
-def turned(view: View, solid: Solid, axis: int, upper: bool) -> bool:
+def faces_camera(view: View, solid: Solid, axis: int, upper: bool) -> bool:
     """Whether a face of a solid's box is turned to the camera."""
     along = wp.dot(solid.axes[axis], view.eye - solid.centre)
     reach = solid.half[axis] + solid.radius
@@ -79,15 +79,15 @@ def outline(view: View, solid: Solid) -> Outline:
     camera and one that is not; they are half a pixel farther out. A box around the camera, or
     partly behind it, has none.
     """
-    found = Outline()
-    found.nearest = float(1.0e30)
+    seen = Outline()
+    seen.nearest = float(1.0e30)
     middle = wp.vec3()
     for corner in range(8):
         at = corner_on_screen(view, solid, corner)
-        found.nearest = wp.min(found.nearest, at[2])
+        seen.nearest = wp.min(seen.nearest, at[2])
         middle += 0.125 * at
-    if found.nearest <= 1.0e-3:
-        return found
+    if seen.nearest <= 1.0e-3:
+        return seen
     for edge in range(12):
         # Four edges along each axis, between faces across the two others.
         axis = edge / 4
@@ -95,7 +95,7 @@ def outline(view: View, solid: Solid) -> Outline:
         third = (axis + 2) % 3
         up = edge & 1
         far = (edge >> 1) & 1
-        if turned(view, solid, second, up == 1) != turned(view, solid, third, far == 1):
+        if faces_camera(view, solid, second, up == 1) != faces_camera(view, solid, third, far == 1):
             corner = (up << second) | (far << third)
             start = corner_on_screen(view, solid, corner)
             along = corner_on_screen(view, solid, corner | (1 << axis)) - start
@@ -104,15 +104,15 @@ def outline(view: View, solid: Solid) -> Outline:
             if reach < 0.0:
                 inwards = -inwards
             c = 0.5 - wp.dot(inwards, wp.vec2(start[0], start[1]))
-            found.sides[found.count] = wp.vec3(inwards[0], inwards[1], c)
+            seen.sides[seen.count] = wp.vec3(inwards[0], inwards[1], c)
             # The same in space: a x + b y + c of a ray's place, times its depth.
-            found.planes[found.count] = wp.transpose(view.rotation) * wp.vec3(
+            seen.planes[seen.count] = wp.transpose(view.rotation) * wp.vec3(
                 view.focal * inwards[0],
                 view.focal * inwards[1],
                 inwards[0] * view.centre[0] + inwards[1] * view.centre[1] + c,
             )
-            found.count += 1
-    return found
+            seen.count += 1
+    return seen
 
 
 @kernel("phy124_arrange")
@@ -131,13 +131,13 @@ def arrange(
     solids are before, among and behind them.
     """
     k = wp.tid()
-    own = rank(solids[k], view.eye, low, high)
+    own_rank = rank(solids[k], view.eye, low, high)
     place = int(0)
     counts = wp.vec3i()
     for other in range(solids.shape[0]):
-        its = rank(solids[other], view.eye, low, high)
-        counts[its] += 1
-        if its < own or (its == own and other < k):
+        other_rank = rank(solids[other], view.eye, low, high)
+        counts[other_rank] += 1
+        if other_rank < own_rank or (other_rank == own_rank and other < k):
             place += 1
     arranged_out[place] = solids[k]
     outlines_out[place] = outline(view, solids[k])

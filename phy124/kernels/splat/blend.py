@@ -16,7 +16,7 @@ from phy124.kernels.splat.screen import (
     Splat,
     View,
     alpha_at,
-    shown,
+    blend_over,
 )
 
 PIXELS = wp.constant(256)
@@ -54,7 +54,7 @@ def blend_pixels(
             light += alpha * transmittance * splat.colour
             transmittance = rest
     pixel = y * view.width + x
-    image_out[pixel] = shown(light, transmittance, background)
+    image_out[pixel] = blend_over(light, transmittance, background)
     alpha_out[pixel] = 1.0 - transmittance
 
 
@@ -102,7 +102,7 @@ def blend_tiles(
         y = top + j / TILE
         if x < view.width and y < view.height:
             t = wp.abs(transmittance[j])
-            image_out[y * view.width + x] = shown(light[j], t, background)
+            image_out[y * view.width + x] = blend_over(light[j], t, background)
             alpha_out[y * view.width + x] = 1.0 - t
 
 

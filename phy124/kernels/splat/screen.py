@@ -75,6 +75,6 @@ def tiles_of(splat: Splat) -> wp.vec4i:
 
 
 @wp.func
-def shown(light: wp.vec3, transmittance: float, background: wp.vec3) -> wp.vec3:
+def blend_over(light: wp.vec3, transmittance: float, background: wp.vec3) -> wp.vec3:
     """Final colour of a pixel: its light plus the background that shines through, at most 1."""
     return wp.min(light + transmittance * background, wp.vec3(1.0, 1.0, 1.0))
