@@ -306,7 +306,7 @@ def test_stiffness_of_kind_array_is_read_as_properties(tmp_path):
     with pytest.warns(FutureWarning, match="stiffness of kind array is an old name for"):
         scene = Scene.from_data(old)
     assert scene == Scene.from_data({"properties": {"file": file}})
-    with pytest.warns(FutureWarning, match="read as properties"):
+    with pytest.warns(FutureWarning, match="is an old name for properties"):
         assert Scene().replaced(old) == scene
     with pytest.raises(InputError, match=r"the scene has properties as well.*column `fraction`"):
         Scene.from_data({**old, "properties": {"file": file}})
