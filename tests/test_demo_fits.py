@@ -293,18 +293,24 @@ def test_no_sentence_of_a_refusal_names_a_command_line_option():
 @pytest.mark.slow
 def test_the_softness_of_a_pressed_duck_is_found(tmp_path):
     """Truth from a finer grid and other particles; the page's own job, decoding and search."""
-    from support.ducks import pressed
+    from support.ducks import CELLS, pressed
 
-    # However busy the machine is, a fit is not refused for the time that it is expected to take.
+    # However busy the machine is, a fit has the time that it is expected to take.
     studio = Studio(Settings(gaussians=3000, max_fit_seconds=1e5), Visitors(tmp_path / "files"))
     done, film = pressed(studio, tmp_path, truth=6e4, guess=4e4)
     video = sent(studio, "a", film.read_bytes())
-    job = studio.fits.begin("a", done, video, {"seconds": 600})
-    assert job.wait(1200) and job.progress.state == "done", job.progress.message
+    seconds = max(600.0, studio.fits.offer(done)["budget"]["value"])
+    job = studio.fits.begin("a", done, video, {"seconds": seconds})
+    assert job.wait(2 * seconds) and job.progress.state == "done", job.progress.message
     report = job.progress.result.report
-    low, high = report["found"]["material.E"]["limit"]["interval"]
+    found = report["found"]["material.E"]
+    # The truth is that of a grid of 28 cells, whose own error is not that of a limit; the error
+    # shrinks as the spacing does (Richardson).
+    part = report["cells"] / CELLS
+    ends = zip(found["interval"], found["limit"]["interval"], strict=True)
+    low, high = (part * here + (1 - part) * limit for here, limit in ends)
     assert low < 6e4 < high
-    assert report["found"]["material.E"]["value"] == pytest.approx(6e4, rel=0.15)
+    assert found["value"] == pytest.approx(6e4, rel=0.15)
     shown = report["pictures"]
     assert max(shown["fitted"]) < 0.6 * max(shown["before"])
     assert str(tmp_path) not in json.dumps(report)

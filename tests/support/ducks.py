@@ -17,7 +17,11 @@ GROUND = (0.35, 0.5, 0.62)
 """A colour that the duck does not have."""
 
 
-def video(folder: Path, truth: float, cells: int = 28) -> Path:
+CELLS = 28
+"""Cells across the object of the film's grid, finer than those of a fit."""
+
+
+def video(folder: Path, truth: float, cells: int = CELLS) -> Path:
     """A video of the pressed duck, from a finer grid and other particles than a fit uses."""
     folder.mkdir(exist_ok=True)
     scene = Scene.named("press").replaced({"material.E": truth})
