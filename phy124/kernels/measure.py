@@ -11,6 +11,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
+from phy124.kernels.native import code
 from phy124.kernels.reduction import finite, greater, raise_to
 from phy124.kernels.transfer import Law, between, member
 
@@ -99,11 +100,27 @@ def make_measure(law: Law, real: Any):
     return measure
 
 
+for kinds in (types(wp.float32), types(wp.float64)):
+
+    @wp.func_native(code("reduction:fastest"))
+    def fastest(
+        first: int,
+        each: int,
+        stride: int,
+        count: int,
+        chosen: Ints,
+        v: kinds.vec3s,
+        C: kinds.mat33s,
+    ) -> kinds.vec3:
+        """Largest |v|^2 and |C|^2 of some particles, and the number that are not finite."""
+        ...
+
+
 @cache
 def make_measure_speeds(real: Any):
     """Kernel: measures `SPEED` and `GRADIENT` alone, of all particles of any law.
 
-    It takes a quarter of the time of `make_measure`, whose threads have the same particles.
+    Its threads have the same particles as those of `make_measure`.
     """
     t = types(real)
 
@@ -111,22 +128,10 @@ def make_measure_speeds(real: Any):
     def measure_speeds(
         first, each, stride, count, chosen, v, C, maxima_out: t.reals, stray_out: Ints
     ):
-        speed = real(0.0)
-        gradient = real(0.0)
-        broken = int(0)
-        for k in range(each):
-            i = wp.tid() * first + k * stride
-            if i < count:
-                p = member(chosen, i)
-                fast = wp.dot(v[p], v[p])
-                rate = wp.ddot(C[p], C[p])
-                if not finite(fast + rate):
-                    broken += 1
-                speed = greater(speed, fast)
-                gradient = greater(gradient, rate)
-        raise_to(maxima_out, SPEED, wp.sqrt(speed))
-        raise_to(maxima_out, GRADIENT, wp.sqrt(gradient))
-        if broken > 0:
-            wp.atomic_add(stray_out, 0, broken)
+        largest = fastest(wp.tid() * first, each, stride, count, chosen, v, C)
+        raise_to(maxima_out, SPEED, wp.sqrt(largest[0]))
+        raise_to(maxima_out, GRADIENT, wp.sqrt(largest[1]))
+        if largest[2] > real(0.0):
+            wp.atomic_add(stray_out, 0, int(largest[2]))
 
     return measure_speeds

@@ -41,6 +41,7 @@ from phy124.mpm.workers import (
     GATHER,
     REPAIR,
     SCHEDULE,
+    WINDOW,
     Timings,
     lone_worker,
     timed,
@@ -117,6 +118,8 @@ class Solver:
         self.free = FreeBodies(model, free)
         self._stray = wp.zeros(1, dtype=int, device=model.device)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
+        self._moved = False
+        """Whether a window has moved since the launches were recorded."""
         self.softened = 1.0
         """Factor by which all stiffnesses are scaled now."""
         self.team = Team[int](count, self._run_member)
@@ -207,6 +210,7 @@ class Solver:
                 if after is not None:
                     timed(self.timings, FOLLOW, after)
             timed(self.timings, "measure", self._end_frame)
+            self._follow_window()
         between = self.timings.setdefault(SCHEDULE, [0.0, 0])
         between[0] += time.perf_counter() - started - (self._seconds() - named)
         between[1] += 1
@@ -355,6 +359,7 @@ class Solver:
     def _measure_if_due(self) -> None:
         if self.clock.due:
             timed(self.timings, "measure", self._measure_due)
+            self._follow_window()
 
     def _measure_due(self) -> None:
         """Measure the speeds, and all limits where they may have changed; raises Unstable."""
@@ -391,8 +396,7 @@ class Solver:
         clock.measured(extremes, complete=True)
         changed = fit_all(self.grids, corners, anew=self.outliers.changed)
         changed |= self._fit_slabs(found, changed)
-        if changed:
-            self._record()
+        self._moved |= changed
         clock.interval = self._safe_interval()
 
     def _end_frame(self) -> None:
@@ -459,7 +463,13 @@ class Solver:
         usual = min(self.clock.measure_every, MEASURE_EVERY)
         return usual if self.on_device else self.rejection.interval(self.clock, self._calm_strain())
 
+    def _follow_window(self) -> None:
+        """Record the launches again if a window has moved."""
+        if self._moved:
+            timed(self.timings, WINDOW, self._record)
+
     def _record(self) -> None:
         """Record the launches of one substep, in order."""
+        self._moved = False
         self._recorder.record(self._forces, self.boundaries, self._sums)
         self._graph.forget()

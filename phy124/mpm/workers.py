@@ -27,9 +27,10 @@ MIN_PARTICLES = 10_000
 """Of a worker; with fewer, its barriers cost more than it brings."""
 GATHER = -1
 """The last phase of a substep; workers wait for each other between phases."""
-SCHEDULE, REPAIR, FOLLOW = HOST = ("schedule", "repair", "follow")
-"""Stages of the host: the choice of substeps and all else between launches, the mending of broken
-deformations, and what is called after each substep: progress, budget and observers."""
+SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "follow")
+"""Stages of the host: the choice of substeps and all else between launches, the recording of
+launches for a window that has moved, the mending of broken deformations, and what is called after
+each substep: progress, budget and observers."""
 Result = TypeVar("Result")
 Timings = dict[str, list[float]]
 """Stage -> seconds and number of launches."""

@@ -113,3 +113,19 @@ for (int i = 0; i < spins; ++i)
         mine[0] = 0;
         return;
     }
+
+//: fastest
+// Largest |v|^2 and |C|^2 of some particles, and how many are not finite, in C++ for the same reason.
+decltype(v.data[0].c[0] + 0) fast = 0, rate = 0, broken = 0;
+for (int k = 0; k < each; ++k) {
+    const int i = first + k * stride;
+    if (i >= count) break;
+    const int p = chosen.shape[0] > 0 ? wp::index(chosen, i) : i;
+    const auto velocity = wp::index(v, p);
+    const auto gradient = wp::index(C, p);
+    const auto s = wp::dot(velocity, velocity), g = wp::ddot(gradient, gradient);
+    if (!(s + g - (s + g) == 0)) broken += 1;
+    fast = s > fast ? s : fast;
+    rate = g > rate ? g : rate;
+}
+return {fast, rate, broken};
