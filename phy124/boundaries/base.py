@@ -43,7 +43,7 @@ Recorder = Callable[[Grid], "wp.Launch | None"]
 
 
 class Rest(Protocol):
-    """Where the object is at rest: all that the shape of a boundary depends on."""
+    """The object at rest, on which the shape of a boundary may depend."""
 
     @property
     def rest(self) -> NDArray[np.float64]:
@@ -63,12 +63,12 @@ class AtRest:
     """Positions at rest [P,3], m."""
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """All of them: it is not known here which is of which object."""
+        """Return all positions, since objects are not known here."""
         return self.rest
 
 
 class Boundary(Section):
-    """Base class of all boundaries: how they respond to what touches them."""
+    """Base class of all boundaries: how they respond to material that touches them."""
 
     shape: ClassVar[str]
     thing: ClassVar[str] = "it"
@@ -99,16 +99,16 @@ class Boundary(Section):
     def bounds(self, model: Model) -> Corners:
         """Corners of a box that contains every node that may respond to the shape at rest [m]."""
         low, high = self.extent(model)
-        margin = MARGIN * model.dx if self.met(model.dx) else 0.0
+        margin = MARGIN * model.dx if self.at_surface(model.dx) else 0.0
         return low - margin, high + margin
 
-    def met(self, dx: float) -> bool:
-        """Whether contact is at the surface, between the nodes; otherwise it is node by node."""
+    def at_surface(self, dx: float) -> bool:
+        """Return whether contact is at the surface, between the nodes, and not node by node."""
         return self.reach(dx) is None
 
-    def crosses(self, dx: float) -> bool:
-        """Whether nodes respond to it in columns that cross, so that some are in several."""
-        return self.met(dx) and self.outline() not in FLAT
+    def columns_overlap(self, dx: float) -> bool:
+        """Return whether columns of nodes overlap, so that some nodes are in several."""
+        return self.at_surface(dx) and self.outline() not in FLAT
 
     @property
     def moves(self) -> bool:
@@ -122,16 +122,17 @@ class Boundary(Section):
 
     def kernels(self, real: Any, dx: float) -> list[Any]:
         """The kernels of its walls on a grid of spacing `dx` [m]."""
-        settle = [make_settle(real)] if any(part.crosses(dx) for part in self.parts()) else []
+        overlap = any(part.columns_overlap(dx) for part in self.parts())
+        settle = [make_settle(real)] if overlap else []
         return [part.kernel(real, dx, moving=part.tracked) for part in self.parts()] + settle
 
     def kernel(self, real: Any, dx: float, *, moving: bool) -> Any:
         """The kernel of a simple wall."""
-        make = make_contact if self.met(dx) else make_collider
+        make = make_contact if self.at_surface(dx) else make_collider
         return make(self.outline(), self.response(), moving, real)
 
     def gentler(self) -> dict[str, Any]:
-        """Its fields with values that push half as hard."""
+        """Return its fields with values for half the strength."""
         return {}
 
     def parts(self) -> list[Any]:
@@ -139,7 +140,7 @@ class Boundary(Section):
         return [self]
 
     def part_names(self) -> list[str]:
-        """What tells its simple walls apart, in their order."""
+        """Return a name for each of its simple walls, in their order."""
         return [str(number) for number in range(1, len(self.parts()) + 1)]
 
     def outline(self) -> str:
@@ -147,7 +148,7 @@ class Boundary(Section):
         return self.shape
 
     def response(self) -> str:
-        """Name of the way nodes respond to it."""
+        """Return the name of the nodes' response (`kernels.columns.RESPONSES`)."""
         return self.contact
 
     def track(self, model: Rest) -> Track | None:
@@ -172,7 +173,7 @@ class Boundary(Section):
         self.refuse_thin(model)
         del state
         name, recorders = type(self).__name__.lower(), [self._recorder(model, tracks)]
-        if self.crosses(model.dx):
+        if self.columns_overlap(model.dx):
             recorders = SWEEPS * [*recorders, self._settler(model)]
         alone = self.spans(model)
         recorders = [self._of_object(model, recorder) for recorder in recorders]
@@ -186,8 +187,8 @@ class Boundary(Section):
         return lambda grid: recorder(grid) if grid.particles == particles else None
 
     def spans(self, model: Model) -> bool:
-        """Whether its columns can lead from one layer of nodes to the next, which has another i."""
-        if not self.met(model.dx):
+        """Return whether its columns may cross layers of nodes along x."""
+        if not self.at_surface(model.dx):
             return False
         _, normal, _ = self.geometry(model)
         return self.outline() not in FLAT or abs(normal[0]) > 0.999 * max(map(abs, normal[1:]))
@@ -208,11 +209,11 @@ class Boundary(Section):
             )
 
     def reach(self, dx: float) -> float | None:
-        """Signed distance below which a node responds [m]; None: as suits the material."""
+        """Signed distance below which a node responds [m]; None: depends on the material."""
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Records what changes the nodes of its columns: up to two cells beyond its collider's."""
+        """Return the recorder that settles the nodes of its columns, two cells past the collider."""
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -230,9 +231,9 @@ class Boundary(Section):
     def _recorder(self, model: Model, tracks: Tracks) -> Callable[[Grid], wp.Launch | None]:
         t, track = types(model.real), self.track(model)
         slot = 0 if track is None else tracks.add(track)
-        bounds, crosses = self._swept_bounds(model), self.crosses(model.dx)
+        bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
         shape = t.mat33(*np.ravel(self.geometry(model)))
-        met, reach = self.met(model.dx), self.reach(model.dx)
+        at_surface, reach = self.at_surface(model.dx), self.reach(model.dx)
         kernel = self.kernel(model.real, model.dx, moving=track is not None)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -240,15 +241,15 @@ class Boundary(Section):
             wall = [shape, self.friction, REACH * grid.dx if reach is None else reach, slot]
             wall.append(wp.vec3i(*start.tolist()))
             threads: tuple[int, ...] = tuple(extent)
-            if met:
+            if at_surface:
                 threads, each = along_rows(extent, model.device)
                 wall.append(each)
                 wall.append(wp.vec2i(*(grid.layers or (0, int(grid.size[0])))))
-                wall += [lightest(model), full(model), loose(model)]
+                wall += [lightest(model), contact_mass_fraction(model), seep_distance(model)]
             inputs = [*wall, grid.lattice, grid.window, tracks.values, tracks.rates]
             outputs = [grid.nodes]
-            if met:
-                outputs.append(grid.changes if crosses else grid.nodes)
+            if at_surface:
+                outputs.append(grid.changes if columns_overlap else grid.nodes)
             return model.launch(kernel, threads, inputs, outputs)
 
         return record
@@ -282,8 +283,8 @@ def lightest(model: Model) -> float:
     return min(densities) * model.dx**3 if yields(model) or len(densities) > 1 else math.inf
 
 
-def full(model: Model) -> float:
-    """Fraction of the mass expected at a wall above which a body has come to it.
+def contact_mass_fraction(model: Model) -> float:
+    """Return the fraction of the expected mass at a wall above which a body touches it.
 
     0.9 for solids, which meet it 0.07 cells early: less makes them stiff where they begin to touch,
     more lets columns with few particles sink in. 0.8, or 0.15 cells, for what yields, whose
@@ -292,8 +293,8 @@ def full(model: Model) -> float:
     return 0.8 if yields(model) else 0.9
 
 
-def loose(model: Model) -> float:
-    """Signed distance [m] below which nodes respond by themselves to a wall that does not push.
+def seep_distance(model: Model) -> float:
+    """Return the distance [m] below which nodes respond singly to a wall that does not push.
 
     What comes apart into drops and grains seeps through a wall otherwise: those that got behind it
     go on while the rest moves away. What holds together would feel the wall before it is there.
@@ -308,13 +309,13 @@ def yields(model: Model) -> bool:
 
 
 def vector(values: Iterable[float]) -> Vector:
-    """Three numbers as a section holds them."""
+    """Return three numbers as a tuple of floats."""
     x, y, z = values
     return float(x), float(y), float(z)
 
 
 def swept(corners: Corners, track: Track) -> Corners:
-    """Corners of a box that contains the moving box at all times [m]."""
+    """Return the corners of a box that contains a moving box at all times [m]."""
     moves = np.array([key[1] for key in track.keys])
     return corners[0] + moves.min(axis=0), corners[1] + moves.max(axis=0)
 

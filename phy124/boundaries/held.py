@@ -42,7 +42,7 @@ class Clamp(Movable):
         """Whether it moves or lets go."""
         return self.moves or self.end is not None
 
-    def met(self, dx: float) -> bool:
+    def at_surface(self, dx: float) -> bool:
         """True for sticky clamps, which end at the surface of their region; others act by node."""
         return self.contact == "sticky"
 

@@ -85,14 +85,14 @@ OwnMotion = Annotated[Path | Swing | Free, Field(discriminator="kind")]
 
 
 def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
-    """Times [N] in s and points [N,3] in m as keys of a track."""
+    """Return times [N] in s and points [N,3] in m as keys of a track."""
     return tuple(
         (t, (x, y, z)) for t, (x, y, z) in zip(times.tolist(), points.tolist(), strict=True)
     )
 
 
 def ease(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times and points with each leg divided into `EASE` pieces, at rest at both of its ends."""
+    """Return times and points with each leg divided into `EASE` pieces, at rest at its ends."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

@@ -67,7 +67,7 @@ class Force(Section):
         return bool(strengths) and not np.any(strengths)
 
     def gentler(self) -> dict[str, Any]:
-        """Its fields with values that push half as hard."""
+        """Return its fields with values for half the strength."""
         values = {name: getattr(self, name) for name in self.strengths}
         return {
             name: [x / 2 for x in value] if isinstance(value, tuple) else value / 2
@@ -85,7 +85,7 @@ class Force(Section):
         return self.start > 0 or self.end is not None or self.profile.kind != "constant"
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """The value times the profile inside the window of time, zero outside.
+        """Return the value times the profile inside the window of time, zero outside.
 
         Args:
             value: The force at full strength, in its own units.
@@ -95,7 +95,7 @@ class Force(Section):
         return Track.scaled(value, self.profile, self.start, end, mean=mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """The stages it needs in each substep; none if it joins the uniform acceleration.
+        """Return its stages in each substep; none if it joins the uniform acceleration.
 
         Args:
             model: What stays the same during the run.
@@ -105,7 +105,7 @@ class Force(Section):
         raise NotImplementedError
 
     def chosen(self, model: Model) -> wp.array:
-        """Indices of the particles it acts on: in its region, of bodies that may move.
+        """Return the indices of the particles it acts on: in its region, of bodies that may move.
 
         Raises:
             InputError: The region holds no particle.
@@ -124,14 +124,14 @@ class Force(Section):
 
 
 def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
-    """Which particles are of the object of a name [P]; None: all."""
+    """Return a mask of the particles of a named object [P]; None: of all objects."""
     mask = np.zeros(len(model), bool)
     mask[model.named(name)] = True
     return mask
 
 
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """A uniform acceleration joins the grid update; one on a region needs its own launch.
+    """Return the stages of an acceleration: none if it is uniform and joins the grid update.
 
     Args:
         force: Its region, and its strength over time.
@@ -147,7 +147,7 @@ def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Trac
 
 
 def push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """One launch over the chosen particles: an acceleration, or newtons on each.
+    """Return the stage that accelerates the chosen particles, or pushes each with a force.
 
     Args:
         force: Its region, and its strength over time.
@@ -163,7 +163,7 @@ def push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks
 
 
 def per_mass(force: Force, f: Vector, model: Model) -> Vector:
-    """A vector divided by the total mass of the chosen particles."""
+    """Return a vector divided by the total mass of the chosen particles."""
     chosen = np.asarray(force.chosen(model).numpy(), dtype=np.int64)
     total = float(np.take(model.mass.numpy(), chosen).sum(dtype=np.float64))
     return f[0] / total, f[1] / total, f[2] / total
@@ -183,7 +183,7 @@ def stage(
     over: Over = "",
     limited: bool = False,
 ) -> list[Stage]:
-    """One launch over the chosen particles that reads a track and changes velocities.
+    """Return a stage that changes the velocities of the chosen particles by a track.
 
     Args:
         force: Its region.
@@ -210,6 +210,6 @@ def stage(
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:
-    """Those of the chosen particles, which are in order, that are in a run of them."""
+    """Return the part of a sorted list of particles that is in a range of indices."""
     first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
     return cast("wp.array", chosen[first:last])

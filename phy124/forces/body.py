@@ -54,7 +54,7 @@ class TotalForce(Force):
 
 
 class Impulse(Force):
-    """A blow: gives a region a total momentum, whatever the substeps and the profile are."""
+    """A blow: gives a region a total momentum, independent of substeps and profile."""
 
     kind: Literal["impulse"] = "impulse"
     strengths: ClassVar[tuple[str, ...]] = ("p",)
@@ -79,7 +79,7 @@ class Impulse(Force):
         return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """The value times the profile over its duration, zero outside."""
+        """Return the value times the profile over its duration, zero outside."""
         end = self.start + self.duration
         track = Track.scaled(value, self.profile, self.start, end, mean=mean)
         # A force that starts at time 0 counts as having acted before; a blow at time 0 does not.

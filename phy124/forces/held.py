@@ -21,7 +21,7 @@ from phy124.schema.region import Vector
 
 
 def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.float64]:
-    """How firmly each particle belongs to the part [P]: (1 - (d / radius)^2)^2, or 1 everywhere.
+    """Return each particle's weight in the part [P]: (1 - (d / radius)^2)^2, or 1 everywhere.
 
     Args:
         rest: Positions at rest [P,3], m.
@@ -63,7 +63,7 @@ class Part(NamedTuple):
         field: str,
         name: str | None = None,
     ) -> Part:
-        """The part about a point at rest.
+        """Return the part about a point at rest.
 
         Args:
             model: Its masses and positions at rest.
@@ -108,7 +108,7 @@ class Part(NamedTuple):
     def track_centre(
         self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
     ) -> Iterator[Stage]:
-        """The stages that find its centre, and its second moments about it.
+        """Yield the stages that compute its centre, and its second moments about it.
 
         Args:
             name: Under which reports list their time.
@@ -177,13 +177,13 @@ class Grab(Force):
         return True
 
     def target(self) -> Track:
-        """Where it draws to over time [m]."""
+        """Return the position over time to which it draws [m]."""
         start = -FOREVER if self.start <= 0 else self.start
         end = FOREVER if self.end is None else self.end
         return Track(tuple(zip(self.times, self.targets, strict=True)), start, end, self.start)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Find the centre of what is held, and draw it."""
+        """Compute the centre of the part, and draw it to the target."""
         part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         slot = tracks.add(self.target(), limited=True)
         spring = wp.vec4d(self.stiffness, self.damping, part.drawn, self.strength)
@@ -207,7 +207,7 @@ MARGIN = 2.0
 
 
 class WrenchForce(Force):
-    """A force and a torque on what is about a point of the object, or on the whole of it."""
+    """A force and a torque on the material around a point of the object, or on all of it."""
 
     kind: Literal["wrench"] = "wrench"
     strengths: ClassVar[tuple[str, ...]] = ("force", "torque")
@@ -232,7 +232,7 @@ class WrenchForce(Force):
         return self
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Find the centre of what is pushed, and push and turn it."""
+        """Compute the centre of the part, and push and turn it."""
         part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         push = tracks.add(self.track(self.force), limited=True)
         turn = tracks.add(self.track(self.torque), limited=True)

@@ -91,7 +91,7 @@ class ZoneForce(Force):
         return self
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Push what is inside."""
+        """Push the particles inside."""
         t = types(model.real)
         slot, kernel = tracks.add(self.track(self.a)), kernels.make_zone(model.real)
         place: list[Any] = [t.vec3(*self.place.lower), t.vec3(*self.place.upper), -1, 0.0]

@@ -62,17 +62,17 @@ class Material(Section):
         return math.log((1 + math.sqrt(1 + 8 * growth)) / 4) / math.sqrt(3)
 
     def theta(self) -> tuple[float, ...]:
-        """Parameters handed to the device law."""
+        """Return the parameters of the device law."""
         raise NotImplementedError
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """The same on a grid of spacing `dx` [m] with a fraction `cfl` of the stable substep."""
+        """Return the parameters on a grid of spacing `dx` [m], with `cfl` of the stable substep."""
         del dx, cfl
         return self.theta()
 
     @property
     def longest(self) -> float:
-        """`max_stretch` as a number."""
+        """`max_stretch`, or the default of the law."""
         if self.max_stretch is not None:
             return self.max_stretch
         return math.inf if self.device_law.project is None else FLOWING
@@ -95,15 +95,15 @@ class Material(Section):
         return math.inf
 
     def cheaper(self, field: str) -> str:
-        """What makes a run faster, in words; `field` is the field that sets this material."""
+        """Return a remedy for long runs; `field` is the scene's field of this material."""
         return f"a smaller {field}.E"
 
     def notes(self) -> list[str]:
-        """Sentences that the user should know about how this material is simulated."""
+        """Return notes for the user on how this material is simulated."""
         return []
 
     def notes_at(self, speed: float) -> list[str]:
-        """Sentences that the user should know once something has moved at a speed [m/s]."""
+        """Return notes for the user on a run in which something has moved at a speed [m/s]."""
         del speed
         return []
 

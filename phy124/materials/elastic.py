@@ -120,7 +120,7 @@ class Rigid(Elastic):
     )
 
     def cheaper(self, field: str) -> str:
-        """A smaller `speed`: the stiffness follows from the speed of impacts."""
+        """Return the remedy: a smaller `speed`, from which the stiffness follows."""
         return f"a smaller {field}.speed, if it hits nothing that fast"
 
     @property
@@ -134,7 +134,7 @@ class Rigid(Elastic):
         return NeoHookean(E=self.simulated_E, nu=self.nu).lame
 
     def notes(self) -> list[str]:
-        """A sentence if the stiffness is capped."""
+        """Return a note if the stiffness is capped."""
         if self.simulated_E == self.E:
             return []
         return [
@@ -143,7 +143,7 @@ class Rigid(Elastic):
         ]
 
     def notes_at(self, speed: float) -> list[str]:
-        """A sentence if it moved faster than its stiffness is made for."""
+        """Return a note if it moved faster than the speed that its stiffness is for."""
         if self.simulated_E == self.E or speed <= FASTER * self.speed:
             return []
         strain = speed * math.sqrt(self.density / self.simulated_E)

@@ -73,7 +73,7 @@ class Fluid(Material):
         return math.sqrt(self.bulk_modulus / self.density)
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """The same with a bulk viscosity zeta and a relaxation, which damp sound.
+        """Return the parameters with a bulk viscosity zeta and a relaxation, which damp sound.
 
         The relaxation damps slow changes, zeta fast ones. With zeta = a rho c dx, a substep of
         `cfl` requires (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt, the rule of `beside_elastic`;

@@ -42,7 +42,7 @@ class Properties(Section):
         survivors: NDArray[np.bool_] | None,
         is_object: NDArray[np.bool_] | None = None,
     ) -> dict[str, NDArray[Any]]:
-        """The file's values for each particle [P], by `phy124.properties.EVERY` column it has.
+        """Return the file's values for each particle [P], by column of `phy124.properties.EVERY`.
 
         Args:
             x: Particles at rest [P,3], m.
@@ -72,7 +72,7 @@ class Properties(Section):
         return trilinear(x, points, table.columns)
 
     def _fit_points(self, table: Table, means: NDArray) -> NDArray[np.float64]:
-        """The file's points [K,3], m, moved and scaled so that their box is that of the object."""
+        """Return the file's points [K,3], m, fitted to the box of the object."""
         if table.points is None:
             raise InputError(
                 "properties.file",

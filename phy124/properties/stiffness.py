@@ -25,7 +25,7 @@ Fraction = Annotated[float, Field(ge=MINIMUM, le=1)]
 
 
 class _Field(Section):
-    """What all fields of stiffness have."""
+    """Base class of all fields of stiffness."""
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """Fraction of E at each particle [P].

@@ -169,7 +169,7 @@ def _numbers(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]
 
 
 def _check_fractions(path: Path, fractions: NDArray[np.float64]) -> None:
-    """Check that E is neither raised nor so far lowered that waves all but stand still.
+    """Check that no fraction raises E or lowers it below `MINIMUM`.
 
     Raises:
         InputError: It is.
