@@ -213,7 +213,7 @@ class Boundary(Section):
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return the recorder that settles the nodes of its columns, two cells past the collider."""
+        """Return the recorder that settles the nodes of its columns, two cells past it."""
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
