@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from phy124.kernels.arguments import types
 from phy124.kernels.build import CONTRACT, kernel
 
 
@@ -34,3 +35,27 @@ def test_what_the_user_told_the_compiler_stays(monkeypatch):
 
 def test_there_is_no_backward_pass(residue):
     assert residue.options["enable_backward"] is False
+
+
+def test_named_arguments_have_their_declared_types():
+    """In the order of the signature, whichever of them are annotated."""
+
+    @kernel("phy124_test_arguments", wp.float64)
+    def push(chosen, slot, rate: wp.float64, v_out):
+        p = chosen[wp.tid()]
+        v_out[p] = rate * wp.float64(slot) * v_out[p]
+
+    assert [a.label for a in push.adj.args] == ["chosen", "slot", "rate", "v_out"]
+    assert push.adj.args[3].type.dtype is types(wp.float64).vec3
+    v = wp.array(np.ones((2, 3)), dtype=wp.vec3d, device="cpu")
+    chosen = wp.array([1], dtype=int, device="cpu")
+    wp.launch(push, 1, inputs=[chosen, 2, 3.0], outputs=[v], device="cpu")
+    np.testing.assert_array_equal(v.numpy(), [[1, 1, 1], [6, 6, 6]])
+
+
+def test_undeclared_arguments_are_refused():
+    with pytest.raises(KeyError, match="speed_limit"):
+
+        @kernel("phy124_test_arguments", wp.float32)
+        def push(speed_limit):
+            pass
