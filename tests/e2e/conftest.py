@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from visit import FLAGS
+from visit import FLAGS, Visit
 
 from support.served import serving
 
@@ -30,9 +30,17 @@ def browser():
         chromium.close()
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def tabs_are_closed(browser):
     """A tab that is left open goes on drawing and asking the server."""
     yield
     for context in browser.contexts:
         context.close()
+
+
+@pytest.fixture
+def visit(browser, server):
+    """A new visitor's tab."""
+    visit = Visit(browser, server)
+    yield visit
+    visit.context.close()

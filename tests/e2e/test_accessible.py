@@ -64,10 +64,11 @@ def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
     page.wait_for_timeout(300)
     found["open"] = _violations(page)
     page.locator("#forecast summary").click()
-    visit.choose(frames=40)
-    visit.generate()
-    page.wait_for_selector(".glimpse[src]", timeout=LONG)
-    found["running"] = _violations(page)
+    visit.choose(frames=3)
+    with visit.going_on():
+        visit.generate()
+        page.wait_for_selector(".glimpse[src]", timeout=LONG)
+        found["running"] = _violations(page)
     visit.finished()
     for tab in ("Videos", "Report", "Take away", "Fit"):
         page.get_by_role("tab", name=tab).click()
@@ -79,23 +80,38 @@ def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
     visit.context.close()
 
 
-def test_nothing_in_focus_is_hidden_by_the_panel_at_the_bottom(browser, server):
+@pytest.fixture(scope="module")
+def page(browser, server):
+    """The page with a picture, at which tests only look."""
     visit = Visit(browser, server)
     visit.upload()
+    yield visit.page
+    visit.context.close()
+
+
+def test_nothing_in_focus_is_hidden_by_the_panel_at_the_bottom(page):
     hidden = []
     for _ in range(60):
-        visit.page.keyboard.press("Tab")
-        hidden.append(visit.page.evaluate(COVERED))
+        page.keyboard.press("Tab")
+        hidden.append(page.evaluate(COVERED))
     assert [each for each in hidden if each] == []
-    visit.context.close()
 
 
-def test_pictures_stand_still_for_those_who_ask_for_it(browser, server):
-    visit = Visit(browser, server)
-    visit.page.wait_for_function(f"{SOURCES}.every(Boolean)", timeout=LONG)
-    sources = visit.page.evaluate(SOURCES)
+UNMARKED = """() => [...document.querySelectorAll('summary')].filter((summary) => {
+    const { display, cursor } = getComputedStyle(summary);
+    return display !== 'list-item' || cursor !== 'pointer';
+}).map((summary) => summary.textContent)"""
+
+
+def test_summaries_show_that_they_open(page):
+    assert page.evaluate(UNMARKED) == []
+    assert page.locator("footer .divider:visible").count() == 0, "nothing follows it"
+
+
+def test_pictures_stand_still_for_those_who_ask_for_it(page):
+    page.wait_for_function(f"{SOURCES}.every(Boolean)", timeout=LONG)
+    sources = page.evaluate(SOURCES)
     assert len(sources) > 10 and all(src.startswith("data:") for src in sources), sources
-    visit.context.close()
 
 
 UNNAMED = """() => {
@@ -107,12 +123,18 @@ UNNAMED = """() => {
 }"""
 
 
-def test_everything_is_reachable_by_keyboard_and_named(browser, server):
-    visit = Visit(browser, server)
-    unnamed = visit.page.evaluate(UNNAMED)
+def test_everything_is_reachable_by_keyboard_and_named(page):
+    unnamed = page.evaluate(UNNAMED)
     assert unnamed == []
-    pad = visit.page.locator(".pad")
+    pad = page.locator(".pad")
     pad.focus()
     pad.press("ArrowRight")
     assert "right" in pad.get_attribute("aria-valuetext")
-    visit.context.close()
+
+
+def test_buttons_keep_their_distance_on_a_phone(page):
+    page.set_viewport_size(LOOKS["light phone"]["viewport"])
+    names = "#photo", "#picture .picture-status", "#photo .another", "#photo .camera"
+    photo, status, another, camera = (page.locator(each).first.bounding_box() for each in names)
+    assert status["y"] - (photo["y"] + photo["height"]) > 4
+    assert camera["x"] - (another["x"] + another["width"]) > 4

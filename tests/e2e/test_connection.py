@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from visit import LONG, Visit
+from visit import LONG
 
 pytestmark = pytest.mark.browser
 
 
-def test_a_lost_connection_and_a_reload_lose_nothing(browser, server):
-    visit = Visit(browser, server)
+def test_a_lost_connection_and_a_reload_lose_nothing(visit):
     page = visit.page
-    visit.begin(frames=60)
+    visit.begin(frames=40)
     visit.context.set_offline(True)
     page.get_by_text("The connection was lost. Your run goes on").wait_for(timeout=LONG)
     page.wait_for_timeout(3000)
@@ -20,15 +19,13 @@ def test_a_lost_connection_and_a_reload_lose_nothing(browser, server):
     page.reload()
     visit.finished()
     assert page.locator("#cutout img").get_attribute("src")
-    assert int(page.get_by_label("Frames", exact=True).input_value()) == 60
+    assert int(page.get_by_label("Frames", exact=True).input_value()) == 40
     page.wait_for_selector("#viewer .phy-time")
-    visit.context.close()
 
 
-def test_reloaded_page_follows_its_run(browser, server):
-    visit = Visit(browser, server)
-    visit.begin(frames=60)
-    visit.page.reload()
-    visit.page.wait_for_selector("#progress .running", timeout=LONG)
+def test_reloaded_page_follows_its_run(visit):
+    with visit.going_on():
+        visit.begin(frames=3)
+        visit.page.reload()
+        visit.page.wait_for_selector("#progress .running", timeout=LONG)
     visit.finished()
-    visit.context.close()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from visit import LONG, Visit
+from visit import LONG
 
 from support.ducks import video
 
@@ -15,10 +15,9 @@ SHOWN = """() => {
 SOFTNESS = "JSON.parse(sessionStorage.getItem('phy124-scene')).material.E"
 
 
-def test_a_video_goes_back_to_the_softness_of_the_next_run(browser, server, tmp_path):
+def test_a_video_goes_back_to_the_softness_of_the_next_run(visit, tmp_path):
     film = video(tmp_path / "truth", truth=6e4)
     (tmp_path / "text.mp4").write_text("this is no video")
-    visit = Visit(browser, server)
     page = visit.page
     visit.upload()
     visit.choose(frames=14)

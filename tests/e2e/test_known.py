@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from visit import DUCK, LONG, Visit
+from visit import DUCK, LONG
 
 pytestmark = pytest.mark.browser
 
 TEDDY = DUCK.with_name("teddy.png")
 
 
-def test_side_picture_is_cut_out_and_sets_the_depth(browser, server, tmp_path):
-    visit = Visit(browser, server)
+def test_side_picture_is_cut_out_and_sets_the_depth(visit, tmp_path):
     visit.upload()
     page, slider = visit.page, visit.page.get_by_label("Thickness, relative to the guess")
     page.get_by_text("Advanced: side, back").click()
@@ -38,4 +37,3 @@ def test_side_picture_is_cut_out_and_sets_the_depth(browser, server, tmp_path):
     page.locator("#known .view img[src]").wait_for(state="detached", timeout=LONG)
     assert not page.get_by_label("Film it in the photograph, too").is_checked()
     assert slider.is_enabled() and visit.complaints == []
-    visit.context.close()

@@ -7,7 +7,7 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
-from visit import LONG, Visit
+from visit import LONG
 
 from support.hostile import PHONE
 
@@ -18,39 +18,8 @@ NATURAL = """async (which) => {
     return [img.naturalWidth, img.naturalHeight];
 }"""
 
-UNMARKED = """() => [...document.querySelectorAll('summary')].filter((summary) => {
-    const { display, cursor } = getComputedStyle(summary);
-    return display !== 'list-item' || cursor !== 'pointer';
-}).map((summary) => summary.textContent)"""
 
-
-def test_before_a_picture_is_chosen_the_page_asks_for_one(browser, server):
-    page = Visit(browser, server).page
-    page.wait_for_selector(".photo-hint", timeout=LONG)
-    assert not page.get_by_alt_text("Your picture").is_visible()
-
-
-def test_whatever_opens_shows_that_it_does(browser, server):
-    visit = Visit(browser, server)
-    visit.upload()
-    assert visit.page.evaluate(UNMARKED) == []
-    assert visit.page.locator("footer .divider:visible").count() == 0, "nothing follows it"
-
-
-def test_nothing_touches_beside_a_picture_on_a_phone(browser, server):
-    visit = Visit(browser, server, viewport={"width": 390, "height": 844})
-    visit.upload()
-    boxes = {
-        name: visit.page.locator(name).first.bounding_box()
-        for name in ("#photo", "#picture .picture-status", "#photo .another", "#photo .camera")
-    }
-    photo, status, another, camera = boxes.values()
-    assert status["y"] - (photo["y"] + photo["height"]) > 4
-    assert camera["x"] - (another["x"] + another["width"]) > 4
-
-
-def test_after_a_refused_picture_nothing_older_is_generated(browser, server, tmp_path):
-    visit = Visit(browser, server)
+def test_after_a_refused_picture_nothing_older_is_generated(visit, tmp_path):
     visit.upload()
     (tmp_path / "text.png").write_text("this is no picture")
     visit.page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
@@ -58,25 +27,21 @@ def test_after_a_refused_picture_nothing_older_is_generated(browser, server, tmp
     assert visit.page.locator("#cutout").is_hidden()
     visit.generate()
     visit.page.get_by_text("There is no picture yet").wait_for(timeout=LONG)
-    visit.context.close()
 
 
-def test_large_photographs_are_reduced_before_they_are_sent(browser, server, tmp_path):
+def test_large_photographs_are_reduced_before_they_are_sent(visit, tmp_path):
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (3000, 4000, 3)).astype(np.uint8)
     noise[800:2200, 1200:2800] //= 8
     Image.fromarray(noise).save(tmp_path / "phone.jpg", quality=95)
     assert (tmp_path / "phone.jpg").stat().st_size > 8e6
-    visit = Visit(browser, server)
     visit.page.locator("#photo input[type=file]").set_input_files(tmp_path / "phone.jpg")
     visit.page.wait_for_selector("#photo img[src]", timeout=LONG)
     shape = visit.page.evaluate(NATURAL, "#photo img")
     assert shape == [2048, 1536]
-    visit.context.close()
 
 
-def test_the_cut_out_is_corrected_by_brush(browser, server):
-    visit = Visit(browser, server)
+def test_the_cut_out_is_corrected_by_brush(visit):
     page = visit.page
     page.get_by_label("Example: teddy").click()
     shown = page.locator("#cutout img[src]")
@@ -108,14 +73,12 @@ def test_the_cut_out_is_corrected_by_brush(browser, server):
     ]
     assert kept[1] > kept[0] + 500
     assert visit.complaints == []
-    visit.context.close()
 
 
-def test_a_click_on_the_picture_picks_another_object(browser, server, tmp_path):
+def test_a_click_on_the_picture_picks_another_object(visit, tmp_path):
     pixels = np.zeros((200, 300, 4), np.uint8)
     pixels[40:160, 20:140] = pixels[100:160, 200:260] = (200, 40, 30, 255)
     Image.fromarray(pixels).save(tmp_path / "two.png")
-    visit = Visit(browser, server)
     visit.upload(tmp_path / "two.png")
     page, shown = visit.page, visit.page.locator("#cutout img[src]")
     page.get_by_text("The object is cut out by the picture's own transparency.").wait_for()
@@ -141,11 +104,9 @@ def test_a_click_on_the_picture_picks_another_object(browser, server, tmp_path):
     with page.expect_file_chooser():
         page.get_by_role("button", name="Another picture").click()
     assert visit.complaints == []
-    visit.context.close()
 
 
-def test_the_brush_is_used_by_keyboard(browser, server):
-    visit = Visit(browser, server)
+def test_the_brush_is_used_by_keyboard(visit):
     visit.upload()
     visit.page.get_by_text("Correct the cut-out").click()
     canvas = visit.page.locator(".brush-canvas")
@@ -155,22 +116,18 @@ def test_the_brush_is_used_by_keyboard(browser, server):
         canvas.press(key)
     assert canvas.evaluate("(c) => c.toDataURL()") != before
     assert visit.page.locator("#brush input[type=radio]").nth(1).is_checked()
-    visit.context.close()
 
 
-def test_a_heic_photograph_is_shown_and_cut_out(browser, server):
+def test_a_heic_photograph_is_shown_and_cut_out(visit):
     """Chromium cannot show it: what is seen comes from the server."""
-    visit = Visit(browser, server)
     visit.upload(PHONE)
     shape = visit.page.evaluate(NATURAL, "#photo img")
     assert shape == [320, 256]
     assert visit.page.evaluate(NATURAL, "#cutout img") == shape
     assert visit.complaints == []
-    visit.context.close()
 
 
-def test_the_camera_takes_a_photograph(browser, server):
-    visit = Visit(browser, server)
+def test_the_camera_takes_a_photograph(visit):
     sent = []
     visit.page.on("request", lambda r: r.url.endswith("upload") and sent.append(r.method))
     visit.page.get_by_role("button", name="Camera").click()
@@ -180,4 +137,3 @@ def test_the_camera_takes_a_photograph(browser, server):
     visit.page.get_by_role("button", name="Take the photograph").click()
     visit.page.wait_for_selector("#photo img[src]", timeout=LONG)
     assert sent == ["POST"] and visit.page.locator(".camera-dialog").count() == 0
-    visit.context.close()

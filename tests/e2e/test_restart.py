@@ -35,21 +35,15 @@ def start(tmp_path):
     return start
 
 
-def _made(browser, server) -> Visit:
-    """A visitor with a picture and a result."""
-    visit = Visit(browser, server)
-    visit.upload()
-    visit.choose(frames=2)
-    visit.generate()
-    visit.finished()
-    visit.page.wait_for_selector("#viewer .phy-time")
-    visit.page.evaluate("globalThis.sameDocument = true")
-    return visit
-
-
-def test_a_restart_is_said_and_the_picture_is_sent_again(browser, start):
+def test_page_outlives_restarts_of_its_server(browser, start):
     with start() as server:
-        visit = _made(browser, server)
+        visit = Visit(browser, server)
+        visit.upload()
+        visit.choose(frames=2)
+        visit.generate()
+        visit.finished()
+        visit.page.wait_for_selector("#viewer .phy-time")
+        visit.page.evaluate("globalThis.sameDocument = true")
     page = visit.page
     page.locator("#go").click()  # nobody is there: Gradio would load the page again
     notice = page.locator("#server-notice")
@@ -69,26 +63,17 @@ def test_a_restart_is_said_and_the_picture_is_sent_again(browser, start):
         visit.choose(frames=3)
         visit.generate()
         visit.finished()
-    visit.context.close()
-
-
-def test_after_a_restart_and_a_reload_the_picture_is_there_again(browser, start):
-    with start() as server:
-        visit = _made(browser, server)
-    with start():
-        visit.page.reload()
-        visit.page.locator("#server-notice").get_by_text("no longer has your files").wait_for()
-        visit.page.wait_for_selector("#cutout img[src]", timeout=LONG)
-    visit.context.close()
-
-
-def test_a_restart_nobody_noticed_is_found_by_the_next_refusal(browser, start):
-    with start() as server:
-        visit = _made(browser, server)
-    before = visit.page.locator("#cutout img").get_attribute("src")
-    with start():
+        page.reload()
+        page.wait_for_selector("#cutout img[src]", timeout=LONG)
+        assert not notice.is_visible()
+        before = page.locator("#cutout img").get_attribute("src")
+    with start():  # which the page learns from the next refusal
         visit.generate()
-        visit.page.wait_for_function(CUT_AGAIN, arg=before, timeout=LONG)
-        visit.page.wait_for_selector("#progress .refused", state="detached", timeout=LONG)
-        assert visit.page.locator("#server-notice").is_visible()
+        page.wait_for_function(CUT_AGAIN, arg=before, timeout=LONG)
+        page.wait_for_selector("#progress .refused", state="detached", timeout=LONG)
+        assert notice.is_visible()
+    with start():
+        page.reload()
+        notice.get_by_text("no longer has your files").wait_for()
+        page.wait_for_selector("#cutout img[src]", timeout=LONG)
     visit.context.close()

@@ -8,13 +8,13 @@ from visit import LONG, Visit
 pytestmark = pytest.mark.browser
 
 
-def test_motion_streams_and_earlier_results_stay(browser, server):
-    visit = Visit(browser, server)
+def test_motion_streams_and_earlier_results_stay(visit):
     page = visit.page
     visit.upload()
-    visit.choose(frames=40)
-    visit.generate()
-    page.wait_for_selector(".viewer-host.growing canvas", timeout=LONG)
+    visit.choose(frames=6)
+    with visit.going_on():
+        visit.generate()
+        page.wait_for_selector(".viewer-host.growing canvas", timeout=LONG)
     visit.finished()
     page.get_by_text("the back is invented from the outline").wait_for()
     page.locator(".chip input[value=rubber]").check(force=True)
@@ -26,11 +26,9 @@ def test_motion_streams_and_earlier_results_stay(browser, server):
     page.locator("#history li:not(.current) > button").first.click()
     page.wait_for_selector("#history li:nth-child(2).current", timeout=LONG)
     assert visit.complaints == []
-    visit.context.close()
 
 
-def test_changes_of_the_scene_are_undone_and_shared_by_a_link(browser, server):
-    visit = Visit(browser, server)
+def test_changes_of_the_scene_are_undone_and_shared_by_a_link(visit, browser, server):
     page, frames = visit.page, visit.page.get_by_label("Frames", exact=True)
     before = frames.input_value()
     visit.choose(frames=23)
@@ -59,7 +57,6 @@ def test_changes_of_the_scene_are_undone_and_shared_by_a_link(browser, server):
     other.page.goto(link)
     other.page.wait_for_selector("#scene .card")
     assert other.page.get_by_label("Frames", exact=True).input_value() == "23"
-    visit.context.close()
     other.context.close()
 
 
@@ -85,7 +82,7 @@ def test_phone_fits_the_page_and_shows_the_result(browser, server, tmp_path):
     page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
     page.get_by_text("It is not a PNG, JPEG").first.wait_for(timeout=LONG)
     visit.upload()
-    visit.choose(frames=20)
+    visit.choose(frames=4)
     page.evaluate("scrollTo(0, 0)")
     visit.generate()
     cancel = page.locator("#cancel").bounding_box(timeout=LONG)

@@ -42,6 +42,8 @@ WATCH = """() => {
 def test_from_picture_to_files(browser, server, tmp_path):
     visit = Visit(browser, server, accept_downloads=True)
     page = visit.page
+    page.wait_for_selector(".photo-hint", timeout=LONG)
+    assert not page.get_by_alt_text("Your picture").is_visible()
     visit.upload()
     visit.choose(frames=5)
     page.evaluate(WATCH)
@@ -138,8 +140,7 @@ def _check_files(folder: Path) -> None:
     assert not re.search(r'(?:src|href)="', page), "the exported player asks for other files"
 
 
-def test_the_error_of_a_scene_is_measured_on_request(browser, server):
-    visit = Visit(browser, server)
+def test_the_error_of_a_scene_is_measured_on_request(visit):
     page = visit.page
     visit.upload()
     visit.choose(frames=14)
@@ -163,11 +164,9 @@ def test_the_error_of_a_scene_is_measured_on_request(browser, server):
     page.get_by_role("tab", name="Report").click()
     page.locator("#report").get_by_text("Error measured").wait_for(timeout=LONG)
     assert visit.complaints == []
-    visit.context.close()
 
 
-def test_cancel_frees_the_device_and_the_next_job_runs(browser, server):
-    visit = Visit(browser, server)
+def test_cancel_frees_the_device_and_the_next_job_runs(visit, server):
     visit.begin(frames=60, accuracy="standard")
     assert server.health()["busy"]
     visit.page.locator("#cancel").click()
@@ -178,7 +177,6 @@ def test_cancel_frees_the_device_and_the_next_job_runs(browser, server):
     visit.generate()
     visit.finished()
     assert visit.complaints == []
-    visit.context.close()
 
 
 def test_a_run_called_off_in_the_queue_never_starts(browser, server):

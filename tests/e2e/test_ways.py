@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from visit import LONG, Visit
+from visit import LONG
 
 from phy124.io import ply
 from phy124.io.axes import orientation, turned
@@ -12,13 +12,12 @@ from support.shapes import ball
 pytestmark = pytest.mark.browser
 
 
-def test_a_file_is_turned_by_keyboard_and_moved(browser, server, tmp_path):
+def test_a_file_is_turned_by_keyboard_and_moved(visit, tmp_path):
     data = ply.encode(turned(ball(500), orientation("y", "z").T))
     unsigned = [line for line in data.splitlines(keepends=True) if b"comment" not in line]
     (tmp_path / "ball.ply").write_bytes(b"".join(unsigned))
     (tmp_path / "broken.ply").write_bytes(data[:200])
     (tmp_path / "ball.ksplat").write_bytes(data)
-    visit = Visit(browser, server)
     page, chooser = visit.page, visit.page.locator("#photo input[type=file]")
     chooser.set_input_files(tmp_path / "ball.ksplat")
     page.get_by_text("Save it as .ply or .spz").wait_for(timeout=LONG)
@@ -52,4 +51,3 @@ def test_a_file_is_turned_by_keyboard_and_moved(browser, server, tmp_path):
     page.get_by_label("Example: teddy").click()
     page.get_by_text("Advanced: side, back").wait_for(timeout=LONG)
     assert first.count() == 0 and visit.complaints == []
-    visit.context.close()
