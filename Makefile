@@ -23,7 +23,9 @@ app: .venv/demo
 bridge: .venv/bridge
 	$(BIN)/python -m bridge doctor
 
-test: test-default test-page
+# Side by side, since tests of the page wait more than they compute.
+test:
+	+$(MAKE) $(if $(findstring jobserver,$(MAKEFLAGS)),,--jobs 2 --output-sync=target) test-default test-page
 
 # Three on two cores: tests of servers wait more than they compute.
 test-default: .venv/test

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,6 +42,7 @@ class Function(NamedTuple):
         return found[1] if found else ""
 
 
+@cache
 def functions(room: str) -> list[Function]:
     """Public functions and methods of a folder or file, none of private classes."""
     found = []

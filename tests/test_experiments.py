@@ -144,7 +144,7 @@ def test_blocks_stay_where_friction_holds_them():
     assert incline.acceleration(1.0, 0.0) == pytest.approx(math.sqrt(0.5))
 
 
-def test_a_ball_of_shells_has_its_volume_and_a_lattice_its_corner():
+def test_ball_of_shells_and_lattice_have_their_sizes():
     x, volume = ball_of_shells(0.5, 0.1)
     assert volume.sum() == pytest.approx(math.pi / 6)
     assert np.linalg.norm(x, axis=1).max() == pytest.approx(0.45)

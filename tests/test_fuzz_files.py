@@ -111,11 +111,11 @@ def sound(folder: Path, name: str, status: int, printed: str) -> None:
 @pytest.mark.parametrize(
     ("name", "count"),
     [
-        ("object.ply", 24),
-        ("scene.toml", 60),
+        ("object.ply", 12),
+        ("scene.toml", 30),
         ("picture.png", 4),
         ("picture.jpg", 3),
-        ("clip.safetensors", 24),
+        ("clip.safetensors", 12),
     ],
 )
 def test_broken_files_are_refused_in_a_sentence(name, count, samples, tmp_path, capsys):

@@ -312,8 +312,10 @@ LIBRARIES = HEAVY | {"warp", "numpy", "scipy", "cv2", "PIL", "pydantic"}
     [
         ("import phy124, phy124.commands", LIBRARIES | {"tyro"}),
         ("import phy124.scene", HEAVY | SCIPY | {"cv2"}),
-        ("import phy124.pipeline, phy124.commands.generate", HEAVY | SCIPY),
-        ("import phy124.commands.fit, phy124.commands.sweep", HEAVY | SCIPY),
+        (
+            "import phy124.commands.generate, phy124.commands.fit, phy124.commands.sweep",
+            HEAVY | SCIPY,
+        ),
         ("from phy124.__main__ import main; main(['--help'])", LIBRARIES),
         ("from phy124.__main__ import main; main(['weights'])", HEAVY | {"warp", "scipy", "cv2"}),
     ],

@@ -59,6 +59,7 @@ def barriers() -> list[int]:
     return [found.start() for found in re.finditer(r"__syncwarp\(\);", STORE)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", range(2))
 def test_a_missing_barrier_is_noticed(tmp_path, which):
     start = barriers()[which]

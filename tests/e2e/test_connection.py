@@ -24,8 +24,7 @@ def test_a_lost_connection_and_a_reload_lose_nothing(visit):
 
 
 def test_reloaded_page_follows_its_run(visit):
-    with visit.going_on():
-        visit.begin(frames=3)
-        visit.page.reload()
-        visit.page.wait_for_selector("#progress .running", timeout=LONG)
+    visit.begin(frames=60)
+    visit.page.reload()
+    visit.page.wait_for_selector("#progress .running", timeout=LONG)
     visit.finished()

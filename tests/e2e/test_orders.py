@@ -129,7 +129,7 @@ def test_of_two_sides_the_last_is_used_although_answered_first(visit):
     assert page.evaluate(SRC, SIDE) == before
 
 
-def test_a_side_that_is_answered_late_is_not_that_of_a_new_object(visit):
+def test_late_answer_is_not_the_side_of_a_new_object(visit):
     page = visit.page
     visit.upload()
     with _held(visit, lambda event: event.get("option") == "side") as held:
