@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from phy124.boundaries import Ground
 from phy124.forces import Gravity, ParticleForce, SetVelocity, Wind
 from phy124.gaussians import Gaussians
 from phy124.materials import NeoHookean
@@ -93,6 +94,25 @@ def test_gusts_are_tried_only_where_they_are_fast():
         s.advance(1e-3)
         assert s.rejection.must_try(s.clock, 1e-3) == tried
         assert s.rejection.wall == pytest.approx(speed)
+
+
+@pytest.mark.parametrize("cells", [0.1, 0.2, 0.24, 0.45])
+def test_translation_never_leaves_the_window(cells):
+    dt = 1e-3
+    s = solver(measure_every=32, ceiling=dt, v=np.tile([cells * 0.125 / dt, 0, 0], (216, 1)))
+    for frame in range(1, 9):
+        s.advance(frame * 11.5e-3)
+    assert s.flying and s.rejection.rejected == 0
+    assert s.clock.limiters == {"user": 96}
+
+
+def test_flight_at_speed_is_not_tried():
+    s = solver([Gravity()], boundaries=[Ground(height=-1.0)], v=np.tile([0.0, 0, -9], (216, 1)))
+    s.advance(1e-3)
+    assert s.flying and not s.rejection.must_try(s.clock, 0.01, flying=s.flying)
+    assert s.rejection.must_try(s.clock, 0.01)
+    s.advance(0.12)
+    assert not s.flying, "the ground is within reach"
 
 
 def counted(s) -> dict[str, int]:

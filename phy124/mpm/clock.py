@@ -75,8 +75,11 @@ class Clock:
         late = self.since_complete + MEASURE_EVERY > self.measure_every
         elapsed = self.time - self._looked
         strain = self.strain + elapsed * self.strain_rate
-        travel = self.travel + elapsed * self.extremes.speed
-        return late or strain > calm_strain or travel > TRAVEL * self.dx
+        # Until the next measurement they move as far again, or a longer interval lets them move by
+        # the part `calm_strain` of a cell.
+        travel = elapsed * self.extremes.speed
+        ahead = self.travel + travel + max(travel, calm_strain * self.dx)
+        return late or strain > calm_strain or ahead > TRAVEL * self.dx
 
     def measured(self, extremes: Extremes, *, complete: bool) -> None:
         """Limit substeps by what has been measured.

@@ -80,11 +80,18 @@ class StepRejection:
         """Whether a force may change velocities abruptly in the next substep."""
         return self._pushy and (self._changing or clock.substeps < FIRST)
 
-    def must_try(self, clock: Clock, dt: float) -> bool:
-        """Whether a substep of length `dt` [s] may move something by more than a cell."""
+    def must_try(self, clock: Clock, dt: float, *, flying: bool = False) -> bool:
+        """Whether a substep may move something by more than a cell, as far as was measured.
+
+        Args:
+            clock: What was measured last.
+            dt: Length of the substep [s].
+            flying: Whether nothing is within reach of the window, so that speed alone is no danger.
+        """
         extremes, dx = clock.extremes, self._model.dx
+        fast = 2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * dx
         return (
-            2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * dx
+            (fast and not flying)
             or 2 * extremes.gradient * dt > STRAIN_PER_STEP
             or self.acceleration * dt * dt > 0.1 * dx
             or self.sudden(clock)

@@ -118,6 +118,8 @@ class Solver:
         self.free = FreeBodies(model, free)
         self._stray = wp.zeros(1, dtype=int, device=model.device)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
+        self.flying = False
+        """Whether no force on particles, wall or other body is within reach of the window."""
         self._moved = False
         """Whether a window has moved since the launches were recorded."""
         self.softened = 1.0
@@ -275,7 +277,7 @@ class Solver:
         limit = clock.stable()
         rest = until - clock.time
         dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
-        if self.rejection.must_try(clock, dt):
+        if self.rejection.must_try(clock, dt, flying=self.flying and not self.outliers.bounded):
             dt = self._careful_step(dt)
         else:
             self.step((clock.last_dt + dt) / 2, dt)
@@ -376,7 +378,7 @@ class Solver:
         if clock.complete(calm):
             self._measure()
         else:
-            clock.interval = self._safe_interval()
+            clock.interval = self.rejection.interval(clock, max(calm - clock.strain, 1e-9))
 
     def _calm_strain(self) -> float:
         """Strain until which the substep stays stable although materials stiffen."""
@@ -472,4 +474,9 @@ class Solver:
         """Record the launches of one substep, in order."""
         self._moved = False
         self._recorder.record(self._forces, self.boundaries, self._sums)
+        walls = {stage.name for stage in self.boundaries} - {stage.name for stage in self._sums}
+        phases = itertools.chain(*(worker.phases for worker in self.workers))
+        meets = any(name in walls for name, _ in itertools.chain(*phases))
+        alone = not self._forces and not self.free.all and not self.pairs.touching(self.grids)
+        self.flying = alone and not meets
         self._graph.forget()
