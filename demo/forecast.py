@@ -13,7 +13,7 @@ from typing import Any
 
 from phy124.accuracy import Forecaster, Stop
 from phy124.accuracy.forecast import GUESS, QUIET
-from phy124.accuracy.load import Load, LoadMeter, spoken
+from phy124.accuracy.load import Load, LoadMeter, format_span
 from phy124.accuracy.promises import Promise, promise, why_broken
 from phy124.budget.cost import GAUSSIANS, Rates, Work, count_particles
 from phy124.budget.limits import duration
@@ -59,7 +59,7 @@ class Estimate:
     def sentence(self) -> str:
         """The estimate in words, for the visitor."""
         beside = " while this machine is busy" if self.load.busy else ""
-        text = f"About {spoken(self.span)}{beside}: {self.substeps:,} substeps of "
+        text = f"About {format_span(self.span)}{beside}: {self.substeps:,} substeps of "
         text += f"{round(self.particles, -3):,} particles. {self.promise.brief}"
         if self.load.busy:
             slower = f"{self.load.simulation:.1f} times as long"

@@ -17,7 +17,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from phy124.accuracy.compiling import seconds_to_compile
+from phy124.accuracy.probe import seconds_to_compile
 from phy124.errors import InputError
 from phy124.imaging.objects import Point
 from phy124.io.formats import is_file_of_gaussians

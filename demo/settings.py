@@ -71,7 +71,7 @@ class Settings(Section):
     max_touch: int = Field(default=2, ge=1, le=64, description="Live runs at the same time.")
     touch_minutes: float = Field(default=10, gt=0, description="Longest live run [min].")
     touch_idle_minutes: float = Field(
-        default=2, gt=0, description="A live run that nobody touches for so long is ended [min]."
+        default=2, gt=0, description="Time without input after which a live run ends [min]."
     )
     max_clips: int = Field(default=3, ge=1, description="Results kept per visitor.")
     max_visitors: int = Field(default=64, ge=1, description="Visitors whose files are kept.")

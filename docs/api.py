@@ -26,9 +26,9 @@ LEFT_OUT = {
     "phy124.schema.arguments",
     "phy124.studies.validation.stress",
 }
-"""The command line, and what only the program itself calls."""
+"""The command line, and modules that only the program itself uses."""
 PROGRAMS = ("demo", "bridge")
-"""Packages beside phy124 that have a page each."""
+"""Further packages, which have a page each."""
 WIDTH = 90
 """Letters of a signature's longest line."""
 CODE = re.compile(r"(`[^`]*`)")
@@ -74,27 +74,28 @@ def _contents(package: griffe.Module, rooms: list[griffe.Module]) -> Iterator[st
 
 def _module(module: griffe.Module, level: str) -> Iterator[str]:
     yield from [f"{level} {module.path}", "", _text(module), ""]
-    given = [name for name, member in module.members.items() if member.is_alias]
-    if names := [name for name in module.exports or () if str(name) in given]:
+    aliases = [name for name, member in module.members.items() if member.is_alias]
+    if names := [name for name in module.exports or () if str(name) in aliases]:
         yield from ["Gives " + ", ".join(f"`{name}`" for name in names) + ".", ""]
     for member in _public(module):
         yield from _member(member, level + "#")
     for inner in _inside(module):
-        yield from _module(inner, "##")  # folders in folders stand beside one another
+        yield from _module(inner, "##")  # nested folders have the same level
 
 
 def _inside(module: griffe.Module) -> list[griffe.Module]:
-    """Public modules right under one, by name; those that it only imports are not its own."""
-    own = [inner for inner in module.modules.values() if not inner.is_alias]
-    found = [m for m in own if not m.name.startswith("_") and m.path not in LEFT_OUT]
-    return sorted(found, key=lambda inner: inner.name)
+    """Return the public modules right under a module, by name, without imported ones."""
+    modules = [inner for inner in module.modules.values() if not inner.is_alias]
+    public = [m for m in modules if not m.name.startswith("_") and m.path not in LEFT_OUT]
+    return sorted(public, key=lambda inner: inner.name)
 
 
 def _public(owner: griffe.Module | griffe.Class) -> list[griffe.Object]:
-    """What an owner defines for others in the order of the source, values before functions."""
-    own = [member for member in owner.members.values() if not member.is_alias]
-    shown = [m for m in own if not m.name.startswith("_") and not m.is_module and m.has_docstring]
-    return sorted(shown, key=lambda member: (not member.is_attribute, member.lineno or 0))
+    """Return the documented public members in the order of the source, values first."""
+    members = [member for member in owner.members.values() if not member.is_alias]
+    public = [m for m in members if not m.name.startswith("_") and not m.is_module]
+    documented = [member for member in public if member.has_docstring]
+    return sorted(documented, key=lambda member: (not member.is_attribute, member.lineno or 0))
 
 
 def _member(member: griffe.Object, level: str) -> Iterator[str]:
@@ -124,8 +125,8 @@ def _signature(member: griffe.Object) -> str:
     if len(line) <= WIDTH:
         return line
     head, inner, tail = re.fullmatch(r"([^(]*\()(.*)(\)(?: -> .*)?)", line, re.S).groups()
-    given = re.split(r", (?=\*{0,2}\w+[:=,]|\*,|/,|\*{0,2}\w+$)", inner)
-    return "\n".join([head, *(f"    {one}," for one in given), tail])
+    parameters = re.split(r", (?=\*{0,2}\w+[:=,]|\*,|/,|\*{0,2}\w+$)", inner)
+    return "\n".join([head, *(f"    {parameter}," for parameter in parameters), tail])
 
 
 def _summary(documented: griffe.Object | griffe.Alias) -> str:
@@ -142,18 +143,18 @@ def _text(documented: griffe.Object) -> str:
 
 def _section(section: griffe.DocstringSection) -> str:
     if section.kind is griffe.DocstringSectionKind.text:
-        return _escaped(section.value)
+        return _escape(section.value)
     if section.kind is griffe.DocstringSectionKind.admonition:
-        return f"{section.title}: {_escaped(section.value.contents)}"
+        return f"{section.title}: {_escape(section.value.contents)}"
     rows = [f"**{section.kind.value.capitalize()}**", ""]
     for row in section.value:
         name = getattr(row, "name", "") or row.annotation
-        rows.append(f"- `{name}`: " + _escaped(row.description).replace("\n", " "))
+        rows.append(f"- `{name}`: " + _escape(row.description).replace("\n", " "))
     return "\n".join(rows)
 
 
-def _escaped(text: str) -> str:
-    """Without letters that Markdown takes for more, but for `code` and indented formulae."""
+def _escape(text: str) -> str:
+    """Escape the letters that are markup in Markdown, except in `code` and indented formulae."""
     lines = []
     for line in text.splitlines():
         parts = CODE.split(line)

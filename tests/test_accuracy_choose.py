@@ -35,7 +35,7 @@ def test_goals_are_read(text, kind, value):
 
 @pytest.mark.parametrize("text", ["", "2", "px", "-1px", "0%", "1e3px", "2 apples"])
 def test_what_is_no_error_is_refused(text):
-    with pytest.raises(InputError, match=r"it is not an error\. Write 2px, 1% or 3mm"):
+    with pytest.raises(InputError, match=r"it is not a number with a unit\. Write 2px, 1% or 3mm"):
         Goal.error(text)
 
 
@@ -165,7 +165,7 @@ def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
 
 def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):
     with pytest.raises(
-        InputError, match=r"no grid meets it: even D/24, in about .*, would be off by about"
+        InputError, match=r"no grid meets it: even D/24, in about .*, would have an error of about"
     ):
         reach(Goal.error("0.0001px"), ball(600), quick)
 
@@ -219,7 +219,7 @@ def test_a_time_too_short_is_refused(monkeypatch):
     # 10 s times 2^-2.5, 1 s that does not depend on the grid, and what is left free.
     assert str(refusal.value) == (
         "max_seconds = 0.5 s: the coarsest grid, D/8, takes about 3 s, most of it (2 s) for the "
-        "simulation. Ask for --max-seconds 3; time.frames = 7 takes less."
+        "simulation. Use --max-seconds 3; time.frames = 7 takes less."
     )
     assert reach_in(Goal.time(3)) == 8
     assert refusal.value.remedies[0].changes == {"time.frames": 7}

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from phy124.accuracy.convergence import distances, extrapolated, fitted_order, richardson
+from phy124.accuracy.convergence import distances, fit_order, guess_errors, richardson
 
 H = np.array([1 / 16, 1 / 24, 1 / 32, 1 / 48])
 
@@ -81,11 +81,11 @@ def test_levels_that_agree_have_no_order_but_an_error():
 
 
 def test_fitted_order_is_the_slope():
-    assert fitted_order(H, 5 * H**1.7) == pytest.approx(1.7)
+    assert fit_order(H, 5 * H**1.7) == pytest.approx(1.7)
 
 
 def test_extrapolated_from_two_levels():
-    coarse, fine = extrapolated((1 / 16, 1 / 24), 3 * (1 / 16 - 1 / 24), 1.0)
+    coarse, fine = guess_errors((1 / 16, 1 / 24), 3 * (1 / 16 - 1 / 24), 1.0)
     assert (coarse, fine) == pytest.approx((3 / 16, 3 / 24))
 
 

@@ -10,7 +10,7 @@ from phy124.__main__ import main
 from phy124.accuracy import Forecaster
 from phy124.accuracy import forecast as module
 from phy124.accuracy.forecast import Forecast, pixels_per_size
-from phy124.accuracy.pilot import CELLS, Pilot, coarsened, fly
+from phy124.accuracy.pilot import CELLS, Pilot, coarsen, run_pilot
 from phy124.accuracy.probe import SubstepCost
 from phy124.accuracy.promises import Promise
 from phy124.rendering.nearest import ROOM
@@ -56,7 +56,7 @@ def test_substeps_are_predicted(name):
 
 
 def test_substeps_are_proportional_to_cells():
-    pilot = fly(OBJECT, scene("push_right"))
+    pilot = run_pilot(OBJECT, scene("push_right"))
     counts = {cells: pilot.substeps(cells)[0] for cells in (12, 24, 48)}
     each = counts[48] / 4
     assert each == np.ceil(pilot.rest * 48 / pilot.cells)
@@ -193,4 +193,4 @@ def test_the_pilot_s_grid_resolves_what_the_scene_s_does(radius, cells):
     changes = {"boundaries": [{"kind": "ground"}, wall]}, {"objects": [small]}
     for change in changes:
         told = Scene.named("drop").replaced({"accuracy": "standard", "object.size": 1.0, **change})
-        assert coarsened(told).resolution.cells == cells
+        assert coarsen(told).resolution.cells == cells

@@ -2,7 +2,7 @@
 
 import pytest
 
-from phy124.accuracy.goal import UNIT, Goal, said
+from phy124.accuracy.goal import UNIT, Goal, format_error
 from phy124.errors import InputError
 from phy124.scene import Scene
 
@@ -38,7 +38,11 @@ def test_goal_values_have_the_units_of_the_scene():
     scene = Scene.named("drop").replaced({"object.size": 2.0})
     assert UNIT["metres"](scene) == 2.0 and UNIT["fraction"](scene) == 1.0
     assert UNIT["pixels"](scene) > 100
-    assert [said("pixels", 2.04), said("fraction", 0.012), said("metres", 0.0034)] == [
+    assert [
+        format_error("pixels", 2.04),
+        format_error("fraction", 0.012),
+        format_error("metres", 0.0034),
+    ] == [
         "2.0px",
         "1.2%",
         "3.4mm",

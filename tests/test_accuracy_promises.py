@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from phy124.accuracy import load, promises
-from phy124.accuracy.load import Load, spoken
+from phy124.accuracy.load import Load, format_span
 from phy124.accuracy.promises import kept, largest_error, motion_of, promise, table
 from phy124.accuracy.severity import violence, yielding
 from phy124.io.ply import write_ply
@@ -144,7 +144,7 @@ GRAB = {"kind": "grab", "targets": [[0, 0, 0.5], [0, 0, 2.0]]}
         ("drop", {"forces": [{"kind": "wrench", "torque": [0, 0, 9e3]}]}, "kind wrench"),
         ("drop", {"forces": [{"kind": "zone", "a": [0, 9, 0]}]}, "kind zone"),
         ("push_right", {"forces": [{"kind": "acceleration", "profile": SINE}]}, "follows a sine"),
-        ("sway", {"forces": [{"kind": "acceleration", "region": {}}]}, "in a region only"),
+        ("sway", {"forces": [{"kind": "acceleration", "region": {}}]}, "on a region"),
         ("press", {"boundaries": [GROUND, {"kind": "press", "down": 0.02}]}, "so violent"),
         (
             "press",
@@ -155,8 +155,8 @@ GRAB = {"kind": "grab", "targets": [[0, 0, 0.5], [0, 0, 2.0]]}
         ("drop", {"material.damping": 0.0}, "with so little damping"),
         ("drop", {"material.nu": 0.49}, "so nearly incompressible"),
         ("drop", {"material": {"law": "metal", "yield_stress": 2e4}}, "that yields so much"),
-        ("drop", {"material": {"law": "fluid", "viscosity": 50.0}}, "fluid of another viscosity"),
-        ("drop", {"material": {"law": "foam", "viscosity": 1.0}}, "foam of another viscosity"),
+        ("drop", {"material": {"law": "fluid", "viscosity": 50.0}}, "fluid with another viscosity"),
+        ("drop", {"material": {"law": "foam", "viscosity": 1.0}}, "foam with another viscosity"),
     ],
 )
 def test_violence_sees_all_that_makes_a_scene_violent(preset, changes, why):
@@ -249,7 +249,7 @@ def test_a_busy_machine_is_less_sure():
     assert lower < low < high < higher < 3.5 * lower
     assert Load(20.0, 30.0).span(10) == busy.span(10), "however many there are"
     assert not quiet.busy and busy.busy
-    assert Load.measured("cuda:0") == quiet
+    assert Load.measure("cuda:0") == quiet
 
 
 @pytest.mark.parametrize(
@@ -262,26 +262,26 @@ def test_a_busy_machine_is_less_sure():
 )
 def test_others_are_seen_by_what_they_leave_of_the_cores(monkeypatch, one, two, thread, simulation):
     monkeypatch.setattr(load, "cores", lambda: 2)
-    monkeypatch.setattr(load, "_received", {1: one, 2: two}.get)
-    assert Load.measured() == Load(thread, simulation)
+    monkeypatch.setattr(load, "_measure_fraction", {1: one, 2: two}.get)
+    assert Load.measure() == Load(thread, simulation)
 
 
 def test_what_others_did_a_moment_ago_does_not_count(monkeypatch):
-    monkeypatch.setattr(load, "_received", lambda threads: 1.0)
+    monkeypatch.setattr(load, "_measure_fraction", lambda threads: 1.0)
     monkeypatch.setattr("os.getloadavg", lambda: (8.0, 8.0, 8.0))
-    assert not Load.measured().busy
+    assert not Load.measure().busy
 
 
 def test_threads_that_spin_do_not_take_the_lock_from_each_other(monkeypatch):
     monkeypatch.setattr(load, "SPIN", 0.02)
-    assert all(0 < load._received(threads) <= 1.1 for threads in (1, 2))
+    assert all(0 < load._measure_fraction(threads) <= 1.1 for threads in (1, 2))
 
 
 def test_spans_are_said_in_words():
-    assert spoken((0.2, 0.9)) == "1 s"
-    assert spoken((8.2, 13.7)) == "8 to 14 s"
-    assert spoken((60, 120)) == "1.0 to 2.0 min"
-    assert spoken((3600, 9000)) == "1.0 to 2.5 h"
+    assert format_span((0.2, 0.9)) == "1 s"
+    assert format_span((8.2, 13.7)) == "8 to 14 s"
+    assert format_span((60, 120)) == "1.0 to 2.0 min"
+    assert format_span((3600, 9000)) == "1.0 to 2.5 h"
 
 
 def test_simulate_prints_what_is_promised(tmp_path, capsys):

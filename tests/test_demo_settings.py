@@ -28,7 +28,7 @@ from phy124.scene.files import files_named
 @pytest.fixture(autouse=True)
 def quiet(monkeypatch):
     """Nobody else is at work."""
-    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load())
+    monkeypatch.setattr("demo.forecast.Load.measure", lambda *_: Load())
 
 
 def test_settings_come_from_the_environment():
@@ -267,7 +267,7 @@ def test_estimate_skips_finished_stages(monkeypatch):
     moved = forecaster(scene, generated=True, simulated=True).seconds
     assert whole > made > moved > 0
     assert forecaster(scene, generated=True, simulated=True, filmed=True).seconds == 0
-    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
+    monkeypatch.setattr("demo.forecast.Load.measure", lambda *_: Load(2.0, 3.0))
     busy = Estimator()(scene)
     motion = forecaster.rates.seconds(Work.of(scene))["simulate"]
     assert busy.seconds == pytest.approx(2 * whole + motion)
@@ -278,7 +278,7 @@ def test_estimate_skips_finished_stages(monkeypatch):
 def test_a_run_of_our_own_is_not_taken_for_others(monkeypatch):
     occupied = True
     forecaster = Estimator(lambda: occupied)
-    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
+    monkeypatch.setattr("demo.forecast.Load.measure", lambda *_: Load(2.0, 3.0))
     assert not forecaster.load().busy
     occupied = False
     assert forecaster.load().busy
@@ -291,13 +291,13 @@ def test_two_looks_do_not_take_each_other_for_others(monkeypatch):
         at_once.append(forecaster.meter._measuring.locked())
         return Load()
 
-    monkeypatch.setattr("demo.forecast.Load.measured", look)
+    monkeypatch.setattr("demo.forecast.Load.measure", look)
     forecaster.meter.measure()
     assert at_once == [True] and not forecaster.meter._measuring.locked()
 
 
 def test_kernels_that_are_not_there_take_time_and_it_is_said(monkeypatch):
-    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
+    monkeypatch.setattr("demo.forecast.Load.measure", lambda *_: Load(2.0, 3.0))
     scene, forecaster = Scene.named("press"), Estimator()
     warm, cold = forecaster(scene), forecaster(scene, compiling=5.0)
     assert cold.seconds == pytest.approx(warm.seconds + 10.0)
@@ -317,7 +317,7 @@ def test_rates_are_measured_less_what_others_took(monkeypatch):
     scene, found = Scene.named("press"), []
     for before, after in ((1.0, 1.0), (2.0, 2.0), (3.0, 1.0)):
         looks = iter([Load(before, before), Load(after, after)] * 2)
-        monkeypatch.setattr("demo.forecast.Load.measured", lambda *_, looks=looks: next(looks))
+        monkeypatch.setattr("demo.forecast.Load.measure", lambda *_, looks=looks: next(looks))
         forecaster = Estimator()
         forecaster.calibrate(lambda: (report, scene), lambda: (report, scene))
         found.append(forecaster.rates.substep)

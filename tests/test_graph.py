@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.accuracy.pilot import fly
+from phy124.accuracy.pilot import run_pilot
 from phy124.boundaries import Ground, Press
 from phy124.forces import Acceleration, Gravity, Wind
 from phy124.materials import NeoHookean, Sand
@@ -178,7 +178,7 @@ def test_a_forecast_counts_the_substeps_of_the_device(name, monkeypatch):
     made = []
     for alone in (False, True):
         monkeypatch.setattr("phy124.mpm.solver.usable", lambda device, alone=alone: alone)
-        pilot = fly(ball(400), scene)
+        pilot = run_pilot(ball(400), scene)
         made.append(pilot.substeps(8))
         run = Simulation(ball(400), scene)
         run.run()

@@ -85,7 +85,7 @@ def test_a_time_that_cannot_be_met_says_what_can(file, tmp_path, capsys):
     assert main([*arguments, "--max-seconds", "0.01"]) == 2
     said = capsys.readouterr().err
     assert "the coarsest grid, D/8, takes about " in said
-    assert "Ask for --max-seconds " in said and "time.frames = 2" not in said
+    assert "Use --max-seconds " in said and "time.frames = 2" not in said
 
 
 def test_two_wishes_are_one_too_many():

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from phy124.accuracy.forecast import GUESS
-from phy124.accuracy.load import spoken
+from phy124.accuracy.load import format_span
 from phy124.errors import InputError
 from phy124.runtime.isolated import Deadline
 from phy124.studies.fit.budget import FEWEST, USUAL
@@ -65,7 +65,7 @@ class Fits:
         if least > most:
             limit = f"A fit of this scene takes {least:.0f} s at least, and {most:g} s are allowed."
             raise InputError("seconds", "over", limit, "Choose fewer frames.")
-        span = spoken(self.forecaster.load().span(usual, unsure=GUESS))
+        span = format_span(self.forecaster.load().span(usual, unsure=GUESS))
         budget = {"least": round(least), "most": most, "value": round(min(ROOM * usual, most))}
         return {"sentence": f"A fit takes {span}.", "seconds": usual, "budget": budget}
 

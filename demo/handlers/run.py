@@ -8,7 +8,7 @@ from typing import Any
 import gradio as gr
 
 from phy124.accuracy.forecast import GUESS
-from phy124.accuracy.load import spoken
+from phy124.accuracy.load import format_span
 from phy124.errors import InputError
 from phy124.scene import Scene
 
@@ -111,7 +111,7 @@ def _error_line(
     if not said.missing:
         return ""
     seconds = studio.study_seconds(name, source, scene, told)
-    span = spoken(studio.forecaster.load().span(seconds, unsure=GUESS))
+    span = format_span(studio.forecaster.load().span(seconds, unsure=GUESS))
     button = '<button type="button" class="quiet" data-measure>Measure</button>'
     return f"<p>{said.missing.capitalize()}; {button} takes {span}.</p>"
 

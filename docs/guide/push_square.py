@@ -192,10 +192,10 @@ def main() -> None:
     while not controller.rows or controller.rows[-1][0] < 4 * args.each * args.laps:
         waitset.wait(100_000_000)
         for message in reader.take(10):
-            for one in getattr(message, "transforms", ()):
-                if one.child_frame_id != FRAME:
+            for transform in getattr(message, "transforms", ()):
+                if transform.child_frame_id != FRAME:
                     continue
-                stamp, at = one.header.stamp, one.transform.translation
+                stamp, at = transform.header.stamp, transform.transform.translation
                 now = stamp.sec + stamp.nanosec * 1e-9
                 begun = begun or time.monotonic()
                 force = controller.force(now, np.array([at.x, at.y, at.z]))

@@ -11,7 +11,7 @@ FLATNESS = 0.15
 
 
 def ball(count: int = 6000, diameter: float = 1.0) -> Gaussians:
-    """A closed shell of flat Gaussians, evenly spread (Fibonacci lattice), facing +x."""
+    """Return a closed shell of evenly spread, flat Gaussians (Fibonacci lattice), facing +x."""
     normals = spread_directions(count)
     helper = np.where(np.abs(normals[:, 2:]) < 0.7, [[0.0, 0, 1]], [[1.0, 0, 0]])
     along = np.cross(helper, normals)

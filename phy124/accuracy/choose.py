@@ -1,12 +1,12 @@
-"""Choosing the accuracy for a goal: an error, or a time.
+"""Chooses the accuracy that meets a goal: an error or a time.
 
-For an error, three cheap levels give their order and errors. The coarsest grid that should meet the
-goal is run, and the errors are estimated again from all levels run so far. If these do not converge
-yet, one more is run. There is at most one refinement. A level that tears the material
-(phy124/monitor/tearing.py) is run again with one more particle per cell and axis, as are all after
-it.
+For an error, the order and errors of three cheap levels are estimated first. Then the coarsest grid
+that should meet the goal is run, and the errors are estimated again from all levels. If these do
+not converge yet, another level is run. There is at most one refinement. If a level tears the
+material (phy124/monitor/tearing.py), it and all later levels use one more particle per cell and
+axis.
 
-For a time, it is the finest grid whose forecast fits.
+For a time, the finest grid whose forecast fits is run.
 """
 
 from __future__ import annotations
@@ -25,13 +25,12 @@ from phy124.accuracy.convergence import (
     TRUSTED,
     Convergence,
     distances,
-    extrapolated,
+    guess_errors,
     richardson,
 )
 from phy124.accuracy.difference import pixel_distance
 from phy124.accuracy.forecast import Forecast, Forecaster
-from phy124.accuracy.goal import MARGIN, UNIT, Goal, too_long
-from phy124.accuracy.goal import said as said
+from phy124.accuracy.goal import MARGIN, UNIT, Goal, explain_time, format_error
 from phy124.budget.limits import duration
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
@@ -45,18 +44,20 @@ from phy124.simulation import Simulation
 CHEAP = (16, 24)
 """Cells across the object of the levels that are run first and may be chosen."""
 CHECK = 12
-"""A third level, so that an order can be observed."""
+"""Cells of a third level, which is needed to observe an order."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
 """Grids that may be chosen; the finest take minutes, and less than 2 GB, on two cores."""
 GUESSED_ORDER = 1.0
 """Order assumed if the cheap levels show none; free surfaces are of first order."""
 FAR = 2.5
-"""Largest ratio of the next level's cells to those of all before, which say little beyond that."""
-FINER = 1.3  # ratio of cells above which a level is clearly finer
+"""Largest ratio of a level's cells to those of the previous finest one; errors of grids further
+away cannot be predicted."""
+FINER = 1.3
+"""Ratio of cells above which a level is clearly finer."""
 DENSEST = 4.0
 """Largest number of particles per cell and axis."""
 LAST_CHANCE = 0.85
-"""Fraction of the target error that a refinement aims at, since there is no second one."""
+"""Fraction of the target error at which a refinement aims, since there is no second one."""
 
 
 @dataclass
@@ -66,7 +67,7 @@ class Reached:
     simulation: Simulation
     clip: Clip
     about: dict[str, Any]
-    """The goal, what was chosen and what was achieved, for the report."""
+    """The goal, the choice and the result, for the report."""
 
 
 def reach(
@@ -82,7 +83,7 @@ def reach(
     see: Callable[[Simulation], object] = lambda run: None,
     **options: Any,
 ) -> Reached:
-    """Run a scene as accurately, or as fast, as the goal says; its own cells are ignored.
+    """Run a scene on the grid that meets a goal; the scene's own cells are ignored.
 
     Args:
         goal: An error or a time.
@@ -91,24 +92,24 @@ def reach(
         elapsed: Seconds of a target time that have been used already.
         device: Warp device.
         progress: Called with (stage, done, total); may raise Cancelled.
-        watch: Where the durations of the stages are recorded.
+        watch: Records the durations of the stages.
         forecaster: Predicts times; None: a new one.
         see: Called with each run after each of its frames.
         **options: Options of `Simulation`.
 
     Raises:
-        InputError: No grid meets the goal; it says what the best would achieve.
+        InputError: No grid meets the goal; the message says what the best one would achieve.
     """
     forecaster = forecaster or Forecaster(device, options.get("threads"))
     runs = _Runs(gaussians, scene, device, progress, watch or Stopwatch(), options, see)
     if goal.kind == "seconds":
-        return _in_time(goal, runs, forecaster, elapsed)
-    return _as_exact(goal, runs)
+        return _meet_time(goal, runs, forecaster, elapsed)
+    return _meet_error(goal, runs)
 
 
 @dataclass
 class _Runs:
-    """Runs of one scene on several grids, each made once."""
+    """Runs of a scene on several grids, each made once."""
 
     gaussians: Gaussians
     scene: Scene
@@ -121,12 +122,11 @@ class _Runs:
     done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
     spent: dict[int, float] = field(default_factory=dict)
     """Cells of each run -> its duration [s]."""
-
     denser: bool = False
     """Whether a level tore the material, so that there is one more particle per cell and axis."""
 
     def simulation(self, cells: int) -> Simulation:
-        """A run that has not started."""
+        """Create a run that has not started."""
         base = self.scene.resolution
         per_axis = self.scene.particles_per_axis + self.denser
         accuracy = base.model_copy(update={"cells": cells, "particles_per_axis": per_axis})
@@ -140,7 +140,7 @@ class _Runs:
         )
 
     def clip(self, cells: int) -> Clip:
-        """The clip on a grid, made if it does not exist yet."""
+        """Return the clip on a grid; run it if it does not exist yet."""
         if cells not in self.done:
             start = time.perf_counter()
             self._make(cells)
@@ -154,11 +154,11 @@ class _Runs:
         self.done[cells] = simulation, self.run(simulation)
 
     def run(self, simulation: Simulation) -> Clip:
-        """The clip of a run."""
+        """Run a simulation and return its clip."""
         return simulation.run(lambda _: self.see(simulation))
 
     def _make_denser(self, cells: int) -> None:
-        """Run a torn level again with more particles; if those are too many, it stays torn."""
+        """Run a torn level again with more particles, unless they are too many."""
         self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
@@ -177,99 +177,105 @@ class _Runs:
 
     @property
     def whole(self) -> list[int]:
-        """The other levels."""
+        """Levels without tears."""
         return sorted(set(self.done) - set(self.torn))
 
 
-def _as_exact(goal: Goal, runs: _Runs) -> Reached:
-    for each in (CHECK, *CHEAP):
-        runs.clip(each)
+def _meet_error(goal: Goal, runs: _Runs) -> Reached:
+    for level in (CHECK, *CHEAP):
+        runs.clip(level)
     if not runs.complete:
         raise _unreachable(goal, "the motion stops early on a coarse grid")
     if runs.torn:
         raise _unreachable(goal, _why_torn(runs))
-    found = _estimate(goal, runs)
-    error, order = _guess(goal, runs, found)
-    meets = min(CHEAP) if found.errors and found.errors[1] <= goal.value else None
-    wanted = meets or _coarsest(goal, max(CHEAP), error, order, above=min(CHEAP))
-    if wanted is None:
-        raise _unreachable(goal, _best(goal, runs, error, order))
-    # An order that cannot be trusted says little about what is far finer.
-    sure = found.errors and not found.note
-    _run(goal, runs, min(wanted, _within(FAR * max(CHEAP)) if sure else _above(max(CHEAP))))
-    found = _estimate(goal, runs)
-    if not found.errors and not runs.torn:
-        _run(goal, runs, _above(max(runs.done)))
-        found = _estimate(goal, runs)
-    cells, error = _cheapest(found, runs, goal)
-    refined = error is not None and error > goal.value and not runs.torn
+    result = _estimate(goal, runs)
+    error, order = _guess(goal, runs, result)
+    meets = min(CHEAP) if result.errors and result.errors[1] <= goal.value else None
+    cells = meets or _find_coarsest(goal, max(CHEAP), error, order, above=min(CHEAP))
+    if cells is None:
+        raise _unreachable(goal, _describe_best(goal, runs, error, order))
+    # Without a reliable order, errors of much finer grids cannot be predicted.
+    reliable = result.errors and not result.note
+    _run(goal, runs, min(cells, _finest_up_to(FAR * max(CHEAP)) if reliable else _next(max(CHEAP))))
+    result = _estimate(goal, runs)
+    if not result.errors and not runs.torn:
+        _run(goal, runs, _next(max(runs.done)))
+        result = _estimate(goal, runs)
+    cells, best = _choose_run(result, runs, goal)
+    refined = best is not None and best > goal.value and not runs.torn
     if refined:
-        finest, (error, order) = max(runs.done), _guess(goal, runs, found)
+        finest, (error, order) = max(runs.done), _guess(goal, runs, result)
         error /= LAST_CHANCE
-        wanted = _coarsest(goal, finest, error, order, above=finest) or _above(finest)
-        _run(goal, runs, min(wanted, _within(FAR * finest)))
-        found = _estimate(goal, runs)
-        cells, error = _cheapest(found, runs, goal)
+        target = _find_coarsest(goal, finest, error, order, above=finest) or _next(finest)
+        _run(goal, runs, min(target, _finest_up_to(FAR * finest)))
+        result = _estimate(goal, runs)
+        cells, best = _choose_run(result, runs, goal)
     simulation, clip = runs.done[cells]
-    return Reached(simulation, clip, _about(goal, cells, error, found, runs, refined))
+    return Reached(simulation, clip, _report(goal, cells, best, result, runs, refined))
 
 
-def _guess(goal: Goal, runs: _Runs, found: Convergence) -> tuple[float, float]:
-    """Error of the finest level that is not torn, and the order to continue with."""
-    if found.error is not None:
-        order = found.order or GUESSED_ORDER
-        return found.error, min(max(order, TRUSTED[0]), TRUSTED[1])
+def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
+    """Return the error of the finest level without tears, and the order to continue with."""
+    if result.error is not None:
+        order = result.order or GUESSED_ORDER
+        return result.error, min(max(order, TRUSTED[0]), TRUSTED[1])
     coarse, fine = runs.whole[-2:]
-    gap = _gap(goal, runs.clip(coarse), runs.clip(fine), runs.scene)
-    return extrapolated((1 / coarse, 1 / fine), gap, GUESSED_ORDER)[1], GUESSED_ORDER
+    gap = _distance(goal, runs.clip(coarse), runs.clip(fine), runs.scene)
+    return guess_errors((1 / coarse, 1 / fine), gap, GUESSED_ORDER)[1], GUESSED_ORDER
 
 
 def _run(goal: Goal, runs: _Runs, cells: int) -> None:
-    """Run a level; raises InputError if it would take too long or too much memory."""
+    """Run a level; raise InputError if it would take too long or too much memory."""
     try:
         runs.clip(cells)
-    except InputError as refusal:
-        why = f"it takes D/{cells}, and there {refusal.limit.rstrip('.')}"
+    except InputError as error:
+        why = f"it takes D/{cells}, and there {error.limit.rstrip('.')}"
         raise _unreachable(goal, why) from None
 
 
-def _above(cells: int) -> int:
-    """The coarsest level that is clearly finer, or the finest of all."""
+def _next(cells: int) -> int:
+    """Return the coarsest level that is clearly finer, or the finest of all."""
     return next((n for n in CELLS if n >= FINER * cells), CELLS[-1])
 
 
-def _within(cells: float) -> int:
-    """The finest level up to some number of cells."""
+def _finest_up_to(cells: float) -> int:
     return max(n for n in CELLS if n <= cells)
 
 
-def _best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
-    """What the finest grid would achieve and take, in words, from the finest level that was run."""
+def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
+    """Describe error and time of the finest grid, extrapolated from the finest run."""
     known, finest = max(runs.done), CELLS[-1]
-    best = said(goal.kind, error * (known / finest) ** order)
+    best = format_error(goal.kind, error * (known / finest) ** order)
     seconds = duration(runs.spent[known] * (finest / known) ** GROWTH)
-    return f"even D/{finest}, in about {seconds}, would be off by about {best}"
+    return f"even D/{finest}, in about {seconds}, would have an error of about {best}"
 
 
-def _about(
+def _report(
     goal: Goal,
     cells: int,
     error: float | None,
-    found: Convergence,
+    result: Convergence,
     runs: _Runs,
     refined: bool,
 ) -> dict[str, Any]:
-    """The goal and what was achieved, in the goal's unit, for the report."""
+    """Return the goal and the result, in the goal's unit, for the report."""
     levels, met = runs.whole, error is not None and error <= goal.value
-    fraction = None if error is None else error / UNIT[goal.kind](runs.scene)
     return {
-        "target": goal.text, "unit": goal.kind, "cells": cells, "levels": levels,
-        "errors": list(found.errors), "seconds": [runs.spent[n] for n in levels],
-        "order": found.order, "error": error, "fraction": fraction, "refined": refined,
-        "met": met, "torn": runs.torn,
+        "target": goal.text,
+        "unit": goal.kind,
+        "cells": cells,
+        "levels": levels,
+        "errors": list(result.errors),
+        "seconds": [runs.spent[n] for n in levels],
+        "order": result.order,
+        "error": error,
+        "fraction": None if error is None else error / UNIT[goal.kind](runs.scene),
+        "refined": refined,
+        "met": met,
+        "torn": runs.torn,
         "particles_per_axis": runs.done[cells][0].scene.particles_per_axis,
-        "why_not": _why_torn(runs) if runs.torn and not met else found.why_not,
-    }  # fmt: skip
+        "why_not": _why_torn(runs) if runs.torn and not met else result.why_not,
+    }
 
 
 def _why_torn(runs: _Runs) -> str:
@@ -281,36 +287,38 @@ def _why_torn(runs: _Runs) -> str:
     )
 
 
-def _cheapest(found: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None]:
-    """The coarsest grid run that meets the goal, otherwise the finest; and its error."""
+def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None]:
+    """Return the coarsest grid that meets the goal, otherwise the finest one; and its error."""
     levels = runs.whole
-    for cells, error in zip(levels, found.errors, strict=False):
+    for cells, error in zip(levels, result.errors, strict=False):
         if cells >= min(CHEAP) and error <= goal.value:
             return cells, error
-    return levels[-1], found.error
+    return levels[-1], result.error
 
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
-    """Order and errors of the levels run so far, in the goal's unit."""
+    """Estimate order and errors of the levels run so far, in the goal's unit."""
     cells = runs.whole
     apart = np.zeros((len(cells), len(cells)))
     for i, j in combinations(range(len(cells)), 2):
-        one, other = (runs.done[cells[k]][1] for k in (i, j))
-        apart[i, j] = apart[j, i] = _gap(goal, one, other, runs.scene)
+        first, second = (runs.done[cells[k]][1] for k in (i, j))
+        apart[i, j] = apart[j, i] = _distance(goal, first, second, runs.scene)
     agree = AGREE * UNIT[goal.kind](runs.scene)
     return richardson([1 / n for n in cells], apart, agree=agree)
 
 
-def _gap(goal: Goal, one: Clip, other: Clip, scene: Scene) -> float:
-    """RMS distance of two clips in the goal's unit."""
+def _distance(goal: Goal, first: Clip, second: Clip, scene: Scene) -> float:
+    """Return the RMS distance of two clips in the goal's unit."""
     if goal.kind == "pixels":
-        return pixel_distance(one, other, scene.view)
+        return pixel_distance(first, second, scene.view)
     unit = scene.object.size if goal.kind == "fraction" else 1.0
-    return float(distances([one.surface.means, other.surface.means])[0, 1]) / unit
+    return float(distances([first.surface.means, second.surface.means])[0, 1]) / unit
 
 
-def _coarsest(goal: Goal, known: int, error: float, order: float, *, above: int = 0) -> int | None:
-    """The coarsest grid that should meet the goal, from the error of a known one; or None."""
+def _find_coarsest(
+    goal: Goal, known: int, error: float, order: float, *, above: int = 0
+) -> int | None:
+    """Return the coarsest grid that should meet the goal, from the error of a known one."""
     for cells in (n for n in CELLS if n >= min(CHEAP) and n > above):
         if error * (known / cells) ** order <= goal.value:
             return cells
@@ -336,23 +344,26 @@ def in_time(
     forecaster: Forecaster | None = None,
     **options: Any,
 ) -> tuple[Scene, Forecast]:
-    """The scene on the finest grid whose forecast fits a time, and the forecast; runs nothing.
+    """Return the scene on the finest grid whose forecast fits a time, and the forecast.
+
+    Nothing is run, apart from the probes of the forecast.
 
     Args:
         goal: The time.
         gaussians: The object.
         scene: The scene.
-        elapsed: Seconds of it that have been used already.
+        elapsed: Seconds of the time that have been used already.
         device: Warp device.
         forecaster: Predicts times; None: a new one.
         **options: Options of `Simulation`.
 
     Raises:
-        InputError: Even the coarsest grid would take longer; it says how long.
+        InputError: Even the coarsest grid would take longer; the message says how long.
     """
     runs = _Runs(gaussians, scene, device, silent, Stopwatch(), options)
-    found = _finest(goal, runs, forecaster or Forecaster(device, options.get("threads")), elapsed)
-    return found.simulation.scene, found.forecast
+    forecaster = forecaster or Forecaster(device, options.get("threads"))
+    fit = _find_finest(goal, runs, forecaster, elapsed)
+    return fit.simulation.scene, fit.forecast
 
 
 class _Fit(NamedTuple):
@@ -364,52 +375,56 @@ class _Fit(NamedTuple):
     tried: list[int]
 
 
-def _in_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> Reached:
+def _meet_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> Reached:
     start = runs.watch.total
-    cells, simulation, forecast, tried = _finest(goal, runs, forecaster, elapsed)
+    cells, simulation, forecast, tried = _find_finest(goal, runs, forecaster, elapsed)
     ready = runs.watch.total - start
     clip = runs.run(simulation)
     about = {
-        "target": goal.text, "unit": "seconds", "cells": cells, "levels": tried,
-        "predicted": elapsed + forecast.seconds + ready, "caveat": forecast.caveat,
-    }  # fmt: skip
+        "target": goal.text,
+        "unit": "seconds",
+        "cells": cells,
+        "levels": tried,
+        "predicted": elapsed + forecast.seconds + ready,
+        "caveat": forecast.caveat,
+    }
     return Reached(simulation, clip, about)
 
 
-def _finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
-    """The finest grid whose forecast fits; raises InputError with the time of the coarsest."""
-    left, start = MARGIN * goal.value - elapsed, runs.watch.total
-    found: dict[int, tuple[Simulation, Forecast]] = {}
+def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
+    """Return the finest grid whose forecast fits; if none does, raise InputError."""
+    available, start = MARGIN * goal.value - elapsed, runs.watch.total
+    tried: dict[int, tuple[Simulation, Forecast]] = {}
     best, cells = 0, CHEAP[0]
-    while cells and cells not in found:
+    while cells and cells not in tried:
         simulation = runs.simulation(cells)
         forecast = forecaster.of(simulation)
-        found[cells] = simulation, forecast
-        room = left - (runs.watch.total - start)
-        fits = forecast.seconds <= room
+        tried[cells] = simulation, forecast
+        left = available - (runs.watch.total - start)
+        fits = forecast.seconds <= left
         best = max(best, cells) if fits else best
-        cells = _next(cells, forecast, room, fits, set(found)) or 0
+        cells = _choose_next(cells, forecast, left, fits, set(tried)) or 0
     if not best:
-        coarsest = min(found)
+        coarsest = min(tried)
         ready = elapsed + runs.watch.total - start
-        raise too_long(goal, runs.scene, coarsest, found[coarsest][1], ready)
-    return _Fit(best, *found[best], sorted(found))
+        raise explain_time(goal, runs.scene, coarsest, tried[coarsest][1], ready)
+    return _Fit(best, *tried[best], sorted(tried))
 
 
-def _next(cells: int, forecast: Forecast, left: float, fits: bool, tried: set[int]) -> int | None:
-    """The grid to try next: close to where the growing forecast meets the remaining time."""
-    moving = forecast.stages["simulate"]
-    still = forecast.seconds - moving
-    room = max(left - still, 0.05 * moving)
-    # The particles inside grow as the cube of the cells, the substeps as the cells.
-    wanted = cells * (room / moving) ** (1 / GROWTH)
+def _choose_next(
+    cells: int, forecast: Forecast, left: float, fits: bool, tried: set[int]
+) -> int | None:
+    """Return the grid to try next, whose forecast should be close to the remaining time."""
+    simulation = forecast.stages["simulate"]
+    available = max(left - (forecast.seconds - simulation), 0.05 * simulation)
+    target = cells * (available / simulation) ** (1 / GROWTH)
     if fits:
-        finer = [n for n in CELLS if cells < n <= max(wanted, cells)]
+        finer = [n for n in CELLS if cells < n <= max(target, cells)]
         return next((n for n in reversed(finer) if n not in tried), None)
     coarser = [n for n in CELLS if n < cells and n not in tried]
-    near = [n for n in coarser if n <= wanted]
+    near = [n for n in coarser if n <= target]
     return (near or coarser[:1] or [None])[-1]
 
 
 GROWTH = 2.5
-"""Exponent of the growth of the simulation's time with the cells, between surface and solid."""
+"""A simulation's time grows as cells^GROWTH, between the exponents of a surface and of a solid."""

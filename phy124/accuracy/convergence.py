@@ -1,11 +1,10 @@
-"""Orders of convergence, and Richardson's estimate of each level's remaining error.
+"""Orders of convergence, and Richardson's estimate of the remaining error of each level.
 
-The result at grid spacing h is modelled as exact + h^p e + scatter h^p: one field e that shrinks
-with the grid, and a part that differs from grid to grid at random. The distance of two levels is
-then about C |h_i^p - h_j^p|, from which p follows (logarithms, all pairs). exact and e are fitted
-to all levels with weights h^-2p; the error of a level is h^p e plus the scatter (Richardson 1911;
-Roache 1998; a least-squares fit as in Eca, Hoekstra 2014). All of this needs only the distances
-between the levels.
+The result at grid spacing h is modelled as exact + h^p e + scatter h^p, with a field e common to
+all grids and a random part. The distance of two levels is then about C |h_i^p - h_j^p|, from which
+p follows (logarithms, all pairs). exact and e are fitted to all levels with weights h^-2p; the
+error of a level is h^p e plus the scatter (Richardson 1911; Roache 1998; a least-squares fit as in
+Eca, Hoekstra 2014). Only the distances between the levels are needed.
 """
 
 from __future__ import annotations
@@ -18,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 ORDERS = (0.5, 3.0)
-"""Orders that are searched."""
+"""Range in which the order is searched."""
 TRUSTED = (1.0, 2.0)
-"""Orders used to estimate errors: free surfaces are of first order, the inside of second.
+"""Range of orders used to estimate errors: free surfaces are of first order, the inside of second.
 
-Levels that are too coarse to have an order show a lower one, with which every error would be a
-guess.
+Levels that are too coarse show a lower order, which would make the errors guesses.
 """
 SAFETY = 1.25
-"""Factor on errors if the observed order is more than `NEAR` away from these (Roache 1998)."""
+"""Factor on errors if the observed order is more than `NEAR` outside this range (Roache 1998)."""
 NEAR = 0.1
 AGREE = 1e-5
 """Distance, in the unit of the results, below which levels are equal up to rounding."""
@@ -34,16 +32,16 @@ AGREE = 1e-5
 
 @dataclass(frozen=True)
 class Convergence:
-    """What three or more levels show about their own errors."""
+    """Order and errors of three or more levels, estimated from the distances between them."""
 
     order: float | None
     """Observed order; None if the levels do not converge."""
     errors: tuple[float, ...] = ()
     """Estimated error of each level, in the unit of the distances; empty if there is none."""
     why_not: str = ""
-    """Why there are no errors, in words."""
+    """Why there are no errors."""
     note: str = ""
-    """Why the errors are only rough, in words."""
+    """Why the errors are only rough."""
     exact: tuple[float, ...] = ()
     """Weights of the levels in the extrapolated result; they sum to 1."""
     inside: float = 0.0
@@ -57,25 +55,25 @@ class Convergence:
         return self.errors[-1] if self.errors else None
 
     def error_of(self, apart: NDArray) -> float | None:
-        """Error of any result, given its distances to the levels [L]."""
+        """Return the error of any result from its distances to the levels [L]; None if unknown."""
         if not self.exact:
             return None
         square = float(apart**2 @ np.array(self.exact)) - self.inside
         return self.factor * float(np.sqrt(max(square, 0.0)))
 
 
-def fitted_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
-    """Slope of log error over log spacing by least squares, for errors that are known exactly."""
+def fit_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
+    """Return the slope of log error over log spacing by least squares, for exact errors."""
     return float(np.polyfit(np.log(spacings), np.log(np.abs(errors)), 1)[0])
 
 
 def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGREE) -> Convergence:
-    """The order, and the error of each of three or more levels.
+    """Estimate the order, and the error of each of three or more levels.
 
     Args:
         spacings: Grid spacings, from coarse to fine [L].
         apart: Distances between the levels' results [L,L].
-        agree: Levels closer than this count as equal; their largest distance is then the error.
+        agree: Distance below which levels count as equal; the largest distance is then the error.
     """
     h, levels = np.array(spacings), len(spacings)
     if levels < 3:
@@ -86,18 +84,18 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
         return Convergence(None, (error,) * levels, note=note, exact=exact)
     if apart[-2, -1] >= apart[0, -1] or not apart[np.triu_indices(levels, 1)].all():
         return Convergence(None, why_not="not converging: finer grids do not come closer")
-    observed = _order(h, apart)
+    observed = _observe_order(h, apart)
     trusted = float(np.clip(observed, *TRUSTED))
-    found = _fit(h, apart, trusted)
+    fit = _fit(h, apart, trusted)
     if abs(observed - trusted) > NEAR:
         note = f"the observed order is outside {TRUSTED[0]:g} to {TRUSTED[1]:g}: errors are rough"
-        more = tuple(SAFETY * error for error in found.errors)
-        found = replace(found, errors=more, factor=SAFETY, note=note)
-    return replace(found, order=observed)
+        errors = tuple(SAFETY * error for error in fit.errors)
+        fit = replace(fit, errors=errors, factor=SAFETY, note=note)
+    return replace(fit, order=observed)
 
 
-def _order(h: NDArray, apart: NDArray) -> float:
-    """The p for which the distances of all pairs are closest to C |h_i^p - h_j^p|."""
+def _observe_order(h: NDArray, apart: NDArray) -> float:
+    """Return the p for which the distances of all pairs are closest to C |h_i^p - h_j^p|."""
     orders, pairs = np.linspace(*ORDERS, 251), np.triu_indices(len(h), 1)
     power = h[:, None] ** orders
     ratio = np.log(apart[pairs][:, None] / (power[pairs[0]] - power[pairs[1]]))
@@ -105,7 +103,7 @@ def _order(h: NDArray, apart: NDArray) -> float:
 
 
 def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
-    """The fit of exact + h^p e to the levels."""
+    """Fit exact + h^p e to the levels."""
     power = h**p
     columns = np.stack([np.ones(len(h)), power], axis=1)
     weighted = columns / power[:, None] ** 2
@@ -118,12 +116,12 @@ def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
 
 
 def _squares(rows: NDArray, apart: NDArray) -> NDArray[np.float64]:
-    """Mean squares of combinations of levels [K,L], each with weights that sum to zero."""
+    """Return the mean squares of combinations of levels [K,L] whose weights sum to zero."""
     return np.maximum(-0.5 * np.einsum("ki,ij,kj->k", rows, apart**2, rows), 0.0)
 
 
 def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
-    """RMS distances [L,L] between results [...,3] of the same points."""
+    """Return the RMS distances [L,L] between results [...,3] of the same points."""
     apart = np.zeros((len(results), len(results)))
     for i, j in combinations(range(len(results)), 2):
         gap = results[i].astype(np.float64) - results[j]
@@ -131,10 +129,10 @@ def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
     return apart
 
 
-def extrapolated(
+def guess_errors(
     spacings: tuple[float, float], difference: float, order: float
 ) -> tuple[float, float]:
-    """Errors of two levels from their difference and an assumed order: a first guess."""
+    """Guess the errors of two levels from their difference and an assumed order."""
     coarse, fine = (h**order for h in spacings)
     error = difference * fine / (coarse - fine)
     return error + difference, error

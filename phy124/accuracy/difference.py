@@ -1,4 +1,4 @@
-"""The difference of two clips of the same Gaussians: in metres, per cent, pixels, and as seen."""
+"""The difference of two clips of the same Gaussians: in metres, per cent, pixels, PSNR and SSIM."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Difference:
     metres: float
     """RMS over all Gaussians and frames [m]."""
     relative: float
-    """The same, as a fraction of the object's size at rest."""
+    """RMS as a fraction of the object's size at rest."""
     pixels: float
     """RMS in the picture of the first view [pixels]."""
     worst_frame: int
@@ -29,9 +29,9 @@ class Difference:
     worst: float
     """RMS of that frame, as a fraction of the size."""
     psnr: float
-    """PSNR of the two videos of the first view [dB]; infinite if they are equal."""
+    """PSNR of the videos of the first view [dB]; infinite if they are equal."""
     ssim: float
-    """SSIM of these videos, mean over the frames, -1 to 1."""
+    """Mean SSIM of these videos over the frames, -1 to 1."""
 
 
 def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") -> Difference:
@@ -40,20 +40,21 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
     Both must have the same frames.
 
     Args:
-        clip: One clip.
-        reference: The other.
+        clip: The first clip.
+        reference: The second clip, whose camera films both.
         view: How they are filmed.
         device: Warp device.
 
     Raises:
-        ValueError: They do not belong together.
+        ValueError: The clips have different numbers of frames or Gaussians.
     """
     clip, reference = clip.surface, reference.surface
     if clip.means.shape != reference.means.shape:
         raise ValueError(f"clips of {clip.means.shape} and {reference.means.shape} do not match")
-    own = reference.own
-    size = float(np.ptp(reference.means[0][own], axis=0).max())
-    squares = ((clip.means[:, own].astype(float) - reference.means[:, own]) ** 2).sum(axis=2)
+    counted = reference.own
+    size = float(np.ptp(reference.means[0][counted], axis=0).max())
+    gaps = clip.means[:, counted].astype(float) - reference.means[:, counted]
+    squares = (gaps**2).sum(axis=2)
     frames = np.sqrt(squares.mean(axis=1))
     metres = float(np.sqrt(squares.mean()))
     a, b = video(clip, reference, view, device), video(reference, reference, view, device)
@@ -69,7 +70,7 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
 
 def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
-    """RMS distance in the picture of the first view over all frames [pixels]."""
+    """Return the RMS distance in the picture of the first view over all frames [pixels]."""
     clip, reference, squares = clip.surface, reference.surface, []
     for index, camera in enumerate(cameras(reference, view, view.sides[0])):
         here, _ = camera.project(clip.means[index].astype(float))
@@ -79,11 +80,11 @@ def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
 
 
 def video(clip: Clip, framed: Clip, view: View, device: str = "cpu") -> NDArray[np.uint8]:
-    """The video of the first view of a clip [T,H,W,3], with the framing of another clip.
+    """Draw the video of the first view of a clip [T,H,W,3], with the camera for another clip.
 
     Args:
         clip: The clip.
-        framed: The clip that decides where the camera is.
+        framed: The clip for which the camera is chosen.
         view: How it is filmed.
         device: Warp device.
     """

@@ -15,8 +15,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from phy124.accuracy.load import Load, LoadMeter, spoken
-from phy124.accuracy.pilot import Pilot, coarsened, fly
+from phy124.accuracy.load import Load, LoadMeter, format_span
+from phy124.accuracy.pilot import Pilot, coarsen, run_pilot
 from phy124.accuracy.probe import SubstepCost, probe, time_film, time_shapes
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
@@ -88,7 +88,7 @@ class Forecast:
         ]
         limited = ", ".join(f"{name} {fraction:.0%}" for name, fraction in self.limiters.items())
         beside = " while this machine is busy" if self.load.busy else ""
-        total = f"  {'total':<12}{self.seconds:8.2f} s, likely {spoken(self.span)}{beside}"
+        total = f"  {'total':<12}{self.seconds:8.2f} s, likely {format_span(self.span)}{beside}"
         about = (
             f"{self.particles} particles, {self.nodes} nodes, about {self.substeps} substeps "
             f"(limited by: {limited}), {1e9 * self.rates.particle:.0f} ns per particle and substep"
@@ -233,8 +233,10 @@ class Forecaster:
 
     def _pilot(self, simulation: Simulation) -> Pilot:
         gaussians, scene, crop = simulation.gaussians, simulation.scene, simulation.crop
-        key = ("pilot", *_sample(gaussians), _physics(coarsened(scene)), crop)
-        return self._remember(key, lambda: fly(gaussians, scene, device=self.device, crop=crop))
+        key = ("pilot", *_sample(gaussians), _physics(coarsen(scene)), crop)
+        return self._remember(
+            key, lambda: run_pilot(gaussians, scene, device=self.device, crop=crop)
+        )
 
     def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
         """Times of pictures, videos and saving [s]."""

@@ -1,4 +1,4 @@
-"""Goal: what a run is to achieve, an error or a time, and why a time cannot be met."""
+"""Goal: the error or time that a run is to meet, and the refusal of a time that is too short."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MARGIN = 0.95
 
 @dataclass(frozen=True)
 class Goal:
-    """What a run is to achieve: a largest error, or a longest time."""
+    """A largest error or a longest time that a run is to meet."""
 
     kind: Kind
     value: float
@@ -35,50 +35,55 @@ class Goal:
 
     @classmethod
     def error(cls, text: str) -> Goal:
-        """A goal from a text such as "2px", "1%" or "3mm".
+        """Parse an error such as "2px", "1%" or "3mm".
 
         Raises:
-            InputError: It is not an error.
+            InputError: The text is not a positive number with a unit.
         """
-        found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(px|%|mm|cm|m)\s*", text)
+        match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(px|%|mm|cm|m)\s*", text)
         units: dict[str, tuple[Kind, float]] = {
-            "px": ("pixels", 1.0), "%": ("fraction", 0.01),
-            "mm": ("metres", 1e-3), "cm": ("metres", 1e-2), "m": ("metres", 1.0),
-        }  # fmt: skip
-        if not found or float(found[1]) <= 0:
+            "px": ("pixels", 1.0),
+            "%": ("fraction", 0.01),
+            "mm": ("metres", 1e-3),
+            "cm": ("metres", 1e-2),
+            "m": ("metres", 1.0),
+        }
+        if not match or float(match[1]) <= 0:
             remedy = "Write 2px, 1% or 3mm, for example."
-            raise InputError("max_error", text, "it is not an error.", remedy)
-        kind, scale = units[found[2]]
-        return cls(kind, float(found[1]) * scale, text.strip())
+            raise InputError("max_error", text, "it is not a number with a unit.", remedy)
+        kind, scale = units[match[2]]
+        return cls(kind, float(match[1]) * scale, text.strip())
 
     @classmethod
     def time(cls, seconds: float) -> Goal:
-        """The goal of at most so many seconds in all.
+        """Return the goal of a longest total time [s].
 
         Raises:
-            InputError: It is not a positive number.
+            InputError: The time is not a positive number.
         """
         if not (math.isfinite(seconds) and seconds > 0):
             limit = "the time must be a positive number of seconds."
-            raise InputError("max_seconds", seconds, limit, "Write 20, say.")
+            raise InputError("max_seconds", seconds, limit, "Write 20, for example.")
         return cls("seconds", float(seconds), f"{seconds:g} s")
 
 
-def said(kind: Kind, value: float) -> str:
-    """A value in the unit of a goal."""
+def format_error(kind: Kind, value: float) -> str:
+    """Format an error in the unit of a goal."""
     if kind == "pixels":
         return f"{value:.1f}px"
     return f"{value:.1%}" if kind == "fraction" else f"{value * 1000:.2g}mm"
 
 
-def too_long(goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: float) -> InputError:
-    """The refusal of a time that even the coarsest grid exceeds, with what takes most of it.
+def explain_time(
+    goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: float
+) -> InputError:
+    """Return the error for a time that even the coarsest grid exceeds; it names the longest stage.
 
     Args:
         goal: The time.
         scene: The scene.
         cells: Cells of the coarsest grid.
-        forecast: Its forecast.
+        forecast: Forecast of the coarsest grid.
         ready: Time that has been used already [s].
     """
     minimum = math.ceil((forecast.seconds + ready) / MARGIN)
@@ -88,14 +93,14 @@ def too_long(goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: fl
         f"the coarsest grid, D/{cells}, takes about {minimum} s, most of it ({stages[most]:.0f} s) "
         f"for {STAGES[most]}."
     )
-    remedies = list(_less(scene, most))
+    remedies = list(_find_remedies(scene, most))
     less = f"; {' or '.join(remedy.words for remedy in remedies)} takes less" if remedies else ""
-    advice = f"Ask for --max-seconds {minimum}{less}."
+    advice = f"Use --max-seconds {minimum}{less}."
     return InputError("max_seconds", goal.text, limit, advice, remedies)
 
 
-def _less(scene: Scene, stage: str) -> Iterator[Remedy]:
-    """Changes to the scene with which a stage takes less time."""
+def _find_remedies(scene: Scene, stage: str) -> Iterator[Remedy]:
+    """Yield changes of the scene with which a stage takes less time."""
     if stage in ("render", "encode", "save") and len(scene.view.sides) > 1:
         yield Remedy(
             "view.views = front", {"view.views": ["front"], "view.azimuths": [], "view.cameras": []}

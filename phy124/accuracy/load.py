@@ -1,4 +1,4 @@
-"""How busy the machine is, which turns a forecast into a range."""
+"""The load of the machine by other programs, which turns a forecast into a range."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from phy124.runtime.cores import cores
 
 SPIN = 0.3
-"""Time for which threads spin to measure how much of a core each gets [s]."""
+"""Time for which threads spin to measure the fraction of a core that each gets [s]."""
 ENOUGH, LONGEST = 0.2, 4.0
-"""Smallest fraction of that time a thread must get, and how many times as long it may take."""
+"""Smallest fraction of `SPIN` that a thread must run, and the longest duration as a multiple."""
 BLOCK = bytes(1 << 18)
-"""The data that a spinning thread reads without holding Python's global lock."""
+"""Data that a spinning thread reads without holding Python's global lock."""
 ALONE = 0.93
-"""Fraction of a core above which nobody else uses it."""
+"""Fraction of a core above which no other program uses it."""
 SECOND_THREAD = 1.5
-"""How many times longer a simulation takes without the second thread, used if a core is free."""
+"""Factor on the time of a simulation that cannot use a second thread for lack of a free core."""
 MINIMUM, MAXIMUM = 0.8, 1.5
 """Range of the time of runs relative to forecasts on an idle machine (docs/results/accuracy.md)."""
 BUSY = 1.2
@@ -31,7 +31,7 @@ FRESH = 10.0
 
 @dataclass(frozen=True)
 class Load:
-    """How many times longer work takes because of other programs on this machine."""
+    """Factors by which work takes longer because of other programs on this machine."""
 
     thread: float = 1.0
     """Factor for the work of one thread."""
@@ -39,26 +39,25 @@ class Load:
     """Factor for a simulation."""
 
     @classmethod
-    def measured(cls, device: str = "cpu") -> Load:
-        """The load, from the fraction of the cores that threads of our own get for a moment.
+    def measure(cls, device: str = "cpu") -> Load:
+        """Measure the load from the fraction of the cores that spinning threads get for a moment.
 
-        This includes priorities, the limits of a container and how the system shares its cores, but
-        nothing from the past. What this process computes meanwhile counts as load by others. A run
-        on a GPU is hardly affected by it.
+        It includes priorities, the limits of a container and how the system shares its cores, but
+        not the past. Other work of this process counts as load. A run on a GPU is hardly affected.
         """
         if device != "cpu":
             return cls()
-        one = _received(1)
-        thread = 1.0 if one > ALONE else 1 / one
-        free = one > ALONE and (cores() == 1 or _received(2) > ALONE)
+        fraction = _measure_fraction(1)
+        thread = 1.0 if fraction > ALONE else 1 / fraction
+        free = fraction > ALONE and (cores() == 1 or _measure_fraction(2) > ALONE)
         return cls(thread, thread if free else SECOND_THREAD * thread)
 
     def of(self, stage: str) -> float:
-        """Factor for a stage of a run."""
+        """Return the factor for a stage of a run."""
         return self.simulation if stage == "simulate" else self.thread
 
     def mean(self, other: Load) -> Load:
-        """The mean of two loads, for work between two measurements."""
+        """Return the mean of two loads, for work between two measurements."""
         thread = (self.thread + other.thread) / 2
         return Load(thread, (self.simulation + other.simulation) / 2)
 
@@ -68,44 +67,47 @@ class Load:
         return self.simulation > 1
 
     def span(self, seconds: float, *, unsure: float = 1.0) -> tuple[float, float]:
-        """Shortest and longest time of a run that takes `seconds` under the current load [s].
+        """Return the shortest and longest time [s] of a run that takes `seconds` under this load.
 
-        Programs that end or start meanwhile are not predicted.
+        Programs that start or end during the run are not predicted.
         """
         wider = unsure * (BUSY if self.busy else 1.0)
         return MINIMUM / wider * seconds, MAXIMUM * wider * seconds
 
 
 class LoadMeter:
-    """Measures the load, which takes 0.6 s of all cores, no more often than it is worth."""
+    """Measures the load when it is needed and the last measurement is too old.
+
+    A measurement takes 0.6 s of all cores.
+    """
 
     def __init__(self, device: str = "cpu") -> None:
         """Measure nothing yet.
 
         Args:
-            device: Where the runs are whose time is of interest.
+            device: Warp device of the runs.
         """
         self.latest = Load()
-        """What was measured last; of an idle machine before that."""
+        """The last measurement; before the first one, that of an idle machine."""
         self._device, self._measured = device, -math.inf
         self._measuring = threading.Lock()
 
     def load(self) -> Load:
-        """The load, measured again if the last measurement is too old."""
+        """Return the load, measured again if the last measurement is too old."""
         if time.monotonic() > self._measured + FRESH:
             self.measure()
         return self.latest
 
     def measure(self) -> Load:
         """Measure the load now."""
-        with self._measuring:  # two measurements at once would see each other as load
-            self.latest = Load.measured(self._device)
+        with self._measuring:  # two simultaneous measurements would count each other as load
+            self.latest = Load.measure(self._device)
             self._measured = time.monotonic()
             return self.latest
 
 
-def spoken(span: tuple[float, float]) -> str:
-    """A range of times [s] in words: "12 to 18 s", "1.5 to 2.3 min"."""
+def format_span(span: tuple[float, float]) -> str:
+    """Format a range of times [s]: "12 to 18 s", "1.5 to 2.3 min"."""
     low, high = span
     if high < 90:
         a, b = max(1, round(low)), max(1, round(high))
@@ -115,19 +117,19 @@ def spoken(span: tuple[float, float]) -> str:
     return f"{low / 3600:.1f} to {high / 3600:.1f} h"
 
 
-def _received(threads: int) -> float:
-    """Mean fraction of a core that each of some busy threads gets."""
+def _measure_fraction(threads: int) -> float:
+    """Return the mean fraction of a core that each of several spinning threads gets."""
     with ThreadPoolExecutor(threads) as pool:
-        return sum(pool.map(_spun, [SPIN] * threads)) / threads
+        return sum(pool.map(_spin, [SPIN] * threads)) / threads
 
 
-def _spun(seconds: float) -> float:
-    """Fraction of a core that this thread gets, from spinning for so many seconds.
+def _spin(seconds: float) -> float:
+    """Return the fraction of a core that this thread gets while it spins for some seconds.
 
-    If it hardly runs in that time, it goes on until it has.
+    It spins longer if it hardly ran in that time.
     """
-    begun, own, passed, got = time.perf_counter(), time.thread_time(), 0.0, 0.0
-    while passed < seconds or (got < ENOUGH * seconds and passed < LONGEST * seconds):
+    start, start_cpu, passed, ran = time.perf_counter(), time.thread_time(), 0.0, 0.0
+    while passed < seconds or (ran < ENOUGH * seconds and passed < LONGEST * seconds):
         zlib.crc32(BLOCK)
-        passed, got = time.perf_counter() - begun, time.thread_time() - own
-    return max(got, 1e-3) / passed
+        passed, ran = time.perf_counter() - start, time.thread_time() - start_cpu
+    return max(ran, 1e-3) / passed

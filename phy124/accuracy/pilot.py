@@ -1,10 +1,10 @@
-"""The pilot: the whole motion on a coarse grid, in a fraction of a second.
+"""The pilot: a run of the whole motion on a coarse grid, in a fraction of a second.
 
-It shows what a probe at rest cannot: how the stable substep shrinks as the material strains and
-moves. The largest strain grows with the resolution, so the substeps in excess of those at rest are
-extrapolated as cells^1.8 (measured in docs/results/accuracy.md). Those at rest and those limited by
-speed are proportional to the cells; those limited by a ceiling do not change. Viscosity needs a
-minimum number per frame that is proportional to the square of the cells.
+It shows how the stable substep shrinks as the material strains and moves, which a probe at rest
+cannot. The largest strain grows with the resolution, so the substeps in excess of those at rest are
+extrapolated as cells^1.8 (measured in docs/results/accuracy.md). Substeps at rest, and those that
+speed limits, are proportional to the cells; those limited by `time.substep` are constant. Viscosity
+needs a minimum number per frame that is proportional to the square of the cells.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from phy124.simulation.parts import WHOLE, Crop
 CELLS = 16
 """Cells across the object in the pilot."""
 EXCESS = 0.8
-"""Exponent by which excess substeps grow faster than the number of cells."""
+"""Excess substeps grow as cells^(1 + EXCESS)."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """The substeps that the coarse motion needed."""
+    """The substeps of the motion on the coarse grid."""
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
@@ -42,58 +42,63 @@ class Pilot:
     growth: float
     """Mean size of the grid's window relative to that at the start."""
     stopped: bool
-    """Whether it became unstable, so that nothing is promised."""
+    """Whether the run became unstable, so that nothing is promised."""
     viscous: float = 0.0
     """Smallest number of substeps per frame that viscosity requires."""
     factors: NDArray[np.float64] | float = 1.0
     """Factor on Young's modulus in each frame [T]."""
 
     def substeps(self, cells: int) -> tuple[int, dict[str, float]]:
-        """Number of substeps on another grid, whole in each frame, and fraction of each limiter."""
+        """Return the number of substeps on another grid, and the fraction of each limiter.
+
+        Each frame has a whole number of substeps.
+        """
         scale = cells / self.cells
         at_rest = np.minimum(self.counts["elastic"], self.rest * np.sqrt(self.factors))
         excess = self.counts["elastic"] - at_rest
-        grown = {
+        counts = {
             **self.counts,
             "elastic": at_rest * scale + excess * scale ** (1 + EXCESS),
             "speed": self.counts["speed"] * scale,
         }
-        without = np.sum([n for name, n in grown.items() if name != "viscous"], axis=0)
-        ruled = without < self.viscous * scale**2
-        grown = {name: np.where(ruled, 0.0, n) for name, n in grown.items()}
-        grown["viscous"] = np.where(ruled, self.viscous * scale**2, 0.0)
-        total = np.sum(list(grown.values()), axis=0)
+        others = np.sum([n for name, n in counts.items() if name != "viscous"], axis=0)
+        is_viscous = others < self.viscous * scale**2
+        counts = {name: np.where(is_viscous, 0.0, n) for name, n in counts.items()}
+        counts["viscous"] = np.where(is_viscous, self.viscous * scale**2, 0.0)
+        total = np.sum(list(counts.values()), axis=0)
         whole = float(total.sum()) or 1.0
-        fractions = {name: float(n.sum()) / whole for name, n in grown.items() if n.any()}
+        fractions = {name: float(n.sum()) / whole for name, n in counts.items() if n.any()}
         return int(np.ceil(total - 1e-9).sum()), fractions
 
 
-def coarsened(scene: Scene) -> Scene:
-    """The scene as the pilot runs it: on a coarse grid, with the binding `lattice`."""
-    # No solid that the scene's own grid resolves may be too thin for the coarse one.
-    cells = min(max(CELLS, cells_for(scene)), scene.resolution.cells)
+def coarsen(scene: Scene) -> Scene:
+    """Return the scene that the pilot runs: a coarse grid and the binding `lattice`."""
+    # Solids that the scene's grid resolves must not be too thin for the coarse one.
+    cells = min(max(CELLS, min_cells(scene)), scene.resolution.cells)
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 
-def cells_for(scene: Scene) -> int:
-    """Fewest cells across the object whose grid nothing solid is too thin for."""
-    thin = [wall.thickness() for wall in scene.with_solids().boundaries]
-    thin += [float(one.half.min()) for one in scene.objects if one.free]
-    finest = THINNEST * scene.object.size / min(thin, default=math.inf)
-    return math.ceil(finest * (1 - 1e-9))
+def min_cells(scene: Scene) -> int:
+    """Return the smallest number of cells across the object that resolves all solids."""
+    thicknesses = [wall.thickness() for wall in scene.with_solids().boundaries]
+    thicknesses += [float(body.half.min()) for body in scene.objects if body.free]
+    cells = THINNEST * scene.object.size / min(thicknesses, default=math.inf)
+    return math.ceil(cells * (1 - 1e-9))
 
 
-def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop = WHOLE) -> Pilot:
+def run_pilot(
+    gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop = WHOLE
+) -> Pilot:
     """Run the motion on a coarse grid.
 
     Args:
         gaussians: The object.
         scene: The scene.
         device: Warp device.
-        crop: Where the object is in the picture that the masks of parts were painted on.
+        crop: Rectangle of the object in the picture on which masks of parts were painted.
     """
-    coarse = coarsened(scene)
+    coarse = coarsen(scene)
     cells = coarse.resolution.cells
     simulation = Simulation(gaussians, coarse, device=device, crop=crop)
     solver, timing = simulation.solver, scene.time

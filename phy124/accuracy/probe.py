@@ -1,4 +1,4 @@
-"""Short measurements on the object itself: seconds of a substep, of shapes, and of a film."""
+"""Short measurements: times of a substep, of shapes, of a film, and of missing kernels."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
@@ -17,23 +18,26 @@ from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Solver
 from phy124.mpm.workers import HOST
 from phy124.rendering.film import film
+from phy124.runtime.compiling import is_compiled
+from phy124.runtime.cores import cores
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.deform import Deformer
+from phy124.simulation.kernels import kernels
 
 PROBE, MIN_PROBE = 20, 6
 """Largest and smallest number of substeps of a probe."""
 LONGEST_PROBE, ROUNDS = 0.6, 5
-"""Longest duration of a probe [s], and how often it is repeated in that time; the median is used.
+"""Longest duration of a probe [s], and number of repetitions in that time; the median is used.
 
 Large objects are probed with fewer substeps.
 """
 FILMED, TRIES = (2, 6), 2
-"""Numbers of frames filmed, to tell a video's fixed cost from that of its frames, and how often;
-the fastest is used."""
+"""Two numbers of frames, which separate a video's fixed cost from that of its frames, and the
+number of repetitions, of which the fastest is used."""
 NODE_STAGES = ("clear", "grid")
-"""Stages whose time is proportional to the nodes, in addition to the colliders."""
+"""Stages whose time is proportional to the nodes; the colliders' is, too."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +51,9 @@ class SubstepCost:
 
 
 def probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
-    """Cost of a substep, number of nodes, and time of the checks per frame [s].
+    """Measure the cost of a substep, the number of nodes, and the time of checks per frame [s].
 
-    The simulation takes a few times 20 substeps with everything that a frame includes, and is then
-    reset to its start.
+    The simulation runs a few times 20 substeps with all checks of a frame, and is then reset.
     """
     solver, watchdog = simulation.solver, simulation.find(Watchdog)
     after = None if watchdog is None else watchdog.after_substep
@@ -61,29 +64,30 @@ def probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
     spent = 0.0
     try:
         while len(rounds) < ROUNDS and spent < LONGEST_PROBE:
-            spent += timed(lambda: rounds.append(_seconds_per_substep(solver, after)))
+            spent += measure_time(lambda: rounds.append(_seconds_per_substep(solver, after)))
             simulation.roll_back(start)
-        checks = min(timed(lambda: _empty_frame(simulation)) for _ in range(TRIES))
+        checks = min(measure_time(lambda: _run_empty_frame(simulation)) for _ in range(TRIES))
     finally:
         simulation.roll_back(start)
-        _forget_timings(solver)
+        _clear_timings(solver)
     seconds, fraction, nodes = sorted(rounds)[len(rounds) // 2]
-    return _rates(seconds, fraction, len(solver.model), nodes), nodes, checks
+    particle = seconds * (1 - fraction) / len(solver.model)
+    return SubstepCost(particle, seconds * fraction / max(nodes, 1)), nodes, checks
 
 
 def _seconds_per_substep(
     solver: Solver, after: Callable[[], None] | None
 ) -> tuple[float, float, int]:
-    """Time per substep [s], the fraction proportional to the nodes, and the number of nodes."""
-    each = min(timed(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
-    _forget_timings(solver)
+    """Measure the time of a substep [s], its fraction proportional to the nodes, and the nodes."""
+    each = min(measure_time(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
+    _clear_timings(solver)
     before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, MIN_PROBE, PROBE))
-    seconds = timed(lambda: _advance(solver, count, after))
+    seconds = measure_time(lambda: _advance(solver, count, after))
     return seconds / (solver.clock.substeps - before), _node_fraction(solver), solver.grid.count
 
 
-def _empty_frame(simulation: Simulation) -> None:
-    """Do everything that a frame includes besides its substeps."""
+def _run_empty_frame(simulation: Simulation) -> None:
+    """Run a frame without substeps."""
     solver = simulation.solver
     solver.repair.begin(solver.clock)
     simulation.before_attempt()
@@ -93,25 +97,20 @@ def _empty_frame(simulation: Simulation) -> None:
     solver.repair.end()
 
 
-def _forget_timings(solver: Solver) -> None:
+def _clear_timings(solver: Solver) -> None:
     for worker in solver.workers:
         worker.timings.clear()
 
 
-def _rates(seconds: float, fraction: float, particles: int, nodes: int) -> SubstepCost:
-    """Split the time of a substep by the fraction that is proportional to the nodes."""
-    return SubstepCost(seconds * (1 - fraction) / particles, seconds * fraction / max(nodes, 1))
-
-
-def timed(work: Callable[[], Any]) -> float:
-    """Duration of some work [s]."""
+def measure_time(work: Callable[[], Any]) -> float:
+    """Return the duration of a function call [s]."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
 
 
 def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) -> None:
-    """Take about so many substeps of stable length."""
+    """Take about this number of stable substeps."""
     limit = solver.clock.stable() if solver.clock.extremes.stiffness > 0 else None
     if limit is None:
         solver.step(0.0, 0.0)
@@ -120,7 +119,7 @@ def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) ->
 
 
 def _node_fraction(solver: Solver) -> float:
-    """Fraction of the stages' time that is proportional to the nodes."""
+    """Return the fraction of the stages' time that is proportional to the nodes."""
     walls = {stage.name for stage in solver.boundaries}
     total = nodes = 0.0
     for worker in solver.workers:
@@ -132,7 +131,7 @@ def _node_fraction(solver: Solver) -> float:
 
 
 def time_shapes(simulation: Simulation) -> float:
-    """Time to deform the Gaussians of one frame, with strained particles [s]."""
+    """Return the time to deform the Gaussians of a frame with strained particles [s]."""
     solver, particles = simulation.solver, simulation.particles
     rng = np.random.default_rng(0)
     F = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
@@ -140,21 +139,21 @@ def time_shapes(simulation: Simulation) -> float:
     deform = Deformer(simulation.scenery.moving, particles, **options)
     x, v = solver.state.x, solver.state.v if simulation.scene.velocities else None
     deform(x, F, index=0, time=0.0, velocities=v)
-    return timed(lambda: deform(x, F, index=1, time=0.0, velocities=v))
+    return measure_time(lambda: deform(x, F, index=1, time=0.0, velocities=v))
 
 
 def time_film(
     gaussians: Gaussians, scene: Scene, device: str, threads: int | None = None
 ) -> dict[str, float]:
-    """Times of pictures and videos [s], from filming a few frames from one side.
+    """Predict the times of pictures and videos [s] by filming a few frames in one view.
 
     Args:
         gaussians: The object.
         scene: The scene.
         device: Warp's name of the device that draws.
-        threads: CPU threads; None: as many as there are cores.
+        threads: Number of CPU threads; None: one per core.
     """
-    one = scene.view.model_copy(update={"views": ("front",)}).only("front")
+    front = scene.view.model_copy(update={"views": ("front",)}).only("front")
     views, frames = len(scene.view.sides), scene.time.frames
     few, more = FILMED
     seconds: dict[int, list[dict[str, float]]] = {few: [], more: []}
@@ -162,12 +161,12 @@ def time_film(
     for count in (few, *TRIES * FILMED):
         watch = Stopwatch()
         with tempfile.TemporaryDirectory() as folder:
-            clip, options = _moving(gaussians, scene, count), {"device": device, "threads": threads}
-            film(clip, one, folder, watch=watch, **options)
+            clip = _make_moving_clip(gaussians, scene, count)
+            film(clip, front, folder, watch=watch, device=device, threads=threads)
         seconds[count].append(watch.seconds)
     with tempfile.TemporaryDirectory() as folder:
-        clip = _moving(gaussians, scene, more)
-        saving = timed(lambda: clip.save(Path(folder) / "clip.safetensors")) * frames / more
+        clip = _make_moving_clip(gaussians, scene, more)
+        saving = measure_time(lambda: clip.save(Path(folder) / "clip.safetensors")) * frames / more
     shortest = {n: min(seconds[n], key=lambda s: sum(s.values())) for n in FILMED}
     each = max(shortest[more]["encode"] - shortest[few]["encode"], 0.0) / (more - few)
     first = max(shortest[few]["encode"] - each * few, 0.0)
@@ -182,8 +181,21 @@ def time_film(
     return predicted if exporting is None else predicted | {"export": exporting * frames / more}
 
 
-def _moving(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
-    """A clip of the object moving by 1 % of its size per frame, as typical work for an encoder."""
+def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
+    """Predict the time to compile a scene's missing kernels on all cores [s]; 0 on a GPU.
+
+    Only one thread may call this at a time, and none while a solver is built, since it creates
+    kernels. Kernels of forces on a part of the object (0.3 s each) are not counted.
+    """
+    if device != "cpu" or wp.config.kernel_cache_dir is None:
+        return 0.0
+    needed = {kernel.module.name: kernel for kernel in kernels(scene)}
+    seconds = [kernel.seconds for kernel in needed.values() if not is_compiled(kernel)]
+    return max(sum(seconds) / cores(), max(seconds, default=0.0))
+
+
+def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
+    """Return a clip of the object moving by 1 % of its size per frame, typical for an encoder."""
     n = len(gaussians)
     shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
     return Clip(

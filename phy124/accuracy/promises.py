@@ -21,7 +21,7 @@ from functools import cache
 from importlib import resources
 from typing import Any, Literal
 
-from phy124.accuracy.severity import damping, poisson, unlike, violence, yielding
+from phy124.accuracy.severity import damping, find_difference, poisson, violence, yielding
 from phy124.scene import Scene
 
 Motion = Literal["squeezed", "landing", "standing", "held", "free"]
@@ -123,7 +123,7 @@ def _beyond(scene: Scene, laws: Sequence[str]) -> str:
         return f"accuracy.gradient = {scene.resolution.gradient}"
     if scene.resolution.rpic_damping > 0:
         return "motion that accuracy.rpic_damping damps"
-    return unlike(scene)
+    return find_difference(scene)
 
 
 def _harder(scene: Scene, found: Mapping[str, Any]) -> str:
@@ -181,9 +181,9 @@ def promise(
     laws, motion = sorted({section.law for section in scene.materials}), motion_of(scene)
     such = f"{laws[0]} {WORDS[motion]}"
     kind = table()["scenes"].get(f"{laws[0]} {motion}")
-    unlike = _beyond(scene, laws) or (_outside(scene, such, kind) if kind else such)
-    if unlike:
-        return _unknown(unlike)
+    unknown = _beyond(scene, laws) or (_outside(scene, such, kind) if kind else such)
+    if unknown:
+        return _unknown(unknown)
     if thickness is None:
         return _unknown("an object whose thickness is not known yet")
     level = max(cells for cells in kind["levels"] if cells <= scene.resolution.cells)

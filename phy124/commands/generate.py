@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 
 from phy124 import pipeline
-from phy124.accuracy.choose import Goal, said
+from phy124.accuracy.choose import Goal, format_error
 from phy124.accuracy.promises import Promise
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import IF_WRONG, described, doubt
@@ -308,6 +308,8 @@ def print_forecast(report: dict[str, Any]) -> None:
     if goal and goal["unit"] == "seconds":
         print(f"asked for at most {goal['target']}: D/{goal['cells']}, {report['seconds']:.1f} s")
     elif goal:
-        error = goal["why_not"] if goal["error"] is None else said(goal["unit"], goal["error"])
+        error = (
+            goal["why_not"] if goal["error"] is None else format_error(goal["unit"], goal["error"])
+        )
         met = "met" if goal["met"] else f"NOT met {goal['why_not']}".rstrip()
         print(f"asked for at most {goal['target']}: D/{goal['cells']}, error {error}, {met}")

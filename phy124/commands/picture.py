@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from phy124.accuracy.load import Load, spoken
+from phy124.accuracy.load import Load, format_span
 from phy124.commands.cutout import CutoutOptions
 from phy124.commands.options import GeneratorName
 from phy124.errors import InputError
@@ -61,7 +61,7 @@ class PictureOptions:
 
 def told(generator: str, effort: Effort) -> str:
     """What a generator is about to do, and for how long, as a line of text."""
-    return f"generator: {generator}, {effort.words}; likely {spoken(span(effort))}"
+    return f"generator: {generator}, {effort.words}; likely {format_span(span(effort))}"
 
 
 def span(effort: Effort) -> tuple[float, float]:

@@ -96,7 +96,7 @@ class Keyframes(Table):
     kind: Literal["keyframes"] = "keyframes"
     times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
     factors: tuple[Factor, ...] = Field(default=(1.0, 1.0), description="Factors at these times.")
-    repeat: bool = Field(default=False, description="Begin anew after the last.")
+    repeat: bool = Field(default=False, description="Repeat from the first key after the last.")
 
     @model_validator(mode="after")
     def _fits(self) -> Keyframes:

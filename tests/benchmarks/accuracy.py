@@ -150,7 +150,7 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
         else:
             off = f"{distances([reached.clip.means, truth.means])[0, 1] / scene.object.size:.2%}"
         error = about["error"]
-        said = "" if error is None else choose.said(goal.kind, error)
+        said = "" if error is None else choose.format_error(goal.kind, error)
         met = "met" if about["met"] else about["why_not"] or "not met"
         rows.append(
             [name, wish, f"D/{cells}", said, f"{off} (D/{finer}{torn})", f"{seconds:.1f}", met]

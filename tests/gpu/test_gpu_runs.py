@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.accuracy.pilot import fly
+from phy124.accuracy.pilot import run_pilot
 from phy124.errors import Cancelled
 from phy124.pipeline import resume
 from phy124.scene import Scene
@@ -51,7 +51,7 @@ def test_a_run_can_be_cancelled_and_goes_on(gpu, tmp_path):
 @pytest.mark.parametrize("preset", ["push_right", "sway", "press"])
 def test_a_forecast_counts_the_substeps_that_are_taken(preset, gpu):
     given = scene(preset)
-    foretold, _ = fly(ball(500), given, device=gpu).substeps(8)
+    foretold, _ = run_pilot(ball(500), given, device=gpu).substeps(8)
     taken = Simulation(ball(500), given, device=gpu).run().report["substeps"]
     assert foretold == pytest.approx(taken, rel=0.25)
 

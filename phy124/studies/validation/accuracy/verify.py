@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phy124.accuracy.convergence import distances, fitted_order, richardson
+from phy124.accuracy.convergence import distances, fit_order, richardson
 from phy124.studies.validation.accuracy import problems
 
 Range = tuple[float, float]
@@ -131,5 +131,5 @@ def _series(
     limit: float,
     expected: Range,
 ) -> Verdict:
-    order = fitted_order([1 / n for n in cells], errors)
+    order = fit_order([1 / n for n in cells], errors)
     return Verdict(problem, quantity, errors[-1], limit, tuple(cells), order, expected)

@@ -6,7 +6,7 @@ import pytest
 import warp as wp
 from warp._src.context import Module
 
-from phy124.accuracy.compiling import seconds_to_compile
+from phy124.accuracy.probe import seconds_to_compile
 from phy124.runtime.compiling import is_compiled
 from phy124.runtime.kernel_cache import compiled_file
 from phy124.scene import Scene
@@ -68,9 +68,9 @@ def test_what_the_cache_does_not_have_takes_time(monkeypatch, tmp_path):
     assert not is_compiled(missing[0])
     assert seconds_to_compile(scene, "cuda:0") == 0
     longest = max(kernel.seconds for kernel in missing)
-    monkeypatch.setattr("phy124.accuracy.compiling.cores", lambda: 99)
+    monkeypatch.setattr("phy124.accuracy.probe.cores", lambda: 99)
     assert seconds_to_compile(scene) == longest, "no module is compiled by two cores"
-    monkeypatch.setattr("phy124.accuracy.compiling.cores", lambda: 1)
+    monkeypatch.setattr("phy124.accuracy.probe.cores", lambda: 1)
     before = seconds_to_compile(scene)
     for file in (made, made.with_suffix(".meta")):
         file.touch()
