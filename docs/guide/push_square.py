@@ -200,7 +200,7 @@ def main() -> None:
                 begun = begun or time.monotonic()
                 force = controller.force(now, np.array([at.x, at.y, at.z]))
                 wrench = Wrench(Vector3(*force.tolist()), Vector3())
-                writer.write(WrenchStamped(Header(one.header.stamp, FRAME), wrench))
+                writer.write(WrenchStamped(Header(transform.header.stamp, FRAME), wrench))
     errors = np.array([row[-1] for row in controller.rows])
     rate = len(errors) / (time.monotonic() - begun)
     mean, largest = 1000 * errors.mean(), 1000 * errors.max()
