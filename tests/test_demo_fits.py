@@ -322,4 +322,5 @@ def test_the_softness_of_a_pressed_duck_is_found(tmp_path):
         "fit.json",
         "fitted.toml",
     }
-    assert export("ply", done).exists()
+    (path,) = export(["ply"], done, studio.visitors.get("a"), studio.visitors)
+    assert path.exists()
