@@ -85,6 +85,7 @@ def test_an_address_asks_only_so_much_at_once(tmp_path, method, path, most):
         (421, "GET", "/", b"", {"host": "evil.example"}),
         (403, "POST", "/gradio_api/upload", b"", {"origin": "https://evil.example"}),
     ],
+    ids=["deep", "long", "closed", "name", "site"],
 )
 def test_what_is_refused_does_not_reach_the_page(tmp_path, status, method, path, body, headers):
     async def visit() -> Page:
