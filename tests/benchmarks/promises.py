@@ -51,6 +51,8 @@ STUDIED = 16
 """The coarsest level of a study, in cells; coarser ones may have another order."""
 HOLD = 0.95
 """Fraction of the errors of objects left out at which the promises from the others hold."""
+ENOUGH = 4
+"""Number of objects from which a kind of scene counts as measured."""
 SHOWN_LEVELS, SHOWN_THICKNESS = (16, 32), (0.05, 0.1, 0.2, 0.5)
 """Grids and thickness of objects, relative to their size, that the page shows."""
 SPRINGY = [law for law, kind in LAWS.by_name.items() if issubclass(kind, Springy)]
@@ -212,6 +214,8 @@ def kinds_of(rows: Sequence[Row]) -> dict[str, Any]:
         }
         errors = {thing: worst(own) for thing, own in by_object.items() if len(own) == len(names)}
         known = {thing: each for thing, each in errors.items() if any(each)}
+        if len(known) < ENOUGH:
+            continue
         there = [k for k in range(len(LEVELS)) if any(each[k] for each in known.values())]
         found[kind] = {
             "from": [name.partition(" ")[2] for name in names],
