@@ -51,8 +51,8 @@ STUDIED = 16
 """The coarsest level of a study, in cells; coarser ones may have another order."""
 HOLD = 0.95
 """Fraction of the errors of objects left out at which the promises from the others hold."""
-ENOUGH = 4
-"""Number of objects from which a kind of scene counts as measured."""
+ENOUGH, MANY = 4, 10
+"""Number of objects from which a kind of scene counts as measured, and decides on the safety."""
 SHOWN_LEVELS, SHOWN_THICKNESS = (16, 32), (0.05, 0.1, 0.2, 0.5)
 """Grids and thickness of objects, relative to their size, that the page shows."""
 SPRINGY = [law for law, kind in LAWS.by_name.items() if issubclass(kind, Springy)]
@@ -264,7 +264,8 @@ def table(_: argparse.Namespace) -> None:
     measured = [row for row in rows() if row["thickness"] > 1.01 / ACROSS]
     thick = {row["object"]: row["thickness"] for row in measured}
     kinds = kinds_of(measured)
-    ratios = [ratio for found in kinds.values() for ratio in left_out(found, thick).values()]
+    many = [found for found in kinds.values() if len(found["errors"]) >= MANY]
+    ratios = [ratio for found in many for ratio in left_out(found, thick).values()]
     safety = float(np.ceil(20 * max(1.0, np.quantile(ratios, HOLD, method="higher"))) / 20)
     thick = dict(sorted(thick.items(), key=lambda item: item[1]))
     commits = sorted({row["commit"] for row in measured})
