@@ -283,7 +283,8 @@ def table(_: argparse.Namespace) -> None:
 def main() -> None:
     """Measure, or rewrite the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    commands = parser.add_subparsers(required=True)
+    parser.set_defaults(run=table)
+    commands = parser.add_subparsers()
     commands.add_parser("table").set_defaults(run=table)
     how = commands.add_parser("measure")
     how.set_defaults(run=measure)
