@@ -110,8 +110,9 @@ class LiveRun:
     def _made(self) -> Simulation:
         import warp
 
+        from phy124.runtime.context import RunContext
         from phy124.runtime.device import pick_device
-        from phy124.simulation import Simulation
+        from phy124.simulation import Simulation, prepare
 
         device = pick_device(self._options.device)
         # A user need not see Warp's messages while it compiles.
@@ -119,8 +120,9 @@ class LiveRun:
         made = make_object(self._source, self._options, self.scene, device, self._progress)
         self.scene = made.scene
         # The sinks have each frame; keeping them would limit the run by memory.
-        options: dict[str, Any] = {"device": device, "crop": made.crop, "keep": False}
-        return Simulation(made.gaussians, made.scene, progress=self._progress, **options)
+        context = RunContext(device=device, progress=self._progress)
+        setup = prepare(made.gaussians, made.scene, context, crop=made.crop, keep=False)
+        return Simulation(setup)
 
     def report(self) -> dict[str, Any]:
         """The report of the run."""

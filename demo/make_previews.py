@@ -25,7 +25,7 @@ from phy124.rendering.framing import standing
 from phy124.rendering.shine import shine_of
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene, View, preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 from .substances import SUBSTANCES
 
@@ -78,7 +78,7 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
         size: Side of the picture [pixels].
     """
     cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
-    clip = Simulation(make("relief")(cutout, seed=0, progress=silent), scene).run()
+    clip = Simulation(prepare(make("relief")(cutout, seed=0, progress=silent), scene)).run()
     path.parent.mkdir(exist_ok=True)
     view = scene.view.model_copy(update={"size": (size, size), "stage": "studio"})
     step = -(-len(clip) // LONGEST)

@@ -32,8 +32,9 @@ if TYPE_CHECKING:
     from phy124.rendering.film import film
     from phy124.rendering.frames import render_frames
     from phy124.rendering.render import Renderer, render
+    from phy124.runtime.context import RunContext
     from phy124.scene import Scene, preset_names
-    from phy124.simulation import Simulation, Stopped
+    from phy124.simulation import Setup, Simulation, Stopped, prepare
 
 __version__ = "0.2.0"
 __all__ = [
@@ -50,13 +51,16 @@ __all__ = [
     "Material",
     "Renderer",
     "Result",
+    "RunContext",
     "Scene",
+    "Setup",
     "Simulation",
     "Stopped",
     "compare",
     "cut_out",
     "film",
     "generate",
+    "prepare",
     "preset_names",
     "read_gaussians",
     "read_ply",
@@ -89,7 +93,8 @@ _MODULES = {
     "rendering.frames": ["render_frames"],
     "rendering.render": ["Renderer", "render"],
     "scene": ["Scene", "preset_names"],
-    "simulation": ["Simulation", "Stopped"],
+    "runtime.context": ["RunContext"],
+    "simulation": ["Setup", "Simulation", "Stopped", "prepare"],
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

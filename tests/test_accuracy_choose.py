@@ -15,7 +15,7 @@ from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 
@@ -67,7 +67,7 @@ def test_an_error_goal_is_met_against_a_finer_run(quick):
     assert about["met"] is True
     assert about["error"] <= 0.01
     finer = quick.replaced({"accuracy": {"cells": 2 * about["cells"]}})
-    truth = Simulation(ball(600), finer).run()
+    truth = Simulation(prepare(ball(600), finer)).run()
     assert distances([reached.clip.means, truth.means])[0, 1] <= 0.01
     assert reached.clip.report["grid"]["dx"] == pytest.approx(1 / about["cells"])
 
@@ -237,7 +237,7 @@ def test_two_wishes_are_one_too_many(capsys):
 
 
 def test_gaps_are_in_the_unit_of_the_goal(quick):
-    a = Simulation(ball(300), quick.replaced({"accuracy": {"cells": 8}})).run()
+    a = Simulation(prepare(ball(300), quick.replaced({"accuracy": {"cells": 8}}))).run()
     means = a.means + np.float32(0.01) * np.array([0, 1, 0], np.float32)
     b = type(a)(means, a.quats, a.scales, a.opacities, a.sh, a.times, scene=a.scene)
     assert choose._distance(Goal.error("1%"), b, a, quick) == pytest.approx(0.01, rel=1e-3)

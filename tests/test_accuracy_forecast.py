@@ -15,7 +15,7 @@ from phy124.accuracy.probe import SubstepCost
 from phy124.accuracy.promises import Promise
 from phy124.rendering.nearest import ROOM
 from phy124.scene import PRESETS, Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
@@ -32,7 +32,7 @@ def scene(name: str, cells: int = 16, **changes) -> Scene:
 
 
 def test_the_probe_leaves_the_simulation_as_it_was():
-    plain, probed = (Simulation(OBJECT, scene("press")) for _ in range(2))
+    plain, probed = (Simulation(prepare(OBJECT, scene("press"))) for _ in range(2))
     made = Forecaster().of(probed)
     assert probed.solver.clock.substeps == 0
     assert probed.solver.clock.time == 0
@@ -47,7 +47,7 @@ def test_the_probe_leaves_the_simulation_as_it_was():
 def test_substeps_are_predicted(name):
     """Within what the promise of ten per cent leaves them."""
     chosen = scene(name)
-    simulation = Simulation(OBJECT, chosen)
+    simulation = Simulation(prepare(OBJECT, chosen))
     predicted = Forecaster().of(simulation, filming=False)
     simulation.run()
     assert predicted.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.06)
@@ -83,7 +83,7 @@ def test_friction_asks_for_the_square_of_the_cells():
 
 def test_substeps_of_a_body_with_friction_are_predicted():
     rubbing = scene("press", **{"material.damping": 400.0})
-    simulation = Simulation(OBJECT, rubbing)
+    simulation = Simulation(prepare(OBJECT, rubbing))
     made = Forecaster().of(simulation, filming=False)
     simulation.run()
     assert made.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.06)
@@ -93,7 +93,7 @@ def test_substeps_of_a_body_with_friction_are_predicted():
 def test_substeps_of_a_body_that_stiffens_are_predicted():
     profile = {"kind": "ramp", "duration": 0.15, "first": 1.0, "last": 9.0}
     stiffens = scene("push_right", stiffness_profile=profile)
-    simulation = Simulation(OBJECT, stiffens)
+    simulation = Simulation(prepare(OBJECT, stiffens))
     made = Forecaster().of(simulation, filming=False)
     simulation.run()
     assert made.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.06)
@@ -106,7 +106,7 @@ def test_no_promise_where_speed_rules():
         **{"material.E": 200.0, "material.damping": 0.0, "object.lift": 2.0},
         **{"object.velocity": [0.0, 0.0, -6.0]},
     )
-    simulation = Simulation(OBJECT, fast)
+    simulation = Simulation(prepare(OBJECT, fast))
     made = Forecaster().of(simulation, filming=False)
     assert made.limiters.get("speed", 0) > 0.1
     assert made.caveat is not None

@@ -10,8 +10,8 @@ from phy124.accuracy.probe import seconds_to_compile
 from phy124.runtime.compiling import is_compiled
 from phy124.runtime.kernel_cache import compiled_file
 from phy124.scene import Scene
-from phy124.simulation import Simulation
-from phy124.simulation.kernels import kernels
+from phy124.simulation import Simulation, prepare
+from phy124.simulation.solver import kernels
 from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 2, "time.fps": 240.0}
@@ -46,7 +46,7 @@ def test_all_that_takes_long_is_listed(name, changes, monkeypatch):
     # Else all that is listed would be loaded, whether a run launches it or not.
     monkeypatch.setattr("phy124.simulation.run.compile_missing", lambda *_: 0)
     scene = Scene.named(name).replaced({**QUICK, **changes})
-    Simulation(ball(300), scene).run()
+    Simulation(prepare(ball(300), scene)).run()
     listed = {kernel.module.name: kernel.seconds for kernel in kernels(scene)}
     assert set(listed) <= loaded
     small = ("uniform_sums", "merge", "barrier", "push_", "field")

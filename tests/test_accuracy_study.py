@@ -15,7 +15,7 @@ from phy124.errors import Cancelled
 from phy124.io.clip import Clip
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
-from phy124.simulation import Simulation, Stopped
+from phy124.simulation import Stopped, prepare
 from phy124.studies.validation.accuracy import plots
 from phy124.studies.validation.accuracy import study as study_of
 from phy124.studies.validation.accuracy.study import (
@@ -313,12 +313,12 @@ def test_levels_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys, la
     def fail(*_: object, **options: object) -> object:
         raise MemoryError
 
-    def prepare(gaussians, scene, **options):
+    def prepare_or_fail(gaussians, scene, *context, **options):
         if late == "setting" and scene.accuracy.cells == 8:
             fail()
-        return Simulation(gaussians, scene, **options)
+        return prepare(gaussians, scene, *context, **options)
 
-    monkeypatch.setattr(study_of, "Simulation", prepare)
+    monkeypatch.setattr(study_of, "prepare", prepare_or_fail)
     if late == "comparison":
         monkeypatch.setattr(study_of, "difference", fail)
     command = ["accuracy", "drop", "--levels", "6", "8", "--set", "time.frames=2", "--json"]

@@ -26,7 +26,7 @@ from phy124.io.ply import write_ply
 from phy124.pipeline.capture import capture
 from phy124.progress import silent
 from phy124.scene import Scene
-from phy124.simulation import Simulation, Stopped
+from phy124.simulation import Simulation, Stopped, prepare
 from support.captures import captured
 from support.clips import random_clip
 
@@ -54,7 +54,7 @@ def test_recorded_while_simulated_is_the_finished_clip(ply, tmp_path):
             sink.write(frame)
             # Nothing piles up: a run may be longer than memory.
             assert run._simulation.frames == [frame]
-    clip = Simulation(PlyFile(str(ply))(), options.resolve()).run()
+    clip = Simulation(prepare(PlyFile(str(ply))(), options.resolve())).run()
     with open(tmp_path / "one.mcap", "rb") as stream:
         reader = make_reader(stream)
         payloads = [message.data for *_, message in reader.iter_messages("/phy124/points")]
@@ -156,7 +156,7 @@ def test_a_capture_stands_on_its_floor(tmp_path):
     run = LiveRun(tmp_path / "place.ply", options)
     simulation = run.prepare()
     assert run.scene == expected.scene and run.scene.parts[-1].static
-    assert (simulation.given.means == expected.gaussians.means).all()
+    assert (simulation.setup.source.means == expected.gaussians.means).all()
 
 
 def test_a_region_in_the_units_of_a_live_file(ply):

@@ -21,8 +21,9 @@ from bridge.steering.transforms import Transforms
 from bridge.topics import FACTOR
 from phy124.accuracy.ball import ball
 from phy124.errors import InputError
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.ros_messages import JAZZY
 from support.steered import (
     EPOCH,
@@ -54,7 +55,7 @@ def test_steps_by_service_give_the_bytes_of_a_plain_run():
     run.advance()
     answers = [Standard(run, action=False).step(asked(steps=steps)) for steps in (1, 4)]
     assert [answer["result"]["result"] for answer in answers] == [Code.OK, Code.OK]
-    plain = Simulation(ball(400), scene(), threads=1)
+    plain = Simulation(prepare(ball(400), scene(), RunContext(threads=1)))
     assert seen == [bytes_of(plain.step()) for _ in range(6)]
 
 
@@ -335,7 +336,7 @@ def test_topics_and_frames_name_the_object(tmp_path, monkeypatch):
 def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys):
     clip, session = tmp_path / "clip.safetensors", tmp_path / "session.toml"
     own = scene(**{"time.frames": 2})
-    Simulation(ball(400), own, threads=1).run().save(clip)
+    Simulation(prepare(ball(400), own, RunContext(threads=1))).run().save(clip)
     given = ["--backend", "foxglove", "--port", "0", "--frames", "3", "--threads", "1"]
     coarse = ["--set", "accuracy={cells=8}", "--session", str(session)]
     bag = tmp_path / "bag"

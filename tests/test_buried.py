@@ -4,7 +4,7 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 DOWN = {"kind": "half_space", "point": [0, 0, 0.5], "normal": [0, 0, -1.0]}
@@ -13,7 +13,7 @@ QUICK = {"accuracy": {"cells": 12}, "time.frames": 3, "time.fps": 24.0}
 
 
 def run(**changes) -> Simulation:
-    return Simulation(ball(400), Scene.named("drop").replaced({**QUICK, **changes}))
+    return Simulation(prepare(ball(400), Scene.named("drop").replaced({**QUICK, **changes})))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from phy124.pipeline.capture.floor import find_floor
 from phy124.rendering.framing import cameras
 from phy124.scene import Scene, View
 from phy124.schema.region import PartRegion
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.captures import captured
 from support.shapes import ball
 
@@ -83,7 +83,7 @@ def test_the_object_stands_on_its_floor(tmp_path):
     """It falls nowhere, the floor stays bit for bit; the object alone is simulated and framed."""
     place = captured(4)
     read = capture(PlyFile(saved(tmp_path, place), FLOOR), scene("drop", **{"time.frames": 6}))
-    run = Simulation(read.gaussians, read.scene)
+    run = Simulation(prepare(read.gaussians, read.scene))
     clip = run.run()
     first, last = clip.scene["parts"][0]["gaussians"]
     floor = clip.means[:, first:last]
@@ -96,7 +96,7 @@ def test_the_object_stands_on_its_floor(tmp_path):
     tall = np.ptp(clip.means[0, :first, 2])
     assert tall == pytest.approx(1, abs=0.07)
     # No particle is the floor's, and the camera is as near as it would be without it.
-    assert np.ptp(run.particles.x, axis=0).max() < 1.05
+    assert np.ptp(run.setup.particles.x, axis=0).max() < 1.05
     camera = cameras(clip, View(), "front")[0]
     assert np.linalg.norm(np.subtract(camera.eye, camera.target)) < 2.1
 
@@ -105,10 +105,10 @@ def test_a_lifted_object_leaves_its_floor_on_the_ground(tmp_path):
     read = capture(
         PlyFile(saved(tmp_path, captured(2)), FLOOR), scene("drop", **{"object.lift": 0.4})
     )
-    run = Simulation(read.gaussians, read.scene)
-    own = run.numbered.parts[0].gaussians[0]
-    assert abs(np.median(run.gaussians.means[own:, 2])) < 0.03
-    assert run.gaussians.means[:own, 2].min() == pytest.approx(0.4, abs=0.03)
+    run = Simulation(prepare(read.gaussians, read.scene))
+    own = run.setup.cleaned_scene.parts[0].gaussians[0]
+    assert abs(np.median(run.setup.gaussians.means[own:, 2])) < 0.03
+    assert run.setup.gaussians.means[:own, 2].min() == pytest.approx(0.4, abs=0.03)
 
 
 def test_up_that_is_told_keeps_walls_out(tmp_path, rng):
@@ -170,8 +170,8 @@ def test_a_region_in_the_files_own_units(tmp_path):
     for floor in (False, True):
         read = capture(PlyFile(path, Reading(floor=floor)), chosen)
         assert read.scene.parts[0].region.units == "metres"
-        run = Simulation(read.gaussians, read.scene)
-        inside = read.scene.parts[0].region.contains(run.gaussians.means)
+        run = Simulation(prepare(read.gaussians, read.scene))
+        inside = read.scene.parts[0].region.contains(run.setup.gaussians.means)
         expected = (np.abs(as_file - centre) < half).all(axis=1)
         assert inside.sum() == pytest.approx(expected.sum(), abs=2)
         assert 100 < inside.sum() < 2900
@@ -199,7 +199,7 @@ def test_a_cylinder_turned_in_the_files_own_units(tmp_path, rng, floor):
     read = capture(PlyFile(path, Reading(floor=floor)), scene(**{"parts": [part]}))
     placed = read.scene.parts[0].region
     assert (placed.cylinder, placed.units) == ("y", "metres")
-    inside = placed.contains(Simulation(read.gaussians, read.scene).gaussians.means).sum()
+    inside = placed.contains(prepare(read.gaussians, read.scene).gaussians.means).sum()
     off = as_file @ own - centre
     expected = (np.abs(off[:, 1]) < half) & (np.hypot(off[:, 0], off[:, 2]) < half)
     assert inside == pytest.approx(expected.sum(), abs=2)
@@ -222,7 +222,7 @@ def test_a_region_in_file_units_without_a_file_is_refused():
     with pytest.raises(
         InputError, match=r"parts\.0\.region\.units = file: the object was not read"
     ):
-        Simulation(ball(500), scene(**{"parts": [{"static": True, "region": region}]}))
+        Simulation(prepare(ball(500), scene(**{"parts": [{"static": True, "region": region}]})))
 
 
 def test_parts_count_the_gaussians_that_were_given():
@@ -231,10 +231,10 @@ def test_parts_count_the_gaussians_that_were_given():
     means = given.means.copy()
     means[:50] = np.nan
     part = {"static": True, "gaussians": [500, 600]}
-    run = Simulation(replace(given, means=means), scene(**{"parts": [part]}))
-    assert len(run.gaussians) == 950
-    assert np.flatnonzero(~run.scenery.moves).tolist() == list(range(450, 550))
-    assert run.clip is not None and run.numbered.parts[0].gaussians == (450, 550)
+    run = Simulation(prepare(replace(given, means=means), scene(**{"parts": [part]})))
+    assert len(run.setup.gaussians) == 950
+    assert np.flatnonzero(~run.setup.scenery.moves).tolist() == list(range(450, 550))
+    assert run.clip is not None and run.setup.cleaned_scene.parts[0].gaussians == (450, 550)
 
 
 def test_surroundings_are_static_and_picked_by_number():

@@ -11,8 +11,9 @@ from phy124.materials import NeoHookean
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
 from support.shapes import ball
 
@@ -56,7 +57,7 @@ def test_the_shares_of_all_particles_are_what_the_walls_give(threads):
 def test_a_body_at_rest_weighs_on_the_ground():
     scene = Scene.named("drop").replaced({**SCENE, "material.damping": 400, "time.frames": 40})
     scene = scene.replaced({"contacts": True, "time.sleep": False, "object.size": 0.2})
-    clip = Simulation(ball(400), scene).run()
+    clip = Simulation(prepare(ball(400), scene)).run()
     weight = 9.81 * clip.report["mass"]
     forces = clip.contacts.sum(axis=1)
     assert not clip.contacts[0].any()
@@ -67,9 +68,9 @@ def test_a_body_at_rest_weighs_on_the_ground():
 @pytest.mark.parametrize("binding", ["particles", "lattice"])
 def test_forces_are_kept_only_if_asked_for_and_change_nothing(binding, tmp_path):
     scene = Scene.named("press").replaced({**SCENE, "binding": binding})
-    plain = Simulation(ball(300), scene, threads=1).run()
+    plain = Simulation(prepare(ball(300), scene, RunContext(threads=1))).run()
     asked = scene.replaced({"view.outputs": ["force"]})
-    run = Simulation(ball(300), asked, threads=1)
+    run = Simulation(prepare(ball(300), asked, RunContext(threads=1)))
     clip = run.run()
     assert plain.contacts is None and clip.contacts.shape == clip.means.shape
     assert np.array_equal(plain.means, clip.means) and np.array_equal(plain.scales, clip.scales)
@@ -82,8 +83,8 @@ def test_forces_are_kept_only_if_asked_for_and_change_nothing(binding, tmp_path)
 
 def test_a_paused_run_goes_on_with_its_forces(tmp_path):
     scene = Scene.named("press").replaced({**SCENE, "contacts": True})
-    whole = Simulation(ball(300), scene, threads=1).run()
-    run = Simulation(ball(300), scene, threads=1)
+    whole = Simulation(prepare(ball(300), scene, RunContext(threads=1))).run()
+    run = Simulation(prepare(ball(300), scene, RunContext(threads=1)))
     for frame in run:
         if frame.index == 1:
             break

@@ -14,7 +14,7 @@ from phy124.gaussians import Gaussians, quaternions, rotation_matrices, sh_basis
 from phy124.kernels import deform
 from phy124.particles import Particles, make_particles
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.deform import THREADS, Deformer, carriers
 from phy124.studies.validation.bodies import lattice
 
@@ -393,10 +393,10 @@ def test_gaussians_of_a_cloud_of_two_stay_with_their_particles(apart):
     quats = np.tile((1.0, 0, 0, 0), (2, 1))
     two = Gaussians.from_rgb(x, quats, scales, np.full(2, 0.9), grey)
     scene = Scene.named("drop").replaced({"accuracy": "draft", "time.frames": 24})
-    run = Simulation(two, scene)
+    run = Simulation(prepare(two, scene))
     clip = run.run()
     assert clip.means[..., 2].min() > -0.3 * scene.dx
-    assert len(run.particles) == 2
+    assert len(run.setup.particles) == 2
 
 
 def stretched_gaussians(count: int, rng) -> Gaussians:

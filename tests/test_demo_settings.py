@@ -203,11 +203,12 @@ STIFFENS = {"kind": "ramp", "duration": 0.3, "first": 1.0, "last": 9.0}
     "changes", [{}, {"material.damping": 2e4}, {"stiffness_profile": STIFFENS}], ids=str
 )
 def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, changes):
-    from phy124.simulation import Simulation
+    from phy124.runtime.context import RunContext
+    from phy124.simulation import Simulation, prepare
 
     small = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, **changes}
     scene = Scene.named("push_right").replaced(small)
-    run = Simulation(three_gaussians, scene, device="cpu")
+    run = Simulation(prepare(three_gaussians, scene, RunContext(device="cpu")))
     run.run()
     assert count_substeps(scene) == pytest.approx(run.solver.clock.substeps, rel=0.25)
 

@@ -28,6 +28,7 @@ from demo.touch.walls import Walls
 from phy124.accuracy.ball import ball
 from phy124.errors import InputError
 from phy124.live import Live
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from support import touching
 
@@ -201,7 +202,7 @@ def small(**changes) -> Scene:
 
 @pytest.fixture(scope="module")
 def live():
-    run = Live(ball(400), small(), threads=1)
+    run = Live(ball(400), small(), RunContext(threads=1))
     run.step()
     return run
 

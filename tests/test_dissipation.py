@@ -11,8 +11,9 @@ from phy124.materials import Metal, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.dissipation import Dissipation
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
 
 
@@ -116,10 +117,14 @@ def sliding():
 
 @pytest.mark.slow
 def test_a_sliding_block_loses_friction_times_weight_times_way():
-    run = Simulation(shape("box", (1, 1, 0.5), (0.5, 0.5, 0.5)), sliding(), threads=1)
+    run = Simulation(
+        prepare(shape("box", (1, 1, 0.5), (0.5, 0.5, 0.5)), sliding(), RunContext(threads=1))
+    )
     energy = run.run().report["energy"]
-    way = float((run.solver.state.x.numpy() - run.particles.x).mean(axis=0)[0])
-    assert energy["contact"] == pytest.approx(0.3 * run.particles.mass.sum() * 9.81 * way, rel=0.03)
+    way = float((run.solver.state.x.numpy() - run.setup.particles.x).mean(axis=0)[0])
+    assert energy["contact"] == pytest.approx(
+        0.3 * run.setup.particles.mass.sum() * 9.81 * way, rel=0.03
+    )
     parts = energy["material"] + energy["contact"] + energy["numerical"]
     assert parts == pytest.approx(energy["lost"], rel=1e-12)
     assert abs(energy["numerical"]) < 0.02 * energy["lost"]
@@ -129,8 +134,8 @@ def test_a_sliding_block_loses_friction_times_weight_times_way():
 def test_a_paused_run_goes_on_with_the_same_sums(tmp_path):
     scene = sliding().replaced({"accuracy.cells": 8, "time.frames": 5})
     body = shape("box", (1, 1, 0.5), (0.5, 0.5, 0.5))
-    whole = Simulation(body, scene, threads=1).run()
-    run = Simulation(body, scene, threads=1)
+    whole = Simulation(prepare(body, scene, RunContext(threads=1))).run()
+    run = Simulation(prepare(body, scene, RunContext(threads=1)))
     for frame in run:
         if frame.index == 2:
             break
@@ -138,7 +143,7 @@ def test_a_paused_run_goes_on_with_the_same_sums(tmp_path):
     clip = resume.load(tmp_path / "pause.safetensors").run()
     assert np.array_equal(clip.means, whole.means)
     assert clip.report["energy"] == whole.report["energy"]
-    two = Simulation(body, scene, threads=2).run()
+    two = Simulation(prepare(body, scene, RunContext(threads=2))).run()
     assert two.report["energy"]["contact"] == pytest.approx(
         whole.report["energy"]["contact"], rel=1e-2
     )

@@ -6,7 +6,7 @@ import pytest
 from phy124.budget.effects import Effects
 from phy124.monitor.sleep import Sleep
 from phy124.scene import Scene, preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 3}
@@ -68,11 +68,11 @@ def test_gaussians_are_particles_only_for_who_asks():
 
 def test_velocities_are_computed_only_for_who_asks():
     scene = Scene.named("push_right").replaced(QUICK)
-    bare = Simulation(ball(300), scene).run()
+    bare = Simulation(prepare(ball(300), scene)).run()
     assert bare.velocities is None
     assert "follow from the positions" in whys(Effects.of(scene))["velocities"]
     asked = scene.replaced({"velocities": True})
-    full = Simulation(ball(300), asked).run()
+    full = Simulation(prepare(ball(300), asked)).run()
     assert "velocities" in Effects.of(asked).ran
     assert np.array_equal(full.means, bare.means)
     assert full.velocities is not None and full.velocities.shape == full.means.shape
@@ -81,7 +81,7 @@ def test_velocities_are_computed_only_for_who_asks():
 def test_differenced_velocities_match_the_run():
     """Free flight: the difference over two frames is the mean velocity between them."""
     fall = {"object.lift": 5.0, "object.velocity": [1.0, 0, 2.0], "velocities": True}
-    clip = Simulation(ball(300), Scene.named("drop").replaced({**QUICK, **fall})).run()
+    clip = Simulation(prepare(ball(300), Scene.named("drop").replaced({**QUICK, **fall}))).run()
     bare = type(clip)(**{**vars(clip), "velocities": None})
     kept, found = clip.frame(1).velocities, bare.frame(1, velocities=True).velocities
     assert bare.frame(1).velocities is None
@@ -119,7 +119,7 @@ def test_gravity_of_zero_is_left_out():
     why = whys(Effects.of(scene))
     assert why["uniform acceleration"] == "no force acts on the whole body"
     assert "particle forces" in why
-    run = Simulation(ball(100), scene.replaced(QUICK))
+    run = Simulation(prepare(ball(100), scene.replaced(QUICK)))
     assert not run.solver._forces
     wind = Scene.from_data({"forces": [{"kind": "wind", "v": [0, 0, 0]}]})
     assert "particle forces" in Effects.of(wind).ran
@@ -130,7 +130,7 @@ def test_checks_are_effects_with_a_cost():
     effects = Effects.of(scene)
     assert "limits of the substep measured every 16 substeps or sooner" in effects.ran
     assert "balance of momentum and energy" in effects.ran
-    report = Simulation(ball(100), scene).run().report
+    report = Simulation(prepare(ball(100), scene)).run().report
     costs = {stage["name"]: stage["seconds"] for stage in report["substep_stages"]}
     assert costs["measure"] > 0 and costs["external work"] > 0
     free = whys(Effects.of(Scene.named("spin")))
@@ -140,7 +140,7 @@ def test_checks_are_effects_with_a_cost():
 @pytest.mark.parametrize("gradient", ["affine", "spline"])
 def test_effects_name_the_kernels_that_run(gradient):
     scene = Scene.named("press").replaced({"accuracy": {"cells": 8, "gradient": gradient}})
-    effects, form = Effects.of(scene), Simulation(ball(100), scene).solver.model.form
+    effects, form = Effects.of(scene), Simulation(prepare(ball(100), scene)).solver.model.form
     assert ("SIMD rows" in effects.ran) == (form == "simd") == (gradient == "affine")
     assert ("gradients of the weights" in effects.ran) == (form == "spline")
     omitted = "gradients of the weights" if gradient == "affine" else "SIMD rows"
@@ -158,7 +158,7 @@ def test_what_looks_for_tears_and_tries_substeps_is_named():
 def test_less_watching_costs_less_and_moves_the_same():
     scene = Scene.named("press").replaced({**QUICK, "material.E": 1e7, "checks.measure": 4})
     rarely = scene.replaced({"checks": {"measure": 32, "balance": False}})
-    usual, few = Simulation(ball(100), scene), Simulation(ball(100), rarely)
+    usual, few = Simulation(prepare(ball(100), scene)), Simulation(prepare(ball(100), rarely))
     a, b = usual.run(), few.run()
     assert np.abs(a.means - b.means).max() < 2e-3
     measured = [run.solver.timings["measure"][1] for run in (usual, few)]
@@ -182,7 +182,7 @@ def test_impact_is_sound_at_any_measuring_interval(every):
             "binding": "lattice",
         }
     )
-    report = Simulation(ball(100), scene).run().report
+    report = Simulation(prepare(ball(100), scene)).run().report
     assert report["complete"] and not report["balance"]["inside_out"]
     assert report["balance"]["energy_gain"] < 0.01
     assert report["balance"]["min_J"] > 0
@@ -190,7 +190,7 @@ def test_impact_is_sound_at_any_measuring_interval(every):
 
 def test_without_a_balance_broken_numbers_still_stop_a_run():
     scene = Scene.named("push_right").replaced({**QUICK, "checks": {"balance": False}})
-    run = Simulation(ball(100), scene)
+    run = Simulation(prepare(ball(100), scene))
     v = run.solver.state.v.numpy().copy()
     v[3] = np.nan
     run.solver.state.v.assign(v)

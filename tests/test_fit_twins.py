@@ -7,8 +7,9 @@ from phy124.errors import InputError
 from phy124.generators.shapes import shape
 from phy124.io.ply import write_ply
 from phy124.pipeline import static
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.fit import Fit, fit
 from support.twins import twin, write_forces, write_points
 
@@ -77,7 +78,9 @@ def test_a_pressed_duck_does_not_tell_its_poissons_ratio(tmp_path, seen):
     if seen == "clip":
         scene = Scene.named("press").replaced({"accuracy.cells": 24, "time.frames": 14})
         duck = static(DUCK, Scene(), count=2000).gaussians
-        Simulation(duck, scene, threads=1).run().save(tmp_path / "clip.safetensors")
+        Simulation(prepare(duck, scene, RunContext(threads=1))).run().save(
+            tmp_path / "clip.safetensors"
+        )
         clip = {"target": str(tmp_path / "clip.safetensors"), "object": None, "scene": None}
         asked = asked.model_copy(update=clip)
     with pytest.raises(InputError, match=r"nu: the error of the grid .* slippery plates"):

@@ -12,7 +12,7 @@ from phy124.pipeline.capture import capture
 from phy124.rendering.framing import cameras, departures, framing
 from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM
 from phy124.scene import Scene, View
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.clips import AWAY, flight
 
 
@@ -208,6 +208,6 @@ def test_real_objects_that_sway_fill_the_picture(real_objects, name):
     file = PlyFile(str(real_objects / f"{name}.splat"), Reading(up="-y"))
     read = capture(file, scene, count=4000)
     assert not read.notes
-    clip = Simulation(read.gaussians, read.scene).run()
+    clip = Simulation(prepare(read.gaussians, read.scene)).run()
     low, high = extents(clip, scene.view)
     assert 0.85 < (high - low).max() < 1.02, "a few of its Gaussians may be outside"

@@ -16,8 +16,9 @@ from phy124.mpm import FreeBody
 from phy124.mpm.free import STAGE
 from phy124.particles.scenery import Scenery
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation, props
+from phy124.simulation import Simulation, prepare, props
 from phy124.studies.validation.bodies import lattice, make_solver
 from support.balls import elements, pressed_on_box
 from support.shapes import ball, watch_run
@@ -422,7 +423,7 @@ def test_the_gaussians_of_a_free_solid_turn_with_it():
 def test_one_that_starts_inside_material_is_refused():
     inside = {**FREE, "on": "floor", "place": [0.2, 0.0]}
     with pytest.raises(InputError, match=r"objects = box: it overlaps what it would meet at the"):
-        Simulation(ball(400), scene(objects=[inside]), threads=1)
+        Simulation(prepare(ball(400), scene(objects=[inside]), RunContext(threads=1)))
 
 
 @pytest.mark.parametrize("shape", ["sphere", "box", "capsule"])
@@ -442,7 +443,7 @@ def test_depth_is_that_below_its_surface(shape):
 @pytest.mark.slow
 def test_a_free_solid_falls_rests_is_kept_and_goes_on(tmp_path):
     told = scene(**{"velocities": True, "wrenches": True, "time.sleep": True, "time.frames": 30})
-    made = Simulation(ball(400), told, threads=1)
+    made = Simulation(prepare(ball(400), told, RunContext(threads=1)))
     clip = made.run()
     own = clip.object_id == 1
     report = clip.report
@@ -462,7 +463,7 @@ def test_a_free_solid_falls_rests_is_kept_and_goes_on(tmp_path):
     weight = made.solver.free.all[0].mass * 9.81 * seconds
     np.testing.assert_allclose(given - [0, 0, weight], kept, atol=0.02 * weight)
 
-    paused = Simulation(ball(400), told, threads=1)
+    paused = Simulation(prepare(ball(400), told, RunContext(threads=1)))
     for _ in range(12):
         paused.step()
     resume.save(paused, tmp_path / "pause.safetensors")
@@ -470,7 +471,7 @@ def test_a_free_solid_falls_rests_is_kept_and_goes_on(tmp_path):
     assert np.array_equal(again.means, clip.means) and np.array_equal(again.quats, clip.quats)
     assert again.report["objects"]["box"]["poses"] == report["objects"]["box"]["poses"]
 
-    live = Live(ball(400), told, threads=1)
+    live = Live(ball(400), told, RunContext(threads=1))
     for index in range(12):
         assert np.array_equal(live.step().gaussians.means, clip.means[index])
     np.testing.assert_allclose(live.centres["box"], poses[11, :3])

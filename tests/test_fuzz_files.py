@@ -14,7 +14,7 @@ from PIL import Image
 from phy124.__main__ import main
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.hostile import cut, flip
 from support.shapes import ball
 
@@ -59,7 +59,7 @@ def samples(tmp_path_factory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("samples")
     write_ply(folder / "object.ply", ball(150))
     scene = Scene().replaced({"accuracy": {"cells": 6}, "time.frames": 2})
-    Simulation(ball(150), scene).run().save(folder / "clip.safetensors")
+    Simulation(prepare(ball(150), scene)).run().save(folder / "clip.safetensors")
     y, x = np.mgrid[:48, :48]
     disc = (((x - 24) ** 2 + (y - 24) ** 2) < 300)[..., None] * np.uint8([200, 90, 40, 255])
     png, jpeg = io.BytesIO(), io.BytesIO()

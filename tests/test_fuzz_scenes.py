@@ -16,8 +16,9 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.materials import LAWS
 from phy124.monitor.watchdog import ENERGY_GAIN
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 UNITS = st.floats(-1, 1)
 
@@ -189,7 +190,9 @@ def scenes(draw: st.DrawFn, precision: st.SearchStrategy[str]) -> Scene:
 def check(cloud: Cloud, scene: Scene) -> None:
     """Everything that must hold for any scene, whether one thread steps it or two."""
     try:
-        run = Simulation(cloud.gaussians(), scene, threads=2 if cloud.seed % 4 == 0 else 1)
+        run = Simulation(
+            prepare(cloud.gaussians(), scene, RunContext(threads=2 if cloud.seed % 4 == 0 else 1))
+        )
         clip = run.run()
     except InputError as refusal:
         assert len(str(refusal)) > 40

@@ -8,7 +8,7 @@ from phy124.errors import InputError
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver, State
 from phy124.scene import Scene
-from phy124.simulation.kernels import kernels
+from phy124.simulation.solver import kernels
 from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.experiments import beam, elastica
 

@@ -8,7 +8,7 @@ from phy124.materials import Fluid, NeoHookean, Sand
 from phy124.particles.grains import CLEARANCE, SIZE, add_grains, vary_brightness
 from phy124.particles.seeding import make_particles
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.deform import Deformer
 from support.shapes import ball
 
@@ -71,8 +71,8 @@ def test_shades_differ_by_grain_and_are_those_of_the_seed(body):
 
 def test_grains_are_in_every_frame_and_change_no_motion(body):
     scene = Scene.named("drop").replaced({**SAND, "contacts": True, "velocities": True})
-    grainy = Simulation(body, scene).run()
-    plain = Simulation(body, scene.replaced({"grains": False})).run()
+    grainy = Simulation(prepare(body, scene)).run()
+    plain = Simulation(prepare(body, scene.replaced({"grains": False}))).run()
     count = grainy.report["grains"]
     assert plain.report["grains"] == 0 < count
     assert grainy.means.shape[1] == len(plain.opacities) + count == len(grainy.opacities)

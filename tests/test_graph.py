@@ -10,8 +10,9 @@ from phy124.materials import NeoHookean, Sand
 from phy124.monitor.diagnostics import speeds
 from phy124.mpm import MEASURE_EVERY, Solver, Unstable
 from phy124.mpm.tracks import Sine
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import make_solver
 from support.scenes import OF_ONE
 from support.shapes import ball
@@ -180,7 +181,7 @@ def test_a_forecast_counts_the_substeps_of_the_device(name, monkeypatch):
         monkeypatch.setattr("phy124.mpm.solver.usable", lambda device, alone=alone: alone)
         pilot = run_pilot(ball(400), scene)
         made.append(pilot.substeps(8))
-        run = Simulation(ball(400), scene)
+        run = Simulation(prepare(ball(400), scene))
         run.run()
         assert made[-1][0] == pytest.approx(run.solver.clock.substeps, rel=0.1)
     assert made[0] == made[1]
@@ -195,7 +196,7 @@ def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
     runs = []
     for alone in (False, True):
         monkeypatch.setattr("phy124.mpm.solver.usable", lambda device, alone=alone: alone)
-        runs.append(Simulation(ball(500), scene))
+        runs.append(Simulation(prepare(ball(500), scene)))
         runs[-1].run()
     host, device = (run.solver for run in runs)
     assert_same(host, device)
@@ -209,7 +210,9 @@ def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
 @pytest.mark.parametrize("name", OF_ONE)
 def test_cuda_moves_as_the_cpu_does(name, gpu):
     scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 6})
-    cpu, cuda = (Simulation(ball(500), scene, device=device) for device in ("cpu", gpu))
+    cpu, cuda = (
+        Simulation(prepare(ball(500), scene, RunContext(device=device))) for device in ("cpu", gpu)
+    )
     cpu.run()
     cuda.run()
     assert "graph" in cuda.solver.timings or cuda.solver.rejection.sudden(cuda.solver.clock)

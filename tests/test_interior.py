@@ -10,8 +10,9 @@ from phy124.monitor.tearing import APART
 from phy124.particles import make_particles
 from phy124.particles.grains import SIZE
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 TORN = {
@@ -28,14 +29,14 @@ TORN = {
 
 @pytest.fixture(scope="module")
 def torn():
-    run = Simulation(ball(400), Scene.named("drop").replaced(TORN), threads=1)
+    run = Simulation(prepare(ball(400), Scene.named("drop").replaced(TORN), RunContext(threads=1)))
     return run, run.run()
 
 
 def test_what_lies_open_is_drawn_in_the_colour_above_it(torn):
     run, clip = torn
     added = clip.report["grains"]
-    assert added == len(clip.opacities) - len(run.gaussians) > 20
+    assert added == len(clip.opacities) - len(run.setup.gaussians) > 20
     assert clip.report["gaussians"] == len(clip.opacities)
     scales, means = clip.scales[:, -added:], clip.means[:, -added:]
     spacing = run.scene.spacing
@@ -53,15 +54,15 @@ def test_what_lies_open_is_drawn_in_the_colour_above_it(torn):
 def test_the_motion_and_the_surface_are_the_same_without_it(torn):
     run, clip = torn
     off = run.scene.replaced({"grains": False})
-    plain = Simulation(ball(400), off, threads=1).run()
-    assert len(plain.opacities) == len(run.gaussians) and plain.report["grains"] == 0
+    plain = Simulation(prepare(ball(400), off, RunContext(threads=1))).run()
+    assert len(plain.opacities) == len(run.setup.gaussians) and plain.report["grains"] == 0
     for name in ("means", "quats", "scales"):
         assert np.array_equal(getattr(plain, name), getattr(clip.surface, name))
 
 
 def test_nothing_is_added_where_nothing_tears():
     scene = Scene.named("press").replaced({"accuracy": {"cells": 8}, "time.frames": 4})
-    clip = Simulation(ball(400), scene, threads=1).run()
+    clip = Simulation(prepare(ball(400), scene, RunContext(threads=1))).run()
     assert clip.means.shape[1] == clip.report["gaussians"] and clip.report["grains"] == 0
 
 
@@ -76,7 +77,7 @@ def test_what_is_torn_may_have_no_inside():
 
 def test_a_paused_run_goes_on_with_what_lay_open(torn, tmp_path):
     run, whole = torn
-    again = Simulation(ball(400), run.scene, threads=1)
+    again = Simulation(prepare(ball(400), run.scene, RunContext(threads=1)))
     for frame in again:
         if frame.index == 4:
             break

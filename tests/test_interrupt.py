@@ -269,9 +269,10 @@ def test_ctrl_c_in_a_threaded_substep_does_not_hang():
 
 @pytest.mark.parametrize(("reports", "threads"), [(1, 2), (5, 4)])
 def test_exception_between_barriers_ends_all_threads(reports, threads):
-    from phy124.simulation import Simulation
+    from phy124.runtime.context import RunContext
+    from phy124.simulation import Simulation, prepare
 
-    run = Simulation(ball(800), SCENE, threads=threads)
+    run = Simulation(prepare(ball(800), SCENE, RunContext(threads=threads)))
     before = len(solving())
     team = run.solver.team
     hand_over, calls = team._hand_over, 0

@@ -18,7 +18,7 @@ from phy124.kernels import (
 from phy124.materials import FixedCorotated, NeoHookean, Sand
 from phy124.mpm import free
 from phy124.scene import Scene, preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support import device_kernels
 from support.cubin import ARCHITECTURES, usage
 from support.shapes import ball
@@ -118,7 +118,7 @@ def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
     """What runs on the CPU here, but for the rows of its vector units, would run there."""
     for name in preset_names():
         scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 3})
-        Simulation(ball(300), scene).run()
+        Simulation(prepare(ball(300), scene)).run()
     for name in ("project", "blend", "stage", "shadow"):
         importlib.import_module(f"phy124.kernels.splat.{name}")
     modules = [

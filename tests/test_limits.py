@@ -7,14 +7,14 @@ from phy124.budget.limits import check_limits, note_stiffest_part
 from phy124.errors import InputError
 from phy124.particles import make_particles
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 5}
 
 
 def run(**changes) -> Simulation:
-    return Simulation(ball(300), Scene.named("push_right").replaced({**QUICK, **changes}))
+    return Simulation(prepare(ball(300), Scene.named("push_right").replaced({**QUICK, **changes})))
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_the_setting_that_would_fit_fits(hard):
 
 def test_a_gpu_with_too_little_memory_is_named_before_the_run(monkeypatch):
     simulation = run()
-    needs = [simulation.gaussians, simulation.particles, simulation.scene]
+    needs = [simulation.setup.gaussians, simulation.setup.particles, simulation.scene]
     free = {"cpu": 1e12, "cuda:1": 1e5}
     monkeypatch.setattr("phy124.budget.limits.free_memory", lambda device="cpu": free[device])
     with pytest.raises(InputError, match=r"device = cuda:1: .* 0\.0 GB are free\. Use a coarser"):
@@ -87,7 +87,7 @@ def test_a_part_that_rules_the_substep_is_named():
     said = note_stiffest_part(scene)
     assert said and said.startswith("parts.0.material (rigid) is so stiff that it needs")
     assert "parts.0.static = true" in said
-    notes = Simulation(ball(300), scene.replaced(QUICK)).report()["notes"]
+    notes = Simulation(prepare(ball(300), scene.replaced(QUICK))).report()["notes"]
     assert any(note.startswith("parts.0.material (rigid)") for note in notes)
     slower = scene.replaced({"parts.0.material.speed": 0.02})
     assert note_stiffest_part(slower) is None

@@ -10,6 +10,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.live import Live, RealTime, choose, held_rate
 from phy124.live.inputs import GrabRecord, Inputs
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from support.pages import ROOT, blocks
 
@@ -26,7 +27,7 @@ def scene(**changes: object) -> Scene:
 
 
 def live(**changes: object) -> Live:
-    return Live(thing(), scene(**changes), threads=1)
+    return Live(thing(), scene(**changes), RunContext(threads=1))
 
 
 def middle(frame) -> np.ndarray:
@@ -249,7 +250,7 @@ def test_random_hands_never_break_it(inputs):
 
 
 def test_external_binding_gets_motion_without_shapes():
-    shaped, bare = live(), Live(thing(), scene(), threads=1, shapes=False)
+    shaped, bare = live(), Live(thing(), scene(), RunContext(threads=1), shapes=False)
     for run in (shaped, bare):
         run.step()
         run.grab((0, 0, 0.9))
@@ -266,9 +267,9 @@ def test_external_binding_gets_motion_without_shapes():
 
 
 def test_the_grid_is_as_fine_as_this_machine_holds():
-    slow = held_rate(thing(), scene(), rate=100, threads=1)
+    slow = held_rate(thing(), scene(), RunContext(threads=1), rate=100)
     assert slow.scene.resolution.cells == 8 and slow.scene.binding == "lattice"
-    exact = held_rate(thing(), scene(), max_error=0.15, threads=1)
+    exact = held_rate(thing(), scene(), RunContext(threads=1), max_error=0.15)
     assert exact.promise.error <= 0.15 and "at most" in exact.sentence
     with pytest.raises(InputError, match="rate"):
         held_rate(thing(), scene(), rate=float("nan"))

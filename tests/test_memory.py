@@ -15,9 +15,10 @@ from phy124.materials import LAWS
 from phy124.monitor.watchdog import Watchdog
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import stage_of
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
 from phy124.scene.scene import preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 EMPTY = ("empty", "empty_like")
@@ -90,7 +91,9 @@ FIRST = ("drop",)
 
 def results(preset, changes) -> dict[str, np.ndarray]:
     """Numbers that a run makes, and pictures of its end."""
-    run = Simulation(ball(300), Scene.named(preset).replaced({**FEW, **changes}), threads=1)
+    run = Simulation(
+        prepare(ball(300), Scene.named(preset).replaced({**FEW, **changes}), RunContext(threads=1))
+    )
     clip, camera = run.run(), Camera.orbit(30, 20, 2.5, (70, 50))
     frame, balance = run.frames[-1], run.find(Watchdog).balance
     found = {"means": clip.means, "quats": clip.quats, "scales": clip.scales}

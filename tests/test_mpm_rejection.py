@@ -12,8 +12,9 @@ from phy124.materials import NeoHookean
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.timestep import MEMORY, Extremes
 from phy124.mpm.tracks import Sine
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
 
 CALM = 1e-6
@@ -81,7 +82,9 @@ def test_stiffening_snow_is_sound_at_any_interval():
     hammer = Gaussians.from_rgb(means, quats, scales, np.full(1200, 0.9), np.full((1200, 3), 0.5))
     scene = Scene.named("snow").replaced({"accuracy": "draft", "time.frames": 16})
     often, rarely = (
-        Simulation(hammer, scene.replaced({"checks.measure": every}), threads=1).run()
+        Simulation(
+            prepare(hammer, scene.replaced({"checks.measure": every}), RunContext(threads=1))
+        ).run()
         for every in (1, 16)
     )
     extents = [np.ptp(clip.means[-1], axis=0) for clip in (often, rarely)]

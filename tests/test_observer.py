@@ -21,8 +21,9 @@ from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Solver
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation, Stopped
+from phy124.simulation import Simulation, Stopped, prepare
 from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 5, "boundaries": [], "forces": []}
@@ -74,7 +75,7 @@ class Height(Observer):
 
 def throw(observers: Sequence[type[Observer]] = (*OBSERVERS, Height)) -> Simulation:
     scene = Scene.named("drop").replaced({**QUICK, "object.velocity": (0, 0, 2.0)})
-    return Simulation(ball(200), scene, threads=1, observers=observers)
+    return Simulation(prepare(ball(200), scene, RunContext(threads=1), observers=observers))
 
 
 def test_an_observer_from_outside_is_asked_and_reported():
@@ -127,7 +128,7 @@ PROFILE = {"kind": "sine", "offset": 2.0}
 )
 def test_a_run_has_the_observers_its_scene_calls_for(changes, kinds):
     scene = Scene.named("drop").replaced({**QUICK, **changes})
-    run = Simulation(ball(200), scene, threads=1)
+    run = Simulation(prepare(ball(200), scene, RunContext(threads=1)))
     assert {type(observer) for observer in run.observers} == kinds
     assert run.find(Watchdog) is not None and find([], Watchdog) is None
 

@@ -6,7 +6,7 @@ from phy124.errors import InputError
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.scene import Part, Scene
 from phy124.schema.region import Region
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.parts import assign
 from phy124.studies.validation.bodies import make_solver
 from support.shapes import ball
@@ -48,7 +48,7 @@ def test_gaussians_that_ride_along_pick_what_is_near_them():
     assert np.array_equal(chosen == 1, GRID[:, 0] > 0)
     scene = Scene(parts=(part.model_copy(update={"gaussians": (0, 100)}),), binding="lattice")
     coarse = scene.replaced({"accuracy": {"cells": 8}, "time.frames": 1})
-    assert 0 < Simulation(ball(), coarse).particles.material.mean() < 1
+    assert 0 < prepare(ball(), coarse).particles.material.mean() < 1
 
 
 def test_refusals(tmp_path):
@@ -100,7 +100,7 @@ def test_the_stiff_half_bends_less():
             "time.frames": 7,
         }
     )
-    clip = Simulation(ball(), scene).run()
+    clip = Simulation(prepare(ball(), scene)).run()
     moved = np.linalg.norm(clip.means[-1] - clip.means[0], axis=1)
     left = clip.means[0, :, 1] < -0.2
     right = clip.means[0, :, 1] > 0.2

@@ -18,7 +18,7 @@ from phy124.generators.ply_file import PlyFile
 from phy124.io.axes import DIALECTS, turned
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from reference import formula
 from support.pages import blocks
 
@@ -29,11 +29,11 @@ TINY_LGM = Option((32, 32, 64), (False, True, True), (64, 32), (True, False), 32
 
 def centre_path(gaussians: Gaussians, scene: Scene, mass: float) -> np.ndarray:
     """Centre of mass at each frame [T,3], m, of an object of `mass` kg."""
-    weight = float(Simulation(gaussians, scene).particles.mass.sum())
+    weight = float(prepare(gaussians, scene).particles.mass.sum())
     scene = scene.replaced({"material.density": scene.material.density * mass / weight})
-    run, path = Simulation(gaussians, scene), []
-    fraction = run.particles.mass / run.particles.mass.sum()
-    assert float(run.particles.mass.sum()) == pytest.approx(mass, rel=1e-4)
+    run, path = Simulation(prepare(gaussians, scene)), []
+    fraction = run.setup.particles.mass / run.setup.particles.mass.sum()
+    assert float(run.setup.particles.mass.sum()) == pytest.approx(mass, rel=1e-4)
     for _ in run:
         path.append(fraction @ run.solver.state.x.numpy())
     return np.array(path)
@@ -148,7 +148,7 @@ def test_the_generator_of_the_documentation_runs(monkeypatch):
     assert isinstance(made, Gaussians)
     assert np.ptp(made.means, axis=0).max() == pytest.approx(1, abs=0.1)
     scene = Scene.named("drop").replaced({"accuracy": "draft", "time.frames": 2})
-    assert len(Simulation(made, scene).run()) == 2
+    assert len(Simulation(prepare(made, scene)).run()) == 2
 
 
 def test_the_table_of_dialects_is_the_reader_s(tmp_path):

@@ -44,7 +44,7 @@ from phy124.scene import Part, Scene
 from phy124.scene.reference import format_reference, format_schema
 from phy124.schema import plugins
 from phy124.schema.declaration import read_declaration
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.clips import random_clip
 from support.shapes import ball
 
@@ -130,7 +130,7 @@ def own(**changes) -> Scene:
 
 
 def test_instances_of_ones_own_classes_move():
-    run = Simulation(ball(300), own(forces=(Freeze(),)))
+    run = Simulation(prepare(ball(300), own(forces=(Freeze(),))))
     clip = run.run()
     assert clip.report["complete"] and "freeze" in run.solver.timings
     assert np.abs(clip.means[-1] - clip.means[0]).max() < 1e-5
@@ -140,7 +140,7 @@ def test_what_they_are_they_say_themselves():
     scene = own(forces=(Freeze(),))
     ran = Effects.of(scene).ran
     assert {"stress rubber", "particle forces", "collider table (separate)"} <= set(ran)
-    run = Simulation(ball(300), scene)
+    run = Simulation(prepare(ball(300), scene))
     assert run.solver.rejection.sudden(run.solver.clock)
     watchdog = run.find(Watchdog)
     watchdog._fastest = 2 * scene.material.sound_speed()
@@ -258,7 +258,7 @@ def test_the_examples_of_the_docs_move(monkeypatch):
     names = examples(monkeypatch)
     parts = {"forces": (names["Quake"](), Gravity()), "boundaries": (names["Ramp"](),)}
     scene = Scene(material=names["Rubber"](), **parts).replaced(QUICK)
-    clip = Simulation(ball(300), scene).run()
+    clip = Simulation(prepare(ball(300), scene)).run()
     assert clip.report["complete"]
     assert clip.means[-1, :, 0].mean() > clip.means[0, :, 0].mean()
     assert {"stress rubber", "collider ramp (separate)"} <= set(clip.report["effects"]["ran"])

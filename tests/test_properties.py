@@ -13,7 +13,7 @@ from phy124.materials import Fluid, NeoHookean, Sand
 from phy124.particles import Particles
 from phy124.properties import Properties, read_table
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.materials import with_properties
 from phy124.studies.validation.bodies import lattice, make_solver
 from support.shapes import ball
@@ -134,7 +134,7 @@ def test_voxels_without_bounds_fill_the_box_of_the_object(tmp_path):
 
 def test_a_uniform_file_is_the_scalar_bit_for_bit(tmp_path):
     gaussians, scene = ball(300), Scene.named("drop").replaced(QUICK)
-    plain = Simulation(gaussians, scene).run()
+    plain = Simulation(prepare(gaussians, scene)).run()
     law = scene.material
     alike = {"E": law.E, "nu": law.nu, "density": law.density, "damping": law.damping}
     per_gaussian = {name: np.full(300, value) for name, value in alike.items()}
@@ -142,7 +142,7 @@ def test_a_uniform_file_is_the_scalar_bit_for_bit(tmp_path):
     for name, arrays, sampling in (("one", per_gaussian, "nearest"), ("grid", dense, "trilinear")):
         file = saved(tmp_path / f"{name}.npz", **arrays)
         given = scene.replaced({"properties": {"file": str(file), "sampling": sampling}})
-        assert (Simulation(gaussians, given).run().means == plain.means).all()
+        assert (Simulation(prepare(gaussians, given)).run().means == plain.means).all()
 
 
 def test_layered_bar_stretches_by_its_compliances(tmp_path, monkeypatch):
@@ -184,10 +184,10 @@ def test_columns_of_the_gaussians_own_file(tmp_path):
     means = gaussians.means.copy()
     means[7] = np.nan
     scene = Scene.named("drop").replaced({**QUICK, "properties.file": str(tmp_path / "g.ply")})
-    run = Simulation(replace(gaussians, means=means), scene)
-    own = run.particles.gaussian >= 0
-    which = np.delete(np.arange(200), 7)[run.particles.gaussian[own]]
-    found = np.array([m.E for m in run.materials])[run.particles.material[own]]
+    run = Simulation(prepare(replace(gaussians, means=means), scene))
+    own = run.setup.particles.gaussian >= 0
+    which = np.delete(np.arange(200), 7)[run.setup.particles.gaussian[own]]
+    found = np.array([m.E for m in run.setup.materials])[run.setup.particles.material[own]]
     assert (found == stiff[which]).all() and 7 not in which
     report = run.run().report
     assert "stiffness per particle" in report["effects"]["ran"]
@@ -284,7 +284,7 @@ def test_fractions_multiply_e_as_stiffness_does(tmp_path):
     field = {"stiffness": {"kind": "gradient", "axis": "z", "first": 1.0, "last": 0.5}}
 
     def rows(changes) -> np.ndarray:
-        run = Simulation(gaussians, tiny.replaced({**changes, "binding": "particles"}))
+        run = Simulation(prepare(gaussians, tiny.replaced({**changes, "binding": "particles"})))
         return run.solver.model.groups[0].theta.numpy()[:, 0]
 
     plain, listed = rows({}), rows({"properties": {"file": str(tmp_path / "f.npy")}})

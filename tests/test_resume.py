@@ -7,9 +7,10 @@ from safetensors.numpy import save_file
 
 from phy124.errors import Cancelled, InputError
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.simulation import Interrupted, Simulation
+from phy124.simulation import Interrupted, Simulation, prepare
 from support.shapes import ball
 
 SCENE = {"accuracy": {"cells": 10}, "time.frames": 6}
@@ -22,8 +23,8 @@ SCENE = {"accuracy": {"cells": 10}, "time.frames": 6}
 )
 def test_a_paused_run_goes_on_bit_for_bit(tmp_path, changes):
     scene = Scene.named("press").replaced({**SCENE, **changes})
-    whole = Simulation(ball(800), scene).run()
-    run = Simulation(ball(800), scene)
+    whole = Simulation(prepare(ball(800), scene)).run()
+    run = Simulation(prepare(ball(800), scene))
     for frame in run:
         if frame.index == 2:
             break
@@ -50,7 +51,8 @@ class CancelAfter:
 def cut_short(gaussians, scene, reports, path, **options):
     """A run cancelled after so many reports, saved and taken up again: the clip."""
     with pytest.raises(Interrupted) as cut:
-        Simulation(gaussians, scene, progress=CancelAfter(reports), **options).run()
+        context = RunContext(progress=CancelAfter(reports), **options)
+        Simulation(prepare(gaussians, scene, context)).run()
     resume.save(cut.value.run, path)
     return resume.load(path).run()
 
@@ -78,7 +80,7 @@ FLYING = {"object.velocity": [0, 0, -30], "material": {"law": "sand"}}
 def test_cancelled_within_a_frame_it_goes_on_bit_for_bit(tmp_path, preset, changes, options):
     """The half-made frame is taken back, and the books, the windows and the limits with it."""
     scene = Scene.named(preset).replaced({**SCENE, **changes})
-    whole = Simulation(ball(800), scene, **options).run()
+    whole = Simulation(prepare(ball(800), scene, RunContext(**options))).run()
     wanted, wanted_balance = without_times(whole.report)
     for fraction in (0.3, 0.8):
         reports = int(fraction * whole.report["substeps"])
@@ -91,7 +93,7 @@ def test_cancelled_within_a_frame_it_goes_on_bit_for_bit(tmp_path, preset, chang
 
 
 def test_cancelled_retry_restores_the_substep(tmp_path):
-    run = Simulation(ball(800), Scene.named("press").replaced(SCENE))
+    run = Simulation(prepare(ball(800), Scene.named("press").replaced(SCENE)))
     run._failed_dt = 1.0
     usual = run.solver.clock.cfl, run.solver.clock.ceiling
     with pytest.raises(Cancelled), run._half_substep():
@@ -100,21 +102,21 @@ def test_cancelled_retry_restores_the_substep(tmp_path):
 
 
 def test_what_was_said_about_a_run_and_its_seconds_are_kept(tmp_path):
-    run = Simulation(ball(800), Scene.named("press").replaced(SCENE))
+    run = Simulation(prepare(ball(800), Scene.named("press").replaced(SCENE)))
     next(iter(run))
-    run.watch.seconds["generate"] = 7.0
+    run.setup.context.watch.seconds["generate"] = 7.0
     resume.save(run, tmp_path / "pause", about={"generator": "relief"})
     assert resume.read_about(tmp_path / "pause")["generator"] == "relief"
     assert resume.read_about(tmp_path / "pause")["frames"] == 1
     watch = Stopwatch()
-    resume.load(tmp_path / "pause", watch=watch)
+    resume.load(tmp_path / "pause", RunContext(watch=watch))
     assert watch.seconds["generate"] == 7.0
-    assert watch.total >= run.watch.seconds["particles"]
+    assert watch.total >= run.setup.context.watch.seconds["particles"]
 
 
 def test_pauses_of_other_versions_are_refused(tmp_path):
     """What they hold is not the state of today, so going on would be another run."""
-    run = Simulation(ball(200), Scene.named("press").replaced(SCENE))
+    run = Simulation(prepare(ball(200), Scene.named("press").replaced(SCENE)))
     resume.save(run, tmp_path / "run")
     with safe_open(tmp_path / "run", framework="np") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
@@ -125,7 +127,7 @@ def test_pauses_of_other_versions_are_refused(tmp_path):
 
 
 def test_leaving_the_loop_and_iterating_again_goes_on():
-    run = Simulation(ball(800), Scene.named("press").replaced(SCENE))
+    run = Simulation(prepare(ball(800), Scene.named("press").replaced(SCENE)))
     first = [next(iter(run)).index for _ in range(1)]
     rest = [frame.index for frame in run]
     assert first + rest == [0, 1, 2, 3, 4, 5]
@@ -137,7 +139,9 @@ def test_refusals(tmp_path):
     (tmp_path / "text").write_text("hello")
     with pytest.raises(InputError, match="it cannot be read"):
         resume.load(tmp_path / "text")
-    Simulation(ball(800), Scene.named("push_right").replaced(SCENE)).run().save(tmp_path / "clip")
+    Simulation(prepare(ball(800), Scene.named("push_right").replaced(SCENE))).run().save(
+        tmp_path / "clip"
+    )
     with pytest.raises(InputError, match="it is not a paused run"):
         resume.load(tmp_path / "clip")
 
@@ -145,7 +149,7 @@ def test_refusals(tmp_path):
 def test_a_damaged_pause_is_refused(tmp_path):
     """One byte of an array is another."""
     path = tmp_path / "run"
-    resume.save(Simulation(ball(200), Scene.named("press").replaced(SCENE)), path)
+    resume.save(Simulation(prepare(ball(200), Scene.named("press").replaced(SCENE))), path)
     whole = bytearray(path.read_bytes())
     whole[-1] ^= 1
     path.write_bytes(whole)

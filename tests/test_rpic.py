@@ -13,9 +13,10 @@ from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Scheme
 from phy124.mpm.timestep import beside_rpic
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
-from phy124.simulation.kernels import kernels
+from phy124.simulation import Simulation, prepare
+from phy124.simulation.solver import kernels
 from phy124.studies.validation.accuracy.problems import angular_momentum
 from phy124.studies.validation.bodies import block, make_solver
 from reference.physgaussian import Original, Recording
@@ -207,7 +208,9 @@ def test_rpic_loss_is_numerical_and_threads_agree():
                 "time": {"frames": 16, "sleep": False},
             }
         )
-        energy = Simulation(ball, scene, threads=threads).run().report["energy"]
+        energy = (
+            Simulation(prepare(ball, scene, RunContext(threads=threads))).run().report["energy"]
+        )
         assert energy["material"] == 0
         lost.append(energy["numerical"])
     assert lost[1] > 1.2 * lost[0] > 0

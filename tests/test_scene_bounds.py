@@ -12,8 +12,9 @@ import pytest
 from PIL import Image
 
 from phy124.errors import InputError
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.declared import Leaf, beyond, leaves, legal
 from support.shapes import ball
 
@@ -108,7 +109,7 @@ def accepted(declared: list[Leaf], *, odd: bool) -> Iterator[tuple[str, Scene]]:
 def run(name: str, scene: Scene) -> None:
     """Two frames without a NaN, or a sentence that says why not."""
     try:
-        clip = Simulation(OBJECT, scene, threads=1).run()
+        clip = Simulation(prepare(OBJECT, scene, RunContext(threads=1))).run()
     except InputError as refusal:
         assert len(str(refusal)) > 40, name
         assert not FOREIGN.search(str(refusal)), name

@@ -12,7 +12,7 @@ from phy124.gaussians import Gaussians
 from phy124.particles import make_particles
 from phy124.pipeline import resume
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.parts import with_materials
 from support.shapes import ball
 
@@ -44,7 +44,7 @@ def drop(changes: dict) -> Scene:
 @pytest.fixture(scope="module")
 def pair() -> Simulation:
     """A ball falls, the other hangs beside it."""
-    return Simulation(two_balls(), drop(PAIR | STATIC))
+    return Simulation(prepare(two_balls(), drop(PAIR | STATIC)))
 
 
 @pytest.fixture(scope="module")
@@ -66,17 +66,17 @@ def test_static_gaussians_are_in_every_frame_bit_for_bit(pair, clip):
 
 def test_the_solver_never_hears_of_them(pair, clip):
     """Five times as many static ones: as many particles and launches as before."""
-    more = Simulation(two_balls(5), drop(PAIR | STATIC))
+    more = Simulation(prepare(two_balls(5), drop(PAIR | STATIC)))
     report = more.run().report
     assert pair.particles.x[:, 1].max() < 0
     counts = [{n: k for n, (_, k) in r.solver.timings.items()} for r in (pair, more)]
     assert counts[0] == counts[1]
     # The size of an object is a quantile's: 0.5 % apart here.
     assert len(more.solver.model) == pytest.approx(len(pair.solver.model), rel=0.005)
-    everything = Simulation(two_balls(), drop(PAIR))
+    everything = Simulation(prepare(two_balls(), drop(PAIR)))
     everything.run()
     assert set(everything.solver.timings) == set(counts[0])
-    assert len(everything.particles) > 1.9 * len(pair.particles)
+    assert len(everything.setup.particles) > 1.9 * len(pair.particles)
     half = everything.report()["mass"] / 2
     assert clip.report["mass"] == pytest.approx(half, rel=0.01)
     assert "static Gaussians: 1500 never enter the solver" in report["effects"]["ran"]
@@ -95,14 +95,14 @@ def test_colours_of_static_gaussians_do_not_turn(rng, binding):
     given = two_balls()
     given = replace(given, sh=rng.normal(size=(2 * COUNT, 4, 3)).astype(np.float32))
     spin = {"object.spin": [0, 0, 3.0], "velocities": True, "binding": binding}
-    run = Simulation(given, drop(PAIR | STATIC | spin))
+    run = Simulation(prepare(given, drop(PAIR | STATIC | spin)))
     frames = list(run)
-    clip, still = run.clip(), run.gaussians.means[:, 1] > 0
+    clip, still = run.clip(), run.setup.gaussians.means[:, 1] > 0
     assert clip.rotations is not None and clip.velocities is not None
     for frame in (frames[3], clip.frame(3)):
         sh = frame.gaussians.sh
-        assert np.array_equal(sh[still], run.gaussians.sh[still])
-        assert np.abs(sh[~still] - run.gaussians.sh[~still]).max() > 0.01
+        assert np.array_equal(sh[still], run.setup.gaussians.sh[still])
+        assert np.abs(sh[~still] - run.setup.gaussians.sh[~still]).max() > 0.01
         assert np.array_equal(frame.gaussians.means, clip.means[3])
         assert not frame.velocities[still].any()
         assert frame.velocities[~still].any(axis=1).all()
@@ -113,12 +113,14 @@ def test_a_cut_leaves_the_moving_half_filled():
     """The foot of a ball is static: what is above is still a solid body, not a shell."""
     foot = {"parts": [{"static": True, "region": {"upper": [9, 9, 0.3]}}]}
     scene = drop({"accuracy": {"cells": 10}, "object.lift": 0.0} | foot)
-    whole = Simulation(ball(), drop({"accuracy": {"cells": 10}, "object.lift": 0.0}))
-    run = Simulation(ball(), scene)
-    assert run.particles.x[:, 2].min() > 0.3
-    above = whole.particles.x[:, 2] > 0.3
-    assert len(run.particles) == above.sum()
-    assert run.particles.volume.sum() == pytest.approx(whole.particles.volume[above].sum())
+    whole = Simulation(prepare(ball(), drop({"accuracy": {"cells": 10}, "object.lift": 0.0})))
+    run = Simulation(prepare(ball(), scene))
+    assert run.setup.particles.x[:, 2].min() > 0.3
+    above = whole.setup.particles.x[:, 2] > 0.3
+    assert len(run.setup.particles) == above.sum()
+    assert run.setup.particles.volume.sum() == pytest.approx(
+        whole.setup.particles.volume[above].sum()
+    )
 
 
 def test_all_ways_to_pick_them_and_later_parts_win(tmp_path):
@@ -148,7 +150,7 @@ def test_all_ways_to_pick_them_and_later_parts_win(tmp_path):
 
 
 def test_a_paused_run_with_static_gaussians_goes_on_bit_for_bit(tmp_path, clip):
-    run = Simulation(two_balls(), drop(PAIR | STATIC))
+    run = Simulation(prepare(two_balls(), drop(PAIR | STATIC)))
     for frame in run:
         if frame.index == 1:
             break
@@ -160,7 +162,7 @@ def test_a_paused_run_with_static_gaussians_goes_on_bit_for_bit(tmp_path, clip):
 def test_refusals():
     everything = {"parts": [{"static": True, "region": {}}]}
     with pytest.raises(InputError, match="every Gaussian is static"):
-        Simulation(ball(COUNT), drop(everything))
+        Simulation(prepare(ball(COUNT), drop(everything)))
     both = {"static": True, "region": {}, "material": {"law": "sand"}}
     with pytest.raises(InputError, match="a static part has no material"):
         drop({"parts": [both]})

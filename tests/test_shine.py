@@ -20,9 +20,10 @@ from phy124.rendering.shine import (
     shine_of,
     surface,
 )
+from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 SMALL = {"accuracy": {"cells": 8}, "time.frames": 2, "object.lift": 0.1}
@@ -39,7 +40,7 @@ def solid():
 
 def clip_of(law):
     scene = Scene.named("drop").replaced({**SMALL, "material.law": law})
-    return Simulation(ball(600), scene, threads=1).run()
+    return Simulation(prepare(ball(600), scene, RunContext(threads=1))).run()
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,9 @@ from phy124.io.clip import Clip
 from phy124.mpm import Unstable
 from phy124.mpm.timestep import CFL
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.scenes import each_preset
 from support.shapes import ball
 
@@ -21,7 +22,7 @@ QUICK = {"accuracy": {"cells": 12}, "time.frames": 6}
 
 def run(name: str, **changes) -> Clip:
     scene = Scene.named(name).replaced({**QUICK, **changes})
-    return Simulation(ball(), scene).run()
+    return Simulation(prepare(ball(), scene)).run()
 
 
 def middle(clip: Clip) -> np.ndarray:
@@ -42,15 +43,15 @@ def test_every_preset_runs_and_keeps_the_object_whole(name):
 
 def test_the_first_frame_is_the_object_at_rest():
     scene = Scene.named("press").replaced(QUICK)
-    s = Simulation(ball(), scene)
+    s = Simulation(prepare(ball(), scene))
     first = next(iter(s)).gaussians
-    assert np.array_equal(first.means, s.gaussians.means)
-    assert np.allclose(first.scales, s.gaussians.scales, rtol=1e-6)
-    assert np.allclose(first.quats, s.gaussians.quats, atol=1e-6)
+    assert np.array_equal(first.means, s.setup.gaussians.means)
+    assert np.allclose(first.scales, s.setup.gaussians.scales, rtol=1e-6)
+    assert np.allclose(first.quats, s.setup.gaussians.quats, atol=1e-6)
 
 
 def test_each_frame_is_told_as_soon_as_it_is_there():
-    simulation, seen = Simulation(ball(), Scene.named("press").replaced(QUICK)), []
+    simulation, seen = Simulation(prepare(ball(), Scene.named("press").replaced(QUICK))), []
     clip = simulation.run(lambda frame: seen.append((frame.index, simulation.count)))
     assert seen == [(index, index + 1) for index in range(len(clip))]
 
@@ -133,14 +134,14 @@ def test_progress_may_cancel_between_substeps():
         if len(calls) == 5:
             raise Cancelled
 
-    s = Simulation(ball(), Scene.named("press").replaced(QUICK), progress=stop)
+    s = Simulation(prepare(ball(), Scene.named("press").replaced(QUICK), RunContext(progress=stop)))
     with pytest.raises(Cancelled):
         s.run()
     assert s.solver.clock.substeps < 10
 
 
 def test_an_unstable_frame_is_tried_again_then_given_up(monkeypatch):
-    s = Simulation(ball(), Scene.named("push_right").replaced(QUICK))
+    s = Simulation(prepare(ball(), Scene.named("push_right").replaced(QUICK)))
     tried = []
 
     def fail(until, **_):
@@ -180,7 +181,7 @@ def test_node_plane_is_three_quarters_below_the_floor(height):
     """Only then does the object touch the floor instead of hovering above or sinking into it."""
     boundaries = [{"kind": "ground", "height": height}]
     scene = Scene.from_data({"boundaries": boundaries, "accuracy": {"cells": 10}})
-    grid = Simulation(ball(800), scene).solver.grid
+    grid = Simulation(prepare(ball(800), scene)).solver.grid
     below = (height - grid.origin[2]) / grid.dx
     assert abs(below % 1 - 0.75) < 1e-9
 
@@ -190,13 +191,13 @@ def test_nothing_visible_is_refused():
     from dataclasses import replace
 
     with pytest.raises(InputError, match="none of them is finite and visible"):
-        Simulation(replace(g, opacities=g.opacities * 0), Scene())
+        Simulation(prepare(replace(g, opacities=g.opacities * 0), Scene()))
 
 
 def test_streaming_run_gives_equal_frames_and_no_clip(tmp_path):
     scene = Scene.named("press").replaced(QUICK)
-    kept = Simulation(ball(400), scene).run()
-    s = Simulation(ball(400), scene, keep=False)
+    kept = Simulation(prepare(ball(400), scene)).run()
+    s = Simulation(prepare(ball(400), scene, keep=False))
     for frame in s:
         assert np.array_equal(frame.gaussians.means, kept.means[frame.index])
         assert s.frames == [frame]
@@ -214,16 +215,16 @@ def test_streaming_run_gives_equal_frames_and_no_clip(tmp_path):
 
 def test_memory_for_frames_that_are_not_kept_is_not_asked_for():
     scene = Scene.named("press").replaced({**QUICK, "time.frames": 10_000})
-    s = Simulation(ball(400), scene, keep=False)
-    kept = estimate(s.gaussians, s.particles, scene, "cpu")
-    assert kept.memory - s.demand.memory == pytest.approx(9_999 * 40 * 400)
+    s = Simulation(prepare(ball(400), scene, keep=False))
+    kept = estimate(s.setup.gaussians, s.setup.particles, scene, "cpu")
+    assert kept.memory - s.setup.estimate.memory == pytest.approx(9_999 * 40 * 400)
 
 
 SHORT = {"accuracy": {"cells": 8}, "time.frames": 5}
 
 
 def pushed(**changes) -> Simulation:
-    return Simulation(ball(300), Scene.named("push_right").replaced({**SHORT, **changes}))
+    return Simulation(prepare(ball(300), Scene.named("push_right").replaced({**SHORT, **changes})))
 
 
 def test_a_frame_that_fails_once_is_retried_from_its_start(monkeypatch):

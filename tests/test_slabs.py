@@ -17,10 +17,11 @@ from phy124.materials import LAWS, NeoHookean, Sand
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Unstable
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.runtime.cores import MOST_THREADS
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import make_solver
 from support.shapes import ball
 
@@ -155,15 +156,17 @@ SCENE = {"accuracy": {"cells": 10}, "time.frames": 5}
 @pytest.fixture(scope="module")
 def whole():
     """The clip of a run with three threads."""
-    return Simulation(ball(600), Scene.named("wind").replaced(SCENE), threads=3).run()
+    return Simulation(
+        prepare(ball(600), Scene.named("wind").replaced(SCENE), RunContext(threads=3))
+    ).run()
 
 
 @pytest.mark.parametrize("threads", [None, 3, 2, 1])
 def test_resume_is_exact_or_names_other_threads(tmp_path, whole, threads):
-    run = Simulation(ball(600), Scene.named("wind").replaced(SCENE), threads=3)
+    run = Simulation(prepare(ball(600), Scene.named("wind").replaced(SCENE), RunContext(threads=3)))
     list(itertools.islice(run, 3))
     resume.save(run, tmp_path / "pause.safetensors")
-    clip = resume.load(tmp_path / "pause.safetensors", threads=threads).run()
+    clip = resume.load(tmp_path / "pause.safetensors", RunContext(threads=threads)).run()
     said = [note for note in clip.report["notes"] if "thread" in note]
     if threads in (None, 3):
         assert np.array_equal(clip.means, whole.means) and not said
@@ -185,7 +188,11 @@ def test_a_frame_that_is_taken_back_takes_back_its_slabs(whole):
                 raise Cancelled
 
     progress = Once()
-    run = Simulation(ball(600), Scene.named("wind").replaced(SCENE), threads=3, progress=progress)
+    run = Simulation(
+        prepare(
+            ball(600), Scene.named("wind").replaced(SCENE), RunContext(threads=3, progress=progress)
+        )
+    )
     with pytest.raises(Cancelled):
         run.run()
     assert run.count < 5
@@ -195,7 +202,7 @@ def test_a_frame_that_is_taken_back_takes_back_its_slabs(whole):
 @pytest.mark.parametrize("threads", [0, -2, MOST_THREADS + 1])
 def test_a_number_of_threads_that_cannot_be_used_is_refused(threads):
     with pytest.raises(InputError, match="1 to 256 threads"):
-        Simulation(ball(600), Scene.named("press"), threads=threads)
+        Simulation(prepare(ball(600), Scene.named("press"), RunContext(threads=threads)))
 
 
 @pytest.mark.slow
@@ -205,7 +212,10 @@ def test_every_preset_and_law_does_as_with_one_thread(name, threads):
     preset, _, law = name.partition(" ")
     changes = {"accuracy": {"cells": 10}, "time.frames": 4}
     scene = Scene.named(preset).replaced({**changes, **({"material.law": law} if law else {})})
-    runs = (Simulation(ball(500), scene, threads=n).run() for n in (1, threads, threads))
+    runs = (
+        Simulation(prepare(ball(500), scene, RunContext(threads=n))).run()
+        for n in (1, threads, threads)
+    )
     one, some, again = runs
     assert np.array_equal(some.means, again.means)
     # Walls begin to act, and grains to yield, in another substep once rounding differs.

@@ -12,7 +12,7 @@ from phy124.monitor.sleep import STILL, Sleep, next_change
 from phy124.mpm.tracks import Constant, Keyframes, Ramp, Sine, Track
 from phy124.pipeline import resume
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import lattice
 from support.shapes import ball
 
@@ -69,7 +69,7 @@ def test_at_rest_it_sleeps_until_a_blow_and_nothing_differs():
     """Without forces rest is exact: what comes after the blow is the same bit for bit."""
     runs = []
     for sleep in (True, False):
-        run = Simulation(ball(300), scene(forces=[BLOW], **{"time.sleep": sleep}))
+        run = Simulation(prepare(ball(300), scene(forces=[BLOW], **{"time.sleep": sleep})))
         runs.append((run, run.run()))
     (slept, a), (_, b) = runs
     assert np.array_equal(a.means, b.means) and np.array_equal(a.quats, b.quats)
@@ -92,7 +92,7 @@ def test_settled_block_sleeps_within_the_tolerance():
     floor = [{"kind": "ground", "contact": "sticky"}]
     for sleep in (True, False):
         changes = {"material.E": 4e6, "time.frames": 34, "time.sleep": sleep}
-        run = Simulation(cube(), scene(forces=forces, boundaries=floor, **changes))
+        run = Simulation(prepare(cube(), scene(forces=forces, boundaries=floor, **changes)))
         clips.append(run.run())
         report = run.report()["sleep"]
         if sleep:
@@ -112,7 +112,7 @@ def test_a_thrown_body_never_sleeps_in_the_air(fps, frames):
     """At frame 10 it stands still for an instant; at 1000 frames/s the frames around look still."""
     up = 9.81 * 10 / fps
     changes = {"time.fps": fps, "time.frames": frames, "object.velocity": [0, 0, up]}
-    run = Simulation(ball(200), scene(**changes, **{"object.lift": 0.5}))
+    run = Simulation(prepare(ball(200), scene(**changes, **{"object.lift": 0.5})))
     highest = max((float(f.gaussians.means[:, 2].mean()), f.index) for f in run)[1]
     assert highest == 10
     assert run.report()["sleep"] is None
@@ -122,7 +122,9 @@ def test_what_creeps_slowly_does_not_sleep():
     """A thick fluid that sinks by less than a tenth of the tolerance per frame."""
     material = {"law": "fluid", "viscosity": 2e3, "bulk_modulus": 2e5}
     forces = [{"kind": "gravity", "g": [0, 0, -0.01]}, {**DAMPING, "rate": 5.0}]
-    run = Simulation(ball(300), scene(material=material, forces=forces, **{"time.frames": 40}))
+    run = Simulation(
+        prepare(ball(300), scene(material=material, forces=forces, **{"time.frames": 40}))
+    )
     clip = run.run()
     per_frame = np.abs(np.diff(clip.means, axis=0)).max(axis=(1, 2))
     assert 0 < per_frame[20:].max() < STILL / 3
@@ -133,10 +135,10 @@ def test_what_creeps_slowly_does_not_sleep():
 def test_something_that_moves_anywhere_keeps_it_awake():
     swing = {"kind": "swing", "amplitude": [0.1, 0, 0], "frequency": 1.0}
     far = {"kind": "sphere", "centre": [0, 0, 90.0], "radius": 1.0, "motion": swing}
-    awake = Simulation(ball(300), scene(forces=[], boundaries=[far]))
+    awake = Simulation(prepare(ball(300), scene(forces=[], boundaries=[far])))
     awake.run()
     assert awake.report()["sleep"] is None
-    still = Simulation(ball(300), scene(forces=[], boundaries=[{**far, "motion": None}]))
+    still = Simulation(prepare(ball(300), scene(forces=[], boundaries=[{**far, "motion": None}])))
     still.run()
     assert still.report()["sleep"] is not None
     left_out = awake.report()["effects"]["left_out"]
@@ -147,8 +149,8 @@ def test_something_that_moves_anywhere_keeps_it_awake():
 @pytest.mark.parametrize("pause", [1, 2, 4, 8])
 def test_a_run_paused_asleep_goes_on_bit_for_bit(tmp_path, pause):
     chosen = scene(forces=[BLOW])
-    whole = Simulation(ball(300), chosen).run()
-    run = Simulation(ball(300), chosen)
+    whole = Simulation(prepare(ball(300), chosen)).run()
+    run = Simulation(prepare(ball(300), chosen))
     for frame in run:
         if frame.index == pause:
             break
@@ -167,7 +169,7 @@ def test_colours_of_a_run_resumed_asleep_stay_turned(tmp_path, rng):
     turn = {"kind": "set_velocity", "spin": [0, 0, 1.0], "centre": [0, 0, 0], "end": 0.25}
     stop = {"kind": "set_velocity", "start": 0.25}
     chosen = scene(forces=[turn, stop], **{"material.E": 1e6, "time.frames": 20})
-    run, streamed = Simulation(given, chosen), []
+    run, streamed = Simulation(prepare(given, chosen)), []
     for frame in run:
         streamed.append(frame)
         if frame.index == 17:

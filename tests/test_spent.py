@@ -6,14 +6,14 @@ import pytest
 
 from phy124.mpm.threads import Team
 from phy124.scene import Scene
-from phy124.simulation import Simulation, spent
+from phy124.simulation import Simulation, prepare, spent
 from phy124.simulation.spent import Spent
 from support.shapes import ball
 
 
 def run(**changes) -> Simulation:
     quick = {"accuracy": {"cells": 8}, "time.frames": 4, "time.budget": 60.0}
-    return Simulation(ball(100), Scene.named("drop").replaced({**quick, **changes}))
+    return Simulation(prepare(ball(100), Scene.named("drop").replaced({**quick, **changes})))
 
 
 def test_a_busy_machine_does_not_stop_a_run(monkeypatch):

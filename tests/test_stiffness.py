@@ -11,7 +11,7 @@ from phy124.materials import Fluid, NeoHookean, Plasticine, Rigid
 from phy124.properties.stiffness import Gradient, Picture
 from phy124.scene import Scene
 from phy124.schema.region import Region
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import lattice, make_solver
 from support.shapes import ball
 
@@ -140,11 +140,11 @@ def test_the_soft_end_gives_way_more_and_the_report_says_so():
             "time.frames": 7,
         }
     )
-    run = Simulation(ball(), scene)
+    run = Simulation(prepare(ball(), scene))
     clip = run.run()
     F = run.solver.state.F.numpy()
     strain = np.linalg.norm(np.swapaxes(F, 1, 2) @ F - np.eye(3), axis=(1, 2))
-    y = run.particles.x[:, 1]
+    y = run.setup.particles.x[:, 1]
     assert strain[y < -0.2].mean() > 1.5 * strain[y > 0.2].mean()
     assert "stiffness per particle" in clip.report["effects"]["ran"]
     assert Scene.from_data(scene.data()) == scene
@@ -162,7 +162,7 @@ def test_the_soft_end_gives_way_more_and_the_report_says_so():
 def test_refusals(changes, message):
     field = {"stiffness": {"kind": "gradient", "last": 0.01}, "accuracy": {"cells": 8}}
     with pytest.raises(InputError, match=message):
-        Simulation(ball(400), Scene.named("drop").replaced({**field, **changes}))
+        Simulation(prepare(ball(400), Scene.named("drop").replaced({**field, **changes})))
 
 
 @pytest.mark.parametrize(

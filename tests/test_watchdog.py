@@ -20,7 +20,7 @@ from phy124.mpm import Solver, Unstable
 from phy124.mpm.tracks import Sine
 from phy124.scene import Scene
 from phy124.schema.region import Region
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
 from support.shapes import ball, watch_run
 
@@ -307,7 +307,7 @@ def test_a_stiff_body_that_turns_slowly_runs_through():
             "binding": "lattice",
         }
     )
-    clip = Simulation(ball(40), scene).run()
+    clip = Simulation(prepare(ball(40), scene)).run()
     assert clip.report["complete"]
     assert any("tremor" in note for note in clip.report["notes"])
     assert 1 - clip.report["balance"]["min_J"] < 3e-4

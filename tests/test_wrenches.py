@@ -13,9 +13,10 @@ from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
 from phy124.monitor.wrenches import Wrenches, summary, wall_names
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
 from support.pages import ROOT
 from support.shapes import ball
@@ -69,7 +70,7 @@ def test_they_add_up_to_the_change_of_both_momenta(threads):
 def test_a_body_at_rest_weighs_on_the_ground():
     scene = Scene.named("drop").replaced({**SCENE, "material.damping": 60, "time.frames": 60})
     scene = scene.replaced({"object.lift": 0.0, "object.size": 0.2, "material.E": 2e4})
-    clip = Simulation(ball(400), scene).run()
+    clip = Simulation(prepare(ball(400), scene)).run()
     weight = 9.81 * clip.report["mass"]
     assert not clip.wrenches[0].any()
     (force, torque) = clip.frame(59).wrenches["ground"]
@@ -87,7 +88,7 @@ def test_walls_of_one_boundary_are_told_apart():
     assert wall_names([Ground(), Box(), Box()]) == ["ground", "box", "box_2"]
     gripper = {"kind": "gripper", "closed": 0.8, "opening": 1.0, "close": 0.1, "thick": 0.5}
     scene = Scene.named("drop").replaced({**SCENE, "boundaries": [gripper], "time.fps": 24.0})
-    clip = Simulation(ball(400), scene).run()
+    clip = Simulation(prepare(ball(400), scene)).run()
     assert clip.walls == ("gripper_y_low", "gripper_y_high")
     low, high = clip.wrenches[-1, :, 0, 1]
     assert low < 0 < high, "the ball pushes the pads apart"
@@ -96,8 +97,10 @@ def test_walls_of_one_boundary_are_told_apart():
 
 def test_clips_keep_them_and_old_clips_have_none(tmp_path):
     scene = Scene.named("press").replaced(SCENE)
-    plain = Simulation(ball(300), scene.replaced({"wrenches": False}), threads=1).run()
-    clip = Simulation(ball(300), scene, threads=1).run()
+    plain = Simulation(
+        prepare(ball(300), scene.replaced({"wrenches": False}), RunContext(threads=1))
+    ).run()
+    clip = Simulation(prepare(ball(300), scene, RunContext(threads=1))).run()
     assert plain.wrenches is None and plain.walls == () and plain.report["walls"] is None
     assert np.array_equal(plain.means, clip.means) and np.array_equal(plain.scales, clip.scales)
     clip.save(tmp_path / "clip.safetensors")
@@ -112,8 +115,8 @@ def test_clips_keep_them_and_old_clips_have_none(tmp_path):
 
 def test_a_paused_run_goes_on_with_them(tmp_path):
     scene = Scene.named("press").replaced(SCENE)
-    whole = Simulation(ball(300), scene, threads=1).run()
-    run = Simulation(ball(300), scene, threads=1)
+    whole = Simulation(prepare(ball(300), scene, RunContext(threads=1))).run()
+    run = Simulation(prepare(ball(300), scene, RunContext(threads=1)))
     for frame in run:
         if frame.index == 1:
             break
@@ -123,7 +126,7 @@ def test_a_paused_run_goes_on_with_them(tmp_path):
 
 
 def test_without_walls_there_are_none():
-    run = Simulation(ball(300), Scene.named("spin").replaced({**SCENE, "boundaries": []}))
+    run = Simulation(prepare(ball(300), Scene.named("spin").replaced({**SCENE, "boundaries": []})))
     clip = run.run()
     assert (
         clip.wrenches.shape == (4, 0, 2, 3) and summary(run.frames, run.find(Wrenches).walls) == {}

@@ -55,6 +55,7 @@ def steered(
 
     from phy124.accuracy.promises import promise
     from phy124.live import Live, held_rate
+    from phy124.runtime.context import RunContext
     from phy124.runtime.device import pick_device
     from phy124.scene import parse_changes
     from phy124.simulation.bodies import thickness_of
@@ -65,14 +66,14 @@ def steered(
     device = pick_device(options.device)
     gaussians, scene = _object(source, options, device)
     scene = scene.replaced({"velocities": velocities})
-    given = {"device": device, "threads": options.threads}
+    context = RunContext(device=device, threads=options.threads)
     if "accuracy" in {name.split(".")[0] for name in parse_changes(options.set)}:
         promised = promise(scene, thickness_of(gaussians, scene))
         said = f"{scene.resolution.cells} cells across the object. {promised.brief}"
-        return Live(gaussians, scene, **given), said
+        return Live(gaussians, scene, context), said
     rate, error = max(speed, 0.01), options.max_error
-    chosen = held_rate(gaussians, scene, rate=rate, max_error=error, **given)
-    return Live(gaussians, chosen.scene, **given), chosen.sentence
+    chosen = held_rate(gaussians, scene, context, rate=rate, max_error=error)
+    return Live(gaussians, chosen.scene, context), chosen.sentence
 
 
 def _object(source: Path, options: SteeredOptions, device: str) -> tuple[Gaussians, Scene]:

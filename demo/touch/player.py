@@ -10,6 +10,7 @@ from typing import Any
 from phy124.errors import InputError
 from phy124.live import Live, RealTime, held_rate
 from phy124.live.limits import check_number
+from phy124.runtime.context import RunContext
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 
@@ -73,17 +74,15 @@ class Player:
         self._line, self._what = line, what
         order = what.order
         # The browser shapes the Gaussians, and wants a core of its own if it runs here.
-        options: dict[str, Any] = {
-            "device": pick_device(order.device), "threads": 1, "shapes": False,
-        }  # fmt: skip
+        context = RunContext(device=pick_device(order.device), threads=1)
         _say(line, kind="doing", text="Making the Gaussians …")
         order.cut(Deadline(PREPARING))
         gaussians = gaussians_of(order, made_gaussians(order))
         timing = order.scene.time.model_copy(update={"fps": FPS})
         _say(line, kind="doing", text="Finding a grid that runs in real time here …")
         asked = cropped(order.scene, order.others).model_copy(update={"time": timing})
-        chosen = held_rate(gaussians, asked, rate=RATE, **options)
-        self.live = Live(gaussians, chosen.scene, **options)
+        chosen = held_rate(gaussians, asked, context, rate=RATE, shapes=False)
+        self.live = Live(gaussians, chosen.scene, context, shapes=False)
         self.live.step()
         self._lattice, self._walls = Lattice(self.live), Walls(self.live)
         self._clock = RealTime(FPS)

@@ -128,10 +128,10 @@ class Watching:
             InputError: There are more particles than a run may have here.
         """
         self.note = f"{run.solver.clock.substeps} substeps"
-        if len(run.particles) > self.order.max_particles:
+        if len(run.setup.particles) > self.order.max_particles:
             raise InputError(
                 "accuracy",
-                f"{len(run.particles):,} particles",
+                f"{len(run.setup.particles):,} particles",
                 f"one run may have {self.order.max_particles:,} here.",
                 "Choose a coarser accuracy.",
             )

@@ -29,7 +29,7 @@ from phy124.rendering.frames import render_frames
 from phy124.rendering.shine import shine_of
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 HERE = Path(__file__).parent
 PRESETS = ("bounce", "drop", "press", "push_away", "push_right", "spin", "sway", "wind")
@@ -77,7 +77,7 @@ def row(preset: str, law: str, objects: list[Gaussians]) -> np.ndarray:
     cells = [labelled(law)]
     for name, gaussians in zip(PICTURES, objects, strict=True):
         try:
-            clip = Simulation(gaussians, scene).run()
+            clip = Simulation(prepare(gaussians, scene)).run()
         except InputError as refusal:
             print(f"{preset}, {law}, {name}: refused: {refusal}", flush=True)
             cells += 2 * [np.full((SIZE, SIZE, 3), 200, np.uint8)]
@@ -102,7 +102,7 @@ def real(name: str) -> np.ndarray:
         scene = Scene.named(preset).replaced({"accuracy": "draft"})
         file = PlyFile(str(OBJECTS / f"{name}.splat"), Reading(up="-y"))
         read = capture(file, scene, count=GAUSSIANS)
-        clip = Simulation(read.gaussians, read.scene).run()
+        clip = Simulation(prepare(read.gaussians, read.scene)).run()
         cells.append(shown(clip, scene, SMALL)[0])
     return np.concatenate(cells, axis=1)
 

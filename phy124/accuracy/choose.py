@@ -14,7 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -34,12 +34,14 @@ from phy124.accuracy.goal import MARGIN, UNIT, Goal, explain_time, format_error
 from phy124.budget.limits import duration
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.monitor.tearing import Tearing
-from phy124.progress import Progress, silent
+from phy124.progress import silent
+from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 CHEAP = (16, 24)
 """Cells across the object of the levels that are run first and may be chosen."""
@@ -74,14 +76,12 @@ def reach(
     goal: Goal,
     gaussians: Gaussians,
     scene: Scene,
+    context: RunContext | None = None,
     *,
     elapsed: float = 0.0,
-    device: str = "cpu",
-    progress: Progress = silent,
-    watch: Stopwatch | None = None,
+    crop: Crop = WHOLE,
     forecaster: Forecaster | None = None,
     see: Callable[[Simulation], object] = lambda run: None,
-    **options: Any,
 ) -> Reached:
     """Run a scene on the grid that meets a goal; the scene's own cells are ignored.
 
@@ -89,19 +89,18 @@ def reach(
         goal: An error or a time.
         gaussians: The object.
         scene: The scene.
+        context: Device, threads, progress and stopwatch.
         elapsed: Seconds of a target time that have been used already.
-        device: Warp device.
-        progress: Called with (stage, done, total); may raise Cancelled.
-        watch: Records the durations of the stages.
+        crop: Where the object is in the picture that the masks of parts were painted on.
         forecaster: Predicts times; None: a new one.
         see: Called with each run after each of its frames.
-        **options: Options of `Simulation`.
 
     Raises:
         InputError: No grid meets the goal; the message says what the best one would achieve.
     """
-    forecaster = forecaster or Forecaster(device, options.get("threads"))
-    runs = _Runs(gaussians, scene, device, progress, watch or Stopwatch(), options, see)
+    context = context or RunContext()
+    forecaster = forecaster or Forecaster(context.device, context.threads)
+    runs = _Runs(gaussians, scene, context, crop, see)
     if goal.kind == "seconds":
         return _meet_time(goal, runs, forecaster, elapsed)
     return _meet_error(goal, runs)
@@ -113,10 +112,8 @@ class _Runs:
 
     gaussians: Gaussians
     scene: Scene
-    device: str
-    progress: Progress
-    watch: Stopwatch
-    options: dict[str, Any]
+    context: RunContext
+    crop: Crop
     see: Callable[[Simulation], object] = lambda run: None
     """Called with each run after each of its frames."""
     done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
@@ -130,14 +127,8 @@ class _Runs:
         base = self.scene.resolution
         per_axis = self.scene.particles_per_axis + self.denser
         accuracy = base.model_copy(update={"cells": cells, "particles_per_axis": per_axis})
-        return Simulation(
-            self.gaussians,
-            self.scene.model_copy(update={"accuracy": accuracy}),
-            device=self.device,
-            progress=self.progress,
-            watch=self.watch,
-            **self.options,
-        )
+        changed = self.scene.model_copy(update={"accuracy": accuracy})
+        return Simulation(prepare(self.gaussians, changed, self.context, crop=self.crop))
 
     def clip(self, cells: int) -> Clip:
         """Return the clip on a grid; run it if it does not exist yet."""
@@ -338,11 +329,11 @@ def in_time(
     goal: Goal,
     gaussians: Gaussians,
     scene: Scene,
+    context: RunContext | None = None,
     *,
     elapsed: float = 0.0,
-    device: str = "cpu",
+    crop: Crop = WHOLE,
     forecaster: Forecaster | None = None,
-    **options: Any,
 ) -> tuple[Scene, Forecast]:
     """Return the scene on the finest grid whose forecast fits a time, and the forecast.
 
@@ -352,16 +343,17 @@ def in_time(
         goal: The time.
         gaussians: The object.
         scene: The scene.
+        context: Device and threads.
         elapsed: Seconds of the time that have been used already.
-        device: Warp device.
+        crop: Where the object is in the picture that the masks of parts were painted on.
         forecaster: Predicts times; None: a new one.
-        **options: Options of `Simulation`.
 
     Raises:
         InputError: Even the coarsest grid would take longer; the message says how long.
     """
-    runs = _Runs(gaussians, scene, device, silent, Stopwatch(), options)
-    forecaster = forecaster or Forecaster(device, options.get("threads"))
+    context = replace(context or RunContext(), progress=silent, watch=Stopwatch())
+    runs = _Runs(gaussians, scene, context, crop)
+    forecaster = forecaster or Forecaster(context.device, context.threads)
     fit = _find_finest(goal, runs, forecaster, elapsed)
     return fit.simulation.scene, fit.forecast
 
@@ -376,9 +368,9 @@ class _Fit(NamedTuple):
 
 
 def _meet_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> Reached:
-    start = runs.watch.total
+    start = runs.context.watch.total
     cells, simulation, forecast, tried = _find_finest(goal, runs, forecaster, elapsed)
-    ready = runs.watch.total - start
+    ready = runs.context.watch.total - start
     clip = runs.run(simulation)
     about = {
         "target": goal.text,
@@ -393,20 +385,20 @@ def _meet_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) 
 
 def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
     """Return the finest grid whose forecast fits; if none does, raise InputError."""
-    available, start = MARGIN * goal.value - elapsed, runs.watch.total
+    available, start = MARGIN * goal.value - elapsed, runs.context.watch.total
     tried: dict[int, tuple[Simulation, Forecast]] = {}
     best, cells = 0, CHEAP[0]
     while cells and cells not in tried:
         simulation = runs.simulation(cells)
         forecast = forecaster.of(simulation)
         tried[cells] = simulation, forecast
-        left = available - (runs.watch.total - start)
+        left = available - (runs.context.watch.total - start)
         fits = forecast.seconds <= left
         best = max(best, cells) if fits else best
         cells = _choose_next(cells, forecast, left, fits, set(tried)) or 0
     if not best:
         coarsest = min(tried)
-        ready = elapsed + runs.watch.total - start
+        ready = elapsed + runs.context.watch.total - start
         raise explain_time(goal, runs.scene, coarsest, tried[coarsest][1], ready)
     return _Fit(best, *tried[best], sorted(tried))
 

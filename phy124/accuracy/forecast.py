@@ -21,9 +21,10 @@ from phy124.accuracy.probe import SubstepCost, probe, time_film, time_shapes
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
 from phy124.rendering.nearest import ROOM
+from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import AccuracyName, Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.parts import WHOLE, Crop
 
 UNSURE = 0.1
@@ -183,7 +184,12 @@ class Forecaster:
         """
         watch = Stopwatch()
         simulation = Simulation(
-            gaussians, scene, device=self.device, watch=watch, crop=crop, threads=self.threads
+            prepare(
+                gaussians,
+                scene,
+                RunContext(device=self.device, watch=watch, threads=self.threads),
+                crop=crop,
+            )
         )
         made = self.of(simulation)
         return made.with_measured("particles", watch.seconds["particles"])
@@ -203,16 +209,16 @@ class Forecaster:
         rates, nodes, each_frame = probe(simulation)
         substeps, limiters = pilot.substeps(scene.resolution.cells)
         mean_nodes = nodes * pilot.growth
-        particles = len(simulation.particles)
+        particles = len(simulation.setup.particles)
         per_substep = rates.particle * particles + rates.node * mean_nodes
         stages = {
             "simulate": substeps * per_substep + scene.time.frames * each_frame,
             "deform": scene.time.frames * time_shapes(simulation),
-            **(self._filming(simulation.shown, scene) if filming else {}),
+            **(self._filming(simulation.setup.shown, scene) if filming else {}),
         }
         return Forecast(
             stages, (), particles, round(mean_nodes), substeps, limiters, rates,
-            simulation.demand.memory, _caveat(pilot, limiters), load or self._meter.load(),
+            simulation.setup.estimate.memory, _caveat(pilot, limiters), load or self._meter.load(),
             self._thickness(simulation),
         )  # fmt: skip
 
@@ -228,11 +234,11 @@ class Forecaster:
 
     def _thickness(self, simulation: Simulation) -> float | None:
         size = simulation.scene.object.size
-        key = ("thickness", size, *_sample(simulation.gaussians))
-        return self._remember(key, lambda: simulation.thickness)
+        key = ("thickness", size, *_sample(simulation.setup.gaussians))
+        return self._remember(key, lambda: simulation.setup.thickness)
 
     def _pilot(self, simulation: Simulation) -> Pilot:
-        gaussians, scene, crop = simulation.gaussians, simulation.scene, simulation.crop
+        gaussians, scene, crop = simulation.setup.gaussians, simulation.scene, simulation.setup.crop
         key = ("pilot", *_sample(gaussians), _physics(coarsen(scene)), crop)
         return self._remember(
             key, lambda: run_pilot(gaussians, scene, device=self.device, crop=crop)

@@ -20,8 +20,9 @@ from phy124.boundaries.base import THINNEST
 from phy124.gaussians import Gaussians
 from phy124.monitor.softening import Softening
 from phy124.mpm import Unstable
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.parts import WHOLE, Crop
 
 CELLS = 16
@@ -101,7 +102,7 @@ def run_pilot(
     """
     coarse = coarsen(scene)
     cells = coarse.resolution.cells
-    simulation = Simulation(gaussians, coarse, device=device, crop=crop)
+    simulation = Simulation(prepare(gaussians, coarse, RunContext(device=device), crop=crop))
     solver, timing = simulation.solver, scene.time
     softening = simulation.find(Softening)
     counts = {name: np.zeros(timing.frames - 1) for name in LIMITERS}

@@ -24,7 +24,7 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.deform import Deformer
-from phy124.simulation.kernels import kernels
+from phy124.simulation.solver import kernels
 
 PROBE, MIN_PROBE = 20, 6
 """Largest and smallest number of substeps of a probe."""
@@ -132,11 +132,11 @@ def _node_fraction(solver: Solver) -> float:
 
 def time_shapes(simulation: Simulation) -> float:
     """Return the time to deform the Gaussians of a frame with strained particles [s]."""
-    solver, particles = simulation.solver, simulation.particles
+    solver, particles = simulation.solver, simulation.setup.particles
     rng = np.random.default_rng(0)
     F = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
     options: dict[str, Any] = {"device": simulation.device, "threads": len(solver.workers)}
-    deform = Deformer(simulation.scenery.moving, particles, **options)
+    deform = Deformer(simulation.setup.scenery.moving, particles, **options)
     x, v = solver.state.x, solver.state.v if simulation.scene.velocities else None
     deform(x, F, index=0, time=0.0, velocities=v)
     return measure_time(lambda: deform(x, F, index=1, time=0.0, velocities=v))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from phy124.accuracy import Forecaster
 from phy124.accuracy.choose import Goal, in_time
@@ -14,6 +13,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.effort import Effort
 from phy124.imaging.painted import Crop
+from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, summarise
 
@@ -90,11 +90,11 @@ def predict(
     if goal is None:
         forecast = forecaster.forecast(gaussians, scene, crop=crop)
     else:
-        options: dict[str, Any] = {
-            "device": device, "forecaster": forecaster, "crop": crop, "threads": threads,
-        }  # fmt: skip
         elapsed = sum(spent.values()) + (effort.seconds if effort else 0.0)
-        scene, forecast = in_time(goal, gaussians, scene, elapsed=elapsed, **options)
+        context = RunContext(device=device, threads=threads)
+        scene, forecast = in_time(
+            goal, gaussians, scene, context, elapsed=elapsed, crop=crop, forecaster=forecaster
+        )
     if effort is not None:
         forecast = forecast.with_predicted("generate", effort.seconds, STOOD_IN)
     for name, seconds in reversed(spent.items()):

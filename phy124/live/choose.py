@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
 from phy124.live.engine import Live
 from phy124.live.limits import check_number
+from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation.bodies import thickness_of
@@ -58,33 +60,35 @@ class Choice(NamedTuple):
 def held_rate(
     gaussians: Gaussians,
     scene: Scene,
+    context: RunContext | None = None,
     *,
     rate: float = 1.0,
     max_error: float | None = None,
-    **options: Any,
+    shapes: bool = True,
 ) -> Choice:
     """The finest grid on which a scene runs at a rate here, its Gaussians riding on a lattice.
 
     Args:
         gaussians: The object.
         scene: The scene; its own cells are ignored.
+        context: Device, threads and progress.
         rate: Simulated seconds per second, with a fifth of the time to spare.
         max_error: Largest error promised, in sizes of the object; the coarsest grid that has it
             is taken, fast enough or not. None: whatever the rate allows.
-        **options: Those of `Live`.
+        shapes: As for `Live`.
 
     Raises:
         InputError: The object or the scene cannot be used, or a number is out of bounds.
     """
-    rate = check_number("rate", rate, 0.01, 100)
+    rate, context = check_number("rate", rate, 0.01, 100), context or RunContext()
     thickness = thickness_of(gaussians, scene)
     if max_error is None:
-        cost = _trial(gaussians, _on(scene, TRIED), options)
+        cost = _trial(gaussians, _on(scene, TRIED), context, shapes)
         allowed = SPARE / (scene.time.fps * rate)
         cells = max((n for n in CELLS if cost.on(n) <= allowed), default=CELLS[0])
     else:
         cells = _exact_enough(scene, thickness, check_number("max_error", max_error, 1e-6, 1))
-        cost = _trial(gaussians, _on(scene, cells), options)
+        cost = _trial(gaussians, _on(scene, cells), context, shapes)
     chosen = _on(scene, cells)
     return Choice(chosen, 1 / (scene.time.fps * cost.on(cells)), promise(chosen, thickness))
 
@@ -104,10 +108,10 @@ def _exact_enough(scene: Scene, thickness: float | None, error: float) -> int:
     return CELLS[-1]
 
 
-def _trial(gaussians: Gaussians, scene: Scene, options: dict[str, Any]) -> Cost:
+def _trial(gaussians: Gaussians, scene: Scene, context: RunContext, shapes: bool) -> Cost:
     """What frames take while a hand swings the object by its top, which costs most."""
     watch = Stopwatch()
-    live = Live(gaussians, scene, **options, watch=watch)
+    live = Live(gaussians, scene, replace(context, watch=watch), shapes=shapes)
     means = live.step().gaussians.means
     x, y, z = means[means[:, 2].argmax()].tolist()
     live.grab((x, y, z))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.forces import WrenchForce
 from phy124.gaussians import Frame, Gaussians, Wrench
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.live import places
 from phy124.live.inputs import GrabRecord, Inputs, WallPath, is_movable
@@ -30,9 +31,10 @@ from phy124.live.limits import (
     shorten,
 )
 from phy124.properties.stiffness import SOFTEST, STIFFEST
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Vector
-from phy124.simulation import Simulation, Stopped
+from phy124.simulation import Setup, Simulation, Stopped, prepare
 from phy124.simulation.appearance import Appearance
 
 FOREVER = 1e8
@@ -53,7 +55,13 @@ class Live:
     """
 
     def __init__(
-        self, gaussians: Gaussians, scene: Scene, *, shapes: bool = True, **options: Any
+        self,
+        gaussians: Gaussians,
+        scene: Scene,
+        context: RunContext | None = None,
+        *,
+        shapes: bool = True,
+        crop: Crop = WHOLE,
     ) -> None:
         """Build the run; the first frame is the object at rest.
 
@@ -61,28 +69,28 @@ class Live:
             gaussians: The object at any size, standing upright, facing +x.
             scene: What happens to it without inputs; its accuracy is kept (`held_rate` chooses
                 one that this machine runs in real time).
+            context: Device, threads, progress and stopwatch.
             shapes: False if frames need no Gaussians, since another program binds them to
                 `particles`; saves time.
-            **options: Those of `Simulation`, such as device and threads.
+            crop: Where the object is in the picture that the masks of parts were painted on.
 
         Raises:
             InputError: The Gaussians or the scene cannot be used.
         """
         timing = scene.time.model_copy(update={"sleep": False, "budget": FOREVER})
         self._scene = scene.model_copy(update={"time": timing, "wrenches": True})
-        self._gaussians, self._shapes, self._options = gaussians, shapes, options
+        self._gaussians, self._shapes, self._crop = gaussians, shapes, crop
+        self._context = context or RunContext()
         self.notes: list[str] = []
         """Sentences on inputs that were reduced and on frames that failed."""
         self.reset()
-        self.limits = Limits.of(self._run.particles, self._scene)
+        self.limits = Limits.of(self._run.setup.particles, self._scene)
 
     def reset(self) -> None:
         """Start again without inputs."""
         self._inputs = Inputs(self._scene)
-        self._run = Simulation(
-            self._gaussians, self._scene, keep=False, changes=True, shapes=self._shapes,
-            **self._options,
-        )  # fmt: skip
+        options: dict[str, Any] = {"keep": False, "changes": True, "shapes": self._shapes}
+        self._run = Simulation(self._prepare(self._scene, **options))
         self._target: Vector | None = None
         self._offsets: dict[int, Vector] = {}
         self._named: dict[str, WrenchForce] = {}
@@ -110,7 +118,7 @@ class Live:
     def centre(self) -> NDArray[np.float64]:
         """Centre of mass of the object [3], m."""
         x = np.asarray(self._run.solver.state.x.numpy(), dtype=np.float64)
-        mass = self._run.particles.mass.astype(np.float64)
+        mass = self._run.setup.particles.mass.astype(np.float64)
         return mass @ x / mass.sum()
 
     @property
@@ -131,7 +139,7 @@ class Live:
     @property
     def look(self) -> Appearance:
         """Gaussians of the object at rest, and which of them move."""
-        return self._run.look
+        return self._run.setup.appearance
 
     def frames(self, count: int) -> Iterator[Frame]:
         """Yield `count` frames; inputs may act between them."""
@@ -334,7 +342,10 @@ class Live:
 
     def clip(self) -> Clip:
         """Simulate the session again and return the clip: its frames are equal, bit for bit."""
-        return Simulation(self._gaussians, self.session(), **self._options).run()
+        return Simulation(self._prepare(self.session())).run()
+
+    def _prepare(self, scene: Scene, **options: Any) -> Setup:
+        return prepare(self._gaussians, scene, self._context, crop=self._crop, **options)
 
     def _lead(self) -> None:
         """Add targets and displacements for the next frame."""

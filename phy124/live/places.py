@@ -67,7 +67,7 @@ def compute_centres(run: Simulation) -> dict[str, NDArray[np.float64]]:
     """Return the centre of mass [3], m, of each object with particles and each free solid."""
     x, mass, body = (
         _positions(run),
-        run.particles.mass.astype(np.float64),
+        run.setup.particles.mass.astype(np.float64),
         _objects(run),
     )
     numbers = [number for number in range(len(run.scene.names)) if (body == number).any()]
@@ -87,8 +87,8 @@ def list_pairs(run: Simulation) -> dict[str, str]:
 
 def _objects(run: Simulation) -> NDArray[np.int32]:
     """Return the number of each particle's object [P]."""
-    body = run.particles.body
-    return np.zeros(len(run.particles), np.int32) if body is None else body
+    body = run.setup.particles.body
+    return np.zeros(len(run.setup.particles), np.int32) if body is None else body
 
 
 def _positions(run: Simulation) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """Slabs: which particles several workers have, and the private nodes they scatter to.
 
 The particles of each group are cut in the order they have, in which they lie layer by layer along
-the longest axis (phy124/simulation/ordering.py), into slabs of equal numbers, one for each worker.
+the longest axis (phy124/simulation/setup.py), into slabs of equal numbers, one for each worker.
 The nodes of a slab are those its particles can touch until they are measured again: beside its own
 layers only a halo of a few. As the object turns or flows, slabs come to overlap. Once all their
 nodes are too many, the particles are cut anew where they are now; workers then find theirs by lists

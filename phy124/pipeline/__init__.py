@@ -40,11 +40,12 @@ from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
 from phy124.rendering.film import rate as rate
 from phy124.rendering.film import refuse_unfilmable
+from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.scene.files import refuse_missing
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.parts import WHOLE, Crop
 
 PathLike = str | os.PathLike[str]
@@ -170,17 +171,15 @@ def simulate(
         each(run, frame)
 
     def moved() -> tuple[Simulation, Clip]:
-        options: dict[str, Any] = {
-            "device": device, "threads": threads, "progress": progress, "watch": watch,
-        }  # fmt: skip
+        context = RunContext(device=device, threads=threads, progress=progress, watch=watch)
         if goal is not None:
             see = making.recording.see
             reached = reach(
-                goal, gaussians, scene, elapsed=watch.total, crop=crop, see=see, **options
+                goal, gaussians, scene, context, elapsed=watch.total, crop=crop, see=see
             )
             making.about["goal"] = reached.about
             return reached.simulation, reached.clip
-        run = Simulation(gaussians, scene, crop=crop, **options)
+        run = Simulation(prepare(gaussians, scene, context, crop=crop))
         warn_of_room(run, making.out, films=films)
         if forecaster is not None:
             with watch.stage("forecast"):
@@ -239,9 +238,8 @@ def go_on(
     )  # fmt: skip
 
     def moved() -> tuple[Simulation, Clip]:
-        run = resume.load(
-            path, device=device, threads=threads, progress=progress, watch=watch, frames=frames
-        )
+        context = RunContext(device=device, threads=threads, progress=progress, watch=watch)
+        run = resume.load(path, context, frames=frames)
         warn_of_room(run, making.out, films=True)
         return run, run.run(lambda _: making.recording.see(run))
 

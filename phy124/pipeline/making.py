@@ -205,12 +205,12 @@ class Making:
         names = {SCENE, earlier.REPORT, CLIP, PLY, *self.files, *([PAUSE] if interrupted else [])}
         report["files"] = sorted(names)
         with self.watch.stage("save"):
-            write_whole(folder / SCENE, run.numbered.to_toml())
+            write_whole(folder / SCENE, run.setup.cleaned_scene.to_toml())
             write_json(folder / earlier.REPORT, report)
             self.recording.finish(clip.with_report(report), folder / CLIP)
             if interrupted:
                 self._pause(folder, run)
-            write_ply(folder / PLY, run.gaussians)
+            write_ply(folder / PLY, run.setup.gaussians)
             for name, content in self.files.items():
                 with replacing(folder / name) as temporary:
                     temporary.write_bytes(content)

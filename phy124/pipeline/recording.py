@@ -23,6 +23,7 @@ from phy124.io import locks
 from phy124.io.clip import Clip
 from phy124.io.growing import Growing, Unlike
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.simulation import Simulation
 
 PAUSE = "pause.safetensors"
@@ -73,7 +74,7 @@ class Recording:
             self._begin(run)
         if self.failed:
             return
-        with run.watch.stage("save"):
+        with run.setup.context.watch.stage("save"):
             try:
                 self._write_frames(run)
             except (OSError, InputError) as error:
@@ -182,32 +183,32 @@ class Recording:
             run.frames[place], turned = self.frames.put(frame, turns)
             if turned is not None:
                 run.rotations[place] = turned
-            if place and len(run.shown) and run.shown.sh_degree:
+            if place and len(run.setup.shown) and run.setup.shown.sh_degree:
                 # Only the last frame's turned colours are needed again.
                 before = run.frames[place - 1]
-                plain = replace(before.gaussians, sh=run.shown.sh)
+                plain = replace(before.gaussians, sh=run.setup.shown.sh)
                 run.frames[place - 1] = replace(before, gaussians=plain)
         self._put = run.count
 
     def _header(self, run: Simulation) -> int:
         """Room for what the clip's file says of itself [bytes]."""
-        told = len(json.dumps([run.numbered.data(), self.about]))
+        told = len(json.dumps([run.setup.cleaned_scene.data(), self.about]))
         return HEADER + 2 * told + PER_FRAME * run.scene.time.frames
 
     def _is_due(self, run: Simulation) -> bool:
         """Whether the state may be written: the time since it was last pays for that."""
-        given = run.given
+        given = run.setup.source
         size = 4 * sum(a.size for a in (given.means, given.quats, given.scales, given.sh))
-        cost = self._cost or (size + 300 * len(run.particles)) / GUESS
+        cost = self._cost or (size + 300 * len(run.setup.particles)) / GUESS
         return COST * (time.perf_counter() - self._last) >= cost
 
 
-def taken_up(out: Path | None, **options: Any) -> tuple[Simulation | None, Recording]:
+def taken_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, Recording]:
     """The run that was left in a folder, if one can go on from there, and what keeps it.
 
     Args:
         out: The folder; None: nothing is kept.
-        **options: Options of `resume.load`.
+        context: Device, threads, progress and stopwatch.
     """
     if out is None or not (out / PAUSE).is_file():
         return None, Recording(out, {})
@@ -216,7 +217,7 @@ def taken_up(out: Path | None, **options: Any) -> tuple[Simulation | None, Recor
     try:
         saved = resume.read_about(out / PAUSE)["frames"]
         frames = resume.frames_of(out / PAUSE)
-        run = resume.load(out / PAUSE, frames=frames, **options)
+        run = resume.load(out / PAUSE, context, frames=frames)
     except InputError:  # another version's, or damaged
         if frames is not None:
             frames.close()

@@ -27,10 +27,9 @@ from phy124.io.tensors import save_tensors
 from phy124.monitor import OBSERVERS
 from phy124.monitor.observer import Observer
 from phy124.monitor.wrenches import Wrenches
-from phy124.progress import Progress, silent
-from phy124.runtime.stopwatch import Stopwatch
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 FORMAT = "phy124-pause-6"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
@@ -64,22 +63,25 @@ def save(
         OSError: If there is no room.
     """
     run.scene.require_serialisable()
-    tensors: Tensors = {f"given.{name}": getattr(run.given, name) for name in GAUSSIANS}
-    if run.given.object_id is not None:
-        tensors[OBJECTS] = run.given.object_id
+    tensors: Tensors = {f"given.{name}": getattr(run.setup.source, name) for name in GAUSSIANS}
+    if run.setup.source.object_id is not None:
+        tensors[OBJECTS] = run.setup.source.object_id
     tensors |= _frames(run) if frames is None else {}
     for name, content in (files or {}).items():
         tensors[FILE + name] = np.frombuffer(content, np.uint8)
-    place = {"growing": frames.place()} if frames is not None else {}
+    place, watch = (
+        {"growing": frames.place()} if frames is not None else {},
+        run.setup.context.watch,
+    )
     facts = {
         "run": _plain(run.snapshot(), tensors, "run"),
         "scene": run.scene.data(),
         "threads": len(run.solver.workers),
-        "along": run.along,
-        "frames": {"count": run.count, "keep": run.keep, **place},
-        "crop": run.crop,
+        "along": run.setup.along,
+        "frames": {"count": run.count, "keep": run.setup.keep, **place},
+        "crop": run.setup.crop,
         "about": about or {},
-        "spent": {"stages": run.watch.seconds, "total": run.watch.total},
+        "spent": {"stages": watch.seconds, "total": watch.total},
     }
     facts["checksum"] = _checksum(tensors)
     metadata = {"format": FORMAT, **{name: json.dumps(fact) for name, fact in facts.items()}}
@@ -89,48 +91,43 @@ def save(
 
 def load(
     path: str | os.PathLike[str],
+    context: RunContext | None = None,
     *,
-    device: str = "cpu",
-    threads: int | None = None,
-    progress: Progress = silent,
-    watch: Stopwatch | None = None,
     frames: Growing | None = None,
     observers: Sequence[type[Observer]] = OBSERVERS,
 ) -> Simulation:
-    """A saved run, ready to be iterated on.
+    """Return a saved run, ready to be iterated on.
 
     Args:
         path: The file.
-        device: Warp's name of the device.
-        threads: CPU threads; None: as many as before the pause, so that the run goes on bit for
-            bit. With another number it goes on to within rounding, which its report notes.
-        progress: Called as ("simulate", frames done, frames in all).
-        watch: A stopwatch to which the seconds spent before the pause are added.
+        context: Device, threads, progress and stopwatch. Without a number of threads there are as
+            many as before the pause, so that the run goes on bit for bit; with another number it
+            goes on to within rounding, which its report notes. The seconds spent before the pause
+            are added to the stopwatch.
         frames: The file of its frames, if it is open already (`frames_of`).
-        observers: Classes of observers, as for `Simulation`.
+        observers: Classes of observers, as for `prepare`.
 
     Raises:
         InputError: If the file is missing, cut short or not a paused run.
     """
+    context = context or RunContext()
     metadata, tensors = _read(Path(path))
     kept = _kept(metadata, tensors, frames or frames_of(path))
     means, quats, scales, opacities, sh = (tensors[f"given.{name}"] for name in GAUSSIANS)
-    given = Gaussians(means, quats, scales, opacities, sh, tensors.get(OBJECTS))
     left, top, right, bottom = metadata["crop"]
-    watch = watch or Stopwatch()
-    run = Simulation(
-        given,
+    if context.threads is None:
+        context = replace(context, threads=metadata["threads"])
+    setup = prepare(
+        Gaussians(means, quats, scales, opacities, sh, tensors.get(OBJECTS)),
         Scene.from_data(metadata["scene"], str(path)),
-        device=device,
-        progress=progress,
-        watch=watch,
+        context,
         crop=(left, top, right, bottom),
-        threads=metadata["threads"] if threads is None else threads,
         along=metadata["along"],
         keep=metadata["frames"]["keep"],
         observers=observers,
     )
-    watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])
+    run = Simulation(setup)
+    context.watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])
     run.restore(_whole(metadata["run"], tensors, "run"))
     run.remarks += _threads_differ(metadata["threads"], len(run.solver.workers))
     _put_frames(run, kept)
@@ -232,7 +229,7 @@ def _put_frames(run: Simulation, kept: Tensors) -> None:
         shape = {name: kept[name][index] for name in SHAPES}
         more = {name: kept[name][index] for name in ("velocities", "contacts") if name in kept}
         wrenches = None if walls is None else of_walls(names, np.array(walls[index]))
-        gaussians, place = replace(run.shown, **shape), run.count - len(times) + index
+        gaussians, place = replace(run.setup.shown, **shape), run.count - len(times) + index
         run.frames.append(Frame(place, time, gaussians, **more, wrenches=wrenches))
     run.rotations = list(kept.get("rotations", []))
 

@@ -37,8 +37,8 @@ def warn_of_room(run: Simulation, out: Path, *, films: bool) -> None:
 
 def forecast(run: Simulation, *, films: bool) -> float:
     """What a run's files will take [bytes]; films only roughly."""
-    scene, count, frames = run.scene, len(run.shown), run.scene.time.frames
-    colours = 12 * (run.shown.sh.shape[1] - 1)
+    scene, count, frames = run.scene, len(run.setup.shown), run.scene.time.frames
+    colours = 12 * (run.setup.shown.sh.shape[1] - 1)
     kept = 12 * (scene.velocities + scene.keeps_contacts) + 16 * (colours > 0)
     files = frames * count * (BYTES_PER_GAUSSIAN + kept) + count * (2 * PLY + 2 * colours)
     if not films:

@@ -11,10 +11,11 @@ from phy124.kernels.splat.arrange import arrange
 from phy124.progress import Progress, silent
 from phy124.rendering.render import Renderer
 from phy124.runtime.compiling import compile_missing
+from phy124.runtime.context import RunContext
 from phy124.runtime.cores import cores
 from phy124.scene import Scene
-from phy124.simulation import Simulation
-from phy124.simulation.kernels import kernels
+from phy124.simulation import Simulation, prepare
+from phy124.simulation.solver import kernels
 
 STAGE = {
     "cpu": (shadow.cover_simd, arrange, stage.blend_staged_simd),
@@ -47,6 +48,8 @@ def warm(scenes: Sequence[Scene], device: str = "cpu", progress: Progress = sile
     # Forces and the second thread bring small kernels that are not listed: short runs find them.
     threads = min(2, cores()) if device == "cpu" else None
     for done, scene in enumerate(scenes, 1):
-        Simulation(ball(300), scene.replaced(FEW), device=device, threads=threads).run()
+        Simulation(
+            prepare(ball(300), scene.replaced(FEW), RunContext(device=device, threads=threads))
+        ).run()
         progress("try", done, len(scenes))
     return compiled

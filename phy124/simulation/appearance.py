@@ -39,6 +39,15 @@ class Appearance(NamedTuple):
     kinds: NDArray[np.int64]
     """The material of each that moves."""
 
+    def limits(self) -> dict[str, NDArray]:
+        """Return the arguments of `Deformer` that limit the shapes."""
+        return {
+            "max_stretch": self.max_stretch,
+            "rounds": self.rounds,
+            "flows": self.flows,
+            "holds": self.holds,
+        }
+
     def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
         """Which Gaussians are of a law that shines: runs of the first and one past the last.
 

@@ -8,50 +8,47 @@ from typing import Any
 from phy124.budget.effects import Effects
 from phy124.budget.limits import note_stiffest_part
 from phy124.io.clip import Clip
-from phy124.monitor import OBSERVERS
 from phy124.monitor.sleep import Sleep
 from phy124.mpm.timestep import CFL, beside_elastic
 from phy124.simulation import bodies, buried
+from phy124.simulation.setup import Setup
 
 Run = Any
 """A `Simulation`, which is built on this module."""
 
 
-def report_of(run: Run) -> dict[str, Any]:
-    """What a run did."""
-    solver = run.solver
+def report_run(run: Run) -> dict[str, Any]:
+    """Return what a run did."""
+    setup, solver = run.setup, run.solver
+    clock, particles = solver.clock, setup.particles
     effects = Effects.of(
         run.scene.with_solids(),
-        sh_degree=run.gaussians.sh_degree,
+        sh_degree=setup.gaussians.sh_degree,
         device=run.device,
-        static=run.scenery.count,
-        materials=run.materials,
+        static=setup.scenery.count,
+        materials=setup.materials,
         observers=run.observers,
     )
+    work = {"particles": len(particles), "substeps": clock.substeps, "nodes": solver.nodes}
     report = {
         "complete": run.stopped is None and run.count == run.scene.time.frames,
         "stopped": run.stopped,
         "remedies": [remedy.changes for remedy in run.remedies],
-        "gaussians": len(run.shown),
-        "grains": len(run.shown) - len(run.gaussians),
-        "particles": len(run.particles),
-        "mass": float(run.particles.mass.sum()),
-        "thickness": run.thickness,
-        "cleaning": run.cleaning,
+        "gaussians": len(setup.shown),
+        "grains": len(setup.shown) - len(setup.gaussians),
+        "particles": len(particles),
+        "mass": float(particles.mass.sum()),
+        "thickness": setup.thickness,
+        "cleaning": setup.cleaning,
         "notes": _notes(run),
         "grid": {"dx": solver.model.dx, "window": solver.grid.size.tolist()},
-        "substeps": solver.clock.substeps,
+        "substeps": clock.substeps,
         "threads": len(solver.workers),
-        "limiters": solver.clock.limiters,
+        "limiters": clock.limiters,
         "substep": _substep(run),
         "frames": run.count,
-        "static": run.scenery.count,
-        "effects": effects.data(
-            particles=len(run.particles),
-            substeps=solver.clock.substeps,
-            nodes=solver.nodes,
-            threads=len(solver.workers),
-        ),
+        "static": setup.scenery.count,
+        "effects": effects.data(**work, threads=len(solver.workers)),
         "substep_stages": [
             {"name": name, "seconds": seconds, "launches": launches}
             for name, (seconds, launches) in solver.timings.items()
@@ -66,49 +63,47 @@ def report_of(run: Run) -> dict[str, Any]:
     return report
 
 
-def _sections(run: Run) -> Iterator[dict[str, Any]]:
-    """Yield the section of each observer, and what stands for those that the run does not have."""
-    frames = run.frames if run.keep else ()
-    yield from (observer.report(frames) for observer in run.observers)
-    present = {type(observer) for observer in run.observers}
-    yield from (kind.absent for kind in OBSERVERS if kind not in present)
-
-
-def _objects(run: Run) -> dict[str, Any]:
-    """Of each object its counts, and the middle of its particles at rest [m]."""
-    found = {}
-    for index, name in enumerate(run.scene.names):
-        own = run.particles.body == index
-        shown = run.shown.object_id == index
-        middle = run.particles.x[own].mean(axis=0) if own.any() else run.shown.means[shown].mean(0)
-        found[name] = {
-            "gaussians": int(shown.sum()),
-            "particles": int(own.sum()),
-            "mass": float(run.particles.mass[own].sum()),
-            "place": middle.tolist(),
-        }
-    for place, one in enumerate(run.solver.free.all):
-        poses = [pose[place].tolist() for pose in run.poses]
-        found[one.name] |= {"mass": one.mass, "poses": poses}
-    return found
-
-
-def counted(run: Run, clip: Clip) -> dict[str, Any]:
-    """What is known once the clip is whole: its Gaussians, and the shapes they took."""
-    whole = len(clip.opacities)
+def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
+    """Return what is known once the clip is whole: its Gaussians and their shapes."""
+    look, count = setup.appearance, len(clip.opacities)
     return {
-        "gaussians": whole,
-        "grains": whole - len(run.gaussians),
-        "shine": run.look.shine(run.materials),
-        "shapes": run.look.shapes(clip, run.materials),
+        "gaussians": count,
+        "grains": count - len(setup.gaussians),
+        "shine": look.shine(setup.materials),
+        "shapes": look.shapes(clip, setup.materials),
     }
 
 
+def _sections(run: Run) -> Iterator[dict[str, Any]]:
+    """Yield the section of each observer, and the defaults of observers that the run lacks."""
+    frames = run.frames if run.setup.keep else ()
+    yield from (observer.report(frames) for observer in run.observers)
+    present = {type(observer) for observer in run.observers}
+    yield from (kind.absent for kind in run.setup.observers if kind not in present)
+
+
+def _objects(run: Run) -> dict[str, Any]:
+    """Return the counts of each object, and the centre of its particles at rest [m]."""
+    rows, particles, shown = {}, run.setup.particles, run.setup.shown
+    for index, name in enumerate(run.scene.names):
+        inside, seen = particles.body == index, shown.object_id == index
+        points = particles.x[inside] if inside.any() else shown.means[seen]
+        rows[name] = {
+            "gaussians": int(seen.sum()),
+            "particles": int(inside.sum()),
+            "mass": float(particles.mass[inside].sum()),
+            "place": points.mean(axis=0).tolist(),
+        }
+    for place, body in enumerate(run.solver.free.all):
+        poses = [pose[place].tolist() for pose in run.poses]
+        rows[body.name] |= {"mass": body.mass, "poses": poses}
+    return rows
+
+
 def _substep(run: Run) -> dict[str, Any]:
-    """How long the substeps were and what limited them."""
-    clock, asked = run.solver.clock, run.scene.time.substep
+    """Return how long the substeps were and what limited them."""
+    clock, asked, sleep = run.solver.clock, run.scene.time.substep, run.find(Sleep)
     taken = max(sum(clock.limiters.values()), 1)
-    sleep = run.find(Sleep)
     mean = (clock.time - (sleep.skipped if sleep else 0) / run.scene.time.fps) / taken
     return {
         "mean": mean,
@@ -120,8 +115,22 @@ def _substep(run: Run) -> dict[str, Any]:
     }
 
 
-def _too_bold(run: Run) -> list[str]:
-    """A sentence if a large fraction of the elastic limit only shortened the substeps."""
+def _notes(run: Run) -> list[str]:
+    """Return what the user should know about the materials and about how the run went."""
+    scene, stiff = run.scene, note_stiffest_part(run.scene)
+    return [
+        *(note for section in scene.materials for note in section.notes()),
+        *bodies.notes(scene),
+        *buried.notes(scene.boundaries, run.solver.model),
+        *_cfl_note(run),
+        *([stiff] if stiff else []),
+        *(note for observer in run.observers for note in observer.notes()),
+        *run.remarks,
+    ]
+
+
+def _cfl_note(run: Run) -> list[str]:
+    """Return a sentence if a large fraction of the elastic limit only shortened the substeps."""
     clock = run.solver.clock
     cfl, taken = run.scene.resolution.fraction, sum(clock.limiters.values())
     if cfl <= CFL or 2 * clock.limiters.get("viscous", 0) <= taken:
@@ -131,13 +140,3 @@ def _too_bold(run: Run) -> list[str]:
         "Viscosity limits the substeps, the more the nearer they may come to the elastic limit: "
         f"with accuracy.cfl = {CFL:g} instead of {cfl:g} they would be {gain:.2g} times as long."
     ]
-
-
-def _notes(run: Run) -> list[str]:
-    """What the user should know about the materials and about how the run went."""
-    notes = [note for section in run.scene.materials for note in section.notes()]
-    stiff = note_stiffest_part(run.scene)
-    coarse = bodies.notes(run.scene) + buried.notes(run.scene.boundaries, run.solver.model)
-    coarse += _too_bold(run)
-    observed = [note for observer in run.observers for note in observer.notes()]
-    return notes + coarse + ([stiff] if stiff else []) + observed + run.remarks

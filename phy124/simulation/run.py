@@ -1,4 +1,4 @@
-"""A run: particles and a solver made of Gaussians and a scene, advanced from frame to frame."""
+"""A run: the particles of a setup, advanced from frame to frame."""
 
 from __future__ import annotations
 
@@ -6,53 +6,41 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.budget.limits import check_limits
-from phy124.budget.remedies import find_remedies, find_speedups
+from phy124.budget.remedies import advise, find_remedies, find_speedups
 from phy124.errors import Cancelled, Remedy
-from phy124.gaussians import Frame, Gaussians
-from phy124.imaging.painted import WHOLE, Crop
+from phy124.gaussians import Frame
 from phy124.io.clip import Clip, joined
-from phy124.monitor import OBSERVERS
 from phy124.monitor.diagnostics import describe_substep
-from phy124.monitor.observer import (
-    Kind,
-    Observer,
-    Subject,
-    Violation,
-    find,
-    restore_all,
-    snapshots,
-)
+from phy124.monitor.observer import Kind, Observer, Violation, find, restore_all, snapshots
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import MEASURE_EVERY, Unstable
-from phy124.mpm.workers import HOST, REPAIR, timed, usable_workers
-from phy124.particles.thickness import relative_thickness
-from phy124.progress import Progress, silent
+from phy124.mpm.workers import HOST, REPAIR, timed
 from phy124.runtime.compiling import compile_missing
-from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import one_at_a_time
-from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.simulation import props
-from phy124.simulation.bodies import bodies
 from phy124.simulation.deform import Deformer
-from phy124.simulation.kernels import kernels
-from phy124.simulation.ordering import axis_of, ordered
-from phy124.simulation.placing import belongs
-from phy124.simulation.report import counted, report_of
-from phy124.simulation.solver import acting, judged_as, solver_of
+from phy124.simulation.report import report_clip, report_run
+from phy124.simulation.setup import Setup
+from phy124.simulation.solver import kernels, make_solver, wrap
 from phy124.simulation.spent import Spent
-from phy124.simulation.stopped import Stopped
+
+
+class Stopped(RuntimeError):
+    """The simulation ended early because its results would be wrong; the message says why."""
+
+    def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
+        self.remedies = tuple(remedies)
+        """Changes to the scene, each of which helps by itself."""
+        super().__init__(f"{why} {advise(remedies)}".strip())
 
 
 class Interrupted(Cancelled):
-    """A run was cancelled; its frames are good, and `phy124.pipeline.resume` can save its state."""
+    """A run was cancelled; its frames so far are good, and `resume` can save its state."""
 
     def __init__(self, run: Simulation) -> None:
         self.run = run
@@ -65,98 +53,47 @@ class Simulation:
     `phy124.pipeline.resume` saves a paused run and continues it later, bit for bit.
     """
 
-    def __init__(
-        self,
-        gaussians: Gaussians,
-        scene: Scene,
-        *,
-        device: str = "cpu",
-        progress: Progress = silent,
-        watch: Stopwatch | None = None,
-        crop: Crop = WHOLE,
-        threads: int | None = None,
-        along: int | None = None,
-        keep: bool = True,
-        changes: bool = False,
-        shapes: bool = True,
-        observers: Sequence[type[Observer]] = OBSERVERS,
-    ) -> None:
-        """Place the object, make its particles and build the solver.
-
-        Args:
-            gaussians: The object at any size, standing upright, facing +x; or several, told apart
-                by `object_id`. Further objects that are missing are shapes or copies of the first.
-            scene: What happens to it.
-            device: Warp device, "cpu" or "cuda:0".
-            progress: Called with ("simulate" or "compile", done, all); may raise Cancelled.
-            watch: Where the durations of the stages are recorded.
-            crop: Where the object is in the picture that the masks of parts were painted on.
-            threads: CPU threads; None: as many as have a free core and enough particles.
-            along: Axis along which particles are ordered; None: as suits the number of threads.
-            keep: Keep all frames for `clip`; otherwise the frames may exceed the memory.
-            changes: Whether `change` may be called.
-            shapes: Whether frames show where the Gaussians are; else they show them at rest.
-            observers: Classes of observers; those that the scene calls for observe the run.
+    def __init__(self, setup: Setup) -> None:
+        """Compile what is missing, and build the solver and its observers.
 
         Raises:
-            InputError: The Gaussians or the scene cannot be used.
+            InputError: An object starts inside a wall, a force acts on no particle, or a wall is
+                too thin for the grid.
         """
-        refuse_threads(threads)
-        self.scene, self.device, self.progress = scene, device, progress
-        self.given, self.crop = gaussians, crop
-        self.watch = watch or Stopwatch()
-        with self.watch.stage("particles"):
-            made = bodies(gaussians, scene, crop)
-            scene = scene.with_solids()
-            self.numbered, self.cleaning, self.gaussians = made[:3]
-            self.look, self.materials, stiffness = made[3:]
-            look, self.shown, self.particles = self.look, self.look.gaussians, self.look.particles
-            threads = usable_workers(len(self.particles), device, threads)
-            self.along = axis_of(self.particles, threads) if along is None else along
-            self.particles, stiffness = ordered(
-                self.particles, self.materials, stiffness, scene.dx, self.along
-            )
-            free = list(props.free_bodies(scene, self.shown))
-            props.refuse_overlap(free, self.particles.x, scene)
-            self.scenery = props.scenery(scene, self.shown, look.moves)
-            judged = judged_as(scene, self.materials)
-            self.demand = check_limits(self.shown, self.particles, judged, device, keep=keep)
-        with self.watch.stage("compile"):
-            compile_missing(kernels(scene, device), device, progress)
-            self.keep, self.shapes, self.count = keep, shapes, 0
-            """Whether all frames are kept, whether they are shaped, and their number so far."""
-            self.subject = Subject(scene, self.materials, changes)
-            self.observers = [kind.of(self) for kind in observers if kind.called_for(self.subject)]
-            self.solver = solver_of(
-                self.particles, self.materials, stiffness, scene, device, threads, self.observers,
-                free,
-            )  # fmt: skip
+        self.setup, self.scene, self.device = setup, setup.scene, setup.context.device
+        with setup.context.watch.stage("compile"):
+            missing = kernels(setup.solid_scene, self.device)
+            compile_missing(missing, self.device, setup.context.progress)
+            needed = (kind for kind in setup.observers if kind.called_for(setup.subject))
+            self.observers = [kind.of(setup) for kind in needed]
+            self.solver = make_solver(setup, self.observers)
             for observer in self.observers:
                 observer.bind(self.solver, self.observers)
-            self.spent = Spent(self.solver.team, device)
+            self.spent = Spent(self.solver.team, self.device)
             self.deformer = Deformer(
-                self.scenery.moving,
-                self.particles,
-                max_stretch=look.max_stretch,
-                rounds=look.rounds,
-                flows=look.flows,
-                holds=look.holds,
-                device=device,
+                setup.scenery.moving,
+                setup.particles,
+                **setup.appearance.limits(),
+                device=self.device,
                 threads=len(self.solver.workers),
             )
+        self.count = 0
+        """Number of frames so far."""
         self.frames: list[Frame] = []
         self.rotations: list[NDArray] = []
+        """Rotations of the Gaussians of each frame [N,4] wxyz, if their colours need them."""
         self.poses: list[NDArray] = []
-        """Centre [m] and turn (wxyz) of each free solid in every frame [F,7]."""
+        """Centre [m] and orientation (wxyz) of each free solid in every frame [F,7]."""
         self.retried: list[int] = []
+        """Frames that were tried again with half the substep."""
         self.stopped: str | None = None
-        self.remarks: list[str] = []
-        """What the report notes besides what the run itself finds."""
         self.remedies: tuple[Remedy, ...] = ()
-        """What would help, if it has stopped."""
+        """Reason and remedies, if it has stopped."""
+        self.remarks: list[str] = []
+        """Further notes for the report."""
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames in order, starting where an earlier loop left off.
+        """Yield the frames in order, starting where an earlier loop left off.
 
         Raises:
             Stopped: A frame is wrong, or the run has taken twice its time budget.
@@ -166,27 +103,27 @@ class Simulation:
             yield self.step()
 
     def step(self) -> Frame:
-        """The next frame, also after the last one of the scene.
+        """Return the next frame, also after the last frame of the scene.
 
         Raises:
             Stopped: The frame is wrong, or the run has taken twice its time budget.
             Cancelled: `progress` raised it.
         """
-        index, timing = self.count, self.scene.time
-        at = index / timing.fps
-        skipped = next(filter(None, (one.skip_to(index) for one in self.observers)), None)
+        index, timing, context = self.count, self.scene.time, self.setup.context
+        time = index / timing.fps
+        skipped = next(filter(None, (o.skip_to(index) for o in self.observers)), None)
         if skipped is not None:
             self.solver.clock.time = skipped
         elif index:
-            self._advance(index, at)
-        with self.watch.stage("deform"):
-            frame = self._again(index, at) if skipped else self._frame(index, at)
-        if not self.keep:
+            self._advance(index, time)
+        with context.watch.stage("deform"):
+            frame = self._repeat_frame(index, time) if skipped else self._make_frame(index, time)
+        if not self.setup.keep:
             self.frames.clear()
             del self.rotations[:-1]
         self.frames.append(frame)
         self.count += 1
-        self.progress("simulate", index + 1, timing.frames)
+        context.progress("simulate", self.count, timing.frames)
         return frame
 
     def change(self, scene: Scene) -> None:
@@ -196,8 +133,7 @@ class Simulation:
             InputError: One of them does not fit the object or the grid; nothing has changed.
         """
         rejected = self.solver.rejection.rejected
-        whole = scene.with_solids()
-        self.solver.bind(*acting(whole, self.observers))
+        self.solver.bind(**wrap(scene.with_solids(), self.observers))
         self.solver.rejection.rejected = rejected
         self.scene = scene
         for observer in self.observers:
@@ -208,58 +144,53 @@ class Simulation:
         return find(self.observers, kind)
 
     def run(self, each: Callable[[Frame], object] = lambda frame: None) -> Clip:
-        """All frames as a clip; if the run stops early, the clip holds the good ones and says so.
+        """Return all frames as a clip; if the run stops early, the good frames and the reason.
 
         Args:
-            each: Called with every frame as soon as it is computed.
+            each: Function called with every frame as soon as it is computed.
 
         Raises:
-            Interrupted: The run was cancelled; its state is that after its last frame.
+            Interrupted: The run was cancelled; its state is that after the last frame.
         """
         try:
             for frame in self:
                 each(frame)
         except Stopped as stop:
             self.stopped, self.remedies = str(stop), stop.remedies
-        except Cancelled as wish:
-            raise Interrupted(self) from wish
+        except Cancelled as cancelled:
+            raise Interrupted(self) from cancelled
         launches = sum(
             count for name, (_, count) in self.solver.timings.items() if name not in HOST
         )
-        self.watch.launches["simulate"] = int(launches)
+        self.setup.context.watch.launches["simulate"] = int(launches)
         return self.clip()
 
     def clip(self) -> Clip:
-        """The frames so far.
+        """Return the frames so far.
 
         Raises:
             ValueError: They were not kept.
         """
-        if not self.keep:
+        setup = self.setup
+        if not setup.keep:
             raise ValueError("this run does not keep its frames")
-        rotations = joined(self.rotations) if self.rotations else None
-        made = Clip.from_frames(self.frames, rotations)
-        shown = {"opacities": self.shown.opacities, "sh": self.shown.sh}
-        names = self.scene.names if self.scene.objects else ()
-        made = replace(made, **shown, scene=self.numbered.data(), objects=names)
+        clip = replace(
+            Clip.from_frames(self.frames, joined(self.rotations) if self.rotations else None),
+            opacities=setup.shown.opacities,
+            sh=setup.shown.sh,
+            scene=setup.cleaned_scene.data(),
+            objects=self.scene.names if self.scene.objects else (),
+        )
         for observer in self.observers:
-            made = observer.complete(made)
-        return made.with_report(self.report() | counted(self, made))
-
-    @cached_property
-    def thickness(self) -> float | None:
-        """Local thickness of the object relative to its size; None in scenes of several objects."""
-        if self.scene.objects:
-            return None
-        moving = self.gaussians.select(belongs(self.numbered, len(self.gaussians)))
-        return relative_thickness(moving, self.scene.object.size)
+            clip = observer.complete(clip)
+        return clip.with_report(self.report() | report_clip(setup, clip))
 
     def report(self) -> dict[str, Any]:
-        """What the run did; the keys are documented in docs/reference/report.md."""
-        return report_of(self)
+        """Return the report; its keys are documented in docs/reference/report.md."""
+        return report_run(self)
 
     def snapshot(self) -> dict[str, Any]:
-        """The state from which the run can go on, without the frames: arrays and plain data."""
+        """Return the state to continue from, without the frames: arrays and plain data."""
         return {
             "count": self.count,
             "retried": list(self.retried),
@@ -268,7 +199,7 @@ class Simulation:
             "solver": self.solver.snapshot(),
             "deformer": self.deformer.snapshot(),
             "observers": snapshots(self.observers),
-            **({"poses": np.array(self.poses)} if self.scenery.free else {}),
+            **({"poses": np.array(self.poses)} if self.setup.free else {}),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -282,23 +213,22 @@ class Simulation:
         self.poses = list(snapshot.get("poses", []))
 
     @one_at_a_time
-    def _frame(self, index: int, time: float) -> Frame:
-        state = self.solver.state
-        velocities = state.v if self.scene.velocities else None
-        frame = Frame(index, time, self.scenery.moving)
-        if self.shapes:
-            frame = self.deformer(
-                state.x, state.deformation, index=index, time=time, velocities=velocities
-            )
+    def _make_frame(self, index: int, time: float) -> Frame:
+        """Deform the Gaussians, and let the observers add to the frame."""
+        state, scenery = self.solver.state, self.setup.scenery
+        frame = Frame(index, time, scenery.moving)
+        if self.setup.shapes:
+            v = state.v if self.scene.velocities else None
+            frame = self.deformer(state.x, state.deformation, index=index, time=time, velocities=v)
         if self.deformer.rotations is not None:
-            self.rotations.append(self.scenery.turns(self.deformer.rotations))
+            self.rotations.append(scenery.turns(self.deformer.rotations))
         for observer in self.observers:
             frame = observer.after_frame(frame)
         self.poses.append(self.solver.free.poses())
-        return self.scenery.whole(frame, self.poses, self.solver.free.motions())
+        return scenery.whole(frame, self.poses, self.solver.free.motions())
 
-    def _again(self, index: int, time: float) -> Frame:
-        """The last frame once more: nothing has moved since."""
+    def _repeat_frame(self, index: int, time: float) -> Frame:
+        """Return the last frame again: nothing has moved since."""
         if self.rotations:
             self.rotations.append(self.rotations[-1])
         return replace(self.frames[-1], index=index, time=time)
@@ -306,7 +236,7 @@ class Simulation:
     @one_at_a_time
     def _advance(self, index: int, until: float) -> None:
         """Take substeps up to a frame's time; after a failure, once more with half the substep."""
-        with self.watch.stage("simulate"), self.spent.counting():
+        with self.setup.context.watch.stage("simulate"), self.spent.counting():
             start = (index - 1) / self.scene.time.fps
             timed(self.solver.timings, "watchdog", lambda: self.before_frame(start))
             problem = self._try(index, until)
@@ -315,8 +245,8 @@ class Simulation:
                 with self._half_substep():
                     problem = self._try(index, until, closely=True)
             if problem is not None:
-                found = find_remedies(problem.causes, self.scene)
-                raise Stopped(f"frame {index} is not sound: {problem.what}.", found)
+                helpful = find_remedies(problem.causes, self.scene)
+                raise Stopped(f"frame {index} is not sound: {problem.what}.", helpful)
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
@@ -331,7 +261,7 @@ class Simulation:
             clock.cfl, clock.ceiling, clock.measure_every = usual
 
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
-        """Try a frame; returns what is wrong with it, or None. A failure resets the state."""
+        """Try a frame; return its violation, or None. A violation resets the state."""
         solver = self.solver
         timed(solver.timings, REPAIR, lambda: solver.repair.begin(solver.clock))
         solver.pairs.begin()
@@ -372,7 +302,7 @@ class Simulation:
 
     def after_attempt(self) -> Violation | None:
         """Return the first violation that an observer finds at the end of a frame."""
-        return next(filter(None, (one.after_attempt() for one in self.observers)), None)
+        return next(filter(None, (o.after_attempt() for o in self.observers)), None)
 
     def checkpoint(self) -> dict[str, Any]:
         """Return what `roll_back` needs to undo substeps."""
@@ -385,33 +315,23 @@ class Simulation:
 
     @property
     def _summing(self) -> list[Observer]:
-        return [one for one in self.observers if one.in_substeps or one.in_gathers]
+        return [o for o in self.observers if o.in_substeps or o.in_gathers]
 
     def _follower(self, index: int) -> Callable[[], None]:
         """Return a function for after each substep: it reports, checks, and limits the time."""
         budget, frames = self.scene.time.budget, self.scene.time.frames
+        progress, solver = self.setup.context.progress, self.solver
 
         def after() -> None:
             self.after_substep()
             spent = self.spent.total()
             if spent > 2 * budget:
+                slow = describe_substep(solver.model, solver.state, solver.clock)
+                done = solver.clock.time * self.scene.time.fps / max(frames - 1, 1)
                 raise Stopped(
-                    f"frame {index} was reached in {spent:.0f} s, twice time.budget: "
-                    f"{self._slowest()}.",
-                    find_speedups(
-                        self.scene, self.solver.clock.stable().limiter, self._fraction_done()
-                    ),
+                    f"frame {index} was reached in {spent:.0f} s, twice time.budget: {slow}.",
+                    find_speedups(self.scene, solver.clock.stable().limiter, done),
                 )
-            self.progress("simulate", index, frames)
+            progress("simulate", index, frames)
 
         return after
-
-    def _slowest(self) -> str:
-        """A phrase that says why substeps are so short."""
-        solver = self.solver
-        return describe_substep(solver.model, solver.state, solver.clock)
-
-    def _fraction_done(self) -> float:
-        """Fraction of the scene's duration that has been simulated."""
-        timing = self.scene.time
-        return self.solver.clock.time * timing.fps / max(timing.frames - 1, 1)

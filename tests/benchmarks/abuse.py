@@ -22,7 +22,7 @@ from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Solver
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.stress import Setting
 from phy124.studies.validation.stress.bodies import (
     Array,
@@ -108,7 +108,7 @@ def nan_position() -> str:
     given = ball(512)
     means = given.means.copy()
     means[7] = np.nan
-    report = Simulation(replace(given, means=means), quick(Setting())).run().report
+    report = Simulation(prepare(replace(given, means=means), quick(Setting()))).run().report
     return f"complete: {report['complete']}; {report['cleaning']}"
 
 

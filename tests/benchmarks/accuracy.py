@@ -27,7 +27,7 @@ from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.metrics import psnr
 from phy124.scene import preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.accuracy.plots import save_picture
 from phy124.studies.validation.accuracy.study import Report, Row, Study
 from phy124.studies.validation.accuracy.verify import verify
@@ -140,7 +140,7 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
         accuracy = scene.resolution.model_copy(
             update={"cells": finer, "particles_per_axis": about["particles_per_axis"]}
         )
-        check = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
+        check = Simulation(prepare(gaussians, scene.model_copy(update={"accuracy": accuracy})))
         truth, torn = (
             check.run(),
             ", torn" if check.report()["balance"]["tearing"]["likely"] else "",
@@ -180,7 +180,7 @@ def damping_table(gaussians: Gaussians) -> str:
         scene, clips, lost = beginning("bounce").replaced({"material.damping": damping}), [], []
         for cells in DAMPED_LEVELS:
             accuracy = scene.resolution.model_copy(update={"cells": cells})
-            run = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
+            run = Simulation(prepare(gaussians, scene.model_copy(update={"accuracy": accuracy})))
             clips.append(run.run())
             lost.append(-clips[-1].report["balance"]["energy_gain"])
         apart = [pixel_distance(a, b, scene.view) for a, b in pairwise(clips)]

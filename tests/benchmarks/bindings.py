@@ -25,8 +25,9 @@ from phy124 import pipeline
 from phy124.accuracy.convergence import distances
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene, preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 sys.path.insert(0, str(Path(__file__).parent))
 from presets import beginning
@@ -64,7 +65,7 @@ def run(gaussians: Gaussians, scene: Scene, changes: dict[str, Any]) -> Run | No
     """A run of a changed scene on one thread; None if it cannot be made or was stopped."""
     try:
         scene = scene.replaced({"time.budget": 1e6, **changes})
-        simulation = Simulation(gaussians, scene, threads=1)
+        simulation = Simulation(prepare(gaussians, scene, RunContext(threads=1)))
     except InputError as error:
         print(f"  {changes}: {error}", file=sys.stderr)
         return None

@@ -22,8 +22,9 @@ from mpm import cube
 from phy124.accuracy.ball import ball
 from phy124.materials import FixedCorotated
 from phy124.mpm import Solver
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 wp.config.log_level = wp.LOG_WARNING
 SUBSTEP = 1e-4
@@ -97,18 +98,18 @@ def clip(device: str, count: int) -> None:
         given = {**usual, "accuracy": accuracy, "binding": "particles", "time.substep": substep}
         scene = Scene.named("bounce").replaced(given)
         for _ in range(2):  # The first compiles and captures.
-            run = Simulation(ball(count), scene, device=device)
+            run = Simulation(prepare(ball(count), scene, RunContext(device=device)))
             start = time.perf_counter()
             run.run()
             seconds = time.perf_counter() - start
         row = {
             "substeps_by": name,
             "gaussians": count,
-            "particles": len(run.particles),
+            "particles": len(run.setup.particles),
             "substeps": run.solver.clock.substeps,
             "seconds": seconds,
-            "simulate": run.watch.seconds["simulate"],
-            "deform": run.watch.seconds["deform"],
+            "simulate": run.setup.context.watch.seconds["simulate"],
+            "deform": run.setup.context.watch.seconds["deform"],
         }
         show("clip", device, row)
 

@@ -9,8 +9,9 @@ libraries, is left out. An older build runs the same file with PYTHONPATH set to
 import argparse
 
 from phy124.io.ply import read_ply
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 STAGES = ("particles", "compile", "simulate", "deform")
 
@@ -30,14 +31,14 @@ def main() -> None:
     scene = scene.model_copy(update={"time": time})
     found = []
     for _ in range(given.runs):
-        run = Simulation(gaussians, scene, threads=given.threads)
+        run = Simulation(prepare(gaussians, scene, RunContext(threads=given.threads)))
         run.run()
-        found.append(dict(run.watch.seconds))
+        found.append(dict(run.setup.context.watch.seconds))
     least = {name: min(one[name] for one in found[1:] or found) for name in STAGES}
     shares = ", ".join(f"{name} {seconds:.3f}" for name, seconds in least.items())
     dynamics = least["simulate"] + least["deform"]
     print(
-        f"{len(run.particles)} particles: {shares}; substeps and shapes {dynamics:.3f}, "
+        f"{len(run.setup.particles)} particles: {shares}; substeps and shapes {dynamics:.3f}, "
         f"with particles {dynamics + least['particles']:.3f}, in all {sum(least.values()):.3f} s"
     )
 

@@ -37,7 +37,7 @@ from phy124.mpm.tracks import Sine
 from phy124.rendering.render import Renderer
 from phy124.scene import Scene
 from phy124.schema.region import Region
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from phy124.studies.validation.bodies import make_solver
@@ -247,7 +247,7 @@ def binding() -> None:
     runs = {}
     for kind in ("particles", "lattice"):
         begin = time.process_time()
-        run = Simulation(gaussians, Scene.named("press").replaced({"binding": kind}))
+        run = Simulation(prepare(gaussians, Scene.named("press").replaced({"binding": kind})))
         runs[kind] = run, run.run(), time.process_time() - begin
     (own, a, own_s), (field, b, field_s) = runs.values()
     draw, camera = Renderer(device="cpu"), Camera.orbit(0, 10, 1.9, 256, (0, 0, 0.35))

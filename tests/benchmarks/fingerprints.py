@@ -11,9 +11,10 @@ import numpy as np
 
 from phy124.gaussians import Gaussians
 from phy124.materials import LAWS
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 WALLS = [
     {"kind": "sphere", "centre": [0, 0.1, 0.1], "motion": {"kind": "swing"}},
@@ -51,7 +52,7 @@ def body(count: int = 3000) -> Gaussians:
 
 def fingerprint(scene: Scene, threads: int) -> str:
     """Of a clip: its places, orientations and scales, and how many substeps it took."""
-    run = Simulation(body(), scene, threads=threads)
+    run = Simulation(prepare(body(), scene, RunContext(threads=threads)))
     clip, found = run.run(), hashlib.sha256()
     for array in (clip.means, clip.quats, clip.scales):
         found.update(np.ascontiguousarray(array).tobytes())

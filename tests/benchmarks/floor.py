@@ -11,7 +11,7 @@ from pathlib import Path
 from phy124.materials import LAWS
 from phy124.pipeline import static
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 CUPCAKE = Path(__file__).parents[2] / "demo/examples/cupcake.png"
 DEEP = 0.2
@@ -22,7 +22,7 @@ def measured(law: str, accuracy: str) -> dict[str, object]:
     """Shares of the Gaussians and particles deeper than `DEEP` at the end, and the deepest."""
     scene = Scene.named("drop").replaced({"material.law": law, "accuracy": accuracy})
     made = static(CUPCAKE, scene)
-    run = Simulation(made.gaussians, scene, crop=made.crop)
+    run = Simulation(prepare(made.gaussians, scene, crop=made.crop))
     heights = run.run().means[-1, :, 2] / scene.dx
     particles = run.solver.state.x.numpy()[:, 2] / scene.dx
     return {

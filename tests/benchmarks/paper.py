@@ -15,7 +15,7 @@ from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.rendering.frames import render_frames
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 sys.path.insert(0, str(Path(__file__).parent))
 from tables import DOCS, markdown, renew
@@ -33,7 +33,7 @@ SIZE = 200
 def pushed(gaussians: Gaussians, name: str) -> tuple[Clip, Scene]:
     """The clip of a preset."""
     scene = Scene.named(name).replaced({"binding": "particles"})
-    return Simulation(gaussians, scene).run(), scene
+    return Simulation(prepare(gaussians, scene)).run(), scene
 
 
 def row(clip: Clip, scene: Scene, name: str) -> list[str]:

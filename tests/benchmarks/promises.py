@@ -35,8 +35,9 @@ from phy124.io.formats import read_gaussians
 from phy124.materials import LAWS
 from phy124.materials.elastic import Springy
 from phy124.particles.solid import ACROSS
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import thickness_of
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -104,7 +105,9 @@ def measured(name: str, gaussians: Gaussians, words: str, levels: Sequence[int])
     whole, clips, torn, seconds = [], [], [], []
     for cells in levels:
         begin = time.process_time()
-        run = Simulation(gaussians, base.replaced({"accuracy.cells": cells}), threads=1)
+        run = Simulation(
+            prepare(gaussians, base.replaced({"accuracy.cells": cells}), RunContext(threads=1))
+        )
         clip = run.run()
         if not clip.report["complete"]:
             continue

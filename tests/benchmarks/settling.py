@@ -20,7 +20,7 @@ from phy124.io.clip import Clip
 from phy124.rendering.framing import departures
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 EXAMPLES = Path(__file__).parents[2] / "demo/examples"
 PLANTS = ("sway", "wind")
@@ -36,7 +36,7 @@ def pace(clip: Clip, size: float) -> float:
 def run(gaussians: Gaussians, scene: Scene) -> tuple[Clip, float]:
     """The clip and its processor seconds."""
     start = time.process_time()
-    clip = Simulation(gaussians, scene).run()
+    clip = Simulation(prepare(gaussians, scene)).run()
     return clip, time.process_time() - start
 
 

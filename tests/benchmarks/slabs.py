@@ -25,8 +25,9 @@ from phy124.forces import Gravity
 from phy124.materials import NeoHookean
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Solver, slabs
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import make_solver
 from support.shapes import cloud
 
@@ -127,14 +128,18 @@ def halo() -> None:
             row: dict[str, Any] = {"scene": name, "threads": threads}
             for label, nodes in (("as it is", usual), ("cut anew early", 0), ("never", 10**9)):
                 slabs.NODES = nodes
-                run, shares, most = Simulation(bar(), scene, threads=threads), [], 0
+                run, shares, most = (
+                    Simulation(prepare(bar(), scene, RunContext(threads=threads))),
+                    [],
+                    0,
+                )
                 for _ in run:
                     shares.append(run.solver.slabs.share)
                     most = max(most, len(run.solver.slabs.pool))
                 row[label] = {
                     "mean": round(float(np.mean(shares[1:])), 2),
                     "largest": round(max(shares), 2),
-                    "nodes_per_particle": round(most / len(run.particles), 1),
+                    "nodes_per_particle": round(most / len(run.setup.particles), 1),
                     "lists": any(len(part.chosen) for part in run.solver.slabs.parts),
                 }
             print(json.dumps(row), flush=True)

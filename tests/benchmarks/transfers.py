@@ -14,8 +14,9 @@ from phy124.generators.shapes import shape
 from phy124.materials import NeoHookean, Rigid
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Model, Scheme, Solver, State
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.accuracy.problems import angular_momentum
 from phy124.studies.validation.bodies import ball_of_shells, block, lattice
 
@@ -111,7 +112,9 @@ def pressed(cells, **transfer):
     """The preset `press` on a ball."""
     accuracy = {"cells": cells, **transfer}
     scene = Scene.named("press").replaced({"accuracy": accuracy, "time.sleep": False})
-    run = Simulation(shape("sphere", (1, 1, 1), (0.5, 0.5, 0.5)), scene, threads=1)
+    run = Simulation(
+        prepare(shape("sphere", (1, 1, 1), (0.5, 0.5, 0.5)), scene, RunContext(threads=1))
+    )
     return run, run.run()
 
 

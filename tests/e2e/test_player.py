@@ -18,8 +18,9 @@ from phy124.rendering.render import Renderer
 from phy124.rendering.shine import glossed, shine_of
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.rendering.stage.packing import packed
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 pytestmark = pytest.mark.browser
@@ -99,7 +100,9 @@ def test_the_player_draws_the_same_stage(browser, tmp_path, rng):
 @pytest.mark.parametrize("law", ["fluid", "metal"])
 def test_the_player_lights_what_shines_as_we_do(browser, tmp_path, law):
     changes = {"material.law": law, "accuracy": {"cells": 8}, "time.frames": 3}
-    clip = Simulation(ball(4000), Scene.named("drop").replaced(changes), threads=1).run()
+    clip = Simulation(
+        prepare(ball(4000), Scene.named("drop").replaced(changes), RunContext(threads=1))
+    ).run()
     (shown, gloss), shine = glossed(clip, View()), shine_of(clip, View())
     write_html(tmp_path / "shine.html", shown, CAMERA, shine=gloss)
     context = browser.new_context(offline=True, reduced_motion="reduce")

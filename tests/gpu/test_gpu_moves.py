@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.scenes import FORCES, LAWS, OTHER_SOLIDS, SOLIDS
 from support.shapes import ball
 
@@ -32,7 +33,8 @@ def test_a_gpu_moves_it_as_the_cpu_does(name, gpu):
     changes = {"accuracy": {"cells": 8}, "time.frames": 6, **FALLING, **SCENES[name]}
     scene = Scene.named("drop").replaced(changes)
     here, there = (
-        Simulation(ball(500), scene, device=device, threads=1) for device in ("cpu", gpu)
+        Simulation(prepare(ball(500), scene, RunContext(device=device, threads=1)))
+        for device in ("cpu", gpu)
     )
     ours, theirs = here.run(), there.run()
     assert theirs.report["complete"], theirs.report["stopped"]

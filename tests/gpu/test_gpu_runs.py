@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from phy124.accuracy.pilot import run_pilot
 from phy124.errors import Cancelled
 from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Interrupted, Simulation
+from phy124.simulation import Interrupted, Simulation, prepare
 from support.shapes import ball
 
 pytestmark = pytest.mark.gpu
@@ -23,13 +23,13 @@ def scene(preset: str = "press", **changes) -> Scene:
 @pytest.mark.parametrize("law", ["neo_hookean", "sand"])
 def test_a_paused_run_goes_on(law, gpu, tmp_path):
     given = scene(material={"law": law})
-    whole = Simulation(ball(800), given, device=gpu).run()
-    run = Simulation(ball(800), given, device=gpu)
+    whole = Simulation(prepare(ball(800), given, RunContext(device=gpu))).run()
+    run = Simulation(prepare(ball(800), given, RunContext(device=gpu)))
     for frame in run:
         if frame.index == 2:
             break
     resume.save(run, tmp_path / "pause.safetensors")
-    clip = resume.load(tmp_path / "pause.safetensors", device=gpu).run()
+    clip = resume.load(tmp_path / "pause.safetensors", RunContext(device=gpu)).run()
     np.testing.assert_allclose(clip.means, whole.means, atol=ROUNDING)
     assert clip.report["substeps"] == pytest.approx(whole.report["substeps"], abs=2)
 
@@ -43,35 +43,35 @@ def test_a_run_can_be_cancelled_and_goes_on(gpu, tmp_path):
             raise Cancelled
 
     with pytest.raises(Interrupted) as cut:
-        Simulation(ball(500), scene(), device=gpu, progress=progress).run()
+        Simulation(prepare(ball(500), scene(), RunContext(device=gpu, progress=progress))).run()
     resume.save(cut.value.run, tmp_path / "pause.safetensors")
-    assert len(resume.load(tmp_path / "pause.safetensors", device=gpu).run()) == 6
+    assert len(resume.load(tmp_path / "pause.safetensors", RunContext(device=gpu)).run()) == 6
 
 
 @pytest.mark.parametrize("preset", ["push_right", "sway", "press"])
 def test_a_forecast_counts_the_substeps_that_are_taken(preset, gpu):
     given = scene(preset)
     foretold, _ = run_pilot(ball(500), given, device=gpu).substeps(8)
-    taken = Simulation(ball(500), given, device=gpu).run().report["substeps"]
+    taken = Simulation(prepare(ball(500), given, RunContext(device=gpu))).run().report["substeps"]
     assert foretold == pytest.approx(taken, rel=0.25)
 
 
 def test_a_body_at_rest_sleeps(gpu):
     given = scene("drop", **{"object.lift": 0.0, "time.frames": 30, "forces": []})
-    run = Simulation(ball(500), given, device=gpu)
+    run = Simulation(prepare(ball(500), given, RunContext(device=gpu)))
     run.run()
     assert run.report()["sleep"]["frames"] > 0
 
 
 def test_a_violent_blow_is_tried_in_small_steps(gpu):
     given = scene("drop", **{"object.velocity": [0, 0, -60.0], "time.fps": 400.0})
-    run = Simulation(ball(500), given, device=gpu)
+    run = Simulation(prepare(ball(500), given, RunContext(device=gpu)))
     clip = run.run()
     assert clip.report["complete"] and np.isfinite(clip.means).all()
 
 
 def test_non_finite_particle_is_named(gpu):
-    run = Simulation(ball(300), scene("drop"), device=gpu)
+    run = Simulation(prepare(ball(300), scene("drop"), RunContext(device=gpu)))
     frames = iter(run)
     next(frames)
     x = run.solver.state.x.numpy()
@@ -83,5 +83,7 @@ def test_non_finite_particle_is_named(gpu):
 
 
 def test_the_same_run_twice_is_the_same_within_rounding(gpu):
-    one, other = (Simulation(ball(800), scene(), device=gpu).run() for _ in range(2))
+    one, other = (
+        Simulation(prepare(ball(800), scene(), RunContext(device=gpu))).run() for _ in range(2)
+    )
     np.testing.assert_allclose(one.means, other.means, atol=ROUNDING)

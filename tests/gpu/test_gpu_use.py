@@ -13,8 +13,9 @@ from phy124.io.ply import write_ply
 from phy124.rendering.film import film
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import stage_of
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.orders import small_order
 from support.shapes import ball, splats
 
@@ -47,7 +48,7 @@ def test_pictures_are_those_of_the_cpu(gpu, size, degree):
 
 
 def test_the_stage_is_that_of_the_cpu(gpu):
-    clip = Simulation(ball(500), Scene.named("press").replaced(FEW)).run()
+    clip = Simulation(prepare(ball(500), Scene.named("press").replaced(FEW))).run()
     frame, camera, drawn = list(clip.frames())[-1], Camera.orbit(30, 20, 3.0, (96, 64)), []
     for device in ("cpu", gpu):
         stage = stage_of(clip, View(stage="studio"), device=device)
@@ -57,7 +58,7 @@ def test_the_stage_is_that_of_the_cpu(gpu):
 
 def test_films_have_every_output(gpu, tmp_path):
     scene = Scene.named("drop").replaced({**FEW, "contacts": True})
-    clip = Simulation(ball(500), scene, device=gpu).run()
+    clip = Simulation(prepare(ball(500), scene, RunContext(device=gpu))).run()
     view = View(size=64, views=("front",), outputs=("depth", "normals", "flow"))
     assert all(path.exists() for path in film(clip, view, tmp_path, device=gpu))
 
@@ -90,7 +91,10 @@ def test_a_second_card_computes_the_same(gpu):
     if gpu == "cpu" or wp.get_cuda_device_count() < 2:
         pytest.skip("this machine has no second CUDA device")
     scene = Scene.named("press").replaced(FEW)
-    one, other = (Simulation(ball(500), scene, device=f"cuda:{i}").run() for i in range(2))
+    one, other = (
+        Simulation(prepare(ball(500), scene, RunContext(device=f"cuda:{i}"))).run()
+        for i in range(2)
+    )
     np.testing.assert_allclose(one.means, other.means, atol=1e-3)
     g, camera = ball(500), Camera.orbit(30, 20, 1.4, 64)
     first, second = (Renderer(device=f"cuda:{i}")(g, camera) for i in range(2))

@@ -4,9 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 from phy124.io.clip import Clip
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from support.scenes import LAWS, OTHER_SOLIDS, SOLIDS
 from support.shapes import ball
 
@@ -17,7 +18,7 @@ SHORT = {"accuracy": {"cells": 8}, "time.frames": 8}
 def clip(preset: str, **changes: Any) -> Clip:
     """Of a ball, all forms and threads as they were chosen."""
     scene = Scene.named(preset).replaced({**SHORT, **changes})
-    return Simulation(ball(500), scene, threads=1).run()
+    return Simulation(prepare(ball(500), scene, RunContext(threads=1))).run()
 
 
 def presets() -> Clips:

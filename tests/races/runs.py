@@ -16,9 +16,10 @@ from phy124.monitor.diagnostics import energies
 from phy124.rendering.compose.adjoint import Adjoint
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import stage_of
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
 from phy124.scene.scene import preset_names
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.accuracy import problems
 from phy124.studies.validation.bodies import make_solver
 from phy124.studies.validation.stress.case import Setting
@@ -34,7 +35,7 @@ Runs = dict[str, Callable[[], object]]
 def simulate(preset: str = "drop", count: int = 300, **changes: Any) -> Simulation:
     """A few frames of a small ball that comes down."""
     scene = Scene.named(preset).replaced({**SMALL, **changes})
-    run = Simulation(ball(count), scene, threads=1)
+    run = Simulation(prepare(ball(count), scene, RunContext(threads=1)))
     run.run()
     return run
 
@@ -150,7 +151,7 @@ def pictures() -> Runs:
         "backwards": backwards,
         "on a stage": on_a_stage,
         "colours": lambda: Simulation(
-            splats(np.random.default_rng(0), 200, degree=1), few(), threads=1
+            prepare(splats(np.random.default_rng(0), 200, degree=1), few(), RunContext(threads=1))
         ).run(),
     }
 
@@ -182,7 +183,9 @@ def on_a_stage() -> None:
     glass = {"kind": "sphere", "centre": [0.3, 0.1, 0.6], "radius": 0.2}
     scene = few("press")
     walls = [*scene.data()["boundaries"], glass]
-    clip = Simulation(ball(300), scene.replaced({"boundaries": walls}), threads=1).run()
+    clip = Simulation(
+        prepare(ball(300), scene.replaced({"boundaries": walls}), RunContext(threads=1))
+    ).run()
     frame, view = next(clip.frames()), View(stage="studio")
     stage = stage_of(clip, view)
     assert stage is not None
@@ -192,7 +195,9 @@ def on_a_stage() -> None:
 def presets() -> Runs:
     """Every preset as it is."""
     return {
-        name: lambda name=name: Simulation(ball(300), few(name), threads=1).run()
+        name: lambda name=name: Simulation(
+            prepare(ball(300), few(name), RunContext(threads=1))
+        ).run()
         for name in preset_names()
     }
 

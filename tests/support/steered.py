@@ -6,6 +6,7 @@ from bridge.options import Options
 from bridge.steering.run import SteeredRun
 from phy124.accuracy.ball import ball
 from phy124.live import Live
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 
 EPOCH = 1_700_000_000.0
@@ -19,7 +20,7 @@ def scene(**changes):
 
 
 def steered(options=OPTIONS, *, paused=True, changes=None, **how):
-    live = Live(ball(400), scene(**(changes or {})), threads=1)
+    live = Live(ball(400), scene(**(changes or {})), RunContext(threads=1))
     return SteeredRun(live, options, paused=paused, **how)
 
 

@@ -7,8 +7,9 @@ import numpy as np
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.rendering.framing import cameras
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 
 POINTS = 80
 ACROSS = 12
@@ -19,7 +20,7 @@ def twin(gaussians: Gaussians, scene: Scene, cells: int) -> Clip:
     """The motion on a grid and on particles that no fit uses."""
     finer = {"accuracy.cells": cells, "accuracy.particles_per_axis": 2.3, "wrenches": True}
     made = scene.replaced({**finer, "view.fit": False, "grains": False})
-    return Simulation(gaussians, made, threads=1).run().surface
+    return Simulation(prepare(gaussians, made, RunContext(threads=1))).run().surface
 
 
 def write_points(path, clip: Clip, *, seed: int, pixels: float = 1.0) -> None:

@@ -19,9 +19,10 @@ from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.progress import Progress, silent
+from phy124.runtime.context import RunContext
 from phy124.runtime.processes import as_done, processes
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.parts import Crop
 from phy124.studies.fit.budget import Budget
 from phy124.studies.fit.declaration import Fit
@@ -67,7 +68,9 @@ class Player:
 
     def clip(self, scene: dict[str, Any]) -> Clip:
         """Play a scene, given as plain data, on one thread, so that equal ones give equal clips."""
-        run = Simulation(self.gaussians, Scene.from_data(scene), crop=self.crop, threads=1)
+        run = Simulation(
+            prepare(self.gaussians, Scene.from_data(scene), RunContext(threads=1), crop=self.crop)
+        )
         return run.run().surface
 
 

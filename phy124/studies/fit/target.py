@@ -17,8 +17,9 @@ from phy124.monitor.wrenches import wall_names
 from phy124.particles.thinning import thin
 from phy124.pipeline import static
 from phy124.rendering.framing import cameras
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.parts import WHOLE, Crop
 from phy124.studies.fit.aligning import Laid, laid_on
 from phy124.studies.fit.declaration import Fit
@@ -63,9 +64,9 @@ class Target:
             self.film = read_film(path)
         measured = self._forces(clip)
         self._end(clip, table, measured)
-        self.rest = Simulation(
-            self.gaussians, self.scene.replaced({"time.frames": 1}), crop=self.crop, threads=1
-        ).run().surface  # fmt: skip
+        still, context = self.scene.replaced({"time.frames": 1}), RunContext(threads=1)
+        setup = prepare(self.gaussians, still, context, crop=self.crop)
+        self.rest = Simulation(setup).run().surface
         parts = [self._seen(clip, table)]
         if measured is not None:
             self.scene = self.scene.model_copy(update={"wrenches": True})

@@ -10,8 +10,9 @@ import numpy as np
 from phy124.accuracy.forecast import Forecaster
 from phy124.errors import InputError
 from phy124.progress import Progress, silent
+from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.sweep.plan import Item, Plan
 from phy124.studies.sweep.work import static_of
 
@@ -90,7 +91,12 @@ def _one(plan: Plan, item: Item, forecaster: Forecaster, device: str) -> tuple[f
         stand_in=True, device=device, watch=watch,
     )  # fmt: skip
     run = Simulation(
-        made.gaussians, made.scene, device=device, crop=made.crop, watch=watch, threads=1
+        prepare(
+            made.gaussians,
+            made.scene,
+            RunContext(device=device, watch=watch, threads=1),
+            crop=made.crop,
+        )
     )
     told = forecaster.of(run, filming=plan.sweep.films)
     own = watch.seconds.get("generate", 0.0) + watch.seconds.get("image", 0.0)
@@ -98,5 +104,5 @@ def _one(plan: Plan, item: Item, forecaster: Forecaster, device: str) -> tuple[f
         own += made.effort.seconds
     # Clips of one source share its Gaussians.
     own *= plan.sources / len(plan)
-    size = made.scene.time.frames * len(run.shown) * NUMBERS * 4.0
+    size = made.scene.time.frames * len(run.setup.shown) * NUMBERS * 4.0
     return told.seconds + watch.seconds["particles"] + own, size

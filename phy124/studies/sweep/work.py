@@ -21,10 +21,11 @@ from phy124.pipeline.making import framed
 from phy124.pipeline.recording import Recording, taken_up
 from phy124.progress import Progress, silent
 from phy124.rendering.render import render, to_bytes
+from phy124.runtime.context import RunContext
 from phy124.runtime.startup import start
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.simulation import Interrupted, Simulation
+from phy124.simulation import Interrupted, Simulation, prepare
 from phy124.simulation.parts import Crop
 from phy124.studies.sweep.keys import key_asked
 from phy124.studies.sweep.needs import Needs
@@ -217,11 +218,10 @@ def _moved(
         progress: Called with (stage, done, total); may raise Cancelled.
     """
     assert source.gaussians is not None and source.crop is not None
-    options: dict[str, Any] = {"device": order.device, "watch": watch, "threads": 1}
-    options["progress"] = progress
-    run, recording = taken_up(storage.here and storage.here / folder, **options)
+    context = RunContext(device=order.device, watch=watch, threads=1, progress=progress)
+    run, recording = taken_up(storage.here and storage.here / folder, context)
     if run is None:
-        run = Simulation(source.gaussians, scene, crop=source.crop, **options)
+        run = Simulation(prepare(source.gaussians, scene, context, crop=source.crop))
     try:
         return run.run(lambda _: recording.see(run)), recording
     except BaseException as error:

@@ -13,9 +13,11 @@ RUN = """
 import sys
 from phy124.scene import Scene
 from phy124.studies.validation.bodies import surface_of_ball
-from phy124.simulation import Simulation
+from phy124.runtime.context import RunContext
+from phy124.simulation import Simulation, prepare
 few = {"accuracy": {"cells": 8}, "time.frames": 2}
-Simulation(surface_of_ball(500), Scene.named("press").replaced(few), device=sys.argv[1]).run()
+context = RunContext(device=sys.argv[1])
+Simulation(prepare(surface_of_ball(500), Scene.named("press").replaced(few), context)).run()
 """
 
 

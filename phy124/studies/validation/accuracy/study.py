@@ -26,9 +26,10 @@ from phy124.monitor.diagnostics import Diagnostics, diagnose
 from phy124.monitor.dissipation import Loss, split_seconds
 from phy124.monitor.tearing import Tearing
 from phy124.progress import Progress, silent
+from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure, is_stop
 from phy124.scene import PRESETS, Accuracy, Scene
-from phy124.simulation import Simulation, Stopped
+from phy124.simulation import Simulation, Stopped, prepare
 from phy124.simulation.parts import WHOLE, Crop
 
 LEVELS = (16, 24, 32, 48)
@@ -211,9 +212,14 @@ class Study:
     def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
         """Run one setting; returns its row, and why there is none or why to doubt it."""
         simulation = Simulation(
-            self.gaussians, scene, device=self.device, crop=self.crop, progress=progress
+            prepare(
+                self.gaussians,
+                scene,
+                RunContext(device=self.device, progress=progress),
+                crop=self.crop,
+            )
         )
-        self._thickness = self._thickness or simulation.thickness
+        self._thickness = self._thickness or simulation.setup.thickness
         particles_per_axis = _particles_per_axis(simulation)
         if particles_per_axis < MIN_PARTICLES_PER_AXIS:
             return None, (
@@ -228,7 +234,10 @@ class Study:
         self.clips[name] = clip.surface
         solver, accuracy = simulation.solver, scene.resolution
         tearing = simulation.find(Tearing)
-        seconds, torn = simulation.watch.seconds, " ".join(tearing.notes() if tearing else ())
+        seconds, torn = (
+            simulation.setup.context.watch.seconds,
+            " ".join(tearing.notes() if tearing else ()),
+        )
         counts = solver.clock.limiters
         return Row(
             name=name,
@@ -236,7 +245,7 @@ class Study:
             precision=accuracy.precision,
             cfl=accuracy.cfl,
             binding=scene.binding,
-            particles=len(simulation.particles),
+            particles=len(simulation.setup.particles),
             particles_per_axis=particles_per_axis,
             substeps=solver.clock.substeps,
             predicted=predicted,
@@ -254,7 +263,9 @@ class Study:
         if scene.checks.energy:
             checks = scene.checks.model_copy(update={"energy": False})
             plain = scene.model_copy(update={"checks": checks})
-            simulation = Simulation(self.gaussians, plain, device=self.device, crop=self.crop)
+            simulation = Simulation(
+                prepare(self.gaussians, plain, RunContext(device=self.device), crop=self.crop)
+            )
         forecast = self._forecaster.of(simulation, filming=False, load=QUIET)
         return forecast.stages["simulate"] + forecast.stages["deform"]
 
@@ -401,7 +412,7 @@ def kept_promises(
 
 def _particles_per_axis(simulation: Simulation) -> float:
     """Median number of particles in the cells that hold any, per axis."""
-    cells = np.floor(simulation.particles.x / simulation.solver.model.dx).astype(np.int64)
+    cells = np.floor(simulation.setup.particles.x / simulation.solver.model.dx).astype(np.int64)
     _, counts = np.unique(cells, axis=0, return_counts=True)
     return float(np.median(counts) ** (1 / 3))
 

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from phy124.errors import InputError, Remedy
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import surface_of_ball
 from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
 
@@ -98,7 +99,7 @@ def _substeps(scene: Scene, setting: Setting) -> int:
 
 
 def _run(scene: Scene, setting: Setting) -> Simulation:
-    return Simulation(surface_of_ball(40), scene, device=setting.device)
+    return Simulation(prepare(surface_of_ball(40), scene, RunContext(device=setting.device)))
 
 
 def _exploding(setting: Setting) -> Scene:

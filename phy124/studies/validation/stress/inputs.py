@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from phy124.gaussians import Gaussians
 from phy124.io.ply import raw_table, read_ply
 from phy124.particles import clean, find_solid, make_particles, scale_to_size
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.simulation.deform import Deformer
 from phy124.studies.validation.bodies import block, surface_of_ball
 from phy124.studies.validation.stress.bodies import DX, Array, body, host, relative
@@ -39,7 +40,7 @@ def broken_numbers(setting: Setting) -> list[Check]:
     together = dict(zip(range(0, 3 * len(poisons), 3), poisons, strict=True))
     _, dropped = _read(table, {5 * k: (name, math.nan) for k, name in enumerate(names)})
     gaussians, _ = _read(table, together)
-    clip = Simulation(gaussians, quick(setting), device=setting.device).run()
+    clip = Simulation(prepare(gaussians, quick(setting), RunContext(device=setting.device))).run()
     return [
         at_most("files with one bad number that stay unsound", unsound, 0),
         equal("every row with NaN dropped and counted", dropped == len(names)),

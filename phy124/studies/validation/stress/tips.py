@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.stress.bodies import Array
 from phy124.studies.validation.stress.case import Check, Setting, at_most
 
@@ -81,7 +82,7 @@ def depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> float
     )
     resolution = scene.resolution.model_copy(update={"precision": setting.precision})
     scene = scene.model_copy(update={"accuracy": resolution})
-    clip = Simulation(cloud(inside), scene, device=setting.device).run()
+    clip = Simulation(prepare(cloud(inside), scene, RunContext(device=setting.device))).run()
     return -float(clip.means[:, :, 2].min()) / scene.dx
 
 

@@ -1,0 +1,213 @@
+"""Setup: a scene made ready to run. Objects are placed, particles made, and bad input is refused.
+
+setup = prepare(gaussians, Scene.named("press"))
+for frame in Simulation(setup):
+    ...
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.budget.cost import Estimate
+from phy124.budget.limits import check_limits
+from phy124.gaussians import Gaussians
+from phy124.imaging.painted import WHOLE, Crop
+from phy124.materials import AnyMaterial
+from phy124.monitor import OBSERVERS
+from phy124.monitor.observer import Observer, Subject
+from phy124.mpm import FreeBody
+from phy124.mpm.slabs import layers
+from phy124.mpm.workers import usable_workers
+from phy124.particles import Particles
+from phy124.particles.scenery import Scenery
+from phy124.particles.thickness import relative_thickness
+from phy124.runtime.context import RunContext
+from phy124.runtime.cores import refuse_threads
+from phy124.scene import Scene
+from phy124.simulation import props
+from phy124.simulation.appearance import Appearance
+from phy124.simulation.bodies import bodies
+from phy124.simulation.placing import belongs
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Everything that determines a run; it may be run many times."""
+
+    source: Gaussians
+    """The Gaussians from which it was made."""
+    crop: Crop
+    """Where the object is in the picture that the masks of parts were painted on."""
+    scene: Scene
+    """The scene."""
+    solid_scene: Scene
+    """The scene in which objects with a path are walls, too."""
+    cleaned_scene: Scene
+    """The scene whose parts name the Gaussians that are left after cleaning."""
+    cleaning: list[str]
+    """Sentences about Gaussians that were changed or dropped."""
+    gaussians: Gaussians
+    """The cleaned Gaussians, at rest in their place, m."""
+    appearance: Appearance
+    """How they are shown, grains included."""
+    particles: Particles
+    """Particles of the solver at rest, in the order of its slabs."""
+    materials: Sequence[AnyMaterial]
+    """Materials of the particles."""
+    stiffness: NDArray[np.float64] | None
+    """Fraction of its material's E that each particle has [P]; None: all of it."""
+    free: tuple[FreeBody, ...]
+    """Props that move freely as rigid solids."""
+    scenery: Scenery
+    """All Gaussians at rest, and the props and parts that are not in the solver."""
+    estimate: Estimate
+    """Rough estimate of the time and memory that the run needs."""
+    context: RunContext
+    """Device, threads, progress and stopwatch; particles are ordered for its threads."""
+    threads: int
+    """CPU threads that the run uses."""
+    along: int
+    """Axis along which the particles are ordered."""
+    keep: bool
+    """Whether all frames are kept."""
+    shapes: bool
+    """Whether frames show where the Gaussians are; otherwise they show them at rest."""
+    changes: bool
+    """Whether forces, boundaries and stiffness may change while it runs."""
+    observers: tuple[type[Observer], ...]
+    """Classes of observers; those that the scene calls for observe the run."""
+
+    @property
+    def shown(self) -> Gaussians:
+        """All Gaussians at rest, grains included."""
+        return self.appearance.gaussians
+
+    @cached_property
+    def thickness(self) -> float | None:
+        """Local thickness of the object relative to its size; None in scenes of several objects."""
+        if self.scene.objects:
+            return None
+        belonging = belongs(self.cleaned_scene, len(self.gaussians))
+        return relative_thickness(self.gaussians.select(belonging), self.scene.object.size)
+
+    @property
+    def subject(self) -> Subject:
+        """Decides which observers the run has."""
+        return Subject(self.solid_scene, self.materials, self.changes)
+
+
+def prepare(
+    gaussians: Gaussians,
+    scene: Scene,
+    context: RunContext | None = None,
+    *,
+    crop: Crop = WHOLE,
+    along: int | None = None,
+    keep: bool = True,
+    shapes: bool = True,
+    changes: bool = False,
+    observers: Sequence[type[Observer]] = OBSERVERS,
+) -> Setup:
+    """Place the objects of a scene, make their particles and estimate the cost.
+
+    Args:
+        gaussians: The object at any size, standing upright, facing +x; or several, distinguished by
+            `object_id`. Missing objects are shapes or copies of the first.
+        scene: Materials, forces, boundaries and accuracy.
+        context: Device, threads, progress and stopwatch.
+        crop: Where the object is in the picture that the masks of parts were painted on.
+        along: Axis along which particles are ordered; None: as suits the number of threads.
+        keep: Keep all frames for a clip; otherwise the frames may exceed the memory.
+        shapes: Deform the Gaussians of each frame.
+        changes: Allow `Simulation.change`.
+        observers: Classes of observers to choose from.
+
+    Raises:
+        InputError: The Gaussians or the scene cannot be used, or the run would exceed its time
+            budget or the free memory.
+    """
+    context = context or RunContext()
+    refuse_threads(context.threads)
+    with context.watch.stage("particles"):
+        body = bodies(gaussians, scene, crop)
+        look, shown = body.look, body.look.gaussians
+        solid_scene = scene.with_solids()
+        threads = usable_workers(len(look.particles), context.device, context.threads)
+        along = slab_axis(look.particles, threads) if along is None else along
+        particles, stiffness = sort_for_slabs(
+            look.particles, body.materials, body.stiffness, scene.dx, along
+        )
+        free = tuple(props.free_bodies(scene, shown))
+        props.refuse_overlap(free, particles.x, scene)
+        judged = costliest_scene(solid_scene, body.materials)
+        estimate = check_limits(shown, particles, judged, context.device, keep=keep)
+        return Setup(
+            source=gaussians,
+            crop=crop,
+            scene=scene,
+            solid_scene=solid_scene,
+            cleaned_scene=body.numbered,
+            cleaning=body.cleaning,
+            gaussians=body.gaussians,
+            appearance=look,
+            particles=particles,
+            materials=body.materials,
+            stiffness=stiffness,
+            free=free,
+            scenery=props.scenery(scene, shown, look.moves),
+            estimate=estimate,
+            context=context,
+            threads=threads,
+            along=along,
+            keep=keep,
+            shapes=shapes,
+            changes=changes,
+            observers=tuple(observers),
+        )
+
+
+def slab_axis(particles: Particles, threads: int) -> int:
+    """Return the axis to order particles along: x, or the longest for several threads."""
+    return int(np.argmax(np.ptp(particles.x, axis=0))) if threads > 1 else 0
+
+
+def sort_for_slabs(
+    particles: Particles,
+    materials: Sequence[AnyMaterial],
+    stiffness: NDArray | None,
+    dx: float,
+    axis: int,
+) -> tuple[Particles, NDArray | None]:
+    """Return particles sorted by layers of cells, so that a slab is a run of them in memory.
+
+    Args:
+        particles: They are sorted by law, and along x within each law; the laws stay in order.
+        materials: Materials of the particles.
+        stiffness: Values for each particle [P], or None.
+        dx: Thickness of a layer [m].
+        axis: The axis across the layers; 0: they stay in their order.
+    """
+    if axis == 0:
+        return particles, stiffness
+    laws = [section.device_law.name for section in materials]
+    law = np.array([laws.index(name) for name in laws])[particles.material]
+    body = np.zeros_like(law) if particles.body is None else particles.body
+    changes = (np.diff(law, prepend=law[0]) != 0) | (np.diff(body, prepend=body[0]) != 0)
+    order = np.lexsort((layers(particles.x, axis, dx), np.cumsum(changes)))
+    arrays = {field.name: getattr(particles, field.name) for field in fields(particles)}
+    ordered = {name: array[order] for name, array in arrays.items() if array is not None}
+    return replace(particles, **ordered), None if stiffness is None else stiffness[order]
+
+
+def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
+    """Return the scene whose cost is estimated: for a file of properties, its fastest material."""
+    if scene.properties is None:
+        return scene
+    fastest = max(materials, key=lambda section: section.wave_speed())
+    return scene.model_copy(update={"material": fastest, "parts": ()})
