@@ -7,7 +7,6 @@ from hour import SETTINGS, attack, check
 
 from support.served import serving
 
-pytestmark = pytest.mark.slow
 SECONDS, VISITORS = 60.0, 10
 
 
