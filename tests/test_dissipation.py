@@ -92,7 +92,7 @@ def test_metal_loses_its_plastic_work(rng):
         ({"checks": {"energy": True, "balance": False}}, "checks.energy needs checks.balance"),
         (
             {"checks": {"energy": True}, "objects": [{"name": "cup", "place": [2.0, 0.0]}]},
-            "a scene with objects",
+            "checks.energy does not support objects",
         ),
     ],
 )

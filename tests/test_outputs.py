@@ -196,7 +196,7 @@ def test_only_what_is_asked_for_is_made(tmp_path, clip):
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"outputs": ["depth", "depth"]}, "outputs must name each output once"),
+        ({"outputs": ["depth", "depth"]}, "outputs names an output twice. Name each once."),
         ({"outputs": ["z"]}, "view.outputs.0 = z: it must be one of depth, alpha"),
         ({"outputs": []}, "formats must name at least one format"),
     ],

@@ -59,7 +59,7 @@ class Sleep(Observer):
         """Largest distance of a particle from its anchor [m]."""
         self.speeds: list[float] = []
         """Largest speed in each frame since the anchor was set [m/s]."""
-        self._fastest, self._last = 0.0, 0
+        self._fastest, self._last, self._before = 0.0, 0, 0
         self.since: int | None = None
         """The first frame that was left out."""
         self.skipped = self.saved = 0
