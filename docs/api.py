@@ -22,7 +22,6 @@ HERE = Path(__file__).parent
 PAGES = HERE / "reference/api"
 LEFT_OUT = {
     "phy124.commands",
-    "phy124.runtime",
     "phy124.schema.arguments",
     "phy124.studies.validation.stress",
 }

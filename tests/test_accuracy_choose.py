@@ -127,10 +127,10 @@ def test_too_many_particles_return_the_last_level(quick, monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 13))
     plain = choose.Simulation
 
-    def refusing(gaussians, scene, **options):
-        if scene.particles_per_axis > 2:
+    def refusing(setup):
+        if setup.scene.particles_per_axis > 2:
             raise InputError("time.budget", "1 s", "it takes too long.", "Wait.")
-        return plain(gaussians, scene, **options)
+        return plain(setup)
 
     monkeypatch.setattr(choose, "Simulation", refusing)
     reached = reach(Goal.error("0.1%"), ball(600), quick)
@@ -198,13 +198,14 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
     built = []
 
     class Run:
-        def __init__(self, gaussians, scene, **_):
-            self.scene = scene
-            built.append(scene.resolution.cells)
+        def __init__(self, setup):
+            self.scene = setup.scene
+            built.append(setup.scene.resolution.cells)
 
         def run(self, each):
             return None
 
+    monkeypatch.setattr(choose, "prepare", lambda _, scene, *a, **k: SimpleNamespace(scene=scene))
     monkeypatch.setattr(choose, "Simulation", Run)
     reached = reach(Goal.time(seconds), ball(10), Scene(), forecaster=Oracle())
     assert reached.about["cells"] == cells
@@ -213,7 +214,8 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
 
 
 def test_a_time_too_short_is_refused(monkeypatch):
-    monkeypatch.setattr(choose, "Simulation", lambda g, scene, **_: SimpleNamespace(scene=scene))
+    monkeypatch.setattr(choose, "prepare", lambda _, scene, *a, **k: SimpleNamespace(scene=scene))
+    monkeypatch.setattr(choose, "Simulation", lambda setup: SimpleNamespace(scene=setup.scene))
     with pytest.raises(InputError) as refusal:
         reach(Goal.time(0.5), ball(10), Scene(), forecaster=Oracle())
     # 10 s times 2^-2.5, 1 s that does not depend on the grid, and what is left free.

@@ -13,7 +13,7 @@ from phy124 import __version__
 from phy124.__main__ import main
 from phy124.commands import COMMANDS, outline
 from phy124.commands.bars import Bars, silence
-from phy124.commands.kinds import KINDS, TAKES, USES
+from phy124.commands.kinds import KINDS, SIGNS, TAKES, USES
 from phy124.commands.options import SceneOptions, ViewOptions
 from phy124.gaussians import Frame
 from phy124.io.clip import Clip
@@ -145,7 +145,7 @@ def test_content_tells_the_kind_of_a_file_whatever_its_name(capsys, tmp_path, mo
 
 
 def test_every_kind_has_an_advice_and_every_command_its_kind():
-    assert set(KINDS.values()) == set(USES)
+    assert {*KINDS.values(), *SIGNS.values()} == set(USES)
     for name, (field, kind) in TAKES.items():
         assert field in list_fields(COMMANDS[name])
         assert kind in USES

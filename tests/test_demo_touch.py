@@ -290,7 +290,7 @@ def player(monkeypatch, tmp_path):
     monkeypatch.setattr("demo.touch.player.RealTime.wait", lambda self: 1.0)
     monkeypatch.setattr(
         "demo.touch.player.held_rate",
-        lambda gaussians, scene, **_: type("Choice", (), {"scene": scene, "sentence": "so"}),
+        lambda gaussians, scene, *_, **__: type("Choice", (), {"scene": scene, "sentence": "so"}),
     )
     known = type("Known", (), {"cut": lambda self, deadline: None})()
     order = SimpleNamespace(

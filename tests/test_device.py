@@ -70,5 +70,5 @@ def enter(place, other) -> bool:
 def test_on_a_gpu_nobody_draws_while_a_graph_may_be_captured():
     cpu, gpu = SimpleNamespace(device="cpu"), SimpleNamespace(device="cuda:1")
     assert enter(cpu, cpu) and not enter(gpu, gpu)
-    for method in (Simulation._advance, Simulation._frame, Renderer.__call__):
+    for method in (Simulation._advance, Simulation._make_frame, Renderer.__call__):
         assert hasattr(method, "__wrapped__")

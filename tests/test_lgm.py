@@ -219,7 +219,7 @@ def test_pth_loads_without_running_code(tmp_path, tiny):
 def test_old_generation_is_known_by_checksum_and_not_rotated(tmp_path, tiny, monkeypatch):
     path = tmp_path / "old.safetensors"
     save_file(tiny.state_dict(), path)
-    monkeypatch.setitem(lgm_model.GENERATIONS, lgm_model.sha256_of(path), "all")
+    monkeypatch.setitem(lgm_model.GENERATIONS, lgm_model.compute_sha256(path), "all")
     model = load(path, TINY)
     assert model.rotations == "all"
     rows = model(torch.rand(1, 4, 9, 32, 32))

@@ -52,7 +52,7 @@ def test_the_setting_that_would_fit_fits(hard):
     assert list(changes) == [list(hard)[-3]]
     assert f"{words}, " in str(refusal.value)
     scene = Scene.named("push_right").replaced({**QUICK, **hard}).replaced(changes)
-    gaussians = run().gaussians
+    gaussians = run().setup.gaussians
     particles = make_particles(gaussians, density=1000, spacing=scene.dx / 2)
     assert estimate(gaussians, particles, scene, "cpu").seconds <= 60
 
@@ -72,7 +72,7 @@ def test_what_is_too_far_up_for_float32_is_refused():
     with pytest.raises(InputError, match=r"object\.lift = 10000 m: .*Use at most 620 m") as refusal:
         run(**{"object.size": 0.05, "object.lift": 1e4})
     changes = refusal.value.remedies[0].changes
-    assert run(**{"object.size": 0.05, **changes}).particles.x.max() < 621
+    assert run(**{"object.size": 0.05, **changes}).setup.particles.x.max() < 621
 
 
 def test_clips_beyond_the_memory_are_refused(monkeypatch):

@@ -278,7 +278,7 @@ def test_the_grid_is_as_fine_as_this_machine_holds():
 def test_the_finest_grid_that_keeps_up_is_told_from_one_trial(monkeypatch):
     tried = []
 
-    def trial(gaussians: Gaussians, on: Scene, options: dict) -> choose.Cost:
+    def trial(gaussians: Gaussians, on: Scene, *_) -> choose.Cost:
         tried.append(on.resolution.cells)
         return choose.Cost(12, substeps=0.002, others=0.01)
 

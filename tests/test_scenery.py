@@ -53,13 +53,13 @@ def clip(pair):
 
 
 def test_static_gaussians_are_in_every_frame_bit_for_bit(pair, clip):
-    still = pair.gaussians.means[:, 1] > 0
+    still = pair.setup.gaussians.means[:, 1] > 0
     assert still.sum() == COUNT and len(still) == 2 * COUNT
     for name in ("means", "quats", "scales"):
         values = getattr(clip, name)
-        rest = getattr(pair.gaussians, name)
+        rest = getattr(pair.setup.gaussians, name)
         assert (values[:, still] == rest[still]).all(), name
-    assert np.array_equal(clip.opacities, pair.gaussians.opacities)
+    assert np.array_equal(clip.opacities, pair.setup.gaussians.opacities)
     moved = np.abs(clip.means[-1] - clip.means[0]).max(axis=1)
     assert (moved[~still] > 0.01).all()
 
@@ -68,7 +68,7 @@ def test_the_solver_never_hears_of_them(pair, clip):
     """Five times as many static ones: as many particles and launches as before."""
     more = Simulation(prepare(two_balls(5), drop(PAIR | STATIC)))
     report = more.run().report
-    assert pair.particles.x[:, 1].max() < 0
+    assert pair.setup.particles.x[:, 1].max() < 0
     counts = [{n: k for n, (_, k) in r.solver.timings.items()} for r in (pair, more)]
     assert counts[0] == counts[1]
     # The size of an object is a quantile's: 0.5 % apart here.
@@ -76,7 +76,7 @@ def test_the_solver_never_hears_of_them(pair, clip):
     everything = Simulation(prepare(two_balls(), drop(PAIR)))
     everything.run()
     assert set(everything.solver.timings) == set(counts[0])
-    assert len(everything.setup.particles) > 1.9 * len(pair.particles)
+    assert len(everything.setup.particles) > 1.9 * len(pair.setup.particles)
     half = everything.report()["mass"] / 2
     assert clip.report["mass"] == pytest.approx(half, rel=0.01)
     assert "static Gaussians: 1500 never enter the solver" in report["effects"]["ran"]
