@@ -13,7 +13,7 @@ from reference.textbook import Textbook
 class AtNodes(Held):
     """Holds every node inside by itself, as the program of the papers does."""
 
-    def met(self, solver):
+    def at_surface(self, dx):
         return False
 
     def response(self):
