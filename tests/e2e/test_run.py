@@ -143,10 +143,7 @@ def _check_files(folder: Path) -> None:
 def test_the_error_of_a_scene_is_measured_on_request(visit):
     page = visit.page
     visit.upload()
-    visit.choose(frames=14)
-    # Of such scenes it is known; what was said of the scene before goes as soon as that arrives.
-    page.wait_for_selector("[data-measure]", state="detached", timeout=LONG)
-    page.get_by_label("Frames", exact=True).fill("40")
+    visit.choose(frames=40)
     page.locator("[data-measure]").click()
     page.locator("#progress").get_by_text("Grids").wait_for(timeout=LONG)
     page.locator("#cancel").click()
