@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phy124.boundaries import Ground
-from phy124.forces import Gravity, ParticleForce, SetVelocity, Wind
+from phy124.forces import Acceleration, Gravity, ParticleForce, SetVelocity, Wind
 from phy124.gaussians import Gaussians
 from phy124.materials import NeoHookean
 from phy124.mpm import MEASURE_EVERY, Unstable
@@ -107,6 +107,21 @@ def test_translation_never_leaves_the_window(cells):
         s.advance(frame * 11.5e-3)
     assert s.flying and s.rejection.rejected == 0
     assert s.clock.limiters == {"user": 96}
+
+
+@pytest.mark.parametrize("measure_every", [4, 32])
+@pytest.mark.parametrize("cells", [0.01, 0.09, 0.11])
+def test_acceleration_never_leaves_the_window(cells, measure_every):
+    """A uniform one, of so many cells per substep squared, up to the limit of speed."""
+    dt = 1e-3
+    a = cells * 0.125 / dt**2
+    s = solver([Acceleration(a=(a, 0, 0))], measure_every=measure_every, ceiling=dt)
+    start = s.state.x.numpy()[:, 0].mean()
+    for frame in range(1, 9):
+        s.advance(frame * 11.5e-3)
+    way = s.state.x.numpy()[:, 0].mean() - start
+    assert way == pytest.approx(a * s.clock.time**2 / 2, rel=0.02)
+    assert s.clock.limiters["speed"] > 0 or cells < 0.05
 
 
 def test_flight_at_speed_is_not_tried():

@@ -81,17 +81,20 @@ class Clock:
         ahead = self.travel + travel + max(travel, calm_strain * self.dx)
         return late or strain > calm_strain or ahead > TRAVEL * self.dx
 
-    def measured(self, extremes: Extremes, *, complete: bool) -> None:
+    def measured(self, extremes: Extremes, *, complete: bool, acceleration: float = 0.0) -> None:
         """Limit substeps by what has been measured.
 
         Args:
             extremes: The largest values over all particles.
             complete: Whether stiffness and positions are among what was measured.
+            acceleration: Upper bound of that by forces since the last measurement [m/s^2].
         """
         elapsed, before = self.time - self._looked, self.extremes
         rate = max(extremes.gradient, remembered(self.strain_rate, self.since_measured))
         self.strain += elapsed * max(rate, self.strain_rate)
-        self.travel += elapsed * max(extremes.speed, before.speed)
+        # Forces may have sped particles up and slowed them down again in between.
+        gained = acceleration * elapsed / 2
+        self.travel += elapsed * (max(extremes.speed, before.speed) + gained)
         self.strain_rate, self._looked, self.since_measured = rate, self.time, 0
         self.extremes = self.recent = extremes
         if complete:

@@ -21,13 +21,15 @@ from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Stage, Sums
 from phy124.mpm.state import State
-from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
+from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, TRAVEL
 from phy124.mpm.tracks import Tracks
 
 TRIES = 100
 """Largest number of tries; each is at most half as long as the one before."""
 FIRST = 4
 """Number of substeps after which steady forces have shown their effect."""
+PULL = 0.1
+"""Distance that forces move a particle from rest in a substep [cells], above which it is tried."""
 ROUNDED = 1 - 1e-6
 """Frames before a frame that count: whole ones would hold, by rounding, what ended before them."""
 
@@ -93,7 +95,7 @@ class StepRejection:
         return (
             (fast and not flying)
             or 2 * extremes.gradient * dt > STRAIN_PER_STEP
-            or self.acceleration * dt * dt > 0.1 * dx
+            or self.acceleration * dt * dt > PULL * dx
             or self.sudden(clock)
         )
 
@@ -113,6 +115,21 @@ class StepRejection:
             speed / (calm * dx), clock.strain_rate / calm, pulled / math.sqrt(2 * calm * dx)
         )
         return every if each * every <= 1 else max(MEASURE_EVERY, int(1 / each))
+
+    def room(self, clock: Clock) -> int:
+        """Substeps in which no particle leaves the margin of its window, by speeds and forces.
+
+        In the k-th of them it moves by (v + k a dt) dt at most; where a dt^2 is more than `PULL`,
+        substeps are tried, and a violent one is followed by a measurement.
+        """
+        dx, dt = self._model.dx, clock.stable().dt
+        if not math.isfinite(dt):
+            return 1
+        gain = min(self.acceleration * dt * dt, PULL * dx)
+        first = clock.extremes.speed * dt + gain / 2
+        left = max(TRAVEL * dx - clock.travel, 0.0)
+        root = first + math.sqrt(first * first + 2 * gain * left)
+        return int(min(2 * left / root, clock.measure_every)) if root > 0 else clock.measure_every
 
     def attempt(
         self, dt: float, scatter: Callable[[float], None], grids: Sequence[Grid]

@@ -374,11 +374,14 @@ class Solver:
         rows = [worker.speeds.numpy() for worker in self.workers]
         speed, gradient = np.max(rows, axis=0).tolist()
         speed = max(speed, self.free.fastest())
-        clock.measured(clock.extremes._replace(speed=speed, gradient=gradient), complete=False)
-        if clock.complete(calm):
+        extremes = clock.extremes._replace(speed=speed, gradient=gradient)
+        clock.measured(extremes, complete=False, acceleration=self.rejection.acceleration)
+        room = self.rejection.room(clock)
+        if clock.complete(calm) or room < MEASURE_EVERY:
             self._measure()
         else:
-            clock.interval = self.rejection.interval(clock, max(calm - clock.strain, 1e-9))
+            interval = self.rejection.interval(clock, max(calm - clock.strain, 1e-9))
+            clock.interval = min(interval, room)
 
     def _calm_strain(self) -> float:
         """Strain until which the substep stays stable although materials stiffen."""
@@ -462,8 +465,10 @@ class Solver:
 
     def _safe_interval(self) -> int:
         """Substeps that may pass between two measurements of speeds in the current state."""
-        usual = min(self.clock.measure_every, MEASURE_EVERY)
-        return usual if self.on_device else self.rejection.interval(self.clock, self._calm_strain())
+        interval = min(self.clock.measure_every, MEASURE_EVERY)
+        if not self.on_device:
+            interval = self.rejection.interval(self.clock, self._calm_strain())
+        return max(1, min(interval, self.rejection.room(self.clock)))
 
     def _follow_window(self) -> None:
         """Record the launches again if a window has moved."""
