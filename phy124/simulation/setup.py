@@ -93,8 +93,9 @@ class Setup:
         """Local thickness of the object relative to its size; None in scenes of several objects."""
         if self.scene.objects:
             return None
-        belonging = belongs(self.cleaned_scene, len(self.gaussians))
-        return relative_thickness(self.gaussians.select(belonging), self.scene.object.size)
+        with self.context.watch.stage("thickness"):
+            belonging = belongs(self.cleaned_scene, len(self.gaussians))
+            return relative_thickness(self.gaussians.select(belonging), self.scene.object.size)
 
     @property
     def subject(self) -> Subject:
