@@ -89,7 +89,7 @@ def grids(scene: Scene) -> tuple[int, ...]:
 
 def on_grid(scene: Scene, cells: int) -> Scene:
     """The scene on another grid, in single precision, which does not change its error
-    (docs/results/accuracy.md).
+    (docs/lab/accuracy.md).
     """
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy})

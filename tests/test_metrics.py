@@ -258,7 +258,7 @@ def test_command_line_evaluates_a_clip(tiny_clip, tmp_path, capsys, monkeypatch)
 
 
 def test_documentation_names_the_options_and_figures_there_are():
-    page = (Path(__file__).parents[1] / "docs/results/evaluation.md").read_text("utf-8")
+    page = (Path(__file__).parents[1] / "docs/lab/evaluation.md").read_text("utf-8")
     header = evaluate(falling(), {"front": np.zeros((2, 4, 4, 3))}, missing="-").table()
     for figure in ("CLIP-T cos", "CLIP-T dist", "motion %", "flicker %", "momentum residual"):
         assert figure in page and figure in header

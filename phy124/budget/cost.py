@@ -25,9 +25,9 @@ GAUSSIANS = 50_000
 FILLED = 0.19
 """Volume of a typical object relative to the cube of its longest side."""
 DOUBLE = 1.7
-"""Time of a substep in float64 relative to float32 (docs/results/accuracy.md)."""
+"""Time of a substep in float64 relative to float32 (docs/lab/accuracy.md)."""
 PASS = 0.7
-"""Relative time that each additional pass of a transfer takes (docs/results/transfers.md)."""
+"""Relative time that each additional pass of a transfer takes (docs/lab/transfers.md)."""
 WINDOW = 11
 """Nodes per axis by which the grid's window is wider than the object in it."""
 BYTES_PER_PARTICLE = 400

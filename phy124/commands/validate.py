@@ -21,7 +21,7 @@ from phy124.studies.validation.experiments.page import data, details, save_page,
 from phy124.studies.validation.experiments.plots import refuse_missing_plots
 from phy124.studies.validation.experiments.running import outcomes
 
-DOCS = Path("docs/results/experiments.md"), Path("docs/images/experiments")
+DOCS = Path("docs/lab/experiments.md"), Path("docs/images/experiments")
 """The page and its plots in a clone."""
 
 
@@ -43,7 +43,7 @@ class Validate:
     out: Path | None = None
     """Folder for experiments.md, .json and a plot of each."""
     docs: bool = False
-    """In a clone: renew docs/results/experiments.md and its plots."""
+    """In a clone: renew docs/lab/experiments.md and its plots."""
     json: bool = False
     """Print as JSON and nothing else."""
 

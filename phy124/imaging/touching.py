@@ -2,7 +2,7 @@
 
 A neck alone is no evidence (a head on shoulders), nor are colours alone (trousers and shirt): both
 are required, and each part must be large. A sail still looks like a separate object; error rates
-are in docs/results/cutouts.md.
+are in docs/lab/cutouts.md.
 """
 
 from __future__ import annotations

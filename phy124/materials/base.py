@@ -12,7 +12,7 @@ from phy124.schema.section import Section
 
 FEW = 1.5
 """Particles per cell and axis of plastic and granular materials, which cannot tear. With 2 a run
-takes 1.7 times as long and has the same error (docs/results/accuracy.md)."""
+takes 1.7 times as long and has the same error (docs/lab/accuracy.md)."""
 FLOWING = 4.0
 """Longest axis of a Gaussian of plastic or fluid material, relative to its longest axis at rest."""
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Cost(NamedTuple):
-    """Cost of an effect on one core [ns per substep]; measured in docs/results/benchmarks.md."""
+    """Cost of an effect on one core [ns per substep]; measured in docs/lab/benchmarks.md."""
 
     fixed: float = 0.0
     particle: float = 0.0

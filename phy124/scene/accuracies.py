@@ -94,7 +94,7 @@ NAMED = {
         "final results: cells are a third as wide, and double precision removes rounding errors",
     ),
 }
-"""Name -> settings and purpose. docs/results/accuracy.md has the measured errors."""
+"""Name -> settings and purpose. docs/lab/accuracy.md has the measured errors."""
 PRESETS = {name: accuracy for name, (accuracy, _) in NAMED.items()}
 GOOD_FOR = {name: use for name, (_, use) in NAMED.items()}
 AccuracyName = Literal["draft", "standard", "fine"]

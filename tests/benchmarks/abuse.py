@@ -1,4 +1,4 @@
-"""The abuse that PhysGaussian's solver was put to (docs/results/stability.md), done here.
+"""The abuse that PhysGaussian's solver was put to (docs/lab/stability.md), done here.
 
 Run `python tests/benchmarks/abuse.py`; it prints one line per abuse and takes a minute. Bodies are
 those of the table: a cube of 512 particles (1,728 in impacts) with E = 1e5 Pa.

@@ -1,4 +1,4 @@
-"""The measurements of docs/results/accuracy.md: known answers, studies, goals, costs of parts.
+"""The measurements of docs/lab/accuracy.md: known answers, studies, goals, costs of parts.
 
 With `--docs` its tables and plots are renewed (`make accuracy`). About a quarter of an hour, most
 of it for the goals and the finer runs that check them; parts by name (verify, duck-press,
@@ -299,7 +299,7 @@ def main(parts: list[str], *, docs: bool) -> None:
     for name, text in made.items():
         print(text, flush=True)
         if docs:
-            renew(DOCS / "results/accuracy.md", name, text)
+            renew(DOCS / "lab/accuracy.md", name, text)
 
 
 def wants(parts: list[str], name: str) -> bool:

@@ -1,6 +1,6 @@
 """Registers, stack and spills of every kernel, compiled for five generations of GPUs, none run.
 
-`python tests/benchmarks/cuda_report.py [--docs]` prints the tables of docs/results/cuda.md, or
+`python tests/benchmarks/cuda_report.py [--docs]` prints the tables of docs/lab/cuda.md, or
 renews them. Some minutes on two cores. A GPU has 65,536 registers per multiprocessor: above 128 of
 them per thread fewer than 512 threads fit, and little is left to hide the time that memory takes.
 """
@@ -20,7 +20,7 @@ from support import device_kernels
 from support.cubin import ARCHITECTURES, Usage, usage
 
 wp.config.log_level = wp.LOG_ERROR
-PAGE = DOCS / "results/cuda.md"
+PAGE = DOCS / "lab/cuda.md"
 Row = dict[int, dict[str, Usage]]
 """Architecture -> kernel -> what it takes."""
 

@@ -1,7 +1,7 @@
 """How well objects are cut out of pictures whose masks are known, by which method.
 
 python tests/benchmarks/cutouts.py                    the examples, each on 12 grounds; renews the
-                                                      tables in docs/results/cutouts.md
+                                                      tables in docs/lab/cutouts.md
 python tests/benchmarks/cutouts.py PICTURES MASKS     pictures, and masks named alike (.png); prints
 """
 
@@ -111,7 +111,7 @@ def main(*folders: str) -> None:
     for name, table in tables.items():
         print(f"\n{table}")
         if not folders:
-            renew(DOCS / "results/cutouts.md", name, table)
+            renew(DOCS / "lab/cutouts.md", name, table)
 
 
 class Figures:

@@ -1,4 +1,4 @@
-"""The paper's three control experiments as numbers and a picture, for docs/results/paper.md.
+"""The paper's three control experiments as numbers and a picture, for docs/lab/paper.md.
 
 A sunflower is pushed by (-1, 0, 0), (-1.5, 0, 0) and (0, -1, 0) of the paper's axes, each of its
 Gaussians a particle. With `--docs` the table and the picture are renewed.
@@ -81,7 +81,7 @@ def main() -> None:
     table = markdown(heads, [row(clip, scene, name) for name, (clip, scene) in clips.items()])
     print(table)
     if "--docs" in sys.argv:
-        renew(DOCS / "results/paper.md", "control", table)
+        renew(DOCS / "lab/paper.md", "control", table)
         rows = [strip(clip, scene) for clip, scene in clips.values()]
         Image.fromarray(np.concatenate(rows, axis=0)).save(
             DOCS / "images/paper-control.webp", quality=85

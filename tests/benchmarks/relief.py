@@ -101,7 +101,7 @@ def summary(figures: dict[str, dict]) -> dict[str, float]:
 
 
 def line(name: str, row: dict, before: dict | None) -> str:
-    """One line of the table, also of the one in docs/results/relief.md."""
+    """One line of the table, also of the one in docs/lab/relief.md."""
     old = f"{before['iou']:.3f} | {before['psnr']:.1f} | {before['depth']:.2f} | " if before else ""
     return (
         f"| {name} | {old}{row['iou']:.3f} | {row['psnr']:.1f} | {row['depth']:.2f} | "

@@ -1,4 +1,4 @@
-"""Measures the figures of docs/results/stability.md and draws its plot.
+"""Measures the figures of docs/lab/stability.md and draws its plot.
 
 Run `python tests/benchmarks/stability.py OUT`; it takes about two minutes on one core.
 """

@@ -3,7 +3,7 @@
 It is a guess, not a reconstruction: the silhouette becomes the solid that it most plainly suggests
 (`phy124.generators.relief.solids`), the front shows the picture, and the back what the picture's
 rim suggests. A picture from the side replaces the guess (`phy124.generators.relief.hull`). How
-close that comes to solids known from all sides is in docs/results/relief.md.
+close that comes to solids known from all sides is in docs/lab/relief.md.
 """
 
 from __future__ import annotations

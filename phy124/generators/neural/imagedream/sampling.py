@@ -1,7 +1,7 @@
 """The steps from noise to latents: the schedule, and the solvers that follow it.
 
 DDIM (Song et al. 2021) is of first order, DPM-Solver++ (Lu et al. 2022) of second. Both solve the
-same equation, so both tend to the same latents; docs/results/benchmarks.md compares their errors.
+same equation, so both tend to the same latents; docs/lab/benchmarks.md compares their errors.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 `phy124 accuracy --verify` shows that the equations are solved; `phy124 validate` compares with what
 was measured, or proved, elsewhere. Each experiment has three grids, a band, and a control with a
-deliberate mistake, which must leave that band. docs/results/experiments.md is made by it.
+deliberate mistake, which must leave that band. docs/lab/experiments.md is made by it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The hard-case suite: anything that a user may type, upload or draw, with bounds that must hold.
 
 `phy124 stress` runs it on this machine's devices; the tests run the same cases. The bounds and the
-reasons for them are in docs/results/stability.md.
+reasons for them are in docs/lab/stability.md.
 """
 
 from collections.abc import Iterator
