@@ -53,7 +53,7 @@ def quick(command):
 
 setup(
     name=NAME,
-    version="0.2.0",
+    version="0.3.0",
     description="phy124's moving Gaussians as ROS 2 topics and MCAP files",
     license="MIT",
     packages=[NAME, f"{NAME}.sinks", f"{NAME}.steering"],

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from phy124.scene import Scene, preset_names
     from phy124.simulation import Setup, Simulation, Stopped, prepare
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __all__ = [
     "Boundary",
     "Camera",
