@@ -15,7 +15,7 @@ from phy124.io.ply import write_ply
 from phy124.materials import FixedCorotated, Fluid, Hencky, NeoHookean, Plasticine, Snow
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
-from phy124.monitor.watchdog import Watchdog
+from phy124.monitor.watchdog import Watchdog, energy_supplied
 from phy124.mpm import Solver, Unstable
 from phy124.mpm.tracks import Sine
 from phy124.scene import Scene
@@ -77,6 +77,23 @@ def test_the_balance_adds_up(world, precision):
     assert watch.balance.energy_gain < 0.005
     if world == "violence":
         assert s.rejection.rejected > 0
+
+
+def test_lost_share_of_known_motions_is_at_most_one():
+    """A thrown lump that sticks, a block that slides to rest, a stone thrown up, a slow push."""
+    throw, fall = 1665.0, 347.0
+    assert (throw + fall) / energy_supplied(throw, fall, walls=0) == 1
+    assert 900 / energy_supplied(900, work=-900, walls=-900) == 1, "all of it is friction"
+    assert energy_supplied(900, work=-900, walls=0) == 900, "none is lost"
+    assert energy_supplied(0, work=50 - 30, walls=-30) == 50
+    assert energy_supplied(0, work=20, walls=20) == 20, "a wall that pushes supplies energy"
+
+
+def test_thrown_snow_loses_at_most_what_it_had():
+    scene = Scene.named("snow").replaced({"accuracy": {"cells": 8}, "view.size": 32})
+    watch = (run := Simulation(prepare(ball(300), scene))).run() and run.find(Watchdog)
+    assert watch.first.energy > 0.5 * watch.balance.turnover
+    assert -1 <= watch.balance.energy_gain < -0.8
 
 
 @pytest.mark.parametrize("way", range(8))

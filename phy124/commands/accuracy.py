@@ -187,7 +187,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def _split(lost: dict[str, float] | None) -> str:
-    """Where the energy lost went, in per cent of all that was turned over."""
+    """The energy lost by cause, in per cent of the energy supplied."""
     if lost is None:
         return "-"
     return "/".join(f"{round(100 * part, 1) + 0.0:.1f}" for part in lost.values())

@@ -23,7 +23,7 @@ BARS = 12
 MEASURES = (
     ("seconds.clip", "seconds of one core per clip"),
     ("largest_force", "largest force on a wall [N]"),
-    ("energy_gain", "energy gained, of the work done (below 0: lost)"),
+    ("energy_gain", "energy gained, of the energy supplied (below 0: lost)"),
     ("bytes", "bytes per clip"),
 )
 STYLE = """

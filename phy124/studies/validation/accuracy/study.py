@@ -64,9 +64,9 @@ class Row:
     limiters: dict[str, float]
     """Limit of the substep -> fraction of the substeps."""
     energy_lost: float
-    """Energy lost beyond the work of forces and walls, as a fraction of all energy turned over."""
+    """Energy lost in addition to the work of forces and walls, as a fraction of that supplied."""
     lost_to: dict[str, float] | None
-    """The same by where it went: material, contact, numerical; None where that cannot be told."""
+    """The loss by cause (material, contact, numerical); None if it cannot be split."""
     angular_momentum_lost: float | None
     """Relative change; None if forces or walls change it."""
     from_finest: Difference | None = None
@@ -332,7 +332,7 @@ def _can_split(scene: Scene) -> bool:
 
 
 def _lost_to(energy: dict[str, float] | None) -> dict[str, float] | None:
-    """Fractions of all energy turned over, of what a report says in joules."""
+    """Losses in a report's joules as fractions of the energy supplied."""
     if energy is None or not energy["turnover"] > 0:
         return None
     return {name: float(energy[name] / energy["turnover"]) for name in Loss._fields}
