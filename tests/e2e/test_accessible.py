@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from visit import DUCK, LONG, Visit
+from visit import DUCK, Visit
 
 pytestmark = pytest.mark.browser
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed")
@@ -50,11 +50,11 @@ def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
     page = visit.page
     if "dark" in look:
         page.goto(f"{server.url}?__theme=dark")
-        page.wait_for_selector("#scene .card", timeout=LONG)
+        page.wait_for_selector("#scene .card")
     found = {"empty": _violations(page)}
     (tmp_path / "text.png").write_text("this is no picture")
     page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
-    page.get_by_text("It is not a PNG, JPEG").first.wait_for(timeout=LONG)
+    page.get_by_text("It is not a PNG, JPEG").first.wait_for()
     found["refused"] = _violations(page)
     visit.upload(DUCK)
     page.get_by_text("Correct the cut-out").click()
@@ -67,7 +67,7 @@ def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
     visit.choose(frames=3)
     with visit.going_on():
         visit.generate()
-        page.wait_for_selector(".glimpse[src]", timeout=LONG)
+        page.wait_for_selector(".glimpse[src]")
         found["running"] = _violations(page)
     visit.finished()
     for tab in ("Videos", "Report", "Take away", "Fit"):
@@ -109,7 +109,7 @@ def test_summaries_show_that_they_open(page):
 
 
 def test_pictures_stand_still_for_those_who_ask_for_it(page):
-    page.wait_for_function(f"{SOURCES}.every(Boolean)", timeout=LONG)
+    page.wait_for_function(f"{SOURCES}.every(Boolean)")
     sources = page.evaluate(SOURCES)
     assert len(sources) > 10 and all(src.startswith("data:") for src in sources), sources
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from visit import LONG
 
 pytestmark = pytest.mark.browser
 
@@ -12,7 +11,7 @@ def test_a_lost_connection_and_a_reload_lose_nothing(visit):
     page = visit.page
     visit.begin(frames=40)
     visit.context.set_offline(True)
-    page.get_by_text("The connection was lost. Your run goes on").wait_for(timeout=LONG)
+    page.get_by_text("The connection was lost. Your run goes on").wait_for()
     page.wait_for_timeout(3000)
     visit.context.set_offline(False)
     visit.finished()
@@ -26,5 +25,5 @@ def test_a_lost_connection_and_a_reload_lose_nothing(visit):
 def test_reloaded_page_follows_its_run(visit):
     visit.begin(frames=60)
     visit.page.reload()
-    visit.page.wait_for_selector("#progress .running", timeout=LONG)
+    visit.page.wait_for_selector("#progress .running")
     visit.finished()

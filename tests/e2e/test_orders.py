@@ -76,7 +76,7 @@ def _settle(visit: Visit) -> None:
 
 
 def _release(visit: Visit, route: Any) -> None:
-    with visit.page.expect_response(lambda answer: answer.request == route.request, timeout=LONG):
+    with visit.page.expect_response(lambda answer: answer.request == route.request):
         route.continue_()
     _settle(visit)
 
@@ -94,7 +94,7 @@ def _run(visit: Visit, frames: int) -> None:
     visit.choose(frames=frames)
     visit.generate()
     changed = f"(before) => ![before, undefined].includes(({SRC})('.film video'))"
-    visit.page.wait_for_function(changed, arg=before, timeout=LONG)
+    visit.page.wait_for_function(changed, arg=before)
     visit.finished()
 
 
@@ -104,7 +104,7 @@ def test_the_picture_chosen_last_is_shown_although_sent_first(visit):
         page.locator("#photo input[type=file]").set_input_files(DUCK)
         _until(visit, held, 1)
         page.get_by_label("Example: teddy").click()
-        page.wait_for_selector("#cutout img[src]", timeout=LONG)
+        page.wait_for_selector("#cutout img[src]")
         before = page.evaluate(SRC, "#photo img")
         page.evaluate(STATUS)
         _release(visit, held[0])
@@ -121,7 +121,7 @@ def test_of_two_sides_the_last_is_used_although_answered_first(visit):
             side.set_input_files(path)
             _until(visit, held, count)
         held[1].continue_()
-        page.wait_for_selector(f"{SIDE}[src]", state="attached", timeout=LONG)
+        page.wait_for_selector(f"{SIDE}[src]", state="attached")
         before = page.evaluate(SRC, SIDE)
         page.evaluate(STATUS)
         _release(visit, held[0])
@@ -136,7 +136,7 @@ def test_late_answer_is_not_the_side_of_a_new_object(visit):
         page.get_by_label("Side", exact=True).set_input_files(DUCK)
         _until(visit, held, 1)
         page.get_by_label("Example: teddy").click()
-        page.get_by_text("Looking at it").wait_for(state="detached", timeout=LONG)
+        page.get_by_text("Looking at it").wait_for(state="detached")
         page.evaluate(STATUS)
         _release(visit, held[0])
     assert page.evaluate("said.filter((text) => text.startsWith('Side: '))") == []
@@ -147,7 +147,7 @@ def test_the_result_clicked_last_is_shown_and_stops_no_run(visit):
     visit.upload()
     for frames in (2, 3):
         _run(visit, frames)
-    page.wait_for_selector("#history li:nth-child(2)", timeout=LONG)
+    page.wait_for_selector("#history li:nth-child(2)")
     page.evaluate(SHOWN)
     with _held(visit, lambda event: "earlier" in event) as held:
         page.locator("#history li > button").nth(1).click()
@@ -157,18 +157,18 @@ def test_the_result_clicked_last_is_shown_and_stops_no_run(visit):
         held.waits = False
         for route in reversed(held):
             _release(visit, route)
-    page.wait_for_function("shown.join() === '0,1,0'", timeout=LONG)
+    page.wait_for_function("shown.join() === '0,1,0'")
     visit.choose(frames=4)
     with _held(visit, lambda _: True, "**/phy124/jobs/*") as held:
         visit.generate()
-        page.locator("#cancel").wait_for(timeout=LONG)
+        page.locator("#cancel").wait_for()
         page.locator("#history li > button").nth(1).click()
-        page.wait_for_selector("#history li:nth-child(2).current", timeout=LONG)
+        page.wait_for_selector("#history li:nth-child(2).current")
         assert page.locator("#cancel").is_visible() and page.locator("#go").is_disabled()
         held.waits = False
         for route in held:
             route.continue_()
-        page.wait_for_selector("#history li:nth-child(3)", timeout=LONG)
+        page.wait_for_selector("#history li:nth-child(3)")
 
 
 def test_a_file_of_another_result_is_not_offered(visit):
@@ -184,7 +184,7 @@ def test_a_file_of_another_result_is_not_offered(visit):
         page.locator("#history li:nth-child(2) > button").first.click()
         page.wait_for_function(
             f"(before) => document.querySelector('{clip}').getAttribute('href') !== before",
-            arg=before, timeout=LONG,
+            arg=before,
         )  # fmt: skip
         after = page.locator(clip).get_attribute("href")
         _release(visit, held[0])
@@ -219,7 +219,7 @@ def test_the_forecast_is_that_of_the_last_scene(visit):
     visit.choose(frames=9)
     page.wait_for_function(
         "(before) => document.querySelector('#forecast').textContent !== before",
-        arg=before, timeout=LONG,
+        arg=before,
     )  # fmt: skip
     waits = False
     answers[0][0].fulfill(response=answers[0][1])
@@ -228,7 +228,7 @@ def test_the_forecast_is_that_of_the_last_scene(visit):
     page.wait_for_function(
         "(html) => { const e = document.createElement('div'); e.innerHTML = html;"
         " return document.querySelector('#forecast').textContent.includes(e.textContent); }",
-        arg=last, timeout=LONG,
+        arg=last,
     )  # fmt: skip
     page.unroute_all(behavior="wait")
 
@@ -250,7 +250,7 @@ def test_a_fit_that_is_cancelled_before_it_began_stops(visit, tmp_path):
         page.locator(".fit-cancel").click()
         _settle(visit)
         _release(visit, held[0])
-    page.locator(".fit-status", has_text="Stopped. Nothing was changed.").wait_for(timeout=LONG)
+    page.locator(".fit-status", has_text="Stopped. Nothing was changed.").wait_for()
 
 
 def test_only_a_cut_out_is_corrected(visit, tmp_path):
@@ -260,11 +260,11 @@ def test_only_a_cut_out_is_corrected(visit, tmp_path):
     chooser = page.locator("#photo input[type=file]")
     (tmp_path / "half.png").write_bytes(TEDDY.read_bytes()[:9000])
     chooser.set_input_files(tmp_path / "half.png")
-    page.locator("#picture").get_by_text("It is broken or cut short").wait_for(timeout=LONG)
+    page.locator("#picture").get_by_text("It is broken or cut short").wait_for()
     assert not brush.is_visible() and not page.locator("#photo img").is_visible()
     Image.new("RGB", (64, 64), "grey").save(tmp_path / "grey.png")
     chooser.set_input_files(tmp_path / "grey.png")
-    page.get_by_text("No object was found").wait_for(timeout=LONG)
+    page.get_by_text("No object was found").wait_for()
     assert brush.inner_text() == "Mark the object"
     visit.upload()
     assert brush.inner_text() == "Correct the cut-out"

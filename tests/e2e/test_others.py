@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from visit import DUCK, LONG, Visit
+from visit import DUCK, Visit
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -16,7 +16,7 @@ def _preset(visit: Visit, name: str) -> None:
     words = "JSON.parse(sessionStorage.getItem('phy124-scene')).description"
     before = visit.page.evaluate(words)
     visit.page.locator(f".card input[value={name}]").check(force=True)
-    visit.page.wait_for_function(f"(before) => {words} !== before", arg=before, timeout=LONG)
+    visit.page.wait_for_function(f"(before) => {words} !== before", arg=before)
 
 
 def test_second_picture_outlives_presets_and_reloads(browser, server, tmp_path):
@@ -31,23 +31,23 @@ def test_second_picture_outlives_presets_and_reloads(browser, server, tmp_path):
     (tmp_path / "text.png").write_text("this is no picture")
     slot = page.get_by_label("Right", exact=True)
     slot.set_input_files(tmp_path / "text.png")
-    page.locator("#others").get_by_text("It is not a PNG, JPEG").wait_for(timeout=LONG)
+    page.locator("#others").get_by_text("It is not a PNG, JPEG").wait_for()
     slot.set_input_files(TEDDY)
-    page.locator("#others").get_by_text("Cut out by the picture's own").wait_for(timeout=LONG)
+    page.locator("#others").get_by_text("Cut out by the picture's own").wait_for()
     _preset(visit, "stack")  # the picture goes on to the object that waits for one there
-    page.get_by_role("button", name="Remove: above").wait_for(timeout=LONG)
+    page.get_by_role("button", name="Remove: above").wait_for()
     _preset(visit, "collide")
-    page.get_by_role("button", name="Remove: right").wait_for(timeout=LONG)
+    page.get_by_role("button", name="Remove: right").wait_for()
     visit.choose(frames=2)
     visit.generate()
     visit.finished()
     page.get_by_role("tab", name="Report").click()
-    page.locator("#report").get_by_text("right", exact=True).wait_for(timeout=LONG)
+    page.locator("#report").get_by_text("right", exact=True).wait_for()
     assert "kg, cut out by the picture's own" in page.locator("#report").inner_text()
     page.reload()
-    page.get_by_role("button", name="Remove: right").wait_for(timeout=LONG)
+    page.get_by_role("button", name="Remove: right").wait_for()
     page.get_by_role("button", name="Copy a link to this scene").click()
-    page.get_by_text("The link is copied.").wait_for(state="attached", timeout=LONG)
+    page.get_by_text("The link is copied.").wait_for(state="attached")
     link = page.evaluate("navigator.clipboard.readText()")
     page.get_by_role("button", name="Remove: right").click()
     visit.told("(scene) => scene.objects.every((one) => !one.picture)")
@@ -55,7 +55,7 @@ def test_second_picture_outlives_presets_and_reloads(browser, server, tmp_path):
     elsewhere = Visit(browser, server)
     elsewhere.page.goto(link)
     elsewhere.page.reload()
-    elsewhere.page.locator(SLOT).wait_for(timeout=LONG)
+    elsewhere.page.locator(SLOT).wait_for()
     assert elsewhere.page.locator(f"{SLOT} img[src]").count() == 0
     assert "not here" not in elsewhere.page.locator("#others").inner_text()
     assert elsewhere.complaints == []

@@ -44,6 +44,7 @@ START = """() => {
 @pytest.fixture
 def page(browser):
     page = browser.new_page()
+    page.set_default_timeout(LONG)
 
     def answer(route) -> None:
         job = route.request.url.split("/jobs/")[1].split("?")[0]
@@ -63,7 +64,7 @@ def page(browser):
 def test_a_result_is_announced(page):
     page.evaluate("run('short')")
     voice = page.locator("[role=status][aria-live=polite]").filter(has_text="The result is there.")
-    voice.wait_for(state="attached", timeout=LONG)
+    voice.wait_for(state="attached")
 
 
 @pytest.mark.parametrize(
@@ -78,6 +79,6 @@ def test_chime_follows_a_long_run_unless_it_is_off(page, job, sound, notes):
 
 def test_who_finds_the_queue_full_can_try_again(page):
     page.evaluate("run(null).then((event) => { globalThis.asked = event; })")
-    page.get_by_text("The queue is full.").wait_for(timeout=LONG)
+    page.get_by_text("The queue is full.").wait_for()
     page.get_by_role("button", name="Try again now").click()
     assert page.evaluate("asked") == "again"

@@ -7,7 +7,6 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
-from visit import LONG
 
 from support.hostile import PHONE
 
@@ -23,10 +22,10 @@ def test_after_a_refused_picture_nothing_older_is_generated(visit, tmp_path):
     visit.upload()
     (tmp_path / "text.png").write_text("this is no picture")
     visit.page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
-    visit.page.get_by_text("It is not a PNG, JPEG").wait_for(timeout=LONG)
+    visit.page.get_by_text("It is not a PNG, JPEG").wait_for()
     assert visit.page.locator("#cutout").is_hidden()
     visit.generate()
-    visit.page.get_by_text("There is no picture yet").wait_for(timeout=LONG)
+    visit.page.get_by_text("There is no picture yet").wait_for()
 
 
 def test_large_photographs_are_reduced_before_they_are_sent(visit, tmp_path):
@@ -36,7 +35,7 @@ def test_large_photographs_are_reduced_before_they_are_sent(visit, tmp_path):
     Image.fromarray(noise).save(tmp_path / "phone.jpg", quality=95)
     assert (tmp_path / "phone.jpg").stat().st_size > 8e6
     visit.page.locator("#photo input[type=file]").set_input_files(tmp_path / "phone.jpg")
-    visit.page.wait_for_selector("#photo img[src]", timeout=LONG)
+    visit.page.wait_for_selector("#photo img[src]")
     shape = visit.page.evaluate(NATURAL, "#photo img")
     assert shape == [2048, 1536]
 
@@ -45,12 +44,12 @@ def test_the_cut_out_is_corrected_by_brush(visit):
     page = visit.page
     page.get_by_label("Example: teddy").click()
     shown = page.locator("#cutout img[src]")
-    shown.wait_for(timeout=LONG)
+    shown.wait_for()
     before = shown.get_attribute("src")
     page.get_by_text("Correct the cut-out").click()
     canvas = page.locator(".brush-canvas")
     # The picture is drawn a moment after the brush is opened.
-    page.wait_for_function("document.querySelector('.brush-canvas').height > 150", timeout=LONG)
+    page.wait_for_function("document.querySelector('.brush-canvas').height > 150")
     canvas.scroll_into_view_if_needed()
     box = canvas.bounding_box()
     # Green down the empty margin on the left: it is to be kept.
@@ -64,7 +63,6 @@ def test_the_cut_out_is_corrected_by_brush(visit):
         "before => document.querySelector('#cutout img').src !== before && "
         "document.querySelector('#cutout img').getAttribute('src') !== before",
         arg=before,
-        timeout=LONG,
     )
     pictures = [page.request.get(src).body() for src in (before, shown.get_attribute("src"))]
     kept = [
@@ -91,15 +89,13 @@ def test_a_click_on_the_picture_picks_another_object(visit, tmp_path):
         box["y"] + box["height"] / 2 + (130 - 100) * scale,
     )
     page.wait_for_function(
-        "before => document.querySelector('#cutout img').getAttribute('src') !== before",
-        arg=before,
-        timeout=LONG,
+        "before => document.querySelector('#cutout img').getAttribute('src') !== before", arg=before
     )
     body = page.request.get(shown.get_attribute("src")).body()
     kept = np.asarray(Image.open(io.BytesIO(body)).convert("RGBA"))[..., 3] > 127
     assert kept[130, 230] and not kept[100, 80]
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 - 60 * scale)
-    page.get_by_text("No object was found at this place").wait_for(timeout=LONG)
+    page.get_by_text("No object was found at this place").wait_for()
     assert shown.is_visible()
     with page.expect_file_chooser():
         page.get_by_role("button", name="Another picture").click()
@@ -131,9 +127,7 @@ def test_the_camera_takes_a_photograph(visit):
     sent = []
     visit.page.on("request", lambda r: r.url.endswith("upload") and sent.append(r.method))
     visit.page.get_by_role("button", name="Camera").click()
-    visit.page.wait_for_function(
-        "document.querySelector('.camera-dialog video')?.videoWidth > 0", timeout=LONG
-    )
+    visit.page.wait_for_function("document.querySelector('.camera-dialog video')?.videoWidth > 0")
     visit.page.get_by_role("button", name="Take the photograph").click()
-    visit.page.wait_for_selector("#photo img[src]", timeout=LONG)
+    visit.page.wait_for_selector("#photo img[src]")
     assert sent == ["POST"] and visit.page.locator(".camera-dialog").count() == 0

@@ -58,6 +58,7 @@ def _opened(browser, path: Path, frames: list[Frame], *, stage: Stage | None = N
     write_html(path, clip, CAMERA, stage=packed(stage, clip))
     context = browser.new_context(offline=True, **context)
     page = context.new_page()
+    page.set_default_timeout(LONG)
     page.goto(f"file://{path}")
     page.wait_for_function("globalThis.player")
     yield page
@@ -107,6 +108,7 @@ def test_the_player_lights_what_shines_as_we_do(browser, tmp_path, law):
     write_html(tmp_path / "shine.html", shown, CAMERA, shine=gloss)
     context = browser.new_context(offline=True, reduced_motion="reduce")
     page = context.new_page()
+    page.set_default_timeout(LONG)
     page.goto(f"file://{tmp_path / 'shine.html'}")
     page.wait_for_function("globalThis.player")
     page.evaluate(f"player.stage.resize(256, 256); player.seek({clip.times[2]})")
@@ -121,7 +123,7 @@ def test_clips_of_half_a_second_play_slowly_to_and_fro(browser, tmp_path, rng):
     with _opened(browser, tmp_path / "short.html", _frames(rng, 0.25)) as page:
         assert page.locator(".phy-speed").input_value() == "0.5"
         assert page.locator(".phy-way").input_value() == "swing"
-        page.wait_for_function(SWINGS, polling=50, timeout=LONG)
+        page.wait_for_function(SWINGS, polling=50)
     with _opened(browser, tmp_path / "long.html", _frames(rng, 2.0)) as page:
         assert page.locator(".phy-speed").input_value() == "1"
         assert page.locator(".phy-way").input_value() == "loop"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from visit import LONG, Visit
+from visit import Visit
 
 pytestmark = pytest.mark.browser
 
@@ -40,7 +40,7 @@ def _preset(visit: Visit, name: str) -> None:
     words = "JSON.parse(sessionStorage.getItem('phy124-scene')).description"
     before = visit.page.evaluate(words)
     visit.page.locator(f".card input[value={name}]").check(force=True)
-    visit.page.wait_for_function(f"(before) => {words} !== before", arg=before, timeout=LONG)
+    visit.page.wait_for_function(f"(before) => {words} !== before", arg=before)
 
 
 @pytest.mark.parametrize(
@@ -56,13 +56,13 @@ def test_a_second_wrong_file_is_refused_like_the_first(visit, text, panel, label
     visit.page.evaluate(LISTEN, panel)
     for times in (1, 2):
         visit.page.get_by_label(label, exact=True).set_input_files(text)
-        visit.page.wait_for_function(SAYS, arg=[panel, WRONG, times], timeout=LONG)
+        visit.page.wait_for_function(SAYS, arg=[panel, WRONG, times])
 
 
 def test_after_a_wrong_side_the_object_is_made_without_it(visit, text):
     visit.upload()
     visit.page.get_by_label("Side", exact=True).set_input_files(text)
-    visit.page.locator("#known").get_by_text(WRONG).wait_for(state="attached", timeout=LONG)
+    visit.page.locator("#known").get_by_text(WRONG).wait_for(state="attached")
     visit.choose(frames=2)
     visit.generate()
     visit.finished()
@@ -77,18 +77,18 @@ def test_a_link_to_share_is_made_a_second_time(visit):
     button = visit.page.locator("#takeaway button[data-kind=share]")
     for _ in range(2):
         button.click()
-        visit.page.wait_for_selector("#takeaway .shared a", timeout=LONG)
-        visit.page.wait_for_selector("#takeaway [aria-busy]", state="detached", timeout=LONG)
+        visit.page.wait_for_selector("#takeaway .shared a")
+        visit.page.wait_for_selector("#takeaway [aria-busy]", state="detached")
 
 
 def test_a_request_that_fails_leaves_no_panel_waiting(visit):
     page = visit.page
     page.route("**/run/predict", lambda route: route.fulfill(status=500, body="{}"))
     page.get_by_label("Example: teddy").click()
-    page.locator("#picture").get_by_text("The server could not do this.").wait_for(timeout=LONG)
+    page.locator("#picture").get_by_text("The server could not do this.").wait_for()
     page.unroute("**/run/predict")
     page.get_by_role("button", name="Try again", exact=True).click()
-    page.wait_for_selector("#cutout img[src]", timeout=LONG)
+    page.wait_for_selector("#cutout img[src]")
 
 
 def test_a_file_chosen_before_the_last_is_answered_is_read(visit, tmp_path):
@@ -98,26 +98,24 @@ def test_a_file_chosen_before_the_last_is_answered_is_read(visit, tmp_path):
     (tmp_path / "broken.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\n")
     page.route("**/run/predict", lambda route: held.append(route) if waits else route.continue_())
     chooser.set_input_files(tmp_path / "ball.ksplat")
-    page.get_by_text("Save it as .ply or .spz").wait_for(timeout=LONG)
+    page.get_by_text("Save it as .ply or .spz").wait_for()
     chooser.set_input_files(tmp_path / "broken.ply")
-    page.get_by_text("Reading the file").wait_for(timeout=LONG)
+    page.get_by_text("Reading the file").wait_for()
     waits = False
     for request in held:
         request.continue_()
-    page.get_by_text("It is cut short within its header.").wait_for(timeout=LONG)
+    page.get_by_text("It is cut short within its header.").wait_for()
 
 
 def test_that_there_is_no_picture_is_said_until_there_is_one(visit):
     page = visit.page
-    page.wait_for_selector(".photo-hint", timeout=LONG)
+    page.wait_for_selector(".photo-hint")
     for button, panel in (("#go", "#progress"), ("#begin-touch", "#touch")):
         page.locator(button).click()
-        page.locator(panel).get_by_text("There is no picture yet").wait_for(timeout=LONG)
+        page.locator(panel).get_by_text("There is no picture yet").wait_for()
     visit.upload()
     for panel in ("#progress", "#touch"):
-        page.locator(panel).get_by_text("There is no picture").wait_for(
-            state="detached", timeout=LONG
-        )
+        page.locator(panel).get_by_text("There is no picture").wait_for(state="detached")
 
 
 def test_a_refusal_in_the_place_of_the_forecast_is_seen_in_full(visit):
@@ -126,7 +124,7 @@ def test_a_refusal_in_the_place_of_the_forecast_is_seen_in_full(visit):
     _preset(visit, "bounce")
     page.get_by_label("Frames", exact=True).fill("72")
     page.get_by_label("Softness", exact=True).fill("200")
-    page.locator("#forecast .refused").wait_for(timeout=LONG)
+    page.locator("#forecast .refused").wait_for()
     said = page.locator("#forecast").inner_text()
     assert "one run may take" in said and "Choose draft accuracy" in said
     assert page.locator("#forecast details").count() == 0

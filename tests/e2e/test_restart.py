@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 
 import pytest
-from visit import LONG, Visit
+from visit import Visit
 
 from support.served import free_port, serving
 
@@ -47,33 +47,33 @@ def test_page_outlives_restarts_of_its_server(browser, start):
     page = visit.page
     page.locator("#go").click()  # nobody is there: Gradio would load the page again
     notice = page.locator("#server-notice")
-    notice.get_by_text("The connection to the server was lost").wait_for(timeout=LONG)
+    notice.get_by_text("The connection to the server was lost").wait_for()
     before = page.locator("#cutout img").get_attribute("src")
     with start():
-        notice.get_by_text("it no longer has your files").wait_for(timeout=LONG)
-        page.wait_for_function(CUT_AGAIN, arg=before, timeout=LONG)
+        notice.get_by_text("it no longer has your files").wait_for()
+        page.wait_for_function(CUT_AGAIN, arg=before)
         assert page.evaluate("globalThis.sameDocument"), "the page was loaded again"
         assert page.locator("#viewer .phy-time").is_visible() and page.evaluate(PLAYS)
         page.get_by_role("tab", name="Take away").click()
-        page.locator("#takeaway").get_by_text("no longer stored").wait_for(timeout=LONG)
+        page.locator("#takeaway").get_by_text("no longer stored").wait_for()
         assert page.locator("#takeaway a.file").count() == 0
-        page.wait_for_selector("#progress .refused", state="detached", timeout=LONG)
+        page.wait_for_selector("#progress .refused", state="detached")
         page.get_by_role("tab", name="Videos").click()
         page.evaluate("document.querySelector('.films').remove()")
         visit.choose(frames=3)
         visit.generate()
         visit.finished()
         page.reload()
-        page.wait_for_selector("#cutout img[src]", timeout=LONG)
+        page.wait_for_selector("#cutout img[src]")
         assert not notice.is_visible()
         before = page.locator("#cutout img").get_attribute("src")
     with start():  # which the page learns from the next refusal
         visit.generate()
-        page.wait_for_function(CUT_AGAIN, arg=before, timeout=LONG)
-        page.wait_for_selector("#progress .refused", state="detached", timeout=LONG)
+        page.wait_for_function(CUT_AGAIN, arg=before)
+        page.wait_for_selector("#progress .refused", state="detached")
         assert notice.is_visible()
     with start():
         page.reload()
         notice.get_by_text("no longer has your files").wait_for()
-        page.wait_for_selector("#cutout img[src]", timeout=LONG)
+        page.wait_for_selector("#cutout img[src]")
     visit.context.close()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from visit import LONG, Visit
+from visit import Visit
 
 pytestmark = pytest.mark.browser
 
@@ -14,17 +14,17 @@ def test_motion_streams_and_earlier_results_stay(visit):
     visit.choose(frames=6)
     with visit.going_on():
         visit.generate()
-        page.wait_for_selector(".viewer-host.growing canvas", timeout=LONG)
+        page.wait_for_selector(".viewer-host.growing canvas")
     visit.finished()
     page.get_by_text("the back is invented from the outline").wait_for()
     page.locator(".chip input[value=rubber]").check(force=True)
     visit.choose(frames=3)
     visit.generate()
-    page.wait_for_selector("#history li:nth-child(2)", timeout=LONG)
+    page.wait_for_selector("#history li:nth-child(2)")
     page.locator("#history li:not(.current) .quiet").click()
-    page.wait_for_selector(".beside canvas", timeout=LONG)
+    page.wait_for_selector(".beside canvas")
     page.locator("#history li:not(.current) > button").first.click()
-    page.wait_for_selector("#history li:nth-child(2).current", timeout=LONG)
+    page.wait_for_selector("#history li:nth-child(2).current")
     assert visit.complaints == []
 
 
@@ -39,7 +39,7 @@ def test_changes_of_the_scene_are_undone_and_shared_by_a_link(visit, browser, se
     link = page.url
     undo = page.locator(".scene-tools").get_by_text("Undo")
     while frames.input_value() != before:
-        undo.click(timeout=LONG)  # It waits until there is something to undo.
+        undo.click()  # It waits until there is something to undo.
     page.locator(".scene-tools").get_by_text("Redo").click()
     assert frames.input_value() == "23"
     page.get_by_label("Frames", exact=True).press("Control+z")
@@ -79,21 +79,21 @@ def test_phone_fits_the_page_and_shows_the_result(browser, server, tmp_path):
     assert page.evaluate(WIDTH) == 390
     (tmp_path / "text.png").write_text("this is no picture")
     page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
-    page.get_by_text("It is not a PNG, JPEG").first.wait_for(timeout=LONG)
+    page.get_by_text("It is not a PNG, JPEG").first.wait_for()
     visit.upload()
     visit.choose(frames=4)
     page.evaluate("scrollTo(0, 0)")
     visit.generate()
-    cancel = page.locator("#cancel").bounding_box(timeout=LONG)
+    cancel = page.locator("#cancel").bounding_box()
     assert cancel["x"] >= 0 and cancel["x"] + cancel["width"] <= 390, cancel
     visit.finished()
-    page.wait_for_selector("#viewer .phy-time", timeout=LONG)
-    page.wait_for_function(SEEN, arg="#viewer", timeout=LONG)
+    page.wait_for_selector("#viewer .phy-time")
+    page.wait_for_function(SEEN, arg="#viewer")
     for tab in ("Report", "Take away", "Fit", "Videos"):
         page.get_by_role("tab", name=tab).click()
         assert page.evaluate(WIDTH) == 390, tab
         if tab == "Report":
-            page.wait_for_selector("#report .report", timeout=LONG)
+            page.wait_for_selector("#report .report")
             assert page.evaluate(CUT) == []
     rates = page.evaluate(RATES)
     assert rates and set(rates) == {0.5}

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from visit import LONG, Visit, drawn
+from visit import Visit, drawn
 
 from support.served import ROOT
 
@@ -42,7 +42,7 @@ WATCH = """() => {
 def test_from_picture_to_files(browser, server, tmp_path):
     visit = Visit(browser, server, accept_downloads=True)
     page = visit.page
-    page.wait_for_selector(".photo-hint", timeout=LONG)
+    page.wait_for_selector(".photo-hint")
     assert not page.get_by_alt_text("Your picture").is_visible()
     visit.upload()
     visit.choose(frames=5)
@@ -102,11 +102,11 @@ def _files_open(page, folder: Path) -> None:
     ):
         page.locator(f"#takeaway button[data-kind={kind}]").click()
         link = page.locator(f'#takeaway a[data-name="{name}"]')
-        link.wait_for(timeout=LONG)
+        link.wait_for()
         _download(page, link, folder / name)
     page.locator("#takeaway button[data-kind=share]").click()
     link = page.locator("#takeaway .shared a")
-    link.wait_for(timeout=LONG)
+    link.wait_for()
     stranger = page.context.browser.new_context()
     seen = stranger.request.get(link.get_attribute("href"))
     assert seen.ok and "Phy124Player.mount" in seen.text()
@@ -117,7 +117,7 @@ def _files_open(page, folder: Path) -> None:
 def _download(page, link, path: Path) -> None:
     # Chromium drops the eleventh download within a second; no person clicks that fast.
     page.wait_for_timeout(150)
-    with page.expect_download(timeout=LONG) as download:
+    with page.expect_download() as download:
         link.click()
     download.value.save_as(path)
 
@@ -145,21 +145,21 @@ def test_the_error_of_a_scene_is_measured_on_request(visit):
     visit.upload()
     visit.choose(frames=40)
     page.locator("[data-measure]").click()
-    page.locator("#progress").get_by_text("Grids").wait_for(timeout=LONG)
+    page.locator("#progress").get_by_text("Grids").wait_for()
     page.locator("#cancel").click()
-    page.get_by_text("Stopped.").first.wait_for(timeout=LONG)
+    page.get_by_text("Stopped.").first.wait_for()
     visit.choose(frames=18)
     page.locator("[data-measure]").click()
-    page.locator("#progress").get_by_text("Grids").wait_for(timeout=LONG)
+    page.locator("#progress").get_by_text("Grids").wait_for()
     page.reload()
-    page.locator("#forecast .measured").get_by_text("Measured: about").wait_for(timeout=LONG)
+    page.locator("#forecast .measured").get_by_text("Measured: about").wait_for()
     shown = page.locator("#forecast").text_content()
     assert "Measured on this scene, without drawing" in shown and "D/24" in shown
     assert page.locator("[data-measure]").count() == 0
     visit.generate()
     visit.finished()
     page.get_by_role("tab", name="Report").click()
-    page.locator("#report").get_by_text("Error measured").wait_for(timeout=LONG)
+    page.locator("#report").get_by_text("Error measured").wait_for()
     assert visit.complaints == []
 
 
@@ -167,8 +167,8 @@ def test_cancel_frees_the_device_and_the_next_job_runs(visit, server):
     visit.begin(frames=60, accuracy="standard")
     assert server.health()["busy"]
     visit.page.locator("#cancel").click()
-    visit.page.get_by_text("Stopped.").first.wait_for(timeout=LONG)
-    visit.page.wait_for_selector("#go:not([disabled])", timeout=LONG)
+    visit.page.get_by_text("Stopped.").first.wait_for()
+    visit.page.wait_for_selector("#go:not([disabled])")
     server.until_idle()
     visit.choose(frames=3)
     visit.generate()
@@ -182,14 +182,14 @@ def test_a_run_called_off_in_the_queue_never_starts(browser, server):
         visit.upload()
         visit.choose(frames=frames, accuracy=accuracy)
     first.generate()
-    first.page.wait_for_selector(".glimpse[src]", timeout=LONG)
+    first.page.wait_for_selector(".glimpse[src]")
     second.generate()
-    second.page.get_by_text("1 run before yours").wait_for(timeout=LONG)
+    second.page.get_by_text("1 run before yours").wait_for()
     second.page.locator("#cancel").click()
-    second.page.get_by_text("Stopped.").first.wait_for(timeout=LONG)
-    second.page.wait_for_selector("#go:not([disabled])", timeout=LONG)
+    second.page.get_by_text("Stopped.").first.wait_for()
+    second.page.wait_for_selector("#go:not([disabled])")
     second.generate()
-    second.page.get_by_text("1 run before yours").wait_for(timeout=LONG)
+    second.page.get_by_text("1 run before yours").wait_for()
     first.page.locator("#cancel").click()
     second.finished()
     server.until_idle()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from visit import LONG
 
 from demo.catalogue import catalogue
 from demo.settings import Settings
@@ -25,6 +26,7 @@ def page(browser):
     """The editor with the page's own catalogue, without a server."""
     static, offer = ROOT / "demo" / "static", json.dumps(catalogue(Settings()))
     page = browser.new_page()
+    page.set_default_timeout(LONG)
     page.route(SITE + "phy124/**", lambda route: route.fulfill(body=offer))
     page.route(SITE, lambda route: route.fulfill(body="<div id=scene></div>"))
     page.goto(SITE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from visit import GRAPHICS_ARE_LOST, HAND, LONG, TOP, Visit
+from visit import GRAPHICS_ARE_LOST, HAND, TOP, Visit
 
 pytestmark = pytest.mark.browser
 AWAY = f"""(() => {{
@@ -32,8 +32,8 @@ def visit(browser, server):
     visit.page.locator(".card", has_text="Sway").click()
     visit.told("(scene) => scene.boundaries.some((one) => one.kind === 'foot')")
     visit.page.locator("#begin-touch").click()
-    visit.page.wait_for_selector(".touch canvas.ready", timeout=LONG)
-    visit.page.wait_for_function(f"{HAND}.frames > 5", timeout=LONG)
+    visit.page.wait_for_selector(".touch canvas.ready")
+    visit.page.wait_for_function(f"{HAND}.frames > 5")
     yield visit
     visit.context.close()
 
@@ -47,13 +47,13 @@ def test_the_object_follows_the_pointer_and_comes_back(visit):
     page.mouse.down()
     page.wait_for_selector(".touch canvas.holds")
     page.mouse.move(x + 120, y + 30, steps=6)
-    page.wait_for_function(f"{AWAY} > {start} + 0.08", timeout=LONG)
+    page.wait_for_function(f"{AWAY} > {start} + 0.08")
     page.mouse.up()
-    page.wait_for_function(f"Math.abs({AWAY} - {start}) < 0.04", timeout=LONG)
+    page.wait_for_function(f"Math.abs({AWAY} - {start}) < 0.04")
     assert page.evaluate(f"{HAND}.delays.length") > 0
     page.locator(".touch canvas").evaluate(GRAPHICS_ARE_LOST)
     drawn = page.evaluate(f"{HAND}.frames")
-    page.wait_for_function(f"{HAND}.frames > {drawn} + 5", timeout=LONG)
+    page.wait_for_function(f"{HAND}.frames > {drawn} + 5")
     assert page.evaluate(COLOURS) > 3, "the object is there again"
     assert not visit.complaints
 
@@ -66,7 +66,7 @@ def test_keys_move_the_object_and_what_was_done_becomes_a_clip(visit):
     page.keyboard.press("Enter")
     for _ in range(5):
         page.keyboard.press("ArrowRight")
-    page.wait_for_function(f"{AWAY} > {start} + 0.08", timeout=LONG)
+    page.wait_for_function(f"{AWAY} > {start} + 0.08")
     # However late the order to make the clip arrives, what was done is not lost.
     page.route("**/queue/join*", lambda route: (time.sleep(2), route.continue_()))
     page.get_by_role("button", name="Save as clip").click()
@@ -79,11 +79,11 @@ def test_keys_move_the_object_and_what_was_done_becomes_a_clip(visit):
 def test_what_rests_is_drawn_once_with_all_of_its_gaussians(visit):
     page = visit.page
     # Frames that show nothing new are not drawn; the last of the swing may still show between two.
-    page.wait_for_function(f"{HAND}.fine && {HAND}.frames > {HAND}.pictures + 20", timeout=LONG)
+    page.wait_for_function(f"{HAND}.fine && {HAND}.frames > {HAND}.pictures + 20")
     drawn = page.evaluate(f"{HAND}.pictures")
     width, shown = page.evaluate(f"[{HAND}.canvas.width, {HAND}.canvas.clientWidth]")
     assert width == shown, "at full resolution"
     page.locator(".touch canvas").focus()
     page.keyboard.press("ArrowRight")
-    page.wait_for_function(f"{HAND}.pictures > {drawn} + 2 && {HAND}.fine", timeout=LONG)
+    page.wait_for_function(f"{HAND}.pictures > {drawn} + 2 && {HAND}.fine")
     assert not visit.complaints

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from visit import LONG
 
 from phy124.io import ply
 from phy124.io.axes import orientation, turned
@@ -20,15 +19,15 @@ def test_a_file_is_turned_by_keyboard_and_moved(visit, tmp_path):
     (tmp_path / "ball.ksplat").write_bytes(data)
     page, chooser = visit.page, visit.page.locator("#photo input[type=file]")
     chooser.set_input_files(tmp_path / "ball.ksplat")
-    page.get_by_text("Save it as .ply or .spz").wait_for(timeout=LONG)
+    page.get_by_text("Save it as .ply or .spz").wait_for()
     assert "415" in visit.complaints.pop(), "the refusal, which browsers note themselves"
     chooser.set_input_files(tmp_path / "broken.ply")
-    page.get_by_text("It is cut short within its header.").wait_for(timeout=LONG)
+    page.get_by_text("It is cut short within its header.").wait_for()
     chooser.set_input_files(tmp_path / "ball.ply")
     first = page.get_by_role("radio", name="Up: -y")
-    first.wait_for(timeout=LONG)
+    first.wait_for()
     assert page.get_by_role("radio", name="Front: ").count() == 4
-    page.get_by_text("3DGS PLY, 500 Gaussians.").wait_for(timeout=LONG)
+    page.get_by_text("3DGS PLY, 500 Gaussians.").wait_for()
     before = page.locator("#photo img").get_attribute("src")
     first.focus()
     first.press("ArrowRight")
@@ -39,7 +38,7 @@ def test_a_file_is_turned_by_keyboard_and_moved(visit, tmp_path):
     assert not page.get_by_label("Film it in the photograph, too").is_visible()
     page.reload()
     again = page.get_by_role("radio", name="Up: y")
-    again.wait_for(timeout=LONG)
+    again.wait_for()
     assert again.is_checked(), "what was chosen is kept when the page is loaded again"
     assert page.get_by_role("radio", name="Front: z", exact=True).is_checked()
     visit.choose(frames=2)
@@ -47,7 +46,7 @@ def test_a_file_is_turned_by_keyboard_and_moved(visit, tmp_path):
     visit.finished()
     assert page.locator(".invented").count() == 0
     page.get_by_role("tab", name="Report").click()
-    page.get_by_role("row", name="Up, front y, z").wait_for(timeout=LONG)
+    page.get_by_role("row", name="Up, front y, z").wait_for()
     page.get_by_label("Example: teddy").click()
-    page.get_by_text("Advanced: side, back").wait_for(timeout=LONG)
+    page.get_by_text("Advanced: side, back").wait_for()
     assert first.count() == 0 and visit.complaints == []

@@ -58,13 +58,14 @@ class Visit:
         self.context = browser.new_context(
             **{"viewport": size, "reduced_motion": "reduce", **context}
         )
+        self.context.set_default_timeout(LONG)
         self.page = self.context.new_page()
         self.complaints: list[str] = []
         self.page.on("console", lambda m: m.type == "error" and self.complaints.append(m.text))
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("request", lambda r: self._note(r.url, server.url))
         self.page.goto(server.url)
-        self.page.wait_for_selector("#scene .card", timeout=LONG)
+        self.page.wait_for_function("sessionStorage.getItem('phy124-scene')")
 
     def _note(self, url: str, home: str) -> None:
         if not url.startswith((home, "data:", "blob:")):
@@ -72,7 +73,7 @@ class Visit:
 
     def upload(self, path: Path = DUCK) -> None:
         self.page.locator("#photo input[type=file]").set_input_files(path)
-        self.page.wait_for_selector("#cutout img[src]", timeout=LONG)
+        self.page.wait_for_selector("#cutout img[src]")
 
     def choose(self, *, frames: int, accuracy: str = "draft") -> None:
         self.page.get_by_label("Frames", exact=True).fill(str(frames))
@@ -84,16 +85,14 @@ class Visit:
 
     def told(self, what: str) -> None:
         """Wait until the editor has told the server of a scene for which `what` is true."""
-        self.page.wait_for_function(
-            f"({what})(JSON.parse(sessionStorage.getItem('phy124-scene')))", timeout=LONG
-        )
+        self.page.wait_for_function(f"({what})(JSON.parse(sessionStorage.getItem('phy124-scene')))")
 
     def begin(self, *, frames: int, accuracy: str = "draft") -> None:
         """A run of the duck, until its first frame is seen."""
         self.upload()
         self.choose(frames=frames, accuracy=accuracy)
         self.generate()
-        self.page.wait_for_selector(".glimpse[src]", timeout=LONG)
+        self.page.wait_for_selector(".glimpse[src]")
 
     @contextmanager
     def going_on(self) -> Iterator[None]:
@@ -120,8 +119,8 @@ class Visit:
         from playwright.sync_api import TimeoutError
 
         try:
-            self.page.wait_for_selector(".film video", timeout=LONG)
-            self.page.wait_for_selector("#go:not([disabled])", timeout=LONG)
+            self.page.wait_for_selector(".film video")
+            self.page.wait_for_selector("#go:not([disabled])")
         except TimeoutError as late:
             said = " | ".join(self.page.locator(f"#{at}").inner_text() for at in ("left", "right"))
             raise AssertionError(f"no videos; the page says: {said}; {self.complaints}") from late
