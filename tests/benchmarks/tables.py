@@ -36,11 +36,24 @@ def _lines(path: str) -> list[str]:
 
 
 def renew(page: Path, name: str, text: str) -> None:
-    """Replace what is between `<!-- name -->` and `<!-- end name -->`."""
-    content = page.read_text("utf-8")
+    """Replace what is between `<!-- name -->` and `<!-- end name -->`, and name the machine."""
+    replace_block(page, name, f"{text.strip()}\n\n{machine()}")
+
+
+def replace_block(page: Path, name: str, text: str) -> None:
+    """Replace the lines between `<!-- name -->` and `<!-- end name -->` of a page."""
+    page.write_text(fill_block(page.read_text("utf-8"), name, text), "utf-8")
+
+
+def fill_block(content: str, name: str, text: str) -> str:
+    """Return a page with other lines between `<!-- name -->` and `<!-- end name -->`.
+
+    Raises:
+        ValueError: The page has no such marks.
+    """
     first, last = f"<!-- {name} -->", f"<!-- end {name} -->"
     before, found, rest = content.partition(first)
     _, ended, after = rest.partition(last)
     if not (found and ended):
-        raise ValueError(f"{page} has no marks {first} and {last}")
-    page.write_text(f"{before}{first}\n{text.strip()}\n\n{machine()}\n{last}{after}", "utf-8")
+        raise ValueError(f"the page has no marks {first} and {last}")
+    return f"{before}{first}\n{text.strip()}\n{last}{after}"

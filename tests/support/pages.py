@@ -38,3 +38,8 @@ def paragraphs(text: str) -> Iterator[str]:
         lines = part.strip().splitlines()
         if lines and not lines[0].lstrip().startswith(("|", "#", "<!--", "---")):
             yield " ".join(line.strip() for line in lines)
+
+
+def count_words(text: str) -> int:
+    """Return the number of words in prose, tables and code, without numbers."""
+    return sum(any(map(str.isalpha, word)) for word in text.split())

@@ -1,0 +1,221 @@
+"""Write the tables and plots of docs/results from those of docs/lab; nothing is measured here.
+
+`python tests/benchmarks/summaries.py`, after a table of the lab has changed.
+"""
+
+import re
+from collections.abc import Callable, Iterator
+
+from tables import DOCS, fill_block, markdown
+
+IMAGES = DOCS / "images/results"
+EXPECTED = {"draft": "D/16: 0.2", "standard": "D/32: 0.2"}
+"""Columns of the expected errors of objects whose local thickness is 0.2."""
+MOTIONS = ("landing", "squeezed", "held", "free")
+EXPERIMENTS = "| experiment | in the band | largest miss | control | seconds |"
+FARTHEST = 4.0
+"""Half ranges from the middle of a published range to the edge of the plot."""
+
+
+def read_table(page: str, mark: str) -> list[list[str]]:
+    """Return the cells of the first table at or after a line of a page, heads first."""
+    lines = (DOCS / "lab" / page).read_text("utf-8").splitlines()
+    return next(find_tables(lines[lines.index(mark) :]))
+
+
+def find_tables(lines: list[str]) -> Iterator[list[list[str]]]:
+    """Yield the cells of each table, heads first."""
+    rows: list[list[str]] = []
+    for line in [*lines, ""]:
+        if line.startswith("|"):
+            rows.append([cell.strip() for cell in line.strip("|").split("|")])
+        elif rows:
+            yield [rows[0], *rows[2:]]
+            rows = []
+
+
+def pick(page: str, mark: str, columns: dict[str, int] | None = None) -> str:
+    """Return a table of the lab, or some of its columns under new heads."""
+    heads, *rows = read_table(page, mark)
+    columns = columns or {head: column for column, head in enumerate(heads)}
+    return markdown([*columns], [[row[i] for i in columns.values()] for row in rows])
+
+
+def tabulate_expected_errors() -> str:
+    """Return the expected errors by law and kind of motion, at draft and at standard."""
+    heads, *rows = read_table("accuracy.md", "<!-- promises -->")
+    columns = [heads.index(level) for level in EXPECTED.values()]
+    errors = {(row[0], row[1]): " / ".join(row[i] for i in columns) for row in rows}
+    laws = dict.fromkeys(row[0] for row in rows)
+    table = [[f"`{law}`", *(errors.get((law, each), "") for each in MOTIONS)] for law in laws]
+    return markdown(["material", *MOTIONS], table)
+
+
+def tabulate_forecasts() -> str:
+    """Return how many forecasts were correct."""
+    heads, *rows = read_table("accuracy.md", "<!-- forecast -->")
+    close = [0.9 <= float(row[heads.index("ratio")]) <= 1.1 for row in rows]
+    heads, *rows = read_table("accuracy.md", "<!-- spans -->")
+    within = [row[heads.index("within")] == "True" for row in rows]
+    kinds = {
+        "idle machine: actual time within 10 %": close,
+        "idle and busy machine: actual time within the stated range": within,
+    }
+    table = [[kind, f"{sum(true)} of {len(true)}"] for kind, true in kinds.items()]
+    return markdown(["forecast", "correct"], table)
+
+
+def tabulate_physgaussian() -> str:
+    """Return in how many cases each solver crashed or was wrong."""
+    heads, *rows = read_table("stability.md", "## Comparison with PhysGaussian")
+    table = []
+    for column in (1, 2):
+        crashes, wrong = (
+            sum(row[column].startswith(word) for row in rows) for word in ("crash", "wrong")
+        )
+        table.append([heads[column], crashes, wrong, len(rows) - crashes - wrong])
+    return markdown(
+        ["solver", "crash", "wrong result", "correct, or refused with a message"], table
+    )
+
+
+def tabulate_experiments(*, misses: bool = False) -> str:
+    """Return how many values of each experiment, or of those with misses, are in the range."""
+    table = []
+    for name, inside, miss, _, seconds in read_table("experiments.md", EXPERIMENTS)[1:]:
+        good, _, total = inside.partition(" of ")
+        linked = name.replace("](#", "](../lab/experiments.md#")
+        if not misses or good != total:
+            table.append([linked, inside, miss, *([] if misses else [seconds])])
+    heads = ["experiment", "in the published range", "largest deviation", "processor s"]
+    return markdown(heads[:3] if misses else heads, table)
+
+
+def tabulate_shapes() -> str:
+    """Return the errors of `relief`: the mean, and the five worst solids."""
+    *solids, mean = read_table("relief.md", "## Solids")[1:]
+    solids.sort(key=lambda row: float(row[4]))
+    rows = [[f"all {len(solids)}", *mean[1:]], *solids[:5]]
+    heads = ["solid", "overlap of silhouettes", "overlap from the side", "volume / true volume"]
+    return markdown(heads, [[row[0], row[4], row[7], row[8]] for row in rows])
+
+
+def tabulate_cutouts() -> str:
+    """Return how well each method cuts objects out."""
+    rows = read_table("cutouts.md", "<!-- overlap -->")[1:]
+    kinds = {"**mean of all**": "mean overlap", "right (over 0.85)": "overlap above 0.85"}
+    columns = {"GrabCut": 1, "`u2netp`, the default": 3, "`u2netp` with `--pick`": 5}
+    table = [
+        [kinds[row[0]], *(row[i].strip("*") for i in columns.values())]
+        for row in rows
+        if row[0] in kinds
+    ]
+    return markdown(["", *columns], table)
+
+
+GOALS = {"preset": 0, "target": 1, "grid": 2, "estimated error": 3, "distance to a finer run": 4}
+PROBLEMS = {"problem": 0, "quantity": 1, "cells": 2, "error": 3, "allowed": 4, "order": 5}
+PRESETS = {"preset": 0, "frames (length)": 1, "draft [s]": 2, "standard [s]": 3}
+STAGES = {"setting": 0, "simulate": 2, "shapes": 3, "render": 4, "encode": 5, "total": 6}
+CONTROL = {"preset": 0, "force in the paper": 1, "path [m]": 3, "a t² / 2 [m]": 4}
+TEARING = {"particles per cell and axis": 0, "intact up to a stretch of": 1, "broken at": 2}
+BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
+    "accuracy": {
+        "expected errors": tabulate_expected_errors,
+        "goals": lambda: pick("accuracy.md", "<!-- goals -->", GOALS),
+        "verification": lambda: pick("accuracy.md", "<!-- verify -->", PROBLEMS),
+    },
+    "cost": {
+        "presets": lambda: pick("benchmarks.md", "## Presets", PRESETS),
+        "stages": lambda: pick("accuracy.md", "<!-- costs -->", STAGES),
+        "forecasts": tabulate_forecasts,
+    },
+    "stability": {
+        "random scenes": lambda: pick("stability.md", "### Random scenes"),
+        "watchdog": lambda: pick("stability.md", "## The watchdog"),
+        "physgaussian": tabulate_physgaussian,
+    },
+    "validation": {
+        "experiments": tabulate_experiments,
+        "control": lambda: pick("paper.md", "<!-- control -->", CONTROL),
+    },
+    "limits": {
+        "misses": lambda: tabulate_experiments(misses=True),
+        "tearing": lambda: pick("stability.md", "### Numerical fracture", TEARING),
+        "shapes": tabulate_shapes,
+        "cut-outs": tabulate_cutouts,
+    },
+}
+"""Tables of each page of docs/results, by the name of their marks."""
+
+
+def fill_page(page: str) -> str:
+    """Return a page of docs/results with its tables as the lab has them now."""
+    content = (DOCS / f"results/{page}.md").read_text("utf-8")
+    for name, tabulate in BLOCKS[page].items():
+        content = fill_block(content, name, tabulate())
+    return content
+
+
+def plot_validation() -> None:
+    """Draw each measured value with its error, relative to its published range."""
+    from matplotlib.figure import Figure
+
+    lines = (DOCS / "lab/experiments.md").read_text("utf-8").splitlines()
+    names = [
+        re.match(r"\[(.+?)\]", row[0])[1] for row in read_table("experiments.md", EXPERIMENTS)[1:]
+    ]
+    tables = [table for table in find_tables(lines) if table[0][0].startswith("quantity")]
+    figure = Figure((7, 4), layout="constrained")
+    axes = figure.subplots()
+    axes.axvspan(-1, 1, color="tab:green", alpha=0.15, label="published range")
+    for height, (heads, *rows) in enumerate(tables):
+        for offset, row in enumerate(rows):
+            low, high = map(float, row[heads.index("band")].split(" to "))
+            value, error = map(float, row[heads.index("limit")].split(" ± "))
+            half = max(high - low, 1e-4) / 2
+            place = (value - (low + high) / 2) / half
+            axes.errorbar(
+                max(-FARTHEST, min(FARTHEST, place)),
+                height + 0.7 * (offset / len(rows) - 0.4),
+                xerr=min(error / half, FARTHEST),
+                fmt="." if abs(place) <= FARTHEST else ">",
+                color="tab:blue" if abs(place) <= 1 + error / half else "tab:red",
+                linewidth=0.8,
+            )
+    axes.set(
+        xlim=(-FARTHEST - 0.3, FARTHEST + 0.3),
+        yticks=range(len(names)),
+        yticklabels=names,
+        xlabel="deviation from the middle of the range, in half ranges",
+    )
+    axes.invert_yaxis()
+    figure.savefig(IMAGES / "validation.svg", metadata={"Date": None})
+
+
+def plot_presets() -> None:
+    """Draw the seconds of each preset."""
+    from matplotlib.figure import Figure
+
+    rows = sorted(read_table("benchmarks.md", "## Presets")[1:], key=lambda row: float(row[3]))
+    figure = Figure((7, 4), layout="constrained")
+    axes = figure.subplots()
+    for column, level, shift in ((2, "draft", -0.2), (3, "standard", 0.2)):
+        heights = [place + shift for place in range(len(rows))]
+        axes.barh(heights, [float(row[column]) for row in rows], 0.4, label=level)
+    axes.set(
+        xscale="log",
+        yticks=range(len(rows)),
+        yticklabels=[row[0] for row in rows],
+        xlabel="processor seconds of simulation and shapes",
+    )
+    axes.legend()
+    figure.savefig(IMAGES / "presets.svg", metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    for page in BLOCKS:
+        (DOCS / f"results/{page}.md").write_text(fill_page(page), "utf-8")
+    IMAGES.mkdir(exist_ok=True)
+    plot_presets()
+    plot_validation()

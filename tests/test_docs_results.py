@@ -1,0 +1,21 @@
+"""The pages of results are short, and their tables are those of the lab."""
+
+import sys
+
+import pytest
+
+from support.pages import ROOT
+
+sys.path.insert(0, str(ROOT / "tests/benchmarks"))  # programs, not a package
+summaries = pytest.importorskip("summaries")
+
+
+@pytest.mark.parametrize("page", summaries.BLOCKS)
+def test_tables_of_results_are_those_of_the_lab(page):
+    text = (ROOT / f"docs/results/{page}.md").read_text("utf-8")
+    assert text == summaries.fill_page(page), "run `python tests/benchmarks/summaries.py`"
+
+
+def test_every_page_of_results_is_generated():
+    pages = {page.stem for page in (ROOT / "docs/results").glob("*.md")}
+    assert pages == set(summaries.BLOCKS)
