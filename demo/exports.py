@@ -17,10 +17,9 @@ from phy124.io.export import write_ply_sequence
 from phy124.io.export.html import write_html
 from phy124.io.files import staged
 from phy124.io.formats import FORMATS, Format, written_formats
-from phy124.rendering.framing import standing
-from phy124.rendering.shine import glossed
-from phy124.rendering.stage.build import stage_of
-from phy124.rendering.stage.packing import packed
+from phy124.rendering.framing import still_camera
+from phy124.rendering.shine import add_gloss
+from phy124.rendering.stage.build import make_stage, pack_stage
 from phy124.scene import View
 
 from .room import all_taken
@@ -105,9 +104,9 @@ class Export:
 def _html(done: Done, path: Path) -> None:
     clip = Clip.load(done.clip / "clip.safetensors")
     view = View.model_validate(clip.scene["view"])
-    around = packed(stage_of(clip, view), clip)
-    first = standing(clip, view, "front")
-    shown, gloss = glossed(clip, view)
+    around = pack_stage(make_stage(clip, view), clip)
+    first = still_camera(clip, view, "front")
+    shown, gloss = add_gloss(clip, view)
     write_html(path, shown, first, background=view.background, stage=around, shine=gloss)
 
 

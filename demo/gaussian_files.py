@@ -1,4 +1,4 @@
-"""Files of Gaussians that visitors send: read, reduced and drawn all ways up.
+"""Files of Gaussians that visitors send: read, reduced, and drawn in every orientation.
 
 All of this is done in a process of its own, which has a limit of memory and can be killed: a file
 may be made to do harm.
@@ -18,7 +18,7 @@ from phy124.io.dialect import likely_axes
 from phy124.io.files import replacing, staged
 from phy124.io.formats import recognised
 from phy124.particles.thinning import thin
-from phy124.rendering.orienting import ENOUGH, UNTURNED, candidates, drawn
+from phy124.rendering.orienting import ENOUGH, UNTURNED, candidates, draw_oriented
 from phy124.rendering.render import Renderer
 from phy124.runtime import isolated
 from phy124.runtime.isolated import Deadline, Unfinished
@@ -93,5 +93,5 @@ def _draw(gaussians: Gaussians, folder: Path) -> None:
     for up in candidates(None):
         for reading in candidates(up.up):
             assert reading.up is not None and reading.front is not None
-            picture = Image.fromarray(drawn(renderer, gaussians, reading, SIZE))
+            picture = Image.fromarray(draw_oriented(renderer, gaussians, reading, SIZE))
             picture.save(folder / way(reading.up, reading.front), "WEBP", quality=85)

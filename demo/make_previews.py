@@ -21,9 +21,9 @@ from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
 from phy124.progress import silent
 from phy124.rendering.frames import render_frames
-from phy124.rendering.framing import standing
-from phy124.rendering.shine import shine_of
-from phy124.rendering.stage.build import stage_of
+from phy124.rendering.framing import still_camera
+from phy124.rendering.shine import make_shine
+from phy124.rendering.stage.build import make_stage
 from phy124.scene import Scene, View, preset_names
 from phy124.simulation import Simulation, prepare
 
@@ -95,8 +95,8 @@ def _filmed(clip: Clip, view: View, step: int) -> list[Image.Image]:
 
     Behind them there is nothing, so that they fit a light and a dark page.
     """
-    camera = standing(clip, view, "front")
-    frames, shine = list(clip.frames())[::step], shine_of(clip, view)
+    camera = still_camera(clip, view, "front")
+    frames, shine = list(clip.frames())[::step], make_shine(clip, view)
     if shine is not None:
         frames = list(shine.frames(frames, [camera] * len(frames)))
     black, white = (_before(grey, clip, frames, camera, view) for grey in (0.0, 1.0))
@@ -108,7 +108,7 @@ def _before(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view: 
     """Pictures of the frames before one shade of grey."""
     colour = (grey, grey, grey)
     plain = {"background": colour, "gradient": None, "picture": None}
-    stage = stage_of(clip, view.model_copy(update=plain))
+    stage = make_stage(clip, view.model_copy(update=plain))
     at = None if stage is None else replace(stage, pool=0.0).at
     return list(render_frames(frames, camera, background=colour, stage=at))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.camera import Camera
-from phy124.rendering.pinhole import pinhole
+from phy124.rendering.render import pinhole
 from phy124.rendering.stage.frame import Solid
 from support.arranged import arranged
 

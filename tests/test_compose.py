@@ -14,9 +14,8 @@ from phy124.gaussians import Gaussians
 from phy124.generators.relief import relief
 from phy124.io.clip import Clip
 from phy124.rendering.compose import Photograph, compose
-from phy124.rendering.compose.adjoint import Adjoint
-from phy124.rendering.compose.colours import matched
-from phy124.rendering.compose.matching import match
+from phy124.rendering.compose.colours import Adjoint, match_colours
+from phy124.rendering.compose.photograph import match
 from phy124.rendering.render import Renderer, to_bytes
 from phy124.scene import View
 from support.clips import flight
@@ -73,7 +72,7 @@ def test_an_end_drawn_straight_does_not_make_the_object_smaller():
     picture = Image.open(ROOT / "demo/examples/cupcake.png").convert("RGBA")
     made, photograph = relief(picture, count=20_000), Photograph.of(picture, picture)
     camera, _ = match(made, photograph)
-    assert matched(made, camera, photograph).psnr > 33
+    assert match_colours(made, camera, photograph).psnr > 33
 
 
 def test_seen_colours_approach_the_photograph():
@@ -83,8 +82,8 @@ def test_seen_colours_approach_the_photograph():
     sh[:, 0] += np.random.default_rng(0).normal(scale=0.5, size=sh[:, 0].shape)
     g = patched()
     wrong = Gaussians(g.means, g.quats, g.scales, g.opacities, sh)
-    before = matched(g, true, photograph).psnr
-    found = matched(wrong, true, photograph)
+    before = match_colours(g, true, photograph).psnr
+    found = match_colours(wrong, true, photograph)
     better = found.sh
     assert 30 < found.psnr <= before
     behind = g.means[:, 0] < -0.2
@@ -119,7 +118,7 @@ def test_both_forms_of_the_sums_agree_gaussian_by_gaussian(rng):
 
 def test_what_is_behind_the_object_is_filled_in_from_around():
     photograph = photographed(patched(), Camera((2.0, 0.0, 0.5), (0.0, 0.0, 0.5), *SIZE, 60.0))
-    filled = photograph.without()
+    filled = photograph.erase_object()
     away = photograph.alpha < 1e-3
     table = np.where(np.arange(120) < 70, 0.7, 0.5) * 255
     far = np.zeros_like(away)
@@ -130,7 +129,7 @@ def test_what_is_behind_the_object_is_filled_in_from_around():
 
 def test_a_picture_that_is_all_object_leaves_white():
     photograph = Photograph(np.full((40, 40, 3), 90, np.uint8), np.ones((40, 40), np.float32))
-    assert (photograph.without() == 255).all()
+    assert (photograph.erase_object() == 255).all()
 
 
 def test_a_photograph_without_an_object_is_refused():

@@ -1,4 +1,4 @@
-"""The player's file: what is packed can be unpacked, and the page needs nothing but itself."""
+"""The player's file: packed clips can be unpacked, and the page needs nothing but itself."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.io.export.html import pack, write_html
-from phy124.rendering.stage.build import stage_of
-from phy124.rendering.stage.packing import packed
+from phy124.rendering.stage.build import make_stage, pack_stage
 from phy124.scene import View
 
 CAMERA = Camera.orbit(30, 20, 2.5, 64, (0.1, 0.2, 0.3))
@@ -82,8 +81,8 @@ def test_what_is_packed_can_be_unpacked(clip):
 
 def test_the_stage_goes_along(clip):
     view = View(stage="studio", background=(0.5, 0.6, 0.7))
-    stage = stage_of(replace(clip, scene={"boundaries": [{"kind": "press"}]}), view)
-    head, arrays = _unpacked(pack(clip, CAMERA, stage=packed(stage, clip)))
+    stage = make_stage(replace(clip, scene={"boundaries": [{"kind": "press"}]}), view)
+    head, arrays = _unpacked(pack(clip, CAMERA, stage=pack_stage(stage, clip)))
     assert head["stage"]["top"] == head["stage"]["bottom"] == [0.5, 0.6, 0.7]
     (plate,) = head["stage"]["solids"]
     for index, frame in enumerate(clip.frames()):

@@ -9,7 +9,13 @@ from PIL import Image, ImageSequence
 from phy124.errors import InputError
 from phy124.io.export import usd
 from phy124.io.ply import read_ply
-from phy124.rendering.film import choppy, film, playback, played, refuse_unfilmable
+from phy124.rendering.film import (
+    describe_playback,
+    film,
+    note_if_choppy,
+    playback,
+    refuse_unfilmable,
+)
 from phy124.scene import Scene, View
 from support.clips import AWAY, flight
 from support.videos import read_video
@@ -120,7 +126,7 @@ def test_other_sizes_are_refused(size):
 def test_slow_motion_plays_the_same_pictures_longer(tmp_path, clip):
     slow = view(formats=["webp"], azimuths=[], speed=0.25)
     assert playback(24, slow) == 6 and playback(24, view(fps=12)) == 12
-    assert played(clip, slow) == pytest.approx({"fps": 6, "speed": 0.25, "seconds": 0.5})
+    assert describe_playback(clip, slow) == pytest.approx({"fps": 6, "speed": 0.25, "seconds": 0.5})
     film(clip, slow, tmp_path, device="cpu")
     with Image.open(tmp_path / "front.webp") as opened:
         shown = [f.info["duration"] for f in ImageSequence.Iterator(opened) if f.load() or True]
@@ -128,9 +134,11 @@ def test_slow_motion_plays_the_same_pictures_longer(tmp_path, clip):
 
 
 def test_choppy_slow_motion_is_told_of(clip):
-    told = choppy(clip, view(speed=0.25))
+    told = note_if_choppy(clip, view(speed=0.25))
     assert told is not None and "6 pictures per second" in told and "--fps 96" in told
-    assert choppy(clip, view(speed=0.5)) is None and choppy(clip, view(fps=2)) is None
+    assert (
+        note_if_choppy(clip, view(speed=0.5)) is None and note_if_choppy(clip, view(fps=2)) is None
+    )
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from phy124.commands.options import ViewOptions
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.pipeline.capture import capture
-from phy124.rendering.framing import cameras, departures, framing
+from phy124.rendering.framing import cameras, departures, describe_framing
 from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM
 from phy124.scene import Scene, View
 from phy124.simulation import Simulation, prepare
@@ -69,7 +69,7 @@ def test_an_azimuth_lies_between_the_named_views():
 
 
 def test_what_stays_in_the_picture_is_not_mentioned():
-    assert framing(flight(AWAY[:2]), view()) == {"departures": [], "notes": []}
+    assert describe_framing(flight(AWAY[:2]), view()) == {"departures": [], "notes": []}
 
 
 def test_leaving_is_told_with_the_view_the_frame_and_what_helps():
@@ -79,7 +79,7 @@ def test_leaving_is_told_with_the_view_the_frame_and_what_helps():
     # The edge is 0.87 m off the axis in the plane of the middle; the ball begins with 0.5.
     assert left.frame in (2, 3) and left.worst_frame == 7
     assert left.outside > 0.9
-    (note,) = framing(clip, chosen)["notes"]
+    (note,) = describe_framing(clip, chosen)["notes"]
     assert note is not None
     assert f"front from frame {left.frame} (frame 7: {left.outside:.0%} outside)" in note
     assert f"view.distance = {left.distance:g} or view.follow = true" in note
@@ -102,10 +102,10 @@ def test_only_remedies_that_work_are_named():
     grown = replace(
         clip, means=clip.means[0] * np.linspace(1, 3, 8, dtype=np.float32)[:, None, None]
     )
-    (note,) = framing(grown, view())["notes"]
+    (note,) = describe_framing(grown, view())["notes"]
     assert "view.distance = " in note and "follow" not in note
     far = flight([(0, 0, 0), (0, 300, 0)])
-    (note,) = framing(far, view())["notes"]
+    (note,) = describe_framing(far, view())["notes"]
     assert note.endswith("Film it again with view.follow = true.")
 
 
@@ -184,7 +184,7 @@ def test_a_steady_way_is_seen_from_a_still_camera():
 def test_what_goes_too_far_is_followed_or_told():
     clip = flight([(0, 0, 0), (0, 300, 0)])
     assert not departures(clip, view(**FITS))
-    (note,) = framing(clip, view(**FITS, follow=False))["notes"]
+    (note,) = describe_framing(clip, view(**FITS, follow=False))["notes"]
     assert note.endswith("Film it again with view.follow = true.")
 
 

@@ -14,7 +14,7 @@ from phy124.camera import Camera
 from phy124.materials import LAWS
 from phy124.monitor.watchdog import Watchdog
 from phy124.rendering.render import Renderer
-from phy124.rendering.stage.build import stage_of
+from phy124.rendering.stage.build import make_stage
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
 from phy124.scene.scene import preset_names
@@ -98,7 +98,7 @@ def results(preset, changes) -> dict[str, np.ndarray]:
     frame, balance = run.frames[-1], run.find(Watchdog).balance
     found = {"means": clip.means, "quats": clip.quats, "scales": clip.scales}
     found["balance"] = np.array([balance.energy_gain, balance.momentum_gain])
-    stage = stage_of(clip, View(stage="studio"))
+    stage = make_stage(clip, View(stage="studio"))
     for blend in ("simd", "plain", "pixel"):
         draw = Renderer(device="cpu", blend=blend)
         found[blend] = draw(frame.gaussians, camera, alpha=True)

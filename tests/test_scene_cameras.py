@@ -7,7 +7,7 @@ import pytest
 
 from phy124.commands.options import ViewOptions
 from phy124.errors import InputError
-from phy124.rendering.framing import cameras, departures, framing
+from phy124.rendering.framing import cameras, departures, describe_framing
 from phy124.scene import Scene, View
 from phy124.scene.cameras import interpolate
 from support.clips import flight
@@ -104,10 +104,11 @@ def test_only_cameras_that_show_what_the_view_shows_are_judged():
 
 def test_a_way_that_the_clip_cuts_off_is_told_of(clip):
     keys = [{"time": 0, "azimuth": 0}, {"time": 2, "azimuth": 90}]
-    (note,) = framing(clip, view({"kind": "path", "keys": keys}))["notes"]
-    assert note.startswith("The clip ends at 1 s, before the way of path does")
+    (note,) = describe_framing(clip, view({"kind": "path", "keys": keys}))["notes"]
+    assert note.startswith("The clip ends at 1 s, before the path of camera path;")
     assert "--seconds 2.04" in note
-    assert not framing(clip, view({"kind": "path", "keys": [keys[0], {"time": 1}]}))["notes"]
+    short = view({"kind": "path", "keys": [keys[0], {"time": 1}]})
+    assert not describe_framing(clip, short)["notes"]
 
 
 @pytest.mark.parametrize(

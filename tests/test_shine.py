@@ -13,11 +13,11 @@ from phy124.rendering.shine import (
     GLOSSES,
     LAMP,
     Shine,
+    add_gloss,
     discs,
-    glossed,
-    reflected,
+    make_shine,
+    reflect,
     runs_of,
-    shine_of,
     surface,
 )
 from phy124.runtime.context import RunContext
@@ -66,12 +66,12 @@ def test_a_surface_shines_where_it_mirrors_the_lamp():
     half = LAMP + towards[0]
     normals[1] = half / np.linalg.norm(half)
     rgb = np.full((2, 3), 0.2)
-    dull, bright = reflected(rgb, normals, towards, GLOSSES["fluid"])
+    dull, bright = reflect(rgb, normals, towards, GLOSSES["fluid"])
     assert bright.min() > 0.8 and dull.max() < 0.4
-    assert np.allclose(reflected(rgb, 0 * normals, towards, GLOSSES["fluid"]), 0.2)
+    assert np.allclose(reflect(rgb, 0 * normals, towards, GLOSSES["fluid"]), 0.2)
     gold = np.array([[1.0, 0.7, 0.2]])
     up, down = (
-        reflected(gold, np.array([[0.7, 0, z]]), towards[:1], GLOSSES["metal"])[0]
+        reflect(gold, np.array([[0.7, 0, z]]), towards[:1], GLOSSES["metal"])[0]
         for z in (0.7, -0.7)
     )
     assert (up > 2 * down).all(), "it mirrors the sky above and the dark floor"
@@ -90,11 +90,11 @@ def test_discs_lie_along_the_surface_and_overlap():
 
 
 def test_only_what_is_fluid_or_metal_shines(water, tmp_path):
-    assert shine_of(water, Scene().view) is not None
+    assert make_shine(water, Scene().view) is not None
     off = Scene().view.model_copy(update={"shine": False})
-    assert shine_of(water, off) is None
+    assert make_shine(water, off) is None
     old = replace(water, report={})
-    assert shine_of(old, Scene().view) is None
+    assert make_shine(old, Scene().view) is None
     assert clip_of("neo_hookean").report["shine"] == {}
     fluid = Scene.named("water")
     assert "shine of fluid" in Effects.of(fluid).ran
@@ -107,14 +107,14 @@ def test_each_view_of_a_film_is_lit_and_its_time_is_told(water, tmp_path):
     film(water, view, tmp_path, watch=watch)
     assert watch.seconds["shine"] > 0
     frame = water.frame(1)
-    lit = shine.lit(frame, cameras(water, view, "front")[1]).gaussians
+    lit = shine.illuminate(frame, cameras(water, view, "front")[1]).gaussians
     assert np.array_equal(lit.means, frame.gaussians.means)
     assert not np.array_equal(lit.sh, frame.gaussians.sh) and np.isfinite(lit.sh).all()
     assert lit.rgb.max() > frame.gaussians.rgb.max() - 1e-6
 
 
 def test_the_player_gets_discs_whose_normals_point_outwards(water):
-    shown, gloss = glossed(water, Scene().view)
+    shown, gloss = add_gloss(water, Scene().view)
     (law,) = gloss["laws"]
     assert law["runs"] == water.report["shine"]["fluid"] and law["outwards"]
     assert law["gloss"] == list(GLOSSES["fluid"])
@@ -127,7 +127,7 @@ def test_the_player_gets_discs_whose_normals_point_outwards(water):
         assert flat.mean() > 0.3 and np.median(outwards[flat]) > 0.8
     assert ((shown.quats[1:] * shown.quats[:-1]).sum(axis=2) >= 0).all()
     rubber = clip_of("neo_hookean")
-    assert glossed(rubber, Scene().view) == (rubber, None)
+    assert add_gloss(rubber, Scene().view) == (rubber, None)
     assert runs_of(np.array([2, 3, 4, 9])) == [[2, 5], [9, 10]]
 
 
@@ -137,5 +137,5 @@ def test_broken_places_leave_the_others_as_they_are(water):
     frame = water.frame(0)
     broken = replace(frame, gaussians=replace(frame.gaussians, means=means))
     camera = cameras(water, Scene().view, "front")[0]
-    lit = Shine(water).lit(broken, camera).gaussians
+    lit = Shine(water).illuminate(broken, camera).gaussians
     assert np.isfinite(np.delete(lit.sh, 3, axis=0)).all()

@@ -18,7 +18,7 @@ from phy124.mpm.tracks import Tracks
 from phy124.rendering.film import film
 from phy124.rendering.frames import render_frames
 from phy124.rendering.render import Renderer
-from phy124.rendering.stage.build import Stage, stage_of
+from phy124.rendering.stage.build import Stage, make_stage
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame, bounds
 from phy124.scene import Scene, View
 from support.clips import flight
@@ -33,7 +33,7 @@ def staged(boundaries, *, frames=3, every=0.25) -> Stage:
     still = [Frame(i, every * i, ball(500).moved(1.0, [0, 0, 0.5])) for i in range(frames)]
     clip = Clip.from_frames(still)
     scene = Scene.from_data({"boundaries": boundaries}).data()
-    return stage_of(Clip(**{**vars(clip), "scene": scene}), STUDIO)
+    return make_stage(Clip(**{**vars(clip), "scene": scene}), STUDIO)
 
 
 def at(stage: Stage, index: int) -> StageFrame:
@@ -42,9 +42,9 @@ def at(stage: Stage, index: int) -> StageFrame:
 
 def test_plain_and_transparent_have_no_stage():
     clip = flight([(0, 0, 0)])
-    assert stage_of(clip, View()) is None
-    assert stage_of(clip, View(stage="transparent", formats=("png",))) is None
-    behind = stage_of(clip, View(gradient=(0, 0, 0)))
+    assert make_stage(clip, View()) is None
+    assert make_stage(clip, View(stage="transparent", formats=("png",))) is None
+    behind = make_stage(clip, View(gradient=(0, 0, 0)))
     assert behind.at(HERE).floor is None and behind.at(HERE).backdrop.bottom == (0, 0, 0)
 
 
@@ -174,7 +174,7 @@ def test_plugin_boundaries_are_drawn_by_their_shape():
     clip = Clip.from_frames([Frame(0, 0.0, ball(500).moved(1.0, [0, 0, 0.5]))])
     scene = Scene(boundaries=boundaries).data()
     scene["boundaries"].append({"kind": "from a package that is not here"})
-    shown = stage_of(replace(clip, scene=scene), STUDIO).at(HERE)
+    shown = make_stage(replace(clip, scene=scene), STUDIO).at(HERE)
     slope, cushion = shown.solids
     assert slope.axes[0] == pytest.approx([0.6, 0, 0.8])
     assert cushion.centre == pytest.approx([0, 0, 0.1]) and cushion.half[0] == pytest.approx(0.5)
@@ -303,7 +303,7 @@ def test_gaussians_that_are_nowhere_leave_the_floor_as_it_is():
     means = clip.means.copy()
     means[0, ::2] = means[2, 1::5] = np.nan
     whole, holed = (
-        stage_of(Clip(**{**vars(clip), "means": m}), STUDIO).caster for m in (clip.means, means)
+        make_stage(Clip(**{**vars(clip), "means": m}), STUDIO).caster for m in (clip.means, means)
     )
     assert holed.reach == pytest.approx(whole.reach, rel=0.1)
     assert np.isfinite([*holed.middle, holed.tallest]).all()
@@ -339,7 +339,7 @@ def test_a_picture_fills_the_frame_behind_the_object(tmp_path):
     ).save(tmp_path / "flag.png")
     view = View(picture=tmp_path / "flag.png", size=(32, 32), views=("front",))
     clip = flight([(0, 0, 0)])
-    stage = stage_of(clip, view)
+    stage = make_stage(clip, view)
     (image,) = render_frames(clip.frames(), Camera.orbit(0, 0, 5, 32), stage=stage.at, device="cpu")
     assert image[1, 1].tolist() == [200, 10, 10] and image[-2, -2].tolist() == [10, 10, 200]
     with pytest.raises(InputError, match=r"missing\.png"):
@@ -357,7 +357,7 @@ def test_the_shadow_of_a_flat_object_in_the_air_has_room():
     still = flight([(0, 0, 0)])
     flat = replace(still, means=still.means * np.float32([1, 1, 0.05]) + np.float32([0, 0, 1.4]))
     scene = Scene.from_data({"boundaries": [{"kind": "ground"}]}).data()
-    assert stage_of(replace(flat, scene=scene), STUDIO).caster.reach > 0.5 + 0.5
+    assert make_stage(replace(flat, scene=scene), STUDIO).caster.reach > 0.5 + 0.5
 
 
 def test_the_report_says_whether_there_is_a_stage():

@@ -7,7 +7,7 @@ from phy124.gaussians import Frame, Gaussians, rotation_matrices
 from phy124.io.clip import Clip
 from phy124.kernels.splat.shadow import cover
 from phy124.rendering.stage import shadow
-from phy124.rendering.stage.build import stage_of
+from phy124.rendering.stage.build import make_stage
 from phy124.rendering.stage.shadow import CELLS, LAMP, SKY, SLOPE, SOFTNESS, Caster
 from phy124.scene import View
 
@@ -26,7 +26,7 @@ def projected(gaussians: Gaussians, caster: Caster, floor: float) -> np.ndarray:
     height = float(gaussians.means[0, 2]) - floor
     blurred = sharp + (SOFTNESS * height) ** 2 * np.eye(2)
     peak = gaussians.opacities[0] * np.sqrt(np.linalg.det(sharp) / np.linalg.det(blurred))
-    x, y = caster.places
+    x, y = caster.cell_centres
     at = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     away = at - (gaussians.means[0, :2] + height * np.array(SLOPE))
     power = np.einsum("ija,ab,ijb->ij", away, np.linalg.inv(blurred), away)
@@ -86,7 +86,7 @@ def test_small_gaussians_cast_the_shadow_of_their_disc(rng):
     dense = Gaussians.from_rgb(means, quats, scales, np.full(n, 0.9), np.ones((n, 3)))
     caster = Caster((0.0, 0.0), 1.5, 0.25)
     shade = caster.shade(dense, 0.0)
-    x, y = caster.places
+    x, y = caster.cell_centres
     away = np.hypot(x[:, None] - 0.25 * SLOPE[0], y[None] - 0.25 * SLOPE[1])
     assert shade[away < 0.1].min() > 0.8 * LAMP
     assert shade[away > 0.8].max() < 0.05
@@ -103,7 +103,7 @@ def test_one_that_stands_for_others_is_as_much_wider(rng, monkeypatch):
     caster = Caster((0.0, 0.0), 1.0, 0.25)
     whole = caster.shade(disc, 0.0)
     monkeypatch.setattr(shadow, "SAMPLE", n // 6)
-    x, y = caster.places
+    x, y = caster.cell_centres
     inside = np.hypot(x[:, None], y[None]) < 0.35
     assert caster.shade(disc, 0.0)[inside].min() > 0.95 * whole[inside].min()
 
@@ -122,7 +122,7 @@ def test_the_shade_ends_before_the_map_does(rng, monkeypatch):
         Frame(i, i / 24, Gaussians.from_rgb(at, quats, scales, np.full(n, 0.9), np.ones((n, 3))))
         for i, at in enumerate(places)
     ]
-    stage = stage_of(Clip.from_frames(frames), View(stage="studio"), rest=walls)
+    stage = make_stage(Clip.from_frames(frames), View(stage="studio"), rest=walls)
     shade = stage.at(frames[-1]).floor.shade
     border = np.concatenate([shade[[0, -1]].ravel(), shade[:, [0, -1]].ravel()])
     # The rest fades over a tenth of the map, a quarter of a level of a picture per cell.

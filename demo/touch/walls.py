@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from phy124.live import Live
-from phy124.rendering.stage.ground import floor_heights
-from phy124.rendering.stage.solids import placed
+from phy124.rendering.stage.solids import floor_heights, place_walls
 
 
 class Walls:
@@ -25,7 +24,7 @@ class Walls:
             live: The run.
         """
         self._live = live
-        walls = placed(live.scene.boundaries, live.rest)
+        walls = place_walls(live.scene.boundaries, live.rest)
         self._floors = [wall for wall in walls if wall.is_floor]
         self._others = [wall for wall in walls if not wall.is_floor]
 

@@ -11,10 +11,9 @@ from phy124.io.clip import Clip
 from phy124.io.export.html import pack
 from phy124.io.video import write_animation
 from phy124.rendering.frames import render_frames
-from phy124.rendering.framing import standing
-from phy124.rendering.shine import glossed
-from phy124.rendering.stage.build import stage_of
-from phy124.rendering.stage.packing import packed
+from phy124.rendering.framing import still_camera
+from phy124.rendering.shine import add_gloss
+from phy124.rendering.stage.build import make_stage, pack_stage
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import View
 
@@ -48,10 +47,10 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         about = _in_photograph(clip, view, order, folder, limits, watch)
         tell(Step("save", 0, 2))
         with watch.stage("pack"):
-            first = standing(clip, view, "front")
-            around = stage_of(clip, view, device=order.device)
-            shown, gloss = glossed(clip, view)
-            staged = packed(around, clip)
+            first = still_camera(clip, view, "front")
+            around = make_stage(clip, view, device=order.device)
+            shown, gloss = add_gloss(clip, view)
+            staged = pack_stage(around, clip)
             data = pack(shown, first, background=view.background, stage=staged, shine=gloss)
             (folder / "clip.pack").write_bytes(data)
             tell(Step("save", 1, 2))

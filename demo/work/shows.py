@@ -17,8 +17,7 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.io.export.html import pack
 from phy124.rendering.render import Renderer
-from phy124.rendering.stage.build import Stage, stage_of
-from phy124.rendering.stage.packing import packed
+from phy124.rendering.stage.build import Stage, make_stage, pack_stage
 from phy124.scene import Scene
 
 from ..events import Glimpse, Live, Tell
@@ -71,7 +70,7 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
         background = order.scene.view.background
         rest = frame.gaussians.means if rest is None else rest
         clip = Clip.from_frames([some])
-        around = packed(_stage(some, order.scene, rest), clip)
+        around = pack_stage(_stage(some, order.scene, rest), clip)
         data = pack(clip, camera, background=background, stage=around)
         try:
             path.write_bytes(data)
@@ -94,7 +93,7 @@ def _thinned(frame: Frame, chosen: np.ndarray) -> Frame:
 def _stage(frame: Frame, scene: Scene, rest: np.ndarray) -> Stage | None:
     """What stands around the object in a single frame."""
     clip = replace(Clip.from_frames([frame]), scene={"boundaries": scene.data()["boundaries"]})
-    return stage_of(clip, scene.view, rest=rest)
+    return make_stage(clip, scene.view, rest=rest)
 
 
 def _camera(frame: Frame, scene: Scene) -> Camera:

@@ -20,8 +20,8 @@ from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
 from phy124.io.video import write_animation
 from phy124.rendering.frames import render_frames
-from phy124.rendering.shine import shine_of
-from phy124.rendering.stage.build import stage_of
+from phy124.rendering.shine import make_shine
+from phy124.rendering.stage.build import make_stage
 from phy124.scene import Scene, View, preset_names
 
 HERE = Path(__file__).parent
@@ -44,8 +44,8 @@ def filmed(clip: Clip, view: View, side: str, index: list[int]) -> list[np.ndarr
     view = view.model_copy(update={"stage": "studio"})
     seen, stage, shine = (
         pipeline.cameras(clip, view, side),
-        stage_of(clip, view),
-        shine_of(clip, view),
+        make_stage(clip, view),
+        make_shine(clip, view),
     )
     frames, chosen = [clip.frame(i) for i in index], [seen[i] for i in index]
     shone = frames if shine is None else shine.frames(frames, chosen)

@@ -26,8 +26,8 @@ from phy124.io.clip import Clip
 from phy124.materials import LAWS
 from phy124.pipeline.capture import capture
 from phy124.rendering.frames import render_frames
-from phy124.rendering.shine import shine_of
-from phy124.rendering.stage.build import stage_of
+from phy124.rendering.shine import make_shine
+from phy124.rendering.stage.build import make_stage
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
@@ -58,7 +58,7 @@ def shown(clip: Clip, scene: Scene, size: int = SIZE) -> list[np.ndarray]:
     """The middle frame and the last one, on a stage."""
     view = scene.view.model_copy(update={"size": (size, size), "stage": "studio"})
     index, seen = [len(clip) // 2, len(clip) - 1], pipeline.cameras(clip, view, "front")
-    stage, shine = stage_of(clip, view), shine_of(clip, view)
+    stage, shine = make_stage(clip, view), make_shine(clip, view)
     frames, chosen = [clip.frame(i) for i in index], [seen[i] for i in index]
     return list(
         render_frames(

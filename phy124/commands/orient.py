@@ -17,7 +17,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import Reading
 from phy124.io.axes import FRONTS
 from phy124.io.files import replacing
-from phy124.rendering.orienting import candidates, drawn, samples
+from phy124.rendering.orienting import candidates, draw_oriented, samples
 from phy124.rendering.render import Renderer
 from phy124.runtime.device import pick_device
 
@@ -32,7 +32,7 @@ class Orient:
     file: tyro.conf.Positional[Path]
     """File of Gaussians whose axes are not known."""
     up: Annotated[str | None, tyro.conf.arg(metavar="AXIS")] = None
-    """The way up, once it is known: the four fronts are drawn."""
+    """The axis that points up, once it is known: the four fronts are drawn."""
     out: Path | None = None
     """PNG file to write; default out/FILE-orient.png."""
     device: Device = "auto"
@@ -63,7 +63,7 @@ class Orient:
 
 def _tile(renderer: Renderer, gaussians: Gaussians, reading: Reading) -> NDArray[np.uint8]:
     """The object from its front, with its options below [H,W,3]."""
-    tile = Image.fromarray(drawn(renderer, gaussians, reading, SIZE))
+    tile = Image.fromarray(draw_oriented(renderer, gaussians, reading, SIZE))
     words = f"--up={reading.up} --front={reading.front}"
     ImageDraw.Draw(tile).text((8, SIZE - 20), words, fill=(60, 60, 60))
     return np.asarray(tile)

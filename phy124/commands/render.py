@@ -16,8 +16,8 @@ from phy124.errors import Cancelled
 from phy124.io.clip import Clip
 from phy124.io.files import staged
 from phy124.io.video import refuse_missing_encoder
-from phy124.rendering.film import choppy, film, refuse_missing_writers
-from phy124.rendering.framing import framing
+from phy124.rendering.film import film, note_if_choppy, refuse_missing_writers
+from phy124.rendering.framing import describe_framing
 from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, merge_changes, parse_changes
@@ -72,8 +72,8 @@ class Render:
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
             if bars.cancelled and not files:
                 raise Cancelled
-        slow = choppy(clip, view)
-        notes = [*clip.flaws(), *framing(clip, view)["notes"], *([slow] if slow else [])]
+        slow = note_if_choppy(clip, view)
+        notes = [*clip.flaws(), *describe_framing(clip, view)["notes"], *([slow] if slow else [])]
         if self.json:
             print(json.dumps({"files": files, "notes": notes}))
         else:

@@ -27,11 +27,11 @@ from phy124.pipeline.recording import PAUSE as PAUSE
 from phy124.pipeline.recording import Recording, sweep
 from phy124.progress import Progress
 from phy124.rendering.film import cameras as cameras
-from phy124.rendering.film import choppy, played
+from phy124.rendering.film import describe_playback, note_if_choppy
 from phy124.rendering.film import film as film
 from phy124.rendering.film import playback as playback
 from phy124.rendering.film import rate as rate
-from phy124.rendering.framing import framing
+from phy124.rendering.framing import describe_framing
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, View
 from phy124.simulation import Interrupted, Simulation
@@ -289,10 +289,10 @@ def _of_files(about: dict[str, Any]) -> list[str]:
 
 def framed(clip: Clip, view: View) -> dict[str, Any]:
     """What a report says about the pictures: their rate, when Gaussians leave them, all notes."""
-    seen = framing(clip, view)
-    slow = choppy(clip, view)
+    seen = describe_framing(clip, view)
+    slow = note_if_choppy(clip, view)
     return {
-        "playback": played(clip, view),
+        "playback": describe_playback(clip, view),
         "departures": seen["departures"],
         "notes": [*clip.report["notes"], *seen["notes"], *([slow] if slow else [])],
     }

@@ -1,4 +1,4 @@
-"""Filming: turns a clip and a view into videos, pictures and files for other programs."""
+"""Films a clip from a view: videos, pictures, and files for other programs."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from phy124.progress import Progress, silent
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras as cameras
 from phy124.rendering.outputs import refuse_outputs, refuse_unkept, write_outputs
-from phy124.rendering.shine import Shine, shine_of
-from phy124.rendering.stage.build import Stage, stage_of
+from phy124.rendering.shine import Shine, make_shine
+from phy124.rendering.stage.build import Stage, make_stage
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, View
 
@@ -45,38 +45,39 @@ def film(
 ) -> list[Path]:
     """Write every format and every output of a view, from each of its sides.
 
-    Each format draws its own pictures, so that none has to wait in memory for another's encoder.
+    Pictures are drawn for each format separately, so that none is kept in memory.
 
     Args:
-        clip: What to film.
+        clip: The clip to film.
         view: Sides, size, background, formats and outputs.
         folder: An existing folder.
         device: Warp's name of the device that draws.
-        threads: CPU threads that draw videos and pictures; None: as many as there are cores.
+        threads: CPU threads that draw videos and pictures; None: the number of cores.
         progress: Called as ("render SIDE", pictures done, pictures in all) for each side, and as
-            ("outputs SIDE", ...) where there are any.
+            ("outputs SIDE", ...) for its outputs.
         watch: A stopwatch that counts drawing and encoding.
 
     Returns:
         The files and folders written.
 
     Raises:
-        InputError: The clip has not what an output shows, or a package is missing.
+        InputError: The clip lacks the data of an output, or a package is missing.
     """
     folder, watch = Path(folder), watch or Stopwatch()
     refuse_unkept(clip, view)
-    made, stage, shine = [], stage_of(clip, view, device=device), shine_of(clip, view)
+    stage, shine = make_stage(clip, view, device=device), make_shine(clip, view)
+    paths: list[Path] = []
     for name in view.formats:
         if name in EXPORTS:
             with watch.stage("export"):
-                made.append(EXPORTS[name](clip, folder, progress))
+                paths.append(EXPORTS[name](clip, folder, progress))
             continue
         with closing(_images(clip, view, stage, shine, device, threads)) as images:
             for side in view.sides:
                 before = watch.seconds.get("render", 0.0)
                 with watch.stage("encode"):
-                    drawn = watch.each("render", _of_side(images, side, len(clip), progress))
-                    made.append(ENCODERS[name](folder, side, drawn, playback(rate(clip), view)))
+                    drawn = watch.each("render", _take_side(images, side, len(clip), progress))
+                    paths.append(ENCODERS[name](folder, side, drawn, playback(rate(clip), view)))
                 watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
     if shine is not None and shine.seconds:
         watch.seconds["shine"] = watch.seconds.get("shine", 0.0) + shine.seconds
@@ -84,8 +85,8 @@ def film(
     if view.outputs:
         options: dict[str, Any] = {"device": device, "progress": progress}
         with watch.stage("outputs"):
-            made += [write_outputs(clip, view, side, folder, **options) for side in view.sides]
-    return made
+            paths += [write_outputs(clip, view, side, folder, **options) for side in view.sides]
+    return paths
 
 
 def _images(
@@ -96,12 +97,12 @@ def _images(
     device: str,
     threads: int | None,
 ) -> Generator[Picture, None, None]:
-    """The pictures of all sides, one side after the other.
+    """Draw the pictures of all sides, one side after the other.
 
-    The first ones of a side are drawn while the encoder still ends the video of the one before.
+    The first pictures of a side are drawn while the encoder finishes the previous side's video.
     """
     seen = [cameras(clip, view, side) for side in view.sides]
-    shown = (clip.frames() if shine is None else shine.frames(clip.frames(), one) for one in seen)
+    shown = (clip.frames() if shine is None else shine.frames(clip.frames(), c) for c in seen)
     return render_frames(
         chain.from_iterable(shown),
         chain.from_iterable(seen),
@@ -113,35 +114,29 @@ def _images(
     )
 
 
-def _of_side(
+def _take_side(
     images: Iterator[Picture], side: str, count: int, progress: Progress
 ) -> Iterator[Picture]:
-    """The next so many pictures, which are those of a side."""
+    """Yield the next `count` pictures, which show a side."""
     for done, image in enumerate(islice(images, count), 1):
         progress(f"render {side}", done, count)
         yield image
 
 
-def _mp4(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
-    path = folder / f"{side}.mp4"
-    write_mp4(path, images, fps=fps)
-    return path
-
-
-def _animation(ending: str) -> Encoder:
-    def write(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
+def _encode(ending: str, write: Callable[..., object]) -> Encoder:
+    def encode(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
         path = folder / f"{side}.{ending}"
-        write_animation(path, images, fps=fps)
+        write(path, images, fps=fps)
         return path
 
-    return write
+    return encode
 
 
 def _png(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
     del fps
     path = folder / f"{side}-png"
-    with staged(path) as made:
-        write_pictures(made, images, name=side)
+    with staged(path) as temporary:
+        write_pictures(temporary, images, name=side)
     return path
 
 
@@ -157,31 +152,34 @@ def _ply(clip: Clip, folder: Path, progress: Progress) -> Path:
 
 Encoder = Callable[[Path, str, Iterator[Picture], float], Path]
 ENCODERS: dict[str, Encoder] = {
-    "mp4": _mp4, "webp": _animation("webp"), "gif": _animation("gif"), "png": _png,
-}  # fmt: skip
+    "mp4": _encode("mp4", write_mp4),
+    "webp": _encode("webp", write_animation),
+    "gif": _encode("gif", write_animation),
+    "png": _png,
+}
 """Formats made from the pictures of one side; each returns the file or folder it made."""
 PLAYED = {"mp4", "webp", "gif"}
 """Formats that have a playback rate."""
 SMOOTH = 12.0
-"""Pictures per second from which a motion is seen as one."""
+"""Pictures per second below which slow motion looks choppy."""
 EXPORTS: dict[str, Callable[[Clip, Path, Progress], Path]] = {"usd": _usd, "ply": _ply}
 """Formats made from the whole clip; each returns the file or folder it made."""
 
 
 def playback(fps: float, view: View) -> float:
-    """Pictures per second at which a view shows a motion of so many frames per second."""
+    """Pictures per second of a film, for a clip of `fps` frames per second."""
     return view.fps or fps * view.speed
 
 
-def played(clip: Clip, view: View) -> dict[str, Any]:
-    """What a report says about the videos: pictures per second, speed, and how long they are."""
+def describe_playback(clip: Clip, view: View) -> dict[str, Any]:
+    """Return pictures per second, speed and duration [s] of the videos, for the report."""
     real = rate(clip)
     shown = playback(real, view)
     return {"fps": shown, "speed": shown / real, "seconds": len(clip) / shown}
 
 
-def choppy(clip: Clip, view: View) -> str | None:
-    """A sentence if slow motion shows too few pictures per second, or None."""
+def note_if_choppy(clip: Clip, view: View) -> str | None:
+    """Return a note if slow motion shows too few pictures per second."""
     real = rate(clip)
     shown = playback(real, view)
     if view.speed >= 1 or shown >= SMOOTH:
@@ -191,17 +189,16 @@ def choppy(clip: Clip, view: View) -> str | None:
 
 
 def refuse_unfilmable(scene: Scene) -> None:
-    """Make sure that videos can have the rate of a scene, that its outputs can be made, and that
-    what writes them is there.
+    """Refuse a scene whose films or outputs cannot be made on this machine.
 
     Raises:
-        InputError: They cannot, or something is missing.
+        InputError: No video has this rate, an output is impossible, or a program is missing.
     """
     refuse_outputs(scene.view, scene.time.frames)
     refuse_missing_writers(scene.view)
     shown, (low, high) = playback(scene.time.fps, scene.view), FPS_RANGE
     if not low <= shown <= high and set(scene.view.formats) & PLAYED:
-        limit = f"at {shown:g} pictures per second no video plays, only at {low:g} to {high:g}."
+        limit = f"videos have {low:g} to {high:g} pictures per second, not {shown:g}."
         field, value = ("view.speed", scene.view.speed)
         if scene.view.speed == 1:
             field, value = ("time.fps", scene.time.fps)
@@ -209,7 +206,7 @@ def refuse_unfilmable(scene: Scene) -> None:
 
 
 def refuse_missing_writers(view: View) -> None:
-    """Make sure that the encoder and the packages that write a view's formats work.
+    """Refuse a view whose formats need an encoder or package that is missing.
 
     Raises:
         InputError: One is missing.

@@ -1,4 +1,4 @@
-"""Images of many frames, drawn by several threads and given in order."""
+"""Draws many frames with several threads, and yields the images in order."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.camera import Camera
-from phy124.gaussians import Frame, Gaussians
+from phy124.gaussians import Frame
 from phy124.progress import Progress, silent
 from phy124.rendering.render import BLACK, WHITE, Colour, Renderer, to_bytes
 from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.cores import cores
 
 LOOK_AHEAD = 4
-"""How many frames per thread `render_frames` may be ahead of its reader."""
+"""Number of frames per thread by which `render_frames` may be ahead of its reader."""
 
 
 def render_frames(
@@ -37,21 +37,21 @@ def render_frames(
     threads: int | None = None,
     progress: Progress = silent,
 ) -> Generator[NDArray[np.uint8], None, None]:
-    """Images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
+    """Yield images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
 
-    Without a background they are [H,W,4]: unblended colours, the last channel being the coverage.
-    Closing the iterator stops the threads; it never runs far ahead of its reader.
+    Without a background images are [H,W,4]: unblended colours, and the coverage as last channel.
+    Closing the iterator stops the threads, which are only a few frames ahead of the reader.
 
     Args:
-        frames: What to draw; a clip's `frames()`, or `itertools.repeat` of a still one.
+        frames: The frames to draw; a clip's `frames()`, or `itertools.repeat` of a still frame.
         cameras: One camera for all frames, or one each.
-        size: Width and height in pixels, or one number for both, instead of the cameras' own.
+        size: Width and height in pixels, or one number for both; default: the cameras' sizes.
         background: Colour behind the Gaussians, 0..1; None for none.
         device: Warp's name of the device; default: CUDA if there is one.
-        stage: What stands behind and around the Gaussians of a frame instead of the background.
-        filter: What keeps splats from falling between pixels, one of `FILTERS`.
-        threads: Number of frames drawn at once on a CPU, where kernels use one core each; None: as
-            many as there are cores.
+        stage: Returns the stage of a frame, which replaces the background.
+        filter: Anti-aliasing filter, one of `FILTERS`.
+        threads: Number of frames drawn at once on a CPU, where kernels use one core each; None: the
+            number of cores.
         progress: Called as ("render", frames done, frames in all or 0 if unknown).
 
     Raises:
@@ -62,7 +62,7 @@ def render_frames(
     first = Renderer(device=device, filter=filter)
     threads = cores() if threads is None else threads
     threads = 1 if first.device.is_cuda else max(1, min(threads, total or threads))
-    # Kernels are loaded by now: loading them from several threads at once is not safe in Warp.
+    # The first renderer has loaded the kernels: Warp cannot load them from several threads at once.
     renderers: SimpleQueue[Renderer] = SimpleQueue()
     for renderer in [first] + [Renderer(device=device, filter=filter) for _ in range(threads - 1)]:
         renderers.put(renderer)
@@ -70,9 +70,15 @@ def render_frames(
     def draw(frame: Frame, camera: Camera) -> NDArray[np.uint8]:
         renderer = renderers.get()
         try:
+            if size is not None:
+                width, height = (size, size) if isinstance(size, int) else size
+                camera = replace(camera, width=width, height=height)
             around = None if stage is None else stage(frame)
-            seen = _resized(camera, size)
-            return _picture(renderer, frame.gaussians, seen, background, around)
+            if background is not None or around is not None:
+                return renderer.picture(frame.gaussians, camera, background or BLACK, stage=around)
+            image = renderer(frame.gaussians, camera, BLACK, alpha=True)
+            image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
+            return to_bytes(np.minimum(image, 1))
         finally:
             renderers.put(renderer)
 
@@ -86,32 +92,10 @@ def render_frames(
         pool.shutdown(cancel_futures=True)
 
 
-def _picture(
-    renderer: Renderer,
-    gaussians: Gaussians,
-    camera: Camera,
-    background: Colour | None,
-    stage: StageFrame | None,
-) -> NDArray[np.uint8]:
-    """One image as bytes; without a background, with coverage and unmultiplied colours."""
-    if background is not None or stage is not None:
-        return renderer.picture(gaussians, camera, background or BLACK, stage=stage)
-    image = renderer(gaussians, camera, BLACK, alpha=True)
-    image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
-    return to_bytes(np.minimum(image, 1))
-
-
 def _in_order(tasks: Iterator[Future], ahead: int) -> Iterator[Any]:
-    """Results of tasks in order; at most `ahead` tasks are started beyond the one returned."""
+    """Yield results of tasks in order; start at most `ahead` tasks beyond the one returned."""
     waiting = deque(itertools.islice(tasks, ahead))
     while waiting:
         result = waiting.popleft().result()
         waiting.extend(itertools.islice(tasks, 1))
         yield result
-
-
-def _resized(camera: Camera, size: int | tuple[int, int] | None) -> Camera:
-    if size is None:
-        return camera
-    width, height = (size, size) if isinstance(size, int) else size
-    return replace(camera, width=width, height=height)

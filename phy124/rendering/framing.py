@@ -1,4 +1,4 @@
-"""Framing: where the cameras of a clip stand, and whether they show everything that moves."""
+"""Places the cameras of a clip, and checks whether they show the whole motion."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from numpy.typing import NDArray
 from phy124.camera import FOV_Y, VIEWS, Camera
 from phy124.errors import InputError
 from phy124.io.clip import Clip
-from phy124.rendering.nearest import OUTSIDE, Sample, Values, nearest
+from phy124.rendering.nearest import OUTSIDE, Sample, Values, place_nearest
 from phy124.scene import View
 from phy124.scene.cameras import Poses
 
 STEP = 0.1
 """Recommended distances are multiples of this, in object sizes."""
 LARGEST = 5.0
-"""Extent of a motion that a still camera shows, in object sizes; larger ones are followed."""
+"""Largest extent of a motion that a still camera shows, in object sizes; beyond, it follows."""
 FARTHEST = 100.0
 """Largest distance a view may have, in object sizes."""
 
 
 def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
-    """The camera of each frame from one side: fixed, circling, moving, or following the object.
+    """Return the camera of each frame from one side: fixed, circling, moving, or following.
 
-    Without a distance of its own (`View.fits`) it stands as near as shows the whole motion, and
-    follows one of which a still camera would show most frames too small.
+    Unless its distance is set (`View.fits`), it stands as near as possible while showing the whole
+    motion, and it follows a motion that a still camera would show too small.
     """
     camera, poses = view.camera(side), _poses(clip, view, side)
     if view.fits and not (camera is not None and camera.chosen):
@@ -37,39 +37,38 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
     size = float((high - low).max())
     path = Sample.of(clip).path if view.follow else 0.0
     targets = (low + high) / 2 + size * poses.target + path
-    return _placed(view, poses, poses.distance * size * _portrait(view), targets)
+    width, height = view.size
+    # A portrait picture is taken from farther away, so that it shows as much width as a square one.
+    portrait = max(1.0, height / width)
+    return _make_cameras(view, poses, poses.distance * size * portrait, targets)
 
 
-def standing(clip: Clip, view: View, side: str) -> Camera:
-    """The camera of a player, which stands still while the clip plays."""
+def still_camera(clip: Clip, view: View, side: str) -> Camera:
+    """Return the camera of a player, which stands still while the clip plays."""
     return cameras(clip, view.model_copy(update={"follow": False}), side)[0]
 
 
 def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
-    """Cameras as near as shows the whole motion, or a motion of `LARGEST` if it is larger."""
+    """Place cameras as near as possible to show the motion, or `LARGEST` object sizes of it."""
     low, high = _box(clip, view)
     size = float((high - low).max())
     sample, count = Sample.of(clip), len(clip)
-    follow = sample.rare(LARGEST * size) if view.follow is None else view.follow
-    seen, path = (sample.followed(), sample.path) if follow else (sample, 0.0)
-    around = _placed(view, poses, np.ones(count), np.tile(seen.middle, (count, 1)))
-    stand = nearest(seen, around, zooms=view.fov == FOV_Y)
+    follow = sample.has_rare_moment(LARGEST * size) if view.follow is None else view.follow
+    seen, path = (sample.follow(), sample.path) if follow else (sample, 0.0)
+    around = _make_cameras(view, poses, np.ones(count), np.tile(seen.middle, (count, 1)))
+    stand = place_nearest(seen, around, zooms=view.fov == FOV_Y)
     farthest = stand.zoom * LARGEST * size / (2 * min(around[0].halves))
     middle = seen.middle + stand.shift if stand.distance <= farthest else (low + high) / 2
     radii = np.full(count, min(stand.distance, farthest))
     targets = np.broadcast_to(middle + path, (count, 3))
-    return _placed(view, _narrowed(poses, stand.zoom), radii, targets)
+    if stand.zoom != 1:
+        half = np.tan(np.radians(poses.fov) / 2) / stand.zoom
+        poses = poses.replace(fov=np.degrees(2 * np.arctan(half)))
+    return _make_cameras(view, poses, radii, targets)
 
 
-def _narrowed(poses: Poses, zoom: float) -> Poses:
-    """The same with a view that shows a part of what it showed, once as large."""
-    if zoom == 1:
-        return poses
-    return poses.replace(fov=np.degrees(2 * np.arctan(np.tan(np.radians(poses.fov) / 2) / zoom)))
-
-
-def _placed(view: View, poses: Poses, radii: Values, targets: Values) -> list[Camera]:
-    """Cameras that look at targets [T,3] m from distances [T] m."""
+def _make_cameras(view: View, poses: Poses, radii: Values, targets: Values) -> list[Camera]:
+    """Make cameras that look at targets [T,3] m from distances [T] m."""
     lists = (poses.azimuth, poses.elevation, radii, targets, poses.fov)
     return [
         Camera.orbit(azimuth, elevation, radius, view.size, (x, y, z), fov)
@@ -79,16 +78,11 @@ def _placed(view: View, poses: Poses, radii: Values, targets: Values) -> list[Ca
     ]
 
 
-def _portrait(view: View) -> float:
-    """How much farther away a portrait picture is taken, to be as wide as a square one."""
-    width, height = view.size
-    return max(1.0, height / width)
-
-
 def _poses(clip: Clip, view: View, side: str) -> Poses:
-    """Where the camera stands around the object in each frame."""
-    count, camera = len(clip), view.camera(side)
-    azimuth = 0.0 if camera or side == "orbit" else _azimuth(side)
+    """Position of the camera around the object in each frame."""
+    count, camera, azimuth = len(clip), view.camera(side), 0.0
+    if not camera and side != "orbit":
+        azimuth = VIEWS[side] if side in VIEWS else float(side.removeprefix("azimuth-"))
     still = Poses.still(count, azimuth, view.elevation, view.distance, view.fov)
     if camera is not None:
         times = clip.times - clip.times[0]
@@ -97,67 +91,68 @@ def _poses(clip: Clip, view: View, side: str) -> Poses:
 
 
 def _length(clip: Clip) -> float:
-    """How long a clip is, each frame counted for the time to the next [s]."""
+    """Duration of a clip [s], including the interval after its last frame."""
     count = len(clip)
     return float(clip.times[-1] - clip.times[0]) * count / (count - 1) if count > 1 else 1.0
 
 
 @dataclass(frozen=True)
 class Departure:
-    """A side whose pictures do not show the whole object."""
+    """A side from which the object leaves the picture."""
 
     view: str
     frame: int
-    """The first frame in which part of it is outside, from 0."""
+    """The first frame with part of the object outside, from 0."""
     worst_frame: int
-    """The frame in which most of it is outside."""
+    """The frame with the largest part outside."""
     outside: float
-    """Fraction of the object that is outside in that frame."""
+    """Fraction of the object that is outside in the worst frame."""
     distance: float
-    """Distance from which all of it would be visible, in object sizes."""
+    """Distance from which the whole object would be visible, in object sizes."""
 
 
 def departures(clip: Clip, view: View) -> list[Departure]:
-    """The sides from which the object leaves the picture.
+    """Return the sides from which the object leaves the picture.
 
-    A camera with a distance, an opening or a target of its own was meant to show what it shows.
+    Cameras whose distance, field of view or target is set explicitly are not checked.
     """
-    own = {camera.name for camera in view.cameras if camera.chosen}
+    chosen = {camera.name for camera in view.cameras if camera.chosen}
     sample = Sample.of(clip)
     points = sample.means[:, sample.moving]
-    found = [_departure(clip, points, view, side) for side in view.sides if side not in own]
-    return [departure for departure in found if departure is not None]
+    sides = (side for side in view.sides if side not in chosen)
+    checked = (_find_departure(clip, points, view, side) for side in sides)
+    return [departure for departure in checked if departure is not None]
 
 
-def framing(clip: Clip, view: View) -> dict[str, Any]:
-    """The `departures`, and `notes`: sentences about them and about ways that are cut off."""
+def describe_framing(clip: Clip, view: View) -> dict[str, Any]:
+    """Return the `departures`, and `notes` on them and on camera paths that the clip cuts off."""
     left = departures(clip, view)
-    notes = [note for note in (_note(clip, view, left), _cut_off(clip, view)) if note]
-    return {"departures": [asdict(one) for one in left], "notes": notes}
+    notes = [note for note in (_note_departures(clip, view, left), _note_cut(clip, view)) if note]
+    return {"departures": [asdict(departure) for departure in left], "notes": notes}
 
 
-def _cut_off(clip: Clip, view: View) -> str | None:
-    """A sentence if the way of a camera goes on after the clip, or None."""
+def _note_cut(clip: Clip, view: View) -> str | None:
+    """Return a note if a camera's path is longer than the clip."""
     last = float(clip.times[-1] - clip.times[0])
     late = [camera for camera in view.cameras if camera.end > last * (1 + 1e-9)]
     if not late:
         return None
     names, end = ", ".join(camera.name for camera in late), max(camera.end for camera in late)
     return (
-        f"The clip ends at {last:.3g} s, before the way of {names} does; "
-        f"simulate with --seconds {end + _length(clip) / len(clip):.3g} to see all of it."
+        f"The clip ends at {last:.3g} s, before the path of camera {names}; "
+        f"simulate with --seconds {end + _length(clip) / len(clip):.3g} to see the whole path."
     )
 
 
-def _note(clip: Clip, view: View, left: list[Departure]) -> str | None:
+def _note_departures(clip: Clip, view: View, left: list[Departure]) -> str | None:
     if not left:
         return None
     sides = ", ".join(
-        f"{one.view} from frame {one.frame} (frame {one.worst_frame}: {one.outside:.0%} outside)"
-        for one in left
+        f"{d.view} from frame {d.frame} (frame {d.worst_frame}: {d.outside:.0%} outside)"
+        for d in left
     )
     remedies = []
-    distance = max(one.distance for one in left)
+    distance = max(departure.distance for departure in left)
     if distance <= FARTHEST:
         remedies.append(f"view.distance = {distance:g}")
     following = view.model_copy(update={"follow": True})
@@ -167,8 +162,8 @@ def _note(clip: Clip, view: View, left: list[Departure]) -> str | None:
     return f"The object leaves the picture: {sides}. Film it again with {remedy}."
 
 
-def _departure(clip: Clip, points: Values, view: View, side: str) -> Departure | None:
-    """What a side misses of the points [T,S,3], or None."""
+def _find_departure(clip: Clip, points: Values, view: View, side: str) -> Departure | None:
+    """Return the departure of points [T,S,3] from the pictures of a side, or None."""
     seen = cameras(clip, view, side)
     needed = _radii(points, seen)
     radius = math.dist(seen[0].eye, seen[0].target)
@@ -185,28 +180,23 @@ def _departure(clip: Clip, points: Values, view: View, side: str) -> Departure |
 
 
 def _radii(points: Values, cameras: list[Camera]) -> Values:
-    """Distances from their targets at which cameras would see each of the points [T,S]."""
-    return np.stack([_radius(seen, at) for seen, at in zip(points, cameras, strict=True)])
+    """Smallest camera distances from their targets that show each of the points [T,S]."""
 
+    def radius(points: Values, camera: Camera) -> Values:
+        across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T
+        half_width, half_height = camera.halves
+        return np.maximum(np.abs(across) / half_width, np.abs(down) / half_height) - ahead
 
-def _radius(points: Values, camera: Camera) -> Values:
-    """Distance from its target at which the camera would see each of the points [S]."""
-    across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T
-    half_width, half_height = camera.halves
-    return np.maximum(np.abs(across) / half_width, np.abs(down) / half_height) - ahead
-
-
-def _azimuth(side: str) -> float:
-    return VIEWS[side] if side in VIEWS else float(side.removeprefix("azimuth-"))
+    return np.stack([radius(seen, at) for seen, at in zip(points, cameras, strict=True)])
 
 
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
-    """Corners of the object at rest, and of the ground below if it will fall there."""
-    # A row per axis, where extremes take a small part of the time of short rows.
+    """Corners of the box around the object at rest, extended down to the ground if it can fall."""
+    # One row per axis: extremes of long rows are faster.
     rest = np.ascontiguousarray(clip.means[0][clip.own].T)
     first = np.compress(np.isfinite(rest).all(axis=0), rest, axis=1)
     if not first.size:
-        limit = "no Gaussian of its first frame is anywhere: all have NaN or infinite values."
+        limit = "all Gaussians of its first frame have NaN or infinite values."
         raise InputError("clip", f"{len(clip)} frames", limit, "Simulate it once more.")
     low, high = first.min(axis=1), first.max(axis=1)
     floors = [b["height"] for b in clip.scene.get("boundaries", []) if b["kind"] == "ground"]

@@ -1,10 +1,10 @@
-"""How near a camera can stand and still show the whole motion, and where it then looks.
+"""Finds the nearest camera position that shows the whole motion, and its target.
 
-A point is in the picture if it lies between four planes through the camera. Along a direction of
-view the camera can therefore be no nearer than the farther of the places where the two upright and
-the two level planes through the outermost Gaussians meet; these also say where it looks. What is
-much longer along the view than across, such as a sword from its tip, would be distorted and blurred
-from there: the camera stands farther away and shows it as large with a narrower view.
+A point is in the picture if it lies between four planes through the camera. The two vertical planes
+through the outermost Gaussians meet in one line, the two horizontal planes in another; the farther
+line gives the distance, and both give the target. An object much longer along the view than across,
+such as a sword seen from its tip, would be distorted and blurred from there. For it the camera
+stands farther away with a narrower field of view, which shows the object at the same size.
 """
 
 from __future__ import annotations
@@ -24,37 +24,37 @@ Values = NDArray[np.float64]
 SAMPLE = 2048
 """Number of Gaussians, evenly picked, that represent all of them."""
 VISIBLE = 0.1
-"""Opacity from which a Gaussian counts as part of the object."""
+"""Smallest opacity of a Gaussian that counts as part of the object."""
 OUTSIDE = 0.01
 """Fraction of the object that may be outside the picture without a warning."""
 LEFT_OUT = 5e-4
-"""Fraction of the object's sample that may be outside each edge: few drops decide nothing."""
+"""Fraction of the sample that may be outside each edge, so that a few drops do not matter."""
 DEPTHS = 1.5
-"""Smallest distance from a motion, in its depths along the view."""
+"""Smallest distance from a motion, in units of its depth along the view."""
 CLOSE, TRIES = 0.98, 8
-"""Fraction of that distance that is near enough to it, and how often another zoom is tried."""
+"""Fraction of that distance that suffices, and the largest number of zooms to try."""
 ZOOM = 40.0
-"""Factor by which the view is narrower at most."""
+"""Largest factor by which the view is narrowed."""
 ROOM = 1.08
-"""Width of the picture relative to that of the whole motion in it, or height."""
+"""Width (or height) of the picture relative to that of the whole motion."""
 MOST = 0.8
-"""Fraction of the frames that are most of a motion; what only the others show is a rare moment."""
+"""Fraction of the frames that make up most of a motion; the others are rare moments."""
 RARE = 1.5
-"""How much larger a rare moment makes the whole motion at least, for the camera to follow it."""
+"""The camera follows a motion whose rare moments enlarge it by at least this factor."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Visible Gaussians that stand for all of a clip's object."""
+    """Visible Gaussians that represent a clip's object."""
 
     means: Values
-    """Centres [T,S,3], m; where the motion broke, those of the first frame."""
+    """Centres [T,S,3], m; those that are not finite are taken from the first frame."""
     covariances: Values
     """[T,S,3,3], m^2."""
 
     @classmethod
     def of(cls, clip: Clip) -> Sample:
-        """Those of a clip; of none of its scenery."""
+        """Sample a clip's object, without its scenery."""
         visible = np.flatnonzero(clip.own & (clip.opacities >= VISIBLE))
         chosen = visible if len(visible) else np.flatnonzero(clip.own)
         chosen = chosen[:: 1 + len(chosen) // SAMPLE]
@@ -71,64 +71,63 @@ class Sample:
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Which of them move [S]; all if none does."""
+        """Mask of the moving Gaussians [S]; all if none moves."""
         moves: NDArray[np.bool_] = (self.means != self.means[0]).any(axis=(0, 2))
         return moves if moves.any() else ~moves
 
     @cached_property
     def path(self) -> Values:
-        """Displacement of the middle of what moves, relative to the first frame [T,3], m."""
+        """Displacement of the moving Gaussians' mean since the first frame [T,3], m."""
         middle = self.means[:, self.moving].mean(axis=1)
         return middle - middle[0]
 
     @cached_property
     def middle(self) -> Values:
-        """Middle of the box around the whole motion [3], m."""
+        """Centre of the box around the whole motion [3], m."""
         low, high = self._boxes(self.means)
         return (low.min(axis=0) + high.max(axis=0)) / 2
 
-    def followed(self) -> Sample:
-        """The same, seen from a camera that goes along."""
+    def follow(self) -> Sample:
+        """Return the sample relative to its path, as a following camera sees it."""
         return Sample(self.means - self.path[:, None], self.covariances)
 
-    def rare(self, largest: float) -> bool:
-        """Whether a still camera shows most of the motion small, and a following one does not.
+    def has_rare_moment(self, largest: float) -> bool:
+        """Whether only a following camera shows most of the motion large.
 
-        Args:
-            largest: Extent of a motion that a still camera shows in any case [m].
+        Motions of an extent up to `largest` [m] need no following camera.
         """
         low, high = self._boxes(self.means)
         whole = _extent(low, high)
         usual = np.quantile(high, MOST, axis=0) - np.quantile(low, 1 - MOST, axis=0)
         far = whole > min(RARE * float(usual.max()), largest)
-        return far and whole > RARE * _extent(*self._boxes(self.followed().means))
+        return far and whole > RARE * _extent(*self._boxes(self.follow().means))
 
     def _boxes(self, means: Values) -> tuple[Values, Values]:
-        """Corners of the object in each frame [T,3], [T,3], without its outermost Gaussians."""
+        """Corners of the object in each frame [T,3], [T,3], ignoring its outermost Gaussians."""
         low, high = np.quantile(means, [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         return low, high
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Where cameras stand that show a whole motion."""
+    """Positions of cameras that show a whole motion."""
 
     distance: float
-    """Distance from what they look at [m]."""
+    """Distance from their targets [m]."""
     shift: Values
-    """How far the places that they look at are moved [3], m."""
+    """Displacement of their targets [3], m."""
     zoom: float
-    """Factor by which the opening of the view is narrower."""
+    """Factor by which the view is narrowed."""
 
 
-def nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) -> Standing:
-    """Where cameras stand nearest that show the whole motion.
+def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) -> Standing:
+    """Find the nearest positions of cameras that show the whole motion.
 
     Args:
-        sample: What they show.
-        cameras: One for each frame, which say how they are turned, how wide they see, and, if they
-            turn during the clip, where they look.
-        zooms: Whether they may narrow their view to keep `DEPTHS`.
+        sample: The object in motion.
+        cameras: One for each frame; they give orientation, field of view and, if they turn during
+            the clip, target.
+        zooms: Whether they may narrow their view to keep the distance `DEPTHS`.
     """
     seen, halves = _Seen.by(sample, cameras), np.array(cameras[0].halves) / ROOM
     least = DEPTHS * seen.depth if zooms else 0.0
@@ -136,7 +135,7 @@ def nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) -> Sta
     for _ in range(TRIES):
         if stand.distance >= CLOSE * least:
             break
-        # The distance is a line in the zoom, bent a little where other Gaussians become outermost.
+        # The distance is almost linear in the zoom, apart from changes of the outermost Gaussian.
         slope = slope or stand.distance / stand.zoom
         more = seen.standing(halves, min(stand.zoom + (least - stand.distance) / slope, ZOOM))
         if more.zoom == stand.zoom:
@@ -148,30 +147,30 @@ def nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) -> Sta
 
 @dataclass(frozen=True)
 class _Seen:
-    """A sample in the axes of the cameras."""
+    """A sample in camera axes."""
 
-    places: Values
-    """Right, down and ahead of what is looked at [T,3,S], m."""
+    points: Values
+    """Positions right, down and ahead of the target [T,3,S], m."""
     reach: Values
     """Standard deviations right and down [T,2,S], m."""
     axes: Values
-    """Right, down and ahead of each camera [T,3,3]."""
+    """Unit vectors right, down and ahead of each camera [T,3,3]."""
 
     @classmethod
     def by(cls, sample: Sample, cameras: list[Camera]) -> _Seen:
         axes = np.stack([camera.view[:3, :3] for camera in cameras])
         targets = np.array([camera.target for camera in cameras])
-        places = axes @ (sample.means - targets[:, None]).transpose(0, 2, 1)
+        points = axes @ (sample.means - targets[:, None]).transpose(0, 2, 1)
         pairs = axes[:, :2, :, None] * axes[:, :2, None, :]
         variances = pairs.reshape(-1, 2, 9) @ sample.covariances.reshape(
-            *places.shape[::2], 9
+            *points.shape[::2], 9
         ).transpose(0, 2, 1)
-        return cls(places, np.sqrt(np.maximum(variances, 0)), axes)
+        return cls(points, np.sqrt(np.maximum(variances, 0)), axes)
 
     @property
     def depth(self) -> float:
-        """Extent of the motion along the view, the largest in any frame's direction [m]."""
-        ahead = np.quantile(self.places[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
+        """Extent of the motion along the view [m]; the largest of any frame if cameras turn."""
+        ahead = np.quantile(self.points[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         if self.turning:
             return float((ahead[1] - ahead[0]).max())
         return float(ahead[1].max() - ahead[0].min())
@@ -182,30 +181,25 @@ class _Seen:
         return not np.allclose(self.axes, self.axes[0])
 
     def standing(self, halves: Values, zoom: float) -> Standing:
-        """Where they stand nearest with a zoom.
-
-        Args:
-            halves: Half of what they see at a distance of 1 without it, right and down [2].
-            zoom: Factor by which that is less.
-        """
+        """Return the nearest positions at a zoom; `halves` is half the view at distance 1 [2]."""
         halves = halves / zoom
         edges = self._edges(halves)
         across, along = halves * (edges[:, 0] - edges[:, 1]) / 2
         if not self.turning:
             shift = across * self.axes[0, 0] + along * self.axes[0, 1]
             return Standing(float(edges.sum(axis=1).max() / 2), shift, zoom)
-        # All look at one place, which may only be higher or lower than the middle.
+        # All look at one point, which may only move up or down.
         shift = np.array([0.0, 0.0, along * self.axes[:, 1, 2].mean()])
-        moved = replace(self, places=self.places - (self.axes @ shift)[..., None])
+        moved = replace(self, points=self.points - (self.axes @ shift)[..., None])
         lower = moved._edges(halves).max()
         if lower < edges.max():
             return Standing(float(lower), shift, zoom)
         return Standing(float(edges.max()), np.zeros(3), zoom)
 
     def _edges(self, halves: Values) -> Values:
-        """Distances at which all is inside the edges right, left; below, above [2,2], m."""
-        both = [(sign * self.places[:, :2] + self.reach) / halves[:, None] for sign in (1, -1)]
-        needed = np.stack(both, axis=2) - self.places[:, None, None, 2]
+        """Distances that keep the sample inside the edges right, left; bottom, top [2,2], m."""
+        both = [(sign * self.points[:, :2] + self.reach) / halves[:, None] for sign in (1, -1)]
+        needed = np.stack(both, axis=2) - self.points[:, None, None, 2]
         few = int(LEFT_OUT * needed.shape[-1])
         return np.partition(needed, -1 - few, axis=-1)[..., -1 - few].max(axis=0)
 

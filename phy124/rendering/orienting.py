@@ -1,4 +1,4 @@
-"""Pictures of Gaussians in all orientations that a file of unknown axes may have."""
+"""Draws Gaussians from a file of unknown axes in each possible orientation."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from phy124.particles.thinning import thin
 from phy124.rendering.render import Renderer
 
 ENOUGH = 30_000
-"""Gaussians that show which way is up."""
+"""Number of Gaussians that suffice for these pictures."""
 UPS = ("-y", "y", "z", "-z", "x", "-x")
-"""Ways up, the most usual first."""
+"""The six possible up axes, the most usual first."""
 TURNS = ("x", "y", "z", "-x", "-y", "-z")
 UNTURNED = Reading(up="z", front="x")
-"""Reads a file without any rotation: these are our own axes."""
+"""Reads a file without rotation: these are phy124's axes."""
 
 
 def candidates(up: str | None) -> list[Reading]:
-    """The ways up, each with its usual front; of a known way up, its fronts."""
+    """List the up axes, each with its usual front; for a known up axis, list its fronts."""
     if up is None:
         return [Reading(up=axis, front=FRONTS[axis]) for axis in UPS]
     return [Reading(up=up, front=axis) for axis in TURNS if axis[-1] != up[-1]]
 
 
 def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
-    """Enough of a file's Gaussians for pictures, in the axes of the file, and notes on the file.
+    """Read up to `ENOUGH` of a file's Gaussians, in the file's axes, and notes on the file.
 
     Raises:
         InputError: As `PlyFile.open`, or if all centres lie in one point.
@@ -39,15 +39,15 @@ def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
     return normalised(few, path), opened.notes
 
 
-def drawn(
+def draw_oriented(
     renderer: Renderer, gaussians: Gaussians, reading: Reading, size: int
 ) -> NDArray[np.uint8]:
-    """The object from its front, a little from the left and from above [size,size,3].
+    """Draw the object from its front, slightly from the left and above [size,size,3].
 
     Args:
         renderer: Draws it.
         gaussians: The object in the axes of its file, of any size.
-        reading: Which of these axes point up and to the front.
+        reading: The file's axes that point up and to the front.
         size: Side of the picture [pixels].
 
     Raises:

@@ -1,18 +1,18 @@
-"""Outputs: depth, normals, flow, force and others per pixel, for those who make training data.
+"""Writes depth, normals, flow, force and other quantities per pixel, as training data.
 
-Each is drawn by the renderer that draws the colours: the value takes the place of the colour, so
-that a pixel has the mean of the Gaussians it shows, weighted by what each contributes to it,
+The renderer draws values instead of colours, so that a pixel has the mean of the Gaussians it
+shows, weighted by their contributions,
 
     value = sum_i w_i value_i / sum_i w_i,    w_i = alpha_i prod_{j<i} (1 - alpha_j).
 
-Forces are not mean values but add up, so they are spread over the pixels instead.
+Forces add up, so they are distributed over the pixels instead of averaged.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,14 +41,14 @@ from phy124.scene.view import Output
 
 Values = NDArray[np.float64]
 FARTHEST_FLOW = 4
-"""Largest flow that is kept, in pictures: beyond, a Gaussian passes through the camera."""
+"""Largest flow, in picture sizes; a Gaussian that passes through the camera would exceed it."""
 
 SHARP = 0.3
-"""Blur that makes no difference, px."""
+"""Blur that is negligible, px."""
 
 
 class Quantity(NamedTuple):
-    """What an output holds."""
+    """Unit, channels and meaning of an output."""
 
     unit: str
     channels: tuple[str, ...]
@@ -58,37 +58,45 @@ class Quantity(NamedTuple):
 
 QUANTITIES: dict[Output, Quantity] = {
     "depth": Quantity(
-        "m", ("Z",), False,
-        "Mean distance of the Gaussians' centres along the optical axis, weighted by what each "
-        "contributes to the pixel (the expected depth, not the median).",
+        "m",
+        ("Z",),
+        False,
+        "Mean distance of the Gaussians' centres along the optical axis, weighted by their "
+        "contributions to the pixel (the expected depth, not the median).",
     ),
     "alpha": Quantity("1", ("A",), False, "Coverage: the alpha of the film without background."),
     "normals": Quantity(
-        "1", ("X", "Y", "Z"), True,
-        "Mean unit normal in the world's axes; a Gaussian's is its shortest axis, towards the "
-        "camera, which says nothing where Gaussians are balls.",
+        "1",
+        ("X", "Y", "Z"),
+        True,
+        "Mean unit normal in the world's axes; a Gaussian's normal is its shortest axis, towards "
+        "the camera, and meaningless if the Gaussian is a ball.",
     ),
     "flow": Quantity(
-        "px/frame", ("U", "V"), True,
-        "Way on the picture to the next frame, right and down, the camera's motion included; "
-        "the last frame has none.",
+        "px/frame",
+        ("U", "V"),
+        True,
+        "Displacement on the picture to the next frame, right and down, including the camera's "
+        "motion; the last frame has none.",
     ),
     "velocity": Quantity("m/s", ("X", "Y", "Z"), True, "Velocity in the world's axes."),
     "force": Quantity(
-        "N/px", ("X", "Y", "Z"), True,
-        "Mean force of the walls on the object since the frame before, in the world's axes, each "
-        "pixel with its part of it, hidden ones included: all pixels add up to the frame's force. "
-        "It is known to a cell of the grid and blurred by half a cell.",
+        "N/px",
+        ("X", "Y", "Z"),
+        True,
+        "Mean force of the walls on the object since the previous frame, in the world's axes, "
+        "distributed over the pixels, hidden Gaussians included: the sum over all pixels is the "
+        "frame's force. Its resolution is one grid cell; it is blurred by half a cell.",
     ),
-}  # fmt: skip
-"""What each output holds; `channels` are the names in an EXR file."""
+}
+"""Unit and meaning of each output; `channels` are the names in an EXR file."""
 
 
 def refuse_outputs(view: View, frames: int) -> None:
-    """Make sure that the outputs of a view can be made, before any work is done for them.
+    """Refuse outputs of a view that cannot be made.
 
     Raises:
-        InputError: They cannot.
+        InputError: A single frame has no motion, or a package is missing.
     """
     moving = [name for name in view.outputs if name in ("flow", "velocity")]
     if moving and frames < 2:
@@ -99,10 +107,10 @@ def refuse_outputs(view: View, frames: int) -> None:
 
 
 def refuse_unkept(clip: Clip, view: View) -> None:
-    """Make sure that a clip has what the outputs of a view show.
+    """Refuse outputs of a view that need data which the clip lacks.
 
     Raises:
-        InputError: It has not.
+        InputError: The clip lacks them, or `refuse_outputs` refuses them.
     """
     refuse_outputs(view, len(clip))
     if "force" in view.outputs and clip.contacts is None:
@@ -123,8 +131,8 @@ def write_outputs(
     """Write the outputs of one side into the folder SIDE-outputs, with a description.
 
     Args:
-        clip: What is seen.
-        view: Which outputs, and in which format.
+        clip: The clip to draw.
+        view: Names the outputs and their format.
         side: The side.
         folder: An existing folder.
         device: Warp's name of the device that draws.
@@ -134,23 +142,23 @@ def write_outputs(
         The folder made.
 
     Raises:
-        InputError: The clip has not what is asked for, or a package is missing.
+        InputError: The clip lacks the data of an output, or a package is missing.
     """
     refuse_unkept(clip, view)
     path, seen = folder / f"{side}-outputs", Seen(clip, cameras(clip, view, side), view.outputs)
     steps = seen.steps() if view.output_format == "png" else {}
     renderer, rows = Renderer(device=device, filter=view.filter), []
-    with staged(path) as made:
+    with staged(path) as temporary:
         for index, camera in enumerate(seen.cameras):
             rasters, covered = seen.rasters(renderer, index)
             files = {}
             for name, raster in rasters.items():
                 files[name] = f"{name}_{index + 1:04}.{view.output_format}"
-                _write(made / files[name], name, raster, covered, steps)
+                _write(temporary / files[name], name, raster, covered, steps)
             rows.append(_row(clip, index, camera, files))
             progress(f"outputs {side}", index + 1, len(clip))
         text = json.dumps(_description(view, side, steps, rows), indent=1, allow_nan=False)
-        (made / "outputs.json").write_text(text + "\n", "utf-8")
+        (temporary / "outputs.json").write_text(text + "\n", "utf-8")
     return path
 
 
@@ -158,58 +166,51 @@ class Seen:
     """A clip seen by its cameras: values of the Gaussians and of the pixels in each frame."""
 
     def __init__(self, clip: Clip, cameras: Sequence[Camera], outputs: Sequence[Output]) -> None:
-        """What is asked of which clip.
-
-        Args:
-            clip: The clip.
-            cameras: One for each frame.
-            outputs: Names of the outputs.
-        """
+        """Select the outputs of a clip; there is one camera for each frame."""
         self.clip, self.cameras, self.outputs = clip, cameras, outputs
 
     def values(self, frame: Frame) -> dict[Output, Values]:
-        """Values of the Gaussians [N,C] in a frame, of all outputs but alpha that it has."""
-        camera, found = self.cameras[frame.index], {}
+        """Values of the Gaussians [N,C] in a frame, for each of its outputs except alpha."""
+        camera, means = self.cameras[frame.index], frame.gaussians.means
+        values: dict[Output, Values] = {}
         if "depth" in self.outputs:
-            found["depth"] = camera.project(frame.gaussians.means)[1][:, None]
+            values["depth"] = camera.project(means)[1][:, None]
         if "normals" in self.outputs:
-            found["normals"] = normals(frame.gaussians, camera)
+            values["normals"] = normals(frame.gaussians, camera)
         if "flow" in self.outputs and frame.index + 1 < len(self.clip):
             after = self.clip.means[frame.index + 1]
-            found["flow"] = flow(
-                frame.gaussians.means, camera, after, self.cameras[frame.index + 1]
-            )
+            values["flow"] = flow(means, camera, after, self.cameras[frame.index + 1])
         if "velocity" in self.outputs and frame.velocities is not None:
-            found["velocity"] = np.asarray(frame.velocities, np.float64)
-        return {name: np.nan_to_num(value, posinf=0, neginf=0) for name, value in found.items()}
+            values["velocity"] = np.asarray(frame.velocities, np.float64)
+        return {name: np.nan_to_num(value, posinf=0, neginf=0) for name, value in values.items()}
 
     def rasters(
         self, renderer: Renderer, index: int
     ) -> tuple[dict[Output, Array], NDArray[np.bool_]]:
-        """The outputs of a frame [H,W,C], 0 where nothing is, and where anything is [H,W]."""
+        """Draw the outputs of a frame [H,W,C], 0 where nothing is visible, and the mask [H,W]."""
         frame = self._frame(index)
         values = self.values(frame)
-        given = list(values.values())
-        means, alpha = means_seen(renderer, frame.gaussians, self.cameras[index], given)
-        found = dict(zip(values, means, strict=True))
-        if "normals" in found:
-            lengths = np.linalg.norm(found["normals"], axis=2, keepdims=True)
-            found["normals"] = found["normals"] / np.maximum(lengths, 1e-12)
+        camera = self.cameras[index]
+        means, alpha = means_seen(renderer, frame.gaussians, camera, list(values.values()))
+        rasters = dict(zip(values, means, strict=True))
+        if "normals" in rasters:
+            lengths = np.linalg.norm(rasters["normals"], axis=2, keepdims=True)
+            rasters["normals"] = rasters["normals"] / np.maximum(lengths, 1e-12)
         if "alpha" in self.outputs:
-            found["alpha"] = alpha[..., None]
+            rasters["alpha"] = alpha[..., None]
         if "force" in self.outputs:
-            found["force"] = self._force(frame)
-        return {name: found[name] for name in self.outputs if name in found}, alpha > 0
+            rasters["force"] = self._force(frame)
+        return {name: rasters[name] for name in self.outputs if name in rasters}, alpha > 0
 
     def steps(self) -> dict[Output, float]:
-        """The step of 16-bit values for each output, the same for all frames."""
+        """Step of the 16-bit values of each output, the same for all frames."""
         largest = dict.fromkeys(self.outputs, 0.0) | {"alpha": 1.0, "normals": 1.0}
         if set(self.outputs) & {"depth", "flow", "velocity"}:
             for index, camera in enumerate(self.cameras):
                 frame = self._frame(index)
-                drawn = camera.project(frame.gaussians.means)[1] > NEAR
+                visible = camera.project(frame.gaussians.means)[1] > NEAR
                 for name, values in self.values(frame).items():
-                    most = np.abs(values[drawn]).max(initial=0.0)
+                    most = np.abs(values[visible]).max(initial=0.0)
                     largest[name] = max(largest[name], float(most))
         if "force" in self.outputs:
             forces = (self._force(self._frame(index)) for index in range(len(self.clip)))
@@ -219,7 +220,7 @@ class Seen:
         }
 
     def _force(self, frame: Frame) -> Array:
-        """The forces on the Gaussians of a frame, as a picture [H,W,3], N."""
+        """Draw the forces on the Gaussians of a frame [H,W,3], N."""
         assert frame.contacts is not None  # `refuse_unkept`
         cell = self.clip.report.get("grid", {}).get("dx", 0.0)
         camera = self.cameras[frame.index]
@@ -232,38 +233,36 @@ class Seen:
 def means_seen(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, values: Sequence[Values]
 ) -> tuple[list[Array], Array]:
-    """Mean values [H,W,C] of what each pixel shows, 0 where it shows nothing, and alpha [H,W].
+    """Draw the mean values [H,W,C] of each pixel, 0 where nothing is visible, and alpha [H,W].
 
     Args:
         renderer: Draws three columns at a time.
-        gaussians: What is seen.
-        camera: Where from.
+        gaussians: The Gaussians to draw.
+        camera: The camera.
         values: Values of the Gaussians, each [N,C].
     """
     columns = np.concatenate([*values, np.zeros((len(gaussians), 0))], axis=1)
-    drawn = [
-        _drawn(renderer, gaussians, camera, columns[:, first : first + 3])
+    images = [
+        _draw_means(renderer, gaussians, camera, columns[:, first : first + 3])
         for first in range(0, max(columns.shape[1], 1), 3)
     ]
-    means = np.concatenate([mean for mean, _ in drawn], axis=2)
+    means = np.concatenate([mean for mean, _ in images], axis=2)
     edges = np.cumsum([value.shape[1] for value in values])
-    return np.split(means, edges, axis=2)[: len(values)], drawn[0][1]
+    return np.split(means, edges, axis=2)[: len(values)], images[0][1]
 
 
-def _drawn(
+def _draw_means(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, columns: Values
 ) -> tuple[Array, Array]:
-    """Means [H,W,3] of up to three columns [N,C], and alpha [H,W]."""
+    """Draw the means [H,W,3] of up to three columns [N,C], and alpha [H,W]."""
     padded = np.pad(columns, [(0, 0), (0, 3 - columns.shape[1])])
     # The renderer's colours lie in 0..1.
     ahead = camera.project(gaussians.means)[1] > NEAR
     shown = padded[ahead] if ahead.any() else np.zeros((1, 3))
     low, high = shown.min(axis=0), shown.max(axis=0)
     span = np.where(high > low, high - low, 1.0)
-    painted = Gaussians.from_rgb(
-        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities,
-        np.clip((padded - low) / span, 0, 1),
-    )  # fmt: skip
+    g, rgb = gaussians, np.clip((padded - low) / span, 0, 1)
+    painted = Gaussians.from_rgb(g.means, g.quats, g.scales, g.opacities, rgb)
     image = renderer(painted, camera, BLACK, alpha=True)
     alpha = image[..., 3]
     mean = image[..., :3] / np.maximum(alpha, 1e-6)[..., None]
@@ -273,14 +272,13 @@ def _drawn(
 def normals(gaussians: Gaussians, camera: Camera) -> Values:
     """The shortest axis of each Gaussian, towards the camera: unit vectors in world axes [N,3]."""
     axes = rotation_matrices(gaussians.quats)
-    shortest = gaussians.scales.argmin(axis=1)
-    found = axes[np.arange(len(gaussians)), :, shortest]
+    shortest = axes[np.arange(len(gaussians)), :, gaussians.scales.argmin(axis=1)]
     towards = np.asarray(camera.eye) - gaussians.means
-    return np.where((found * towards).sum(axis=1, keepdims=True) < 0, -found, found)
+    return np.where((shortest * towards).sum(axis=1, keepdims=True) < 0, -shortest, shortest)
 
 
 def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Values:
-    """How far points [N,3] get on the picture from one frame to the next [N,2], right and down.
+    """Displacement of points [N,3] on the picture to the next frame [N,2], right and down.
 
     Args:
         before: The points in this frame, m.
@@ -295,12 +293,12 @@ def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Valu
 
 
 def spread(values: Array, points: Array, camera: Camera, blur: float) -> Array:
-    """A picture [H,W,C] whose pixels add up to the values [N,C] of the points in it.
+    """Distribute values over pixels [H,W,C], whose sum is that of the points in the picture.
 
     Args:
-        values: What each point adds.
-        points: Where they are [N,3], m.
-        camera: Where from.
+        values: Value of each point [N,C].
+        points: Positions [N,3], m.
+        camera: The camera.
         blur: Standard deviation of the blur, m.
     """
     pixels, depths = camera.project(points)
@@ -308,7 +306,7 @@ def spread(values: Array, points: Array, camera: Camera, blur: float) -> Array:
     image = np.zeros((camera.height, camera.width, values.shape[1]))
     if not chosen.any():
         return image.astype(np.float32)
-    at, given = pixels[chosen] - 0.5, values[chosen]
+    at, amounts = pixels[chosen] - 0.5, values[chosen]
     first = np.floor(at)
     for corner in itertools.product((0.0, 1.0), repeat=2):
         node = first + np.array(corner)
@@ -316,7 +314,7 @@ def spread(values: Array, points: Array, camera: Camera, blur: float) -> Array:
         weight = np.prod(1 - np.abs(at - node), axis=1)
         inside = (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
         where = y[inside].astype(int), x[inside].astype(int)
-        np.add.at(image, where, weight[inside, None] * given[inside])
+        np.add.at(image, where, weight[inside, None] * amounts[inside])
     sigma = blur * camera.focal / float(np.median(depths[chosen]))
     if sigma > SHARP:
         image = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
@@ -324,11 +322,14 @@ def spread(values: Array, points: Array, camera: Camera, blur: float) -> Array:
 
 
 def _write(
-    path: Path, name: Output, raster: Array, covered: NDArray[np.bool_],
+    path: Path,
+    name: Output,
+    raster: Array,
+    covered: NDArray[np.bool_],
     steps: Mapping[Output, float],
-) -> None:  # fmt: skip
+) -> None:
     quantity = QUANTITIES[name]
-    # A force is known everywhere: where nothing is touched it is zero.
+    # A force is defined everywhere; without contact it is zero.
     covered = np.ones_like(covered) if name == "force" else covered
     if path.suffix == ".exr":
         write_exr(path, raster, quantity.channels)
@@ -337,7 +338,7 @@ def _write(
 
 
 def _row(clip: Clip, index: int, camera: Camera, files: Mapping[Output, str]) -> dict[str, Any]:
-    """What is said of a frame: its instant, its camera, its files, and the walls' forces."""
+    """Describe a frame: time, camera, files, and the walls' forces."""
     total: dict[str, Any] = {}
     if "force" in files and clip.contacts is not None:
         total["force"] = clip.contacts[index].astype(np.float64).sum(axis=0).tolist()
@@ -359,7 +360,15 @@ def _row(clip: Clip, index: int, camera: Camera, files: Mapping[Output, str]) ->
 def _description(
     view: View, side: str, steps: Mapping[Output, float], rows: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """What is said of all files: units, channels, scales, cameras."""
+    """Describe all files: units, channels, scales, cameras."""
+    outputs: dict[str, Any] = {}
+    for name in view.outputs:
+        unit, channels, signed, meaning = QUANTITIES[name]
+        outputs[name] = {"unit": unit, "channels": list(channels), "meaning": meaning}
+        if name in steps:
+            zero = MIDDLE if signed else 0
+            scale = {"value": "(raw - zero) * scale", "zero": zero, "scale": steps[name]}
+            outputs[name] |= scale
     return {
         "format": "phy124-outputs",
         "version": 1,
@@ -369,20 +378,8 @@ def _description(
         "camera": "OpenCV: x right, y down, z forward; the centre of pixel (i, j) is "
         "(i + 0.5, j + 0.5)",
         "walls": "force [N] that the object exerts on each wall, and torque about the object's "
-        "centre of mass [N m], in the world's axes; all add up to the opposite of force",
+        "centre of mass [N m], in the world's axes; their sum is the opposite of force",
         "uncovered": "0 in all channels (a force is covered everywhere)",
-        "outputs": dict(_described(view, steps)),
+        "outputs": outputs,
         "frames": rows,
     }
-
-
-def _described(
-    view: View, steps: Mapping[Output, float]
-) -> Iterator[tuple[Output, dict[str, Any]]]:
-    for name in view.outputs:
-        unit, channels, signed, meaning = QUANTITIES[name]
-        told: dict[str, Any] = {"unit": unit, "channels": list(channels), "meaning": meaning}
-        if name in steps:
-            zero = MIDDLE if signed else 0
-            told |= {"value": "(raw - zero) * scale", "zero": zero, "scale": steps[name]}
-        yield name, told

@@ -3,7 +3,7 @@
 EWA splatting (Zwicker et al. 2001) with the conventions of 3D Gaussian Splatting (Kerbl et al.
 2023): screen covariance plus 0.3 px^2 (or the filter of Mip-Splatting), front-to-back blending in
 the order of the centres' depths, alpha at most 0.99, contributions below 1/255 skipped.
-Every splat is drawn exactly as far as it reaches 1/255, so that no cut-off is visible.
+Every splat is drawn out to where it contributes 1/255, so that no cut-off is visible.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Array, Gaussians
 from phy124.kernels.splat import blend, project, screen, stage
-from phy124.rendering.pinhole import NEAR as NEAR
-from phy124.rendering.pinhole import pinhole
 from phy124.rendering.stage.draw import Surroundings
 from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.compiling import compile_missing
@@ -31,7 +29,7 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
-"""Number of tile entries held at once; larger scenes are blended in several runs of tiles."""
+"""Largest number of tile entries at once; larger scenes are blended in several runs of tiles."""
 BLENDS = {
     "simd": blend.blend_tiles_simd,
     "plain": blend.blend_tiles,
@@ -42,9 +40,15 @@ and a pixel per thread (what CUDA runs)."""
 BLEND_STAGED = stage.blend_staged_simd
 """The form `simd` with a stage behind the Gaussians."""
 FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
-"""What keeps splats from falling between pixels -> what is added to their screen covariance, px^2,
-and whether they become as much fainter: no in 3D Gaussian Splatting, which makes thin things
-thicker the smaller they are seen; yes in Mip-Splatting (Yu et al. 2024, section 4.2)."""
+"""Anti-aliasing filter -> addition to the screen covariance [px^2], and whether opacity is reduced
+to compensate: no in 3D Gaussian Splatting, which thickens thin objects seen from far away; yes in
+Mip-Splatting (Yu et al. 2024, section 4.2)."""
+NEAR = 0.01
+"""Smallest distance of a Gaussian's centre from the camera to be drawn, m."""
+FRUSTUM_MARGIN = 1.3
+"""Largest offset at which the projection is linearised, in half images (Kerbl et al. 2023)."""
+MAX_PIXELS = 1 << 26
+"""Number of pixels of the largest image (8192 x 8192)."""
 
 
 class Renderer:
@@ -61,10 +65,10 @@ class Renderer:
         Args:
             device: Warp's name of it; None: CUDA if there is one.
             blend: Form of the last stage, one of `BLENDS`, or auto.
-            filter: What keeps splats from falling between pixels, one of `FILTERS`.
+            filter: Anti-aliasing filter, one of `FILTERS`.
 
         Raises:
-            InputError: If there is no such device, form of blending on it, or filter.
+            InputError: If the device, its form of blending, or the filter does not exist.
         """
         self.device = _device(device)
         if filter not in FILTERS:
@@ -81,10 +85,10 @@ class Renderer:
                 "Choose auto, plain or pixel, or on a CPU simd.",
             )
         self._blend = BLENDS[blend]
-        # The GPU's way of binning goes with its way of blending, so a CPU can test both.
+        # Binning and blending have the same form, so a CPU can test the GPU's.
         self._per_pixel = blend == "pixel"
         binned = project.bin_parallel if self._per_pixel else project.bin_serial
-        # A form of projection goes with it too: how many Gaussians a thread has, and the kernel.
+        # Gaussians per thread, and the kernel of the projection.
         self._vectorised = simd = blend == "simd"
         self._projection = (16, project.project_simd) if simd else (1, project.project)
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
@@ -104,24 +108,24 @@ class Renderer:
     ) -> Array:
         """Draw one image [H,W,3] float32 in 0..1.
 
-        Colours are used as stored (sRGB) and blended as such. Gaussians that are not finite, closer
-        than `NEAR` or fainter than 1/255 are not drawn.
+        Colours are blended as stored (sRGB). Gaussians that are not finite, closer than `NEAR` or
+        fainter than 1/255 are not drawn.
 
         Args:
-            gaussians: What to draw.
-            camera: Where from, and in what size.
+            gaussians: The Gaussians to draw.
+            camera: The camera, which includes the image's size.
             background: Colour behind the Gaussians, 0..1.
             alpha: Whether to return [H,W,4], the last channel being the coverage.
-            stage: What stands behind and around the Gaussians instead of the background.
+            stage: Surroundings of the Gaussians, which replace the background.
 
         Raises:
             InputError: If the camera or the background cannot be used.
         """
-        image, coverage = self._drawn(gaussians, camera, background, stage)
-        # Copied: the buffers are written again by the next call.
+        image, coverage = self._draw(gaussians, camera, background, stage)
+        # Concatenation copies: the next call overwrites the buffers.
         channels = [image] + [coverage[:, None]] * alpha
-        drawn = np.concatenate(channels, axis=1, dtype=np.float32)
-        return drawn.reshape(camera.height, camera.width, -1)
+        joined = np.concatenate(channels, axis=1, dtype=np.float32)
+        return joined.reshape(camera.height, camera.width, -1)
 
     @one_at_a_time
     def picture(
@@ -132,34 +136,38 @@ class Renderer:
         *,
         stage: StageFrame | None = None,
     ) -> NDArray[np.uint8]:
-        """As a call without `alpha`, but as bytes [H,W,3], rounded to the nearest.
+        """Draw one image as bytes [H,W,3], rounded to the nearest.
 
         Args:
-            gaussians: What to draw.
-            camera: Where from, and in what size.
+            gaussians: The Gaussians to draw.
+            camera: The camera, which includes the image's size.
             background: Colour behind the Gaussians, 0..1.
-            stage: What stands behind and around the Gaussians instead of the background.
+            stage: Surroundings of the Gaussians, which replace the background.
 
         Raises:
             InputError: If the camera or the background cannot be used.
         """
-        image, _ = self._drawn(gaussians, camera, background, stage)
-        # In place: new memory for each picture, which the system first has to clear, can take as
-        # long as half of the drawing.
+        image, _ = self._draw(gaussians, camera, background, stage)
+        # In place: clearing new memory for each picture takes up to half as long as drawing it.
         image *= 255
         image += 0.5
         return image.astype(np.uint8).reshape(camera.height, camera.width, 3)
 
-    def _drawn(
+    def _draw(
         self, gaussians: Gaussians, camera: Camera, background: Colour, stage: StageFrame | None
     ) -> tuple[Array, Array]:
-        """Light [H*W,3] and coverage [H*W], which stand in buffers on a CPU."""
+        """Draw light [H*W,3] and coverage [H*W]; on a CPU they alias the renderer's buffers."""
         pixels = camera.width * camera.height
-        view, counts = self.prepared(gaussians, camera)
+        view, counts = self.prepare(gaussians, camera)
         colour = wp.vec3(*_checked_background(BLACK if stage else background))
         image = self._buffer("image", pixels, wp.vec3)
         coverage = self._buffer("coverage", pixels, wp.float32)
-        around = self._look(stage, view, gaussians) if stage else None
+        around = None
+        if stage is not None:
+            around = self._around
+            around.look(stage, view, gaussians.means)
+            if around.among:
+                around.tint(self._upload(gaussians.means, wp.vec3), self._buffers["splats"])
         fused = around if around is not None and around.simd else None
         kernel, more = (BLEND_STAGED, fused.inputs()) if fused else (self._blend, [])
         for first, last in runs(counts, MAX_PAIRS):
@@ -173,29 +181,21 @@ class Renderer:
             )
         if around is not None and not around.simd:
             around.draw(image, coverage)
-        light, covered = (np.asarray(one.numpy(), np.float32) for one in (image, coverage))
+        light, covered = (np.asarray(array.numpy(), np.float32) for array in (image, coverage))
         return light[:pixels], covered[:pixels]
 
-    def prepared(self, gaussians: Gaussians, camera: Camera) -> tuple[Any, NDArray[np.int64]]:
-        """The camera as a `screen.View`, and how many projected splats touch each tile [tiles]."""
+    def prepare(self, gaussians: Gaussians, camera: Camera) -> tuple[Any, NDArray[np.int64]]:
+        """Project; return the camera as a `screen.View` and the number of splats per tile."""
         view = pinhole(camera)
         view.low_pass, view.keeps_light = self._filter
         view.low_area = float(np.float32(view.low_pass) ** 2)
         return view, self._project(gaussians, view)
 
-    def _look(self, stage: StageFrame, view: Any, gaussians: Gaussians) -> Surroundings:
-        """The stage on the device; what is seen through glass among the Gaussians is tinted."""
-        around = self._around
-        around.look(stage, view, gaussians.means)
-        if around.among:
-            around.tint(self._given(gaussians.means, wp.vec3), self._buffers["splats"])
-        return around
-
     def _project(self, gaussians: Gaussians, view: Any) -> NDArray[np.int64]:
-        """Fill `splats`, and `order` by depth; return how many splats touch each tile [tiles]."""
+        """Fill `splats`, and `order` by depth; return the number of splats per tile [tiles]."""
         n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
-        # Sorting needs room for twice as many.
+        # Sorting needs twice the space.
         depths = self._buffer("depths", 2 * n, wp.float32)
         order = self._buffer("order", 2 * n, wp.int32)
         shape = (view.rows + 1, view.columns + 1)
@@ -207,9 +207,9 @@ class Renderer:
             kernel,
             dim=math.ceil(n / each),
             inputs=[
-                self._given(gaussians.means, wp.vec3),
-                self._given(gaussians.quats, wp.vec4),
-                self._given(gaussians.scales, wp.vec3),
+                self._upload(gaussians.means, wp.vec3),
+                self._upload(gaussians.quats, wp.vec4),
+                self._upload(gaussians.scales, wp.vec3),
                 self._constant("opacities", gaussians.opacities, wp.float32),
                 self._constant("sh", gaussians.sh, wp.vec3),
                 gaussians.sh_degree,
@@ -219,8 +219,8 @@ class Renderer:
             device=self.device,
         )
         wp.utils.radix_sort_pairs(depths, order, n)
-        # Each splat marked the four corners of its rectangle of tiles; running sums along both
-        # axes turn the marks into counts, however large the rectangles are.
+        # The kernel marks the four corners of each splat's rectangle of tiles; cumulative sums
+        # along both axes turn the marks into counts.
         return corners.numpy().cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
 
     def _bin(
@@ -230,7 +230,7 @@ class Renderer:
         bounds = np.zeros(len(counts) + 1, np.int32)
         bounds[first + 1 : last + 1] = counts[first:last].cumsum()
         total = int(bounds[last])
-        starts, ends = (self._filled(name, bounds[:-1]) for name in ("starts", "ends"))
+        starts, ends = (self._fill(name, bounds[:-1]) for name in ("starts", "ends"))
         order, tiles = self._buffers["order"], self._buffers["tiles"]
         if not self._per_pixel:
             lists = self._buffer("lists", total, wp.int32)
@@ -252,28 +252,28 @@ class Renderer:
         """The named buffer with room for at least `size` items; its content may be lost."""
         buffer = self._buffers.get(name)
         if buffer is None or buffer.size < size:
-            # A fifth more than asked: a scene in motion asks for a little more each frame.
+            # A fifth more than requested, since the need of a moving scene grows slowly.
             buffer = wp.empty(max(1, size + size // 5), dtype=dtype, device=self.device)
             self._buffers[name] = buffer
         return buffer
 
-    def _filled(self, name: str, values: NDArray[np.int32]) -> Any:
-        """The named buffer with these values, and nothing more."""
+    def _fill(self, name: str, values: NDArray[np.int32]) -> Any:
+        """Fill the named buffer with values; returns a view of their length."""
         buffer = self._buffer(name, len(values), wp.int32)[: len(values)]
         buffer.assign(values)
         return buffer
 
-    def _given(self, array: NDArray, dtype: Any) -> wp.array:
-        """A NumPy array as a Warp array: shared on a CPU, copied to a GPU."""
+    def _upload(self, array: NDArray, dtype: Any) -> wp.array:
+        """Wrap a NumPy array as a Warp array: shared on a CPU, copied to a GPU."""
         return wp.array(array, dtype=dtype, device=self.device, copy=False)
 
     def _constant(self, name: str, array: Array, dtype: Any) -> wp.array:
-        """As `_given`, but uploaded once for the same memory, which is constant in a clip."""
+        """Upload an array that is constant in a clip, once for the same memory."""
         where = (array.ctypes.data, array.shape)
         known = self._constants.get(name)
         if known is None or known[0] != where:
             # Keeping the array keeps its address from being used again.
-            known = self._constants[name] = (where, array, self._given(array, dtype))
+            known = self._constants[name] = (where, array, self._upload(array, dtype))
         return known[2]
 
 
@@ -288,8 +288,8 @@ def render(
     """Draw one image, as `Renderer` does; for many images keep a `Renderer` or use `render_frames`.
 
     Args:
-        gaussians: What to draw.
-        camera: Where from, and in what size.
+        gaussians: The Gaussians to draw.
+        camera: The camera, which includes the image's size.
         background: Colour behind the Gaussians, 0..1.
         alpha: Whether to return [H,W,4], the last channel being the coverage.
         device: Warp's name of the device; default: CUDA if there is one.
@@ -301,7 +301,7 @@ def render(
 
 
 def to_bytes(image: Array) -> NDArray[np.uint8]:
-    """An image in 0..1 as bytes, rounded to the nearest."""
+    """Convert an image in 0..1 to bytes, rounded to the nearest."""
     return (image * 255 + 0.5).astype(np.uint8)
 
 
@@ -327,10 +327,46 @@ def _checked_background(background: Colour) -> Colour:
 
 
 def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
-    """Runs of tiles [first, last) with at most `limit` entries each, or of a single tile."""
+    """Split tiles into runs [first, last) of at most `limit` entries each, or of a single tile."""
     sums, first = np.cumsum(counts), 0
     while first < len(counts):
         before = sums[first - 1] if first else 0
         last = max(first + 1, int(np.searchsorted(sums, before + limit, "right")))
         yield first, last
         first = last
+
+
+def pinhole(camera: Camera) -> Any:
+    """Convert the camera to a `screen.View`, except the filter.
+
+    Raises:
+        InputError: The camera or its picture's size cannot be used.
+    """
+    width, height = camera.width, camera.height
+    if min(width, height) < 1 or width * height > MAX_PIXELS:
+        raise InputError(
+            "size",
+            f"{width} x {height}",
+            f"an image has 1 to {MAX_PIXELS:,} pixels.",
+            "Choose a size such as 512 x 512.",
+        )
+    with np.errstate(all="ignore"):
+        matrix = camera.view.astype(np.float32)
+    if not (np.isfinite(matrix).all() and 0 < camera.fov_y < 180):
+        raise InputError(
+            "camera",
+            camera,
+            "it has no direction to look in, or no field of view.",
+            "Place eye and target apart, at finite positions, and take 0 < fov_y < 180 degrees.",
+        )
+    view = screen.View()
+    view.rotation = wp.mat33(matrix[:3, :3].ravel())
+    view.translation, view.eye = wp.vec3(*matrix[:3, 3]), wp.vec3(*camera.eye)
+    view.focal, view.near = camera.focal, NEAR
+    x, y = camera.centre
+    view.centre = wp.vec2(x, y)
+    farthest = wp.vec2(max(x, width - x), max(y, height - y))
+    view.limit = FRUSTUM_MARGIN * farthest / camera.focal
+    view.width, view.height = width, height
+    view.columns, view.rows = (math.ceil(side / screen.TILE) for side in (width, height))
+    return view

@@ -1,11 +1,12 @@
-"""Shine: highlights and reflections on what is fluid or metal, by the normals of its surface.
+"""Adds highlights and reflections to fluids and metal, from their surface normals.
 
-The colours of Gaussians say nothing about gloss. For each frame and camera those of shiny laws are
-lit anew: a highlight (Blinn 1977) of one lamp above, and the bright sky above and dark floor below,
-reflected. Water reflects little, more at grazing angles (Schlick 1994); metal reflects all, tinted.
+Colours of Gaussians contain no gloss. For each frame and camera, Gaussians of shiny laws are lit
+again: by a highlight (Blinn 1977) of one lamp above, and by reflections of a bright sky and a dark
+floor. Water reflects little, and more at grazing angles (Schlick 1994); metal reflects almost
+everything, tinted.
 
 A fluid's normals are the gradient of its density, smoothed over `BLUR` cells; it is drawn as discs
-along its surface. Metal's are the shortest axes of its Gaussians.
+along its surface. A metal's normals are the shortest axes of its Gaussians.
 """
 
 from __future__ import annotations
@@ -28,14 +29,13 @@ from phy124.scene import View
 BLUR = 1.2
 """Standard deviation of the smoothing, in cells of the simulation's grid."""
 KEPT = 256 * 2**20
-"""Memory for what is kept from view to view, bytes."""
+"""Memory for normals kept from view to view, bytes."""
 MOST = 4_000_000
-"""Largest number of cells of density; what is scattered farther is smoothed more coarsely."""
+"""Largest number of density cells; more scattered fluids get larger cells."""
 LAMP = np.array([0.434, -0.338, 0.835], np.float32)
 """Direction of the lamp."""
 OVERLAP, LARGER = 0.48, 2.5
-"""Size of a fluid's splats in distances of their neighbours, and how much larger they may become to
-overlap."""
+"""Size of a fluid's splats in units of their spacing, and their largest enlargement to overlap."""
 FLAT, WIDE = 0.4, 1.2
 """Axes of a fluid's discs, across and along its surface, relative to their size as balls."""
 
@@ -44,17 +44,17 @@ class Gloss(NamedTuple):
     """How a material reflects."""
 
     least: float
-    """Fraction reflected straight on."""
+    """Fraction reflect straight on."""
     most: float
-    """Fraction reflected at grazing angles."""
+    """Fraction reflect at grazing angles."""
     tint: float
-    """How much of what it reflects has its own colour."""
+    """Fraction of the reflection that has the material's colour."""
     highlight: float
     """Strength of the lamp's highlight."""
     sharpness: float
     """Exponent of the highlight."""
     floor: float
-    """Brightness of the floor that it reflects, where the sky is 1."""
+    """Brightness of the reflected floor, relative to the sky."""
 
 
 GLOSSES = {
@@ -68,16 +68,12 @@ class Shine:
     """The shine of one clip; normals of fluids are kept from view to view."""
 
     def __init__(self, clip: Clip) -> None:
-        """Find out what shines.
-
-        Args:
-            clip: Its report says which Gaussians are of which law.
-        """
-        runs = clip.report.get("shine") or {}
+        """Read from the clip's report which Gaussians shine."""
+        laws = clip.report.get("shine") or {}
         self._parts = {
-            law: np.concatenate([np.arange(*run) for run in some])
-            for law, some in runs.items()
-            if law in GLOSSES and some
+            law: np.concatenate([np.arange(*run) for run in runs])
+            for law, runs in laws.items()
+            if law in GLOSSES and runs
         }
         self._cell = float(clip.report.get("grid", {}).get("dx", 0.0))
         self._surfaces: dict[tuple[int, str], tuple[NDArray, ...]] = {}
@@ -90,20 +86,15 @@ class Shine:
         return bool(self._parts) and self._cell > 0
 
     def frames(self, frames: Iterable[Frame], cameras: Sequence[Camera]) -> Iterator[Frame]:
-        """The frames as their cameras see them.
-
-        Args:
-            frames: Frames of the clip, in order.
-            cameras: One for each.
-        """
+        """Yield the frames as their cameras see them, one camera per frame."""
         for frame, camera in zip(frames, cameras, strict=False):
             start = time.perf_counter()
-            shown = self.lit(frame, camera)
+            shown = self.illuminate(frame, camera)
             self.seconds += time.perf_counter() - start
             yield shown
 
-    def lit(self, frame: Frame, camera: Camera) -> Frame:
-        """A frame whose shiny Gaussians have the colours that a camera sees."""
+    def illuminate(self, frame: Frame, camera: Camera) -> Frame:
+        """Give the shiny Gaussians of a frame the colours that a camera sees."""
         gaussians = frame.gaussians
         sh, quats, scales = gaussians.sh.copy(), gaussians.quats, gaussians.scales
         for law, which in self._parts.items():
@@ -118,23 +109,19 @@ class Shine:
             seen = np.flatnonzero((_dot(normals, towards) > 0)[:, 0])
             at = which[seen]
             rgb = np.clip(0.5 + SH_C0 * sh[at, 0], 0, 1)
-            lit = reflected(rgb, normals[seen], towards[seen], GLOSSES[law])
+            lit = reflect(rgb, normals[seen], towards[seen], GLOSSES[law])
             sh[at, 1:], sh[at, 0] = 0, (lit - 0.5) / SH_C0
         return replace(frame, gaussians=replace(gaussians, sh=sh, quats=quats, scales=scales))
 
-    def packed(self, clip: Clip) -> tuple[Clip, dict[str, Any]]:
-        """The clip as the player draws it, fluids as discs, and what shines in it as plain data.
-
-        Args:
-            clip: The same clip.
-        """
+    def pack(self, clip: Clip) -> tuple[Clip, dict[str, Any]]:
+        """Return the clip with its fluids as discs, and its gloss as plain data, for the player."""
         quats, scales = clip.quats.copy(), clip.scales.copy()
         for law, which in self._parts.items():
             for frame in clip.frames():
                 _, *shapes = self._surface(law, frame, which)
                 if shapes:
                     quats[frame.index, which], scales[frame.index, which] = shapes
-        # The player blends quaternions of neighbouring frames: of each turn the nearer one.
+        # The player blends quaternions of neighbouring frames, so their signs must agree.
         for before, after in pairwise(quats):
             after[(before * after).sum(axis=1) < 0] *= -1
         laws = [
@@ -144,47 +131,38 @@ class Shine:
         return replace(clip, quats=quats, scales=scales), {"lamp": LAMP.tolist(), "laws": laws}
 
     def _surface(self, law: str, frame: Frame, which: NDArray) -> tuple[NDArray, ...]:
-        """Normals [N,3] of Gaussians of a law, and of a fluid the shapes that it is drawn with."""
+        """Normals [N,3] of a law's Gaussians; for a fluid also quaternions and scales to draw."""
         key = frame.index, law
         if key not in self._surfaces:
             part = frame.gaussians.select(which)
             if law == "metal":
-                found: tuple[NDArray, ...] = (shortest_axes(part),)
+                arrays: tuple[NDArray, ...] = (shortest_axes(part),)
             else:
                 normals, spacing = surface(_finite(part.means), self._cell, BLUR)
-                found = (normals, *discs(part, normals, spacing))
-            return self._kept(key, found)
+                arrays = (normals, *discs(part, normals, spacing))
+            arrays = tuple(array.astype(np.float32) for array in arrays)
+            if (len(self._surfaces) + 1) * sum(array.nbytes for array in arrays) > KEPT:
+                return arrays
+            self._surfaces[key] = arrays
         return self._surfaces[key]
 
-    def _kept(self, key: tuple[int, str], found: tuple[NDArray, ...]) -> tuple[NDArray, ...]:
-        """What was found, in single precision; kept for the next view if there is room."""
-        small = tuple(array.astype(np.float32) for array in found)
-        if (len(self._surfaces) + 1) * sum(array.nbytes for array in small) <= KEPT:
-            self._surfaces[key] = small
-        return small
 
-
-def shine_of(clip: Clip, view: View) -> Shine | None:
-    """The shine of a clip; None if nothing in it shines, or if it is not to.
-
-    Args:
-        clip: The clip.
-        view: Says whether it is shown.
-    """
+def make_shine(clip: Clip, view: View) -> Shine | None:
+    """Return the shine of a clip; None if nothing in it shines, or if the view turns it off."""
     shine = Shine(clip) if view.shine else None
     return shine if shine is not None and shine.any else None
 
 
-def glossed(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
-    """The clip as the player draws it, and what shines in it; the clip itself if nothing does."""
-    shine = shine_of(clip, view)
-    return (clip, None) if shine is None else shine.packed(clip)
+def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
+    """Return the clip and its gloss as the player draws them; the clip itself if nothing shines."""
+    shine = make_shine(clip, view)
+    return (clip, None) if shine is None else shine.pack(clip)
 
 
 def runs_of(which: NDArray) -> list[list[int]]:
-    """Rising numbers as runs of the first and one past the last."""
-    return [[int(run[0]), int(run[-1]) + 1]
-            for run in np.split(which, np.flatnonzero(np.diff(which) > 1) + 1)]  # fmt: skip
+    """Split rising integers into runs [first, last + 1]."""
+    runs = np.split(which, np.flatnonzero(np.diff(which) > 1) + 1)
+    return [[int(run[0]), int(run[-1]) + 1] for run in runs]
 
 
 class _Field:
@@ -202,37 +180,37 @@ class _Field:
         inside = np.clip(nearest, 0, np.array(self._size)[:, None] - 1)
         self._flat = np.ravel_multi_index(tuple(inside), self._size)
 
-    def summed(self) -> NDArray[np.float32]:
-        """The smoothed number of points in each cell."""
+    def sum_points(self) -> NDArray[np.float32]:
+        """Count the points in each cell, smoothed."""
         sums = np.bincount(self._flat, minlength=int(np.prod(self._size))).reshape(self._size)
         smooth: Any = scipy.ndimage.gaussian_filter(
             sums.astype(np.float32), self._blur, mode="constant", truncate=3
         )
         return smooth
 
-    def sampled(self, field: NDArray) -> NDArray[np.float32]:
-        """A field at the points."""
-        found: Any = scipy.ndimage.map_coordinates(field, self._at, order=1, mode="nearest")
-        return np.asarray(found, np.float32)
+    def sample(self, field: NDArray) -> NDArray[np.float32]:
+        """Interpolate a field at the points."""
+        values: Any = scipy.ndimage.map_coordinates(field, self._at, order=1, mode="nearest")
+        return np.asarray(values, np.float32)
 
 
 def surface(x: NDArray, cell: float, blur: float) -> tuple[NDArray, NDArray]:
-    """Normals of the material that points [N,3] fill, and how far apart they are [N], m.
+    """Return normals [N,3] of the material that points x [N,3] m fill, and their spacing [N] m.
 
     Normals point outwards and are shorter than 1 away from the surface.
 
     Args:
         x: The points, m.
-        cell: Spacing of the density, m.
-        blur: Standard deviation of its smoothing, in such cells.
+        cell: Cell size of the density, m.
+        blur: Standard deviation of its smoothing, in cells.
     """
     field = _Field(x, cell, blur)
-    density: NDArray = field.summed()
-    gradient = [field.sampled(column) for column in list(np.gradient(density))]
+    density: NDArray = field.sum_points()
+    gradient = [field.sample(column) for column in list(np.gradient(density))]
     normals = -np.stack(gradient, axis=1)
     length = np.linalg.norm(normals, axis=1)
-    # That of a plane face is density / (sqrt(2 pi) blur).
-    here = field.sampled(density)
+    # The gradient at a plane face is density / (sqrt(2 pi) blur).
+    here = field.sample(density)
     face = float(np.median(here)) / (np.sqrt(2 * np.pi) * blur)
     certain = np.clip(2 * length / max(face, 1e-30), 0, 1)
     spacing = field.cell * np.maximum(here, 1e-6) ** (-1 / 3)
@@ -240,32 +218,29 @@ def surface(x: NDArray, cell: float, blur: float) -> tuple[NDArray, NDArray]:
 
 
 def discs(part: Gaussians, normals: NDArray, spacing: NDArray) -> tuple[NDArray, NDArray]:
-    """Quaternions [N,4] and scales [N,3]: discs along the surface where it is certain, else balls.
+    """Return quaternions [N,4] and scales [N,3] of a fluid: discs along its surface, else balls.
 
-    Args:
-        part: Gaussians of a fluid.
-        normals: As `surface` has them.
-        spacing: As `surface` has it; discs are large enough to overlap.
+    `normals` and `spacing` come from `surface`; discs are large enough to overlap.
     """
     length = _length(normals)
     x, y, z = (normals / np.maximum(length, 1e-6)).T
-    # The shortest turn from the z axis; about x if that is opposite.
-    turned = np.stack([1 + z, np.where(z > -0.9999, -y, 1), x, 0 * z], axis=1)
-    turned /= _length(turned)
+    # The shortest rotation from the z axis; about x if the normal is opposite to it.
+    rotated = np.stack([1 + z, np.where(z > -0.9999, -y, 1), x, 0 * z], axis=1)
+    rotated /= _length(rotated)
     size = np.sort(part.scales, axis=1)[:, 1:].mean(axis=1, keepdims=True)
     size = np.clip(OVERLAP * spacing[:, None], size, LARGER * size)
     flat = np.where(length > 0.5, np.array([WIDE, WIDE, FLAT]), 1.0)
-    return np.where(length > 0.5, turned, part.quats), size * flat
+    return np.where(length > 0.5, rotated, part.quats), size * flat
 
 
-def reflected(rgb: NDArray, normals: NDArray, towards: NDArray, gloss: Gloss) -> NDArray:
-    """Colours [N,3] of a surface that reflects.
+def reflect(rgb: NDArray, normals: NDArray, towards: NDArray, gloss: Gloss) -> NDArray:
+    """Light a reflecting surface; returns colours [N,3].
 
     Args:
-        rgb: Its own colours [N,3].
-        normals: Its normals [N,3]; the shorter, the less it reflects.
+        rgb: Colours without reflection [N,3].
+        normals: Normals [N,3]; shorter ones reflect less.
         towards: Directions towards the camera [N,3].
-        gloss: How it reflects.
+        gloss: Reflectance of the material.
     """
     length = _length(normals)
     n, certain = normals / np.maximum(length, 1e-6), np.minimum(length, 1)
@@ -282,11 +257,13 @@ def reflected(rgb: NDArray, normals: NDArray, towards: NDArray, gloss: Gloss) ->
 def shortest_axes(gaussians: Gaussians) -> NDArray[np.float32]:
     """The shortest axis of each Gaussian, of either sign [N,3]."""
     w, x, y, z = gaussians.quats.T
-    axes = np.stack([
-        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    axes = np.stack(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
     return axes[gaussians.scales.argmin(axis=1), :, np.arange(len(gaussians))]
 
 
@@ -304,7 +281,7 @@ def _smoothstep(x: NDArray, low: float, high: float) -> NDArray:
 
 
 def _finite(x: NDArray) -> NDArray[np.float64]:
-    """The points, with those at no finite place at the middle of the others."""
+    """The points, with those that are not finite replaced by the median of the others."""
     good = np.atleast_1d(np.isfinite(x).all(axis=1))
     middle = np.median(x[good], axis=0) if good.any() else np.zeros(3)
     return np.where(good[:, None], x, middle)

@@ -13,7 +13,7 @@ from typing import get_args
 
 from phy124.io.clip import Clip
 from phy124.rendering.film import film
-from phy124.rendering.framing import framing
+from phy124.rendering.framing import describe_framing
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Format, View
 
@@ -28,7 +28,7 @@ def main(path: str) -> None:
         best = min((_once(clip, view) for _ in range(3)), key=lambda row: row[0] + row[1])
         print(f"| {name} | {best[0]:.2f} | {best[1]:.2f} | {best[2]:,.0f} |")
     start = time.process_time()
-    framing(clip, View())
+    describe_framing(clip, View())
     print(f"five sides looked at for what leaves the picture: {time.process_time() - start:.3f} s")
 
 

@@ -22,7 +22,7 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.rendering.frames import render_frames
 from phy124.rendering.render import Renderer
-from phy124.rendering.stage.build import Stage, stage_of
+from phy124.rendering.stage.build import Stage, make_stage
 from phy124.rendering.stage.frame import StageFrame
 from phy124.scene import View
 
@@ -47,7 +47,7 @@ def standing(gaussians: Gaussians, device: str) -> Stage:
     """The stage of a scene with a floor and a press."""
     clip = Clip.from_frames([Frame(0, 0.0, gaussians)])
     boundaries = [{"kind": "ground", "height": -0.5}, {"kind": "press"}]
-    stage = stage_of(
+    stage = make_stage(
         replace(clip, scene={"boundaries": boundaries}), View(stage="studio"), device=device
     )
     assert stage is not None

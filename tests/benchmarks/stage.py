@@ -23,7 +23,7 @@ from phy124 import pipeline
 from phy124.io.clip import Clip
 from phy124.rendering.framing import cameras
 from phy124.rendering.render import Renderer
-from phy124.rendering.stage.build import Stage, stage_of
+from phy124.rendering.stage.build import Stage, make_stage
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names
 
@@ -69,7 +69,7 @@ def milliseconds(clip: Clip, sides: tuple[str, ...], repeats: int) -> tuple[floa
     for _ in range(repeats):
         film(plain, None)
         start = time.process_time()
-        stage = stage_of(clip, view)
+        stage = make_stage(clip, view)
         begin = min(begin, time.process_time() - start)
         film(staged, stage)
     return 1e3 * plain.mean(), 1e3 * (staged.mean() + begin / staged.size)

@@ -15,9 +15,8 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.io.export.html import write_html
 from phy124.rendering.render import Renderer
-from phy124.rendering.shine import glossed, shine_of
-from phy124.rendering.stage.build import Stage, stage_of
-from phy124.rendering.stage.packing import packed
+from phy124.rendering.shine import add_gloss, make_shine
+from phy124.rendering.stage.build import Stage, make_stage, pack_stage
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
 from phy124.simulation import Simulation, prepare
@@ -55,7 +54,7 @@ def _frames(rng: np.random.Generator, every: float) -> list[Frame]:
 def _opened(browser, path: Path, frames: list[Frame], *, stage: Stage | None = None, **context):
     """The player of these frames, exported to one file and opened without a network."""
     clip = Clip.from_frames(frames)
-    write_html(path, clip, CAMERA, stage=packed(stage, clip))
+    write_html(path, clip, CAMERA, stage=pack_stage(stage, clip))
     context = browser.new_context(offline=True, **context)
     page = context.new_page()
     page.set_default_timeout(LONG)
@@ -86,7 +85,7 @@ def test_the_player_draws_the_same_stage(browser, tmp_path, rng):
     ]
     scene = Scene.from_data({"boundaries": boundaries}).data()
     view = View(stage="studio", background=(0.75, 0.8, 0.85), gradient=(0.95, 0.95, 0.9))
-    stage = stage_of(replace(Clip.from_frames(frames), scene=scene), view)
+    stage = make_stage(replace(Clip.from_frames(frames), scene=scene), view)
     path, renderer = tmp_path / "stage.html", Renderer(device="cpu")
     with _opened(browser, path, frames, stage=stage, reduced_motion="reduce") as page:
         for frame in frames:
@@ -104,7 +103,7 @@ def test_the_player_lights_what_shines_as_we_do(browser, tmp_path, law):
     clip = Simulation(
         prepare(ball(4000), Scene.named("drop").replaced(changes), RunContext(threads=1))
     ).run()
-    (shown, gloss), shine = glossed(clip, View()), shine_of(clip, View())
+    (shown, gloss), shine = add_gloss(clip, View()), make_shine(clip, View())
     write_html(tmp_path / "shine.html", shown, CAMERA, shine=gloss)
     context = browser.new_context(offline=True, reduced_motion="reduce")
     page = context.new_page()
@@ -113,7 +112,8 @@ def test_the_player_lights_what_shines_as_we_do(browser, tmp_path, law):
     page.wait_for_function("globalThis.player")
     page.evaluate(f"player.stage.resize(256, 256); player.seek({clip.times[2]})")
     frame, renderer = clip.frame(2), Renderer(device="cpu")
-    lit, dull = (255 * renderer(f.gaussians, CAMERA) for f in (shine.lit(frame, CAMERA), frame))
+    both = (shine.illuminate(frame, CAMERA), frame)
+    lit, dull = (255 * renderer(f.gaussians, CAMERA) for f in both)
     better = psnr(lit, dull) + 5
     drawn(page, lambda now: psnr(now, lit) > max(better, 27), f"not {better:.0f} dB")
     context.close()

@@ -12,7 +12,7 @@ from phy124.camera import Camera
 from phy124.io.ply import write_ply
 from phy124.rendering.film import film
 from phy124.rendering.render import Renderer
-from phy124.rendering.stage.build import stage_of
+from phy124.rendering.stage.build import make_stage
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
 from phy124.simulation import Simulation, prepare
@@ -51,7 +51,7 @@ def test_the_stage_is_that_of_the_cpu(gpu):
     clip = Simulation(prepare(ball(500), Scene.named("press").replaced(FEW))).run()
     frame, camera, drawn = list(clip.frames())[-1], Camera.orbit(30, 20, 3.0, (96, 64)), []
     for device in ("cpu", gpu):
-        stage = stage_of(clip, View(stage="studio"), device=device)
+        stage = make_stage(clip, View(stage="studio"), device=device)
         drawn.append(Renderer(device=device)(frame.gaussians, camera, stage=stage.at(frame)))
     assert np.abs(drawn[1] - drawn[0]).max() <= 2 / 255
 

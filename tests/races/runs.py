@@ -13,9 +13,9 @@ from phy124.generators.relief.hull import Hull
 from phy124.generators.relief.surface import Surface, settled
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import energies
-from phy124.rendering.compose.adjoint import Adjoint
+from phy124.rendering.compose.colours import Adjoint
 from phy124.rendering.render import Renderer
-from phy124.rendering.stage.build import stage_of
+from phy124.rendering.stage.build import make_stage
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
 from phy124.scene.scene import preset_names
@@ -187,7 +187,7 @@ def on_a_stage() -> None:
         prepare(ball(300), scene.replaced({"boundaries": walls}), RunContext(threads=1))
     ).run()
     frame, view = next(clip.frames()), View(stage="studio")
-    stage = stage_of(clip, view)
+    stage = make_stage(clip, view)
     assert stage is not None
     Renderer()(frame.gaussians, Camera.orbit(30, 20, 3.0, (64, 48)), stage=stage.at(frame))
 

@@ -8,7 +8,7 @@ import warp as wp
 from phy124.camera import Camera
 from phy124.kernels.splat import glass
 from phy124.kernels.splat.arrange import arrange
-from phy124.rendering.pinhole import pinhole
+from phy124.rendering.render import pinhole
 from phy124.rendering.stage.draw import Uploaded
 from phy124.rendering.stage.frame import Backdrop, Box, Solid, StageFrame
 

@@ -42,7 +42,7 @@ LICENCE = "vendor/LICENSE-playcanvas.txt"
 TALLEST = 4.0
 """Log of the largest change of scale that is stored: exp(4) = 55 times; more is clipped."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
-"""A stage as plain data and its shadow maps [T,C,C] (phy124/rendering/stage/packing.py)."""
+"""A stage as plain data and its shadow maps [T,C,C] (phy124/rendering/stage/build.py)."""
 Glossy = dict[str, Any]
 """What shines and how, as plain data (phy124/rendering/shine.py)."""
 PERCENTILES = (1, 99)

@@ -1,8 +1,7 @@
-"""Composing: the moving object drawn back into the photograph that it was made from.
+"""Draw the moving object back into the photograph that it was made from.
 
-The photograph's camera is the one that generators assume, straight in front of the object; how
-large and where it shows the object follows from the photograph itself. The place where the object
-was is filled in, and the object with its shadow is drawn over it.
+Generators assume a camera straight in front of the object. Its zoom and shift are matched to the
+photograph. The hole that the object leaves is filled in; object and shadow are drawn over it.
 """
 
 from __future__ import annotations
@@ -15,13 +14,13 @@ from typing import Any
 from phy124.io.clip import Clip
 from phy124.io.video import write_mp4
 from phy124.progress import Progress, silent
-from phy124.rendering.compose.colours import matched
-from phy124.rendering.compose.matching import match
+from phy124.rendering.compose.colours import match_colours
 from phy124.rendering.compose.photograph import Photograph as Photograph
+from phy124.rendering.compose.photograph import match
 from phy124.rendering.film import playback, rate
 from phy124.rendering.frames import render_frames
 from phy124.rendering.render import BLACK
-from phy124.rendering.stage.build import Stage, stage_of
+from phy124.rendering.stage.build import make_stage
 from phy124.rendering.stage.frame import Backdrop
 from phy124.scene import View
 
@@ -39,15 +38,15 @@ def compose(
 
     Args:
         clip: The clip of the object made from the photograph.
-        view: The filter and the playback rate.
+        view: Gives the filter and the playback rate.
         photograph: The photograph.
         folder: An existing folder.
         device: Warp's name of the device that draws.
         progress: Called as ("compose", pictures done, pictures in all); may raise Cancelled.
 
     Returns:
-        The file, and how well its first picture matches the photograph inside the object, in dB:
-        `psnr`, and `psnr_before` its colours and sizes were matched.
+        The file, and the PSNR of its first picture inside the object [dB]: `psnr`, and
+        `psnr_before` for the colours and sizes before they were matched.
     """
 
     def each() -> None:
@@ -55,21 +54,21 @@ def compose(
 
     first = clip.frame(0).gaussians
     camera, before = match(first, photograph, device=device, each=each)
-    better = matched(first, camera, photograph, device=device, each=each)
-    stage = _surroundings(clip, view, photograph, device)
+    better = match_colours(first, camera, photograph, device=device, each=each)
+    studio = view.model_copy(update={"stage": "studio", "picture": None, "gradient": None})
+    stage = make_stage(clip, studio, device=device)
+    assert stage is not None
+    backdrop = Backdrop(BLACK, BLACK, photograph.erase_object())
+    stage = replace(stage, backdrop=backdrop, pool=0.0)
     clip = replace(clip, sh=better.sh, scales=clip.scales * better.sizes[:, None])
     images = render_frames(
-        clip.frames(), [camera] * len(clip), stage=stage.at, device=device, filter=view.filter,
+        clip.frames(),
+        [camera] * len(clip),
+        stage=stage.at,
+        device=device,
+        filter=view.filter,
         progress=lambda _, done, total: progress("compose", done, total),
-    )  # fmt: skip
+    )
     path = Path(folder) / "composed.mp4"
     write_mp4(path, images, fps=playback(rate(clip), view))
     return path, {"psnr": round(better.psnr, 2), "psnr_before": round(before, 2)}
-
-
-def _surroundings(clip: Clip, view: View, photograph: Photograph, device: str) -> Stage:
-    """Floor, shadow and boundaries before the photograph without its object."""
-    around = view.model_copy(update={"stage": "studio", "picture": None, "gradient": None})
-    stage = stage_of(clip, around, device=device)
-    assert stage is not None
-    return replace(stage, backdrop=Backdrop(BLACK, BLACK, photograph.without()), pool=0.0)

@@ -1,21 +1,33 @@
-"""A photograph, the place of its object, and what is to be seen there without it."""
+"""A photograph, its object's outline, and the camera that took it."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from phy124.camera import Camera
 from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.rendering.render import BLACK, Renderer
 
 LARGEST = 1024
 """Longest side of the pictures [pixels]."""
 MARGIN = 0.015
-"""Surroundings of the object that are filled in with it, in longest sides of the photograph."""
+"""Width of the rim that is inpainted with the object, in longest sides of the photograph."""
 HOLE = 320
-"""Longest side at which holes are filled in [pixels]: slower and no better if it is larger."""
+"""Longest side at which holes are inpainted [pixels]; a larger one is slower and no better."""
+DISTANCES = (2.0, 1.6, 3.0)
+"""Camera distances to try, in sizes of the silhouette: of relief, of LGM, and of a longer lens."""
+RIM = 0.008
+"""Width of the rim around the object that is compared, too, in longest sides of the photograph."""
+ROUNDS = (False, False, False, True, True)
+"""Whether each correction of the camera compares only the object and its rim."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +37,11 @@ class Photograph:
     rgb: NDArray[np.uint8]
     """[H,W,3]"""
     alpha: NDArray[np.float32]
-    """Which part of each pixel is object [H,W], 0..1."""
+    """Fraction of each pixel that the object covers [H,W], 0..1."""
 
     @classmethod
     def of(cls, picture: Image.Image, cutout: Image.Image) -> Photograph:
-        """A picture, on white where it is transparent, and its cut-out, of any sizes.
+        """Combine a picture (white where it is transparent) with its cut-out, of any sizes.
 
         Raises:
             InputError: The cut-out is empty.
@@ -46,8 +58,8 @@ class Photograph:
             raise InputError("compose", "the cut-out", limit, "Give another picture or mask.")
         return cls(np.asarray(rgb), opaque)
 
-    def without(self) -> NDArray[np.uint8]:
-        """The photograph without its object: the hole is filled in from around (Telea 2004)."""
+    def erase_object(self) -> NDArray[np.uint8]:
+        """Return the photograph with its object inpainted from its surroundings (Telea 2004)."""
         import cv2
 
         height, width = self.alpha.shape
@@ -65,3 +77,115 @@ class Photograph:
         soft = cv2.GaussianBlur(hole.astype(float), (0, 0), margin / 3)[..., None]
         mixed = np.where(hole[..., None] > 0, np.maximum(soft, 0.5), soft)
         return np.rint(mixed * large + (1 - mixed) * self.rgb).clip(0, 255).astype(np.uint8)
+
+
+def match(
+    gaussians: Gaussians,
+    photograph: Photograph,
+    *,
+    device: str = "cpu",
+    each: Callable[[], object] = lambda: None,
+) -> tuple[Camera, float]:
+    """Align pictures of the object with the photograph.
+
+    Returns the photograph's camera, and the PSNR of its picture inside the object [dB].
+
+    Args:
+        gaussians: The object as the photograph shows it.
+        photograph: The photograph.
+        device: Warp's name of the device that draws.
+        each: Called before each correction; may raise Cancelled.
+    """
+    renderer = Renderer(device=device)
+    tried = []
+    for distance in DISTANCES:
+        camera = _first_camera(gaussians, photograph, distance)
+        for near in ROUNDS:
+            each()
+            tried.append((likeness(renderer, gaussians, camera, photograph), camera))
+            camera = _correct_camera(renderer, gaussians, camera, photograph, near)
+        tried.append((likeness(renderer, gaussians, camera, photograph), camera))
+    quality, camera = max(tried, key=lambda pair: pair[0])
+    return camera, quality
+
+
+def likeness(
+    renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph
+) -> float:
+    """Return the PSNR of a rendered picture against the photograph inside the object [dB].
+
+    Args:
+        renderer: Draws the picture.
+        gaussians: The object.
+        camera: The camera to compare.
+        photograph: The reference.
+    """
+    inside = photograph.alpha > 0.99
+    seen = renderer(gaussians, camera)[inside] - photograph.rgb[inside] / np.float32(255)
+    return float(-10 * math.log10(float((seen**2).mean()) + 1e-12))
+
+
+def _first_camera(gaussians: Gaussians, photograph: Photograph, distance: float) -> Camera:
+    """Return a camera in front whose picture matches the object's size and position."""
+    means = gaussians.means[gaussians.opacities > 0.1].astype(float)
+    means = means[np.isfinite(means).all(axis=1)]
+    low, high = means.min(axis=0), means.max(axis=0)
+    x, y, z = (low + high) / 2
+    size = float((high - low)[1:].max())
+    rows, columns = np.nonzero(photograph.alpha > 0.5)
+    height, width = photograph.alpha.shape
+    # A trial focal length of a thousand pixels gives the scale.
+    camera = _camera((x + distance * size, y, z), (x, y, z), (width, height), 1000.0, (0.0, 0.0))
+    pixels, _ = camera.project(means)
+    seen = pixels.max(axis=0) - pixels.min(axis=0)
+    wanted = np.array([np.ptp(columns) + 1, np.ptp(rows) + 1], float)
+    scale = float(np.sqrt(np.prod(wanted / seen)))
+    middle = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
+    centre = np.array([width, height]) / 2
+    shift = middle - centre - scale * ((pixels.max(axis=0) + pixels.min(axis=0)) / 2 - centre)
+    return _camera(camera.eye, camera.target, (width, height), 1000 * scale, tuple(shift.tolist()))
+
+
+def _camera(eye: Any, target: Any, size: tuple[int, int], focal: float, shift: Any) -> Camera:
+    fov = math.degrees(2 * math.atan(size[1] / 2 / focal))
+    return Camera(eye, target, *size, fov, shift)
+
+
+def _correct_camera(
+    renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph, near: bool
+) -> Camera:
+    """Zoom and shift the camera by aligning its picture with the photograph (ECC, Evangelidis and
+    Psarakis 2008).
+    """
+    import cv2
+
+    image = renderer(gaussians, camera, BLACK, alpha=True)
+    drawn = (image[..., :3].mean(axis=2) + 0.3 * image[..., 3]).astype(np.float32)
+    grey = photograph.rgb.mean(axis=2) / 255 * photograph.alpha + 0.3 * photograph.alpha
+    warp = np.eye(2, 3, dtype=np.float32)
+    until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-6)
+    try:
+        looked_at = _near(photograph) if near else np.ones(grey.shape, np.uint8)
+        _, warp = cv2.findTransformECC(
+            grey.astype(np.float32), drawn, warp, cv2.MOTION_AFFINE, until, looked_at, 5
+        )
+    except cv2.error:
+        return camera
+    # A pixel p of the photograph is the picture's at scale p + offset; centres are at + 1/2.
+    scale = float(np.sqrt(abs(np.linalg.det(warp[:, :2]))))
+    if not 0.5 < scale < 2:
+        return camera
+    centre = np.array(camera.centre)
+    middle = np.linalg.solve(warp[:, :2], centre - 0.5 - warp[:, 2]) + 0.5
+    size = (camera.width, camera.height)
+    shift = tuple((middle - np.array(size) / 2).tolist())
+    return _camera(camera.eye, camera.target, size, camera.focal / scale, shift)
+
+
+def _near(photograph: Photograph) -> NDArray[np.uint8]:
+    """Mask of the object and its rim [H,W]; excludes flat ends that are drawn as arcs beyond it."""
+    import cv2
+
+    reach = max(1, round(RIM * max(photograph.alpha.shape)))
+    inside = (photograph.alpha > 0.5).astype(np.uint8)
+    return np.asarray(cv2.dilate(inside, np.ones((2 * reach + 1,) * 2)), np.uint8)

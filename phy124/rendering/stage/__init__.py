@@ -1,5 +1,5 @@
 """The stage: floor, contact shadow, boundaries and backdrop, drawn around the object.
 
-What is drawn is plain data (`frame`), made once per clip (`build`) from the scene's boundaries
-(`solids`), its floor (`ground`), the Gaussians (`shadow`) and the view's background (`backdrop`).
+`frame` holds it as plain data, `build` makes it once per clip from the scene's boundaries
+(`solids`), the Gaussians' shadow (`shadow`) and the view's background; `draw` uploads it.
 """

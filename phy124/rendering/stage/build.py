@@ -1,7 +1,9 @@
-"""The stage of a clip: what stands around the object in each of its frames."""
+"""Builds the stage of a clip: the surroundings of the object in each frame."""
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,79 +11,80 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from phy124.boundaries import BOUNDARIES, Boundary
 from phy124.gaussians import Array, Frame
+from phy124.imaging.image import open_image
 from phy124.io.clip import Clip
-from phy124.rendering.stage.backdrop import backdrop
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame, bounds
-from phy124.rendering.stage.ground import floor_heights
 from phy124.rendering.stage.shadow import GLASS, SLOPE, Caster, Glass
-from phy124.rendering.stage.solids import placed
+from phy124.rendering.stage.solids import floor_heights, place_walls
 from phy124.scene import Scene, View
 from phy124.schema.plugins import load_plugin
 
 SAMPLE = 1024
-"""Number of Gaussians whose path decides how much of the floor the shadow map covers."""
+"""Number of Gaussians whose paths decide the extent of the shadow map."""
 OUTLIERS = (0.5, 99.5)
-"""Percentiles of their places, in each frame, that it covers."""
+"""Percentiles of their positions in each frame that the map covers."""
 ROOM = 0.9
-"""Floor around them that it covers too, in heights of the object."""
+"""Margin of the map around them, in heights of the object."""
 LARGEST = 4.0
-"""Half its largest side, in object sizes."""
+"""Half the map's largest side, in object sizes."""
+PICTURE_SIDE = 1280
+"""Longest side of the backdrop picture in a player [pixels]."""
 
 
 @dataclass(eq=False)
 class Stage:
-    """What stands around the object, by frame; a frame's is kept from view to view."""
+    """The surroundings of the object by frame; each frame's are kept from view to view."""
 
     backdrop: Backdrop
     heights: NDArray[np.float64]
     """Height of the floor [T], m."""
     walls: tuple[tuple[Solid, NDArray[np.float64], NDArray[np.bool_]], ...]
-    """What is drawn of each boundary, where it is [T,3] m, and whether it is there [T]."""
+    """Solid, displacement [T,3] m, and presence [T] of each boundary."""
     caster: Caster | None
-    """Makes shadows; None: there is no floor."""
-    own: NDArray[np.bool_] | None = None
-    """Which Gaussians cast a shadow [N]; None: all."""
+    """Makes shadows; None without a floor."""
+    shadowing: NDArray[np.bool_] | None = None
+    """Mask of the Gaussians that cast a shadow [N]; None: all."""
     pool: float = POOL
-    """How much brighter the floor is in the middle."""
+    """Extra brightness of the floor in the middle."""
     frames: dict[int, StageFrame] = field(default_factory=dict)
 
     def at(self, frame: Frame) -> StageFrame:
-        """What is around the object in a frame of the clip."""
+        """Return the surroundings of the object in a frame of the clip."""
         if frame.index not in self.frames:
-            self.frames[frame.index] = self._made(frame)
+            solids = tuple(
+                replace(solid, centre=solid.centre + displacement[frame.index])
+                for solid, displacement, present in self.walls
+                if present[frame.index]
+            )
+            box = bounds(frame.gaussians.means) if solids else None
+            floor = self._floor(frame, solids)
+            self.frames[frame.index] = StageFrame(self.backdrop, floor, solids, box)
         return self.frames[frame.index]
-
-    def _made(self, frame: Frame) -> StageFrame:
-        solids = tuple(
-            replace(solid, centre=solid.centre + moved[frame.index])
-            for solid, moved, there in self.walls
-            if there[frame.index]
-        )
-        box = bounds(frame.gaussians.means) if solids else None
-        return StageFrame(self.backdrop, self._floor(frame, solids), solids, box)
 
     def _floor(self, frame: Frame, solids: tuple[Solid, ...]) -> Floor | None:
         caster, gaussians = self.caster, frame.gaussians
         if caster is None:
             return None
         height = float(self.heights[frame.index])
-        own = gaussians if self.own is None else gaussians.select(self.own)
-        shade = caster.shade(own, height, glass(caster, solids, height))
+        if self.shadowing is not None:
+            gaussians = gaussians.select(self.shadowing)
+        shade = caster.shade(gaussians, height, glass(caster, solids, height))
         return Floor(height, caster.middle, caster.reach, shade, self.pool)
 
 
-def stage_of(
+def make_stage(
     clip: Clip, view: View, *, rest: NDArray | None = None, device: str = "cpu"
 ) -> Stage | None:
-    """The stage of a clip; None if there is nothing but the object before one colour.
+    """Build the stage of a clip; None if there is only the object before one colour.
 
     Args:
         clip: The clip.
-        view: What is to be behind and around the object.
-        rest: Where the object is at rest [N,3], m; None: as in the first frame.
+        view: Says which stage and background to draw.
+        rest: Positions of the object at rest [N,3], m; None: as in the first frame.
         device: Warp's name of the device that makes the shadows.
 
     Raises:
@@ -91,42 +94,41 @@ def stage_of(
         return None
     if view.stage == "transparent":
         return None
-    behind = backdrop(view)
+    background = backdrop(view)
     rest = np.asarray(clip.means[0][clip.own] if rest is None else rest)
-    # Each axis in a row of memory, where extremes take a fraction of the time.
+    # Column-major order, in which extremes are several times faster.
     rest = np.asfortranarray(rest[_finite(rest)], np.float64)
     if view.stage == "plain" or not len(rest):
-        return Stage(behind, np.zeros(len(clip)), (), None)
-    walls = placed(_boundaries(clip), rest)
+        return Stage(background, np.zeros(len(clip)), (), None)
+    walls = place_walls(_boundaries(clip), rest)
     heights = floor_heights(walls, rest, clip.times)
     shown = tuple(
         (wall.solid(), wall.displacements(clip.times), wall.present(clip.times))
         for wall in walls
         if not wall.is_floor
     )
-    own = None if clip.own.all() else clip.own
-    return Stage(behind, heights, shown, _caster(clip, rest, heights, device), own)
+    shadowing = None if clip.own.all() else clip.own
+    return Stage(background, heights, shown, _caster(clip, rest, heights, device), shadowing)
 
 
 def _finite(points: NDArray) -> NDArray[np.bool_]:
-    """Which of the points [N,3] are somewhere."""
+    """Mask of the finite points among [N,3]."""
     return np.asarray(np.isfinite(np.asfortranarray(points)).all(axis=1))
 
 
 def _boundaries(clip: Clip) -> Sequence[Boundary]:
-    """The boundaries of a clip's scene.
+    """Boundaries of a clip's scene, except plug-ins that this program does not know.
 
-    Of those from outside these are known: registered ones, and those of a class that this program
-    has defined.
+    It knows plug-ins that are registered, and those whose class it has defined.
     """
     defined = {kind.model_fields["kind"].default: kind for kind in _kinds(Boundary)}
     known: list[Any] = []
-    for told in clip.scene.get("boundaries", []):
-        kind = told.get("kind")
+    for options in clip.scene.get("boundaries", []):
+        kind = options.get("kind")
         if kind in BOUNDARIES.by_name or load_plugin("boundaries", kind) is not None:
-            known.append(told)
+            known.append(options)
         elif kind in defined:
-            known.append(defined[kind].model_validate(told))
+            known.append(defined[kind].model_validate(options))
     return Scene.from_data({"boundaries": known}).boundaries
 
 
@@ -139,7 +141,7 @@ def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
 
 
 def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
-    """A shadow map that covers the floor around the object in all frames."""
+    """Place a shadow map that covers the floor around the object in all frames."""
     chosen = np.flatnonzero(clip.own & _finite(clip.means[0]))
     points = clip.means[:, chosen[:: 1 + len(chosen) // SAMPLE]].astype(np.float64)
     points = np.where(np.isfinite(points), points, points[0])
@@ -155,7 +157,7 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
 
 
 def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Glass]:
-    """What is drawn as glass, as optical depth in cells of two layers, at its lowest point."""
+    """Optical depth of glass solids, at the height of their lowest point, split over two layers."""
     for solid in solids:
         x, y, z = solid.centre.tolist()
         *reach, down = (np.abs(solid.axes.T) @ solid.half + solid.radius).tolist()
@@ -165,16 +167,68 @@ def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Gla
         along_x, along_y = caster.within(x, y, *reach)
         dark: Array | float = -math.log(1 - GLASS)
         if solid.radius:
-            xs, ys = caster.places
-            dark = dark * _covered(solid, xs[along_x, None] - x, ys[None, along_y] - y)
+            xs, ys = caster.cell_centres
+            dark = dark * _capsule_mask(solid, xs[along_x, None] - x, ys[None, along_y] - y)
         yield (layer, along_x, along_y), (1 - upper) * dark
         yield (layer + 1, along_x, along_y), upper * dark
 
 
-def _covered(solid: Solid, x: Array, y: Array) -> Array:
-    """Which places are under a capsule, 1 or 0; they are relative to its middle."""
+def _capsule_mask(solid: Solid, x: Array, y: Array) -> Array:
+    """1 under a capsule, else 0, for positions relative to its centre."""
     ax, ay = solid.axes[0, :2]
     along = x * ax + y * ay
     near = np.clip(along / max(ax * ax + ay * ay, 1e-12), -solid.half[0], solid.half[0])
     away = (x - near * ax) ** 2 + (y - near * ay) ** 2
     return (away <= solid.radius**2).astype(np.float32)
+
+
+def backdrop(view: View) -> Backdrop:
+    """The backdrop of a view: a colour, a gradient of two, or the user's picture.
+
+    Raises:
+        InputError: The picture cannot be opened.
+    """
+    picture = None
+    if view.picture is not None:
+        picture = np.asarray(open_image(view.picture, field="view.picture").convert("RGB"))
+    return Backdrop(view.background, view.gradient or view.background, picture)
+
+
+def pack_stage(stage: Stage | None, clip: Clip) -> tuple[dict[str, Any], NDArray[np.uint8]] | None:
+    """Return a clip's stage as the player reads it (phy124/io/viewer/stage.js): plain data, and
+    shadow maps [T,cells,cells], where 255 means no light.
+    """
+    if stage is None:
+        return None
+    floors = [stage.at(frame).floor for frame in clip.frames()]
+    shades = [floor.shade for floor in floors if floor is not None]
+    back, first = stage.backdrop, floors[0]
+    data: dict[str, Any] = {"top": list(back.top), "bottom": list(back.bottom)}
+    data["picture"] = None if back.picture is None else _data_url(back.picture)
+    data["floor"] = first and {
+        "heights": stage.heights.tolist(),
+        "middle": list(first.middle),
+        "reach": first.reach,
+        "cells": len(first.shade),
+    }
+    data["solids"] = [
+        {
+            "centres": (solid.centre + displacement).tolist(),
+            "present": present.tolist(),
+            "half": solid.half.tolist(),
+            "axes": solid.axes.tolist(),
+            "radius": solid.radius,
+        }
+        for solid, displacement, present in stage.walls
+    ]
+    maps = np.stack(shades) if shades else np.zeros((len(clip), 0, 0))
+    return data, np.rint(maps * 255).astype(np.uint8)
+
+
+def _data_url(picture: NDArray[np.uint8]) -> str:
+    """The picture as a data URL, reduced to at most `PICTURE_SIDE` pixels."""
+    image = Image.fromarray(picture)
+    image.thumbnail((PICTURE_SIDE, PICTURE_SIDE))
+    with io.BytesIO() as file:
+        image.save(file, "JPEG", quality=88)
+        return f"data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}"

@@ -1,4 +1,4 @@
-"""What a stage shows at one instant, as plain data: renderer and player draw the same."""
+"""A stage at one instant, as plain data that renderer and player both draw."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ Colour = tuple[float, float, float]
 Box = tuple[Array, Array]
 """Lowest and highest corner [3], m."""
 TOGETHER = 64
-"""Points whose extremes are found together, as rows of many columns are quicker."""
+"""Points per row when extremes are computed: wide rows are faster."""
 POOL = 0.5
-"""How much brighter the floor of a studio is in the middle, for a grey of 1/2."""
+"""Extra brightness of a studio's floor in the middle, for a grey of 1/2."""
 
 
 @dataclass(frozen=True, eq=False)
 class Backdrop:
-    """What is farthest away: a colour that goes over into another one, or a picture."""
+    """The background: a colour gradient or a picture."""
 
     top: Colour
     """Colour of the first row, 0..1."""
     bottom: Colour
     """Colour of the last row, 0..1."""
     picture: NDArray[np.uint8] | None = None
-    """A picture [H,W,3] that fills the frame instead."""
+    """A picture [H,W,3] that replaces the gradient."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,18 +42,18 @@ class Floor:
     reach: float
     """Half the side of that square, m."""
     shade: Array
-    """Fraction of the light that the shadow takes [cells along x, cells along y]."""
+    """Fraction of the light that the shadow removes [cells along x, cells along y]."""
     pool: float = POOL
-    """How much brighter it is in the middle, for a grey of 1/2."""
+    """Extra brightness in the middle, for a grey of 1/2."""
 
     @cached_property
     def levels(self) -> NDArray[np.uint16]:
-        """The shade as kernels read it: 65535 is no light at all."""
+        """The shade as kernels read it; 65535 means no light."""
         return (self.shade * 65535 + 0.5).astype(np.uint16)
 
     @cached_property
     def shaded(self) -> tuple[int, int, int, int]:
-        """First and last cell along x, then along y, between which all shade is."""
+        """First and last shaded cell along x, then along y."""
         along_x, along_y = (np.flatnonzero(self.shade.any(axis=axis)) for axis in (1, 0))
         if not len(along_x):
             return 0, 0, 0, 0
@@ -62,16 +62,16 @@ class Floor:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A box along its own axes, or a capsule along the first of them; a ball is a short one."""
+    """A box, or a capsule along its first axis; a ball is a capsule of length 0."""
 
     centre: NDArray[np.float64]
-    """Its middle [3], m."""
+    """Centre [3], m."""
     axes: NDArray[np.float64]
-    """Its axes [3,3], a unit vector in each row."""
+    """Axes [3,3], a unit vector in each row."""
     half: NDArray[np.float64]
-    """Half sizes [3], m; of a capsule half the length of its axis, 0, 0."""
+    """Half sizes [3], m; for a capsule (half length, 0, 0)."""
     radius: float = 0.0
-    """Radius of a capsule, m; 0: it is a box."""
+    """Radius of a capsule, m; 0 for a box."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,28 +82,28 @@ class StageFrame:
     floor: Floor | None = None
     solids: tuple[Solid, ...] = ()
     box: Box | None = None
-    """A box around all Gaussians, if it is known; for the order of solids and them."""
+    """A box around all Gaussians, if known; decides the drawing order of solids."""
 
     @cached_property
     def table(self) -> Array:
-        """The solids as kernels read them, sixteen numbers each [S,16]."""
-        made = np.empty((len(self.solids), 16), np.float32)
-        for row, solid in zip(made, self.solids, strict=True):
+        """The solids as kernels read them [S,16]."""
+        table = np.empty((len(self.solids), 16), np.float32)
+        for row, solid in zip(table, self.solids, strict=True):
             row[:3], row[3:12] = solid.centre, np.ravel(solid.axes)
             row[12:15], row[15] = solid.half, solid.radius
-        return made
+        return table
 
 
 def bounds(points: Array) -> Box:
-    """Lowest and highest corner of a box around points [N,3]; not finite if one is not."""
+    """Return the corners of the box around points [N,3]; not finite if a point is not."""
     if not len(points):
         return np.full(3, np.nan, np.float32), np.full(3, np.nan, np.float32)
     even = len(points) // TOGETHER * TOGETHER
     many, rest = points[:even].reshape(-1, TOGETHER * 3), points[even:]
     ends = []
     for least in (np.minimum, np.maximum):
-        found = [least.reduce(rest)] if len(rest) else []
+        extremes = [least.reduce(rest)] if len(rest) else []
         if even:
-            found.append(least.reduce(least.reduce(many).reshape(-1, 3)))
-        ends.append(least.reduce(found))
+            extremes.append(least.reduce(least.reduce(many).reshape(-1, 3)))
+        ends.append(least.reduce(extremes))
     return ends[0], ends[1]

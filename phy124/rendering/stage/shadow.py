@@ -32,32 +32,32 @@ from phy124.kernels.splat.shadow import cover, cover_simd
 CELLS = 128
 """Cells along a side of the map."""
 LAYERS = 7
-"""Number of layers; their heights grow with the square of their number."""
+"""Number of layers; the height of layer i is proportional to i^2."""
 SLOPE = (-0.30, 0.22)
-"""How far the lamp's rays move along x and y per metre that they fall: it stands in front, to the
-left and above."""
+"""Displacement of the lamp's rays along x and y per metre of descent: from the front, left, above.
+"""
 SOFTNESS = 0.25
 """Standard deviation of the lamp's image, per metre of height."""
 LAMP, SKY = 0.22, 0.32
-"""Fractions of the floor's light that come from the lamp and the sky; the rest has no shadow."""
+"""Fractions of the floor's light from the lamp and the sky; the rest casts no shadow."""
 SAMPLE = 65536
-"""About so many Gaussians, evenly picked and as much wider, stand for more of them."""
+"""Largest number of Gaussians that cast shadows; larger objects are subsampled and widened."""
 GLASS = 0.25
-"""Coverage of a boundary, which is drawn as glass."""
+"""Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255
-"""A shade of this much is halved, and of less disappears: the sky's would never end."""
+"""Shade that is halved; fainter shade vanishes, since the sky's shadow extends without limit."""
 UNSEEN = 0.1 / 255
-"""Less shade than this is none."""
+"""Smallest shade that is kept."""
 FAINTEST = 1e-4
-"""A frequency of which a layer's light keeps less than this part is left out."""
+"""Smallest response of a layer at a frequency that is kept."""
 EDGE = 0.1
-"""Part of the map, at each border, in which the shadow fades."""
+"""Fraction of the map at each border over which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array | float]
-"""Cells of a layer, and how much darker they are."""
+"""Cells of a layer, and the optical depth added to them."""
 
 
 def covering(device: str) -> tuple[Any, int]:
-    """The kernel that covers the floor on a device, and how many Gaussians a thread has."""
+    """Return the kernel that covers the floor, and its number of Gaussians per thread."""
     return (cover_simd, 16) if wp.get_device(device).is_cpu else (cover, 1)
 
 
@@ -84,29 +84,29 @@ class Caster:
         return self.tallest * np.linspace(0, 1, LAYERS) ** 2
 
     def layer(self, height: float) -> tuple[int, float]:
-        """The layer below a height, and the part of what is there that goes to the one above it."""
+        """Return the layer below a height, and the fraction that belongs to the layer above."""
         level = (LAYERS - 1) * min(height / self.tallest, 1.0) ** 0.5
         layer = min(int(level), LAYERS - 2)
         return layer, level - layer
 
     def shade(self, gaussians: Gaussians, floor: float, glass: Iterable[Glass] = ()) -> Array:
-        """Fraction of the light that the shadow takes [CELLS,CELLS], along x and y.
+        """Fraction of the light that the shadow removes [CELLS,CELLS], along x and y.
 
         Args:
-            gaussians: What stands in the light.
+            gaussians: The objects in the light.
             floor: Height of the floor, m.
             glass: Optical depth of the boundaries.
         """
         depth = self._depth(gaussians, floor)
         for cells, dark in glass:
             depth[cells] += dark
-        # Rows of cells with nothing above them, which are most, are left out where they can be.
+        # Most rows of cells are empty, and skipped.
         rows = np.flatnonzero(depth.sum(axis=0).any(axis=1))
         covered = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
         depth = depth[:, covered]
         below, open = np.zeros_like(depth[0]), np.ones_like(depth[0])
         total, along_y = np.zeros((2, CELLS, CELLS // 2 + 1), np.complex64)
-        # What the floor sees of each layer through those below it; a layer fits into the cache.
+        # The floor sees each layer through those below it. A layer fits into the cache.
         for layer, response in zip(depth, self._response, strict=True):
             below += layer
             through = np.exp(-below)
@@ -125,14 +125,14 @@ class Caster:
         step = max(1, math.ceil(len(gaussians) / SAMPLE))
         layers = wp.zeros((LAYERS, CELLS, CELLS), dtype=float, device=self.device)
 
-        def given(array: Array, dtype: object) -> wp.array:
-            some = np.ascontiguousarray(array[::step])
-            return wp.array(some, dtype=dtype, device=self.device, copy=False)
+        def sample(array: Array, dtype: object) -> wp.array:
+            values = np.ascontiguousarray(array[::step])
+            return wp.array(values, dtype=dtype, device=self.device, copy=False)
 
         inputs = [wp.vec3(*np.subtract(self.middle, self.reach), floor), self.cell]
         inputs += [wp.vec2(*SLOPE), self.tallest, float(step)]
-        inputs += [given(gaussians.opacities, float), given(gaussians.means, wp.vec3)]
-        inputs += [given(gaussians.quats, wp.vec4), given(gaussians.scales, wp.vec3)]
+        inputs += [sample(gaussians.opacities, float), sample(gaussians.means, wp.vec3)]
+        inputs += [sample(gaussians.quats, wp.vec4), sample(gaussians.scales, wp.vec3)]
         count = len(gaussians.opacities[::step])
         kernel, each = covering(self.device)
         threads = math.ceil(count / each)
@@ -141,16 +141,16 @@ class Caster:
 
     @cached_property
     def _response(self) -> list[NDArray[np.complex64]]:
-        """What each layer's coverage does to the light, by frequency [CELLS,K], K <= CELLS/2+1.
+        """Frequency response of each layer [CELLS,K], K <= CELLS/2+1.
 
-        The higher a layer, the fewer frequencies along y are left of it.
+        Higher layers are smoother, so they need fewer frequencies along y.
         """
         kx = 2 * np.pi * scipy.fft.fftfreq(CELLS, self.cell)[:, None]
         ky = 2 * np.pi * scipy.fft.rfftfreq(CELLS, self.cell)[None, :]
         h = self.heights[:, None, None]
         k = np.hypot(kx, ky)
         blur = np.exp(-0.5 * (SOFTNESS * h * k) ** 2)
-        # Transform of h^2 / (pi (h^2 + r^2)^2), moved back from where the lamp casts the layer.
+        # Transform of h^2 / (pi (h^2 + r^2)^2), shifted back by the lamp's displacement.
         kh = np.maximum(k * h, 1e-9)
         sky = kh * scipy.special.k1(kh) * np.exp(1j * h * (kx * SLOPE[0] + ky * SLOPE[1]))
         smooth = np.exp(-0.5 * (0.7 * self.cell * k) ** 2)
@@ -167,22 +167,23 @@ class Caster:
         return np.outer(side, side).astype(np.float32)
 
     @cached_property
-    def places(self) -> tuple[Array, Array]:
+    def cell_centres(self) -> tuple[Array, Array]:
         """Centres of the cells along x and along y [CELLS], m."""
         along = (np.arange(CELLS, dtype=np.float32) + 0.5) * self.cell - self.reach
         return self.middle[0] + along, self.middle[1] + along
 
     def within(self, x: float, y: float, reach_x: float, reach_y: float) -> tuple[slice, slice]:
-        """Rows and columns of the cells around a place.
+        """Rows and columns of the cells around a position.
 
         Args:
-            x: The place along x, m.
-            y: The place along y, m.
-            reach_x: How far away along x a cell's centre may be, m.
-            reach_y: How far away along y, m.
+            x: Position along x, m.
+            y: Position along y, m.
+            reach_x: Largest distance of a cell's centre along x, m.
+            reach_y: Largest distance along y, m.
         """
+        ends = zip(self.cell_centres, (x, y), (reach_x, reach_y), strict=True)
         along_x, along_y = (
-            slice(bisect_left(places, at - reach), bisect_left(places, at + reach))
-            for places, at, reach in zip(self.places, (x, y), (reach_x, reach_y), strict=True)
+            slice(bisect_left(centres, at - reach), bisect_left(centres, at + reach))
+            for centres, at, reach in ends
         )
         return along_x, along_y

@@ -1,4 +1,4 @@
-"""The scene's boundaries as things to look at: plates, walls, boxes, balls, each at its place."""
+"""The scene's boundaries as visible solids: plates, walls, boxes and balls at their positions."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from phy124.mpm.tracks import Track
 from phy124.rendering.stage.frame import Solid
 
 LEVEL = 0.999
-"""Cosine of the largest slope of a plane that counts as a floor."""
+"""Cosine of the steepest slope of a plane that counts as a floor."""
 THICK = 0.04
-"""Thickness of a wall or plate, which in the scene has none, in object sizes."""
+"""Drawn thickness of a wall or plate, in object sizes; in the scene it is zero."""
 WIDE = 1.1
-"""Width of a wall or plate, which in the scene has none, in widths of the object."""
+"""Drawn width of a wall or plate, in widths of the object; in the scene it is infinite."""
 MARGIN = 0.02
-"""How far what holds the object is drawn around it, in object sizes."""
+"""Margin of a clamp around the clamped part, in object sizes."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedWall:
     """One simple wall of the scene, with its track."""
 
     outline: str
     """Name of its distance function."""
     shape: NDArray[np.float64]
-    """The three vectors that it reads [3,3], m."""
+    """The three vectors that the distance function reads [3,3], m."""
     track: Track | None
     holds: bool
-    """Whether it holds the object instead of standing in its way."""
+    """Whether it holds the object instead of obstructing it."""
     span: Corners
-    """A box in which a wall without an end is drawn, m."""
+    """The box in which an infinite wall is drawn, m."""
 
     @property
     def is_floor(self) -> bool:
@@ -51,31 +51,31 @@ class Placed:
         return float(self.shape[0][2])
 
     def displacements(self, times: NDArray) -> NDArray[np.float64]:
-        """How far it has moved at each instant [T,3], m."""
+        """Displacement at each instant [T,3], m."""
         return np.zeros((len(times), 3)) if self.track is None else self.track.values(times)
 
     def present(self, times: NDArray) -> NDArray[np.bool_]:
-        """Whether it is there at each instant [T]; a clamp may let go."""
+        """Whether it exists at each instant [T]; a clamp may let go."""
         if self.track is None:
             return np.ones(len(times), bool)
         return (times >= self.track.start) & (times < self.track.end)
 
     def solid(self) -> Solid:
-        """What is drawn of it at rest."""
+        """The solid to draw at rest."""
         return SHAPES[self.outline](self)
 
 
-def placed(boundaries: Sequence[Boundary], rest: NDArray) -> list[Placed]:
-    """The simple walls of boundaries around an object at rest [N,3], m."""
-    return [wall for one in boundaries for wall in _walls(one, rest)]
+def place_walls(boundaries: Sequence[Boundary], rest: NDArray) -> list[PlacedWall]:
+    """Split boundaries into simple walls, placed around an object at rest [N,3], m."""
+    return [wall for boundary in boundaries for wall in _walls(boundary, rest)]
 
 
-def _walls(boundary: Boundary, rest: NDArray) -> Iterator[Placed]:
+def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
     body = AtRest(rest)
     low, high = rest.min(axis=0), rest.max(axis=0)
     span = _around(low, high)
     if isinstance(boundary, Container):
-        # Its open sides are far away; its walls end a little above the object.
+        # The drawn walls end a little above the object, and open sides at 2 object sizes.
         size = float((high - low).max())
         room = size * np.array([2.0, 2.0, 0.1])
         inside = (np.array(boundary.inside.lower), np.array(boundary.inside.upper))
@@ -83,15 +83,14 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[Placed]:
     for part in boundary.parts():
         outline, shape = _shape(part, body)
         if shape is not None:
-            wall = Placed(outline, shape, part.track(body), part.holds, span)
-            yield replace(wall, span=_held(wall, rest)) if part.holds else wall
+            wall = PlacedWall(outline, shape, part.track(body), part.holds, span)
+            yield replace(wall, span=_clamped_span(wall, rest)) if part.holds else wall
 
 
 def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | None]:
-    """The distance function of a simple wall and what it reads.
+    """Distance function of a simple wall and its parameters.
 
-    One from outside may respond in a way of its own. Then it is drawn as the box that contains it;
-    one that does not say where it is cannot be drawn.
+    A plug-in with another distance function is drawn as its bounding box, if it has one.
     """
     with suppress(NotImplementedError, AttributeError):
         if (outline := part.outline()) in SHAPES:
@@ -103,28 +102,24 @@ def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | Non
 
 
 def _around(low: NDArray, high: NDArray) -> Corners:
-    """A box with a square base, somewhat wider than the object."""
+    """Return a box with a square base, slightly wider than the object."""
     middle, half = (low + high) / 2, (high - low) / 2
     half[:2] = WIDE * half[:2].max()
     half[2] *= 1.1
     return middle - half, middle + half
 
 
-def _held(wall: Placed, rest: NDArray) -> Corners:
-    """A box around what is held."""
-    inside = _within(wall, rest)
-    some = rest[inside] if inside.any() else rest
-    margin = MARGIN * float(np.ptp(rest, axis=0).max()) * np.array([1.0, 1.0, 0.0])
-    return some.min(axis=0) - margin, some.max(axis=0) + margin
-
-
-def _within(wall: Placed, rest: NDArray) -> NDArray[np.bool_]:
-    """Which points a clamp holds [N]; of a cylinder, those in the box around it."""
+def _clamped_span(wall: PlacedWall, rest: NDArray) -> Corners:
+    """Return the box around the points that a clamp holds."""
     point, second, third = wall.shape
     if wall.outline == "half_space":
-        return (rest - point) @ second <= 0
-    half = second if wall.outline == "box" else _around_cylinder(second, third)
-    return np.all(np.abs(rest - point) <= half, axis=1)
+        inside = (rest - point) @ second <= 0
+    else:
+        half = second if wall.outline == "box" else _around_cylinder(second, third)
+        inside = np.all(np.abs(rest - point) <= half, axis=1)
+    clamped = rest[inside] if inside.any() else rest
+    margin = MARGIN * float(np.ptp(rest, axis=0).max()) * np.array([1.0, 1.0, 0.0])
+    return clamped.min(axis=0) - margin, clamped.max(axis=0) + margin
 
 
 def _around_cylinder(axis: NDArray, sizes: NDArray) -> NDArray[np.float64]:
@@ -132,8 +127,8 @@ def _around_cylinder(axis: NDArray, sizes: NDArray) -> NDArray[np.float64]:
     return np.where(np.abs(axis) > 0.5, sizes[1], sizes[0])
 
 
-def _panel(wall: Placed) -> Solid:
-    """A wall without an end: a slab behind its face, as wide as the box in which it is drawn."""
+def _panel(wall: PlacedWall) -> Solid:
+    """An infinite wall: a slab behind its face, as wide as the box in which it is drawn."""
     point, normal, _ = wall.shape
     low, high = wall.span
     if wall.holds:
@@ -147,7 +142,7 @@ def _panel(wall: Placed) -> Solid:
 
 
 def _frame_of(normal: NDArray) -> NDArray[np.float64]:
-    """Three axes [3,3], the first of them the normal, the second level where it can be."""
+    """Three axes [3,3]: the normal, a horizontal one if possible, and the third."""
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else np.array([1.0, 0.0, 0.0])
     second = np.cross(up, normal)
     second /= np.linalg.norm(second)
@@ -158,26 +153,26 @@ def _between(low: NDArray, high: NDArray) -> Solid:
     return Solid((low + high) / 2, np.eye(3), np.maximum((high - low) / 2, 1e-9))
 
 
-def _box(wall: Placed) -> Solid:
-    """A box; of a clamp the part around what it holds."""
+def _box(wall: PlacedWall) -> Solid:
+    """A box; for a clamp, the box around the clamped points."""
     if wall.holds:
         return _between(*wall.span)
     return Solid(wall.shape[0], np.eye(3), np.abs(wall.shape[1]))
 
 
-def _cylinder(wall: Placed) -> Solid:
-    """The box around a cylinder, or around what it holds."""
+def _cylinder(wall: PlacedWall) -> Solid:
+    """The box around a cylinder, or around the points that it clamps."""
     if wall.holds:
         return _between(*wall.span)
     point, axis, sizes = wall.shape
     return Solid(point, np.eye(3), _around_cylinder(axis, sizes))
 
 
-def _ball(wall: Placed) -> Solid:
+def _ball(wall: PlacedWall) -> Solid:
     return Solid(wall.shape[0], np.eye(3), np.zeros(3), float(wall.shape[1][0]))
 
 
-def _capsule(wall: Placed) -> Solid:
+def _capsule(wall: PlacedWall) -> Solid:
     first, second, third = wall.shape
     along = second - first
     length = float(np.linalg.norm(along))
@@ -186,7 +181,25 @@ def _capsule(wall: Placed) -> Solid:
 
 
 SHAPES: dict[str, Any] = {
-    "half_space": _panel, "box": _box, "cylinder": _cylinder, "sphere": _ball,
+    "half_space": _panel,
+    "box": _box,
+    "cylinder": _cylinder,
+    "sphere": _ball,
     "capsule": _capsule,
-}  # fmt: skip
-"""Distance function of a boundary -> what is drawn of it."""
+}
+"""Distance function of a boundary -> the solid to draw."""
+
+
+def floor_heights(
+    walls: Sequence[PlacedWall], rest: NDArray, times: NDArray
+) -> NDArray[np.float64]:
+    """Height of the floor at each instant [T], m.
+
+    The floor is the scene's highest horizontal plane that faces up; without one, it is at the
+    lowest point of the object at rest.
+    """
+    levels = [wall for wall in walls if wall.is_floor]
+    if not levels:
+        return np.full(len(times), rest[:, 2].min())
+    heights = [wall.height + wall.displacements(times)[:, 2] for wall in levels]
+    return np.max(heights, axis=0)
