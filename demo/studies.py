@@ -44,6 +44,8 @@ class Measurement(BaseModel):
     why_not: str
     """Why there are no errors."""
     skipped: tuple[str, ...]
+    until: float | None = None
+    """Time up to which the errors hold [s]; None: the whole motion."""
 
     @classmethod
     def of(cls, report: Report) -> Measurement:
@@ -53,7 +55,13 @@ class Measurement(BaseModel):
             for row in report.rows
         )
         found = report.convergence
-        return cls(levels=levels, order=found.order, why_not=found.why_not, skipped=report.skipped)
+        return cls(
+            levels=levels,
+            order=found.order,
+            why_not=found.why_not,
+            skipped=report.skipped,
+            until=report.until,
+        )
 
     def promise(self, cells: int) -> Promise:
         """The error on a grid of so many cells; none is promised if any grid may be torn."""
@@ -65,7 +73,7 @@ class Measurement(BaseModel):
         if error is None:
             why = ". ".join([self.why_not or "no grid this coarse was measured", *self.skipped])
             return promises.none(f"{why.rstrip('.')}.")
-        return promises.measured(error, cells, sorted(errors))
+        return promises.measured(error, cells, sorted(errors), self.until)
 
     def table(self) -> str:
         """Grid, seconds and error, as HTML."""

@@ -127,10 +127,13 @@ def _note(message: Warning | str, *_: object) -> None:
 
 def _report(problem: BaseException, *, as_json: bool, verbose: bool) -> int:
     """Print what a problem means, as JSON on standard output for scripts; returns the status."""
+    from phy124.runtime.installation import with_program
+
     found = failure(problem)
+    message = with_program(found.sentence)
     if as_json:
-        print(json.dumps({"error": found.sentence}))
-    print(f"phy124: {found.sentence}", file=sys.stderr)
+        print(json.dumps({"error": message}))
+    print(f"phy124: {message}", file=sys.stderr)
     if verbose:
         traceback.print_exception(problem)
     return found.status

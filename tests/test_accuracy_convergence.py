@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from phy124.accuracy.convergence import distances, fit_order, guess_errors, richardson
+from phy124.accuracy.convergence import (
+    distances,
+    fit_order,
+    guess_errors,
+    longest_convergence,
+    richardson,
+)
 
 H = np.array([1 / 16, 1 / 24, 1 / 32, 1 / 48])
 
@@ -46,6 +52,21 @@ def test_scatter_between_grids_is_no_low_order(scatter, count, most):
         ratios.append((richardson(h, distances(levels)).error or np.nan) / true)
     assert 0.95 < np.median(ratios) < most
     assert np.min(ratios) > 0.8
+
+
+def test_errors_hold_until_levels_part():
+    """Twelve frames of first order; from the ninth on one level follows another path."""
+    levels = [np.stack([x.reshape(-1, 3)] * 12) for x in results(1.0)]
+    parted = [x.copy() for x in levels]
+    parted[3][8:] += 50
+    found, frames = longest_convergence(H, parted)
+    assert frames == 8 and found.order == pytest.approx(1, abs=0.02)
+    assert found.errors == pytest.approx(3.0 * H, rel=0.02)
+    assert longest_convergence(H, levels)[1] == 12
+    parted[3] += 50
+    parted[2] -= 50
+    found, frames = longest_convergence(H, parted, size=2.0)
+    assert not found.errors and frames == 12 and "not converging" in found.why_not
 
 
 def test_levels_that_do_not_come_closer_have_no_number():

@@ -321,7 +321,7 @@ def test_levels_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys, la
     monkeypatch.setattr(study_of, "prepare", prepare_or_fail)
     if late == "comparison":
         monkeypatch.setattr(study_of, "difference", fail)
-    command = ["accuracy", "drop", "--levels", "6", "8", "--set", "time.frames=2", "--json"]
+    command = ["accuracy", "drop", "--levels", "6", "8", "10", "--frames", "2", "--json"]
     assert main([*command, "--device", "cpu", "--out", str(tmp_path / "o")]) == 1
     said = capsys.readouterr()
     assert "there is not enough memory" in said.err and KEPT in said.err
@@ -334,14 +334,8 @@ def test_study_on_the_command_line(tmp_path, capsys, monkeypatch):
     (tmp_path / "s.toml").write_text(
         'accuracy = {cells = 8}\ntime = {frames = 2}\nview = {size = 32, views = ["front"]}\n'
     )
-    arguments = [
-        "accuracy",
-        str(tmp_path / "s.toml"),
-        "--levels",
-        "8",
-        "--out",
-        str(tmp_path / "o"),
-    ]
+    arguments = ["accuracy", str(tmp_path / "s.toml"), "--out", str(tmp_path / "o")]
+    arguments += ["--levels", "6", "8", "10"]
     seen = []
     plain = study_of.Study.__post_init__
 
@@ -350,12 +344,38 @@ def test_study_on_the_command_line(tmp_path, capsys, monkeypatch):
         plain(self)
 
     monkeypatch.setattr(study_of.Study, "__post_init__", looked)
-    arguments += ["--set", "material.E=3e4", "--set", "time.frames=3"]
+    monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 9))
+    arguments += ["--set", "material.E=3e4", "--frames", "3"]
     assert main([*arguments, "--device", "cpu"]) == 0
     assert seen[0].material.E == 3e4 and seen[0].time.frames == 3
     text = capsys.readouterr().out
+    assert re.search(r"the two finest levels differ by \d+\.\d% of the object's size", text)
     assert "fewer than three levels" in text
+    assert f"Try `phy124 accuracy {tmp_path}/s.toml --levels 4 6 8 --set material.E=3e4" in text
     made = {path.name for path in (tmp_path / "o").iterdir()}
     assert made >= {"accuracy.json", "accuracy.html"}
     assert main(["accuracy"]) == 2
     assert "nothing to study" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("levels", [("16",), ("16", "32"), ("16", "16", "32")])
+def test_too_few_levels_are_refused_at_once(levels, capsys, monkeypatch):
+    monkeypatch.setattr(study_of.Study, "run", None)
+    assert main(["accuracy", "drop", "--levels", *levels]) == 2
+    error = capsys.readouterr().err
+    assert "three or more grids" in error and "--levels 16 24 32" in error
+
+
+def test_errors_of_a_run_that_parts_hold_until_then(study):
+    """The finest level jumps aside in the last two of five frames."""
+    made, whole = study
+    kept = made.clips["D/16"]
+    moved = kept.means.copy()
+    moved[3:] += 5
+    made.clips["D/16"] = replace(kept, means=moved)
+    report = made._judged(list(whole.rows), ())
+    made.clips["D/16"] = kept
+    assert report.until == pytest.approx(2 / 24)
+    assert "part after 0.0833 s" in report.sentences[0]
+    assert report.convergence.error < 0.05
+    assert all("whole motion" in said or "not" in said for said in report.promises.values())

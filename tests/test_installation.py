@@ -8,7 +8,7 @@ import pytest
 
 from phy124.commands.doctor import EXTRAS
 from phy124.runtime import installation
-from phy124.runtime.installation import clone, install_command, packages
+from phy124.runtime.installation import clone, install_command, packages, with_program
 
 ROOT = Path(__file__).parents[1]
 
@@ -80,3 +80,23 @@ def test_docs_install_from_no_index_without_phy124():
     for path in [*files, *ROOT.glob("*.md"), *ROOT.glob("*.py"), ROOT / "Makefile"]:
         if path.suffix in (".py", ".md", ".html", ".js", ".toml") or path.name == "Makefile":
             assert not re.search(r"install ['\"]?phy124\b", path.read_text("utf-8")), path
+
+
+def test_messages_name_the_program_as_it_was_called(monkeypatch, tmp_path):
+    """By its path if it is not on the PATH, as after `make demo`."""
+    message = "Look at it with `phy124 cutout a.png`; phy124 is a name."
+    script = tmp_path / ".venv" / "bin" / "phy124"
+    script.parent.mkdir(parents=True)
+    script.touch(mode=0o755)
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [".venv/bin/phy124", "generate"])
+    assert "`.venv/bin/phy124 cutout a.png`; phy124 is" in with_program(message)
+    monkeypatch.chdir(tmp_path.parent)
+    monkeypatch.setattr(sys, "argv", [str(script)])
+    assert f"`{script.relative_to(tmp_path.parent)} cutout" in with_program(message)
+    monkeypatch.setenv("PATH", str(script.parent))
+    assert with_program(message) == message
+    monkeypatch.setattr(sys, "argv", ["/usr/lib/phy124/__main__.py"])
+    monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
+    assert "`/usr/bin/python3 -m phy124 cutout" in with_program(message)

@@ -94,6 +94,39 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
     return replace(fit, order=observed)
 
 
+def longest_convergence(
+    spacings: Sequence[float], clips: Sequence[NDArray], size: float = 1.0
+) -> tuple[Convergence, int]:
+    """Estimate the errors over as many of the first frames as converge.
+
+    Levels that follow different paths after some event, as when one topples and another does not,
+    still converge until then.
+
+    Args:
+        spacings: Grid spacings, from coarse to fine [L].
+        clips: Positions [F,N,3] of the same points on each level.
+        size: Divisor of the distances.
+
+    Returns:
+        The convergence and the number of frames it holds for; all frames if no beginning converges.
+    """
+    frames = len(clips[0])
+    square = np.zeros((frames, len(clips), len(clips)))
+    for i, j in combinations(range(len(clips)), 2):
+        gap = (clips[i].astype(np.float64) - clips[j]) / size
+        square[:, i, j] = square[:, j, i] = (gap**2).sum(axis=-1).mean(axis=-1)
+    apart = np.sqrt(np.cumsum(square, axis=0) / np.arange(1, frames + 1)[:, None, None])
+    whole = richardson(spacings, apart[-1])
+    if len(clips) < 3:
+        return whole, frames
+    for count in range(frames, 1, -1):
+        start = richardson(spacings, apart[count - 1])
+        # At the lowest order searched, the finest grids are hardly closer than the coarsest.
+        if start.errors and (start.order is None or start.order > ORDERS[0]):
+            return start, count
+    return whole, frames
+
+
 def _observe_order(h: NDArray, apart: NDArray) -> float:
     """Return the p for which the distances of all pairs are closest to C |h_i^p - h_j^p|."""
     orders, pairs = np.linspace(*ORDERS, 251), np.triu_indices(len(h), 1)

@@ -66,7 +66,9 @@ class Promise:
     def sentence(self) -> str:
         """For people."""
         if self.own and self.error is not None:
-            return f"Error of this scene: about {self.error:.1%} of its size. {self.why}"
+            return (
+                f"Error of this scene: about {self.error:.1%} of its size{self._span}. {self.why}"
+            )
         if self.error is None:
             return f"Expected error: {self.why}"
         return (
@@ -271,13 +273,14 @@ def none(why: str) -> Promise:
     return Promise(None, f"none can be promised: {why}")
 
 
-def measured(error: float, cells: int, grids: Sequence[int]) -> Promise:
+def measured(error: float, cells: int, grids: Sequence[int], until: float | None = None) -> Promise:
     """The error that was measured on a scene itself.
 
     Args:
         error: The error in object sizes.
         cells: Cells across the object of its grid.
         grids: Cells of the grids that were measured, from coarse to fine.
+        until: Time up to which the error holds [s]; None: the whole motion.
     """
     if cells > grids[-1]:
         origin = f"Extrapolated to D/{cells} from {_listed([f'D/{n}' for n in grids])}."
@@ -285,7 +288,7 @@ def measured(error: float, cells: int, grids: Sequence[int]) -> Promise:
         nearest = max(n for n in grids if n <= cells)
         all_of_them = _listed([f"D/{n}" for n in grids])
         origin = f"Measured on {all_of_them if nearest == cells else f'D/{nearest}'}."
-    return Promise(error, origin, own=True)
+    return Promise(error, origin, own=True, seconds=until)
 
 
 def torn(grids: Sequence[str]) -> str:
@@ -300,13 +303,16 @@ def off(error: float | None, *, torn: bool = False) -> str:
     return "no error" if error is None else f"off by about {error:.1%}"
 
 
-def kept(promised: Promise, error: float) -> str:
-    """Whether the promised error holds in this scene, where it was measured."""
+def kept(promised: Promise, error: float, until: float | None = None) -> str:
+    """Whether the promised error holds in this scene, where it was measured up to a time [s]."""
+    here = f"measured here{'' if until is None else f' up to {until:.2f} s'}: {error:.1%}"
     if promised.error is None:
-        return f"none was made for such a scene; measured here: {error:.1%}"
+        return f"none was made for such a scene; {here}"
     if promised.seconds is not None:
         only = f"the first {promised.seconds:.2f} s only"
-        return f"at most {promised.error:.1%} was made for {only}; measured here: {error:.1%}"
+        return f"at most {promised.error:.1%} was made for {only}; {here}"
+    if until is not None:
+        return f"at most {promised.error:.1%} was made for the whole motion; {here}"
     verdict = "holds" if error <= promised.error else "DOES NOT HOLD"
     return f"{verdict}: {error:.1%} of at most {promised.error:.1%}"
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import doubt
-from phy124.commands.options import Device
+from phy124.commands.options import Device, help_of
 from phy124.commands.picture import PictureOptions, told
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
@@ -20,9 +21,13 @@ from phy124.imaging.cutout import Cutout
 from phy124.io.formats import is_file_of_gaussians
 from phy124.progress import Progress
 from phy124.runtime.device import pick_device
-from phy124.scene import Scene, parse_changes
+from phy124.runtime.installation import with_program
+from phy124.scene import Scene, Timing, merge_changes, parse_changes
 from phy124.simulation.parts import WHOLE, Crop
 from phy124.weights.store import search_first
+
+if TYPE_CHECKING:
+    from phy124.studies.validation.accuracy.study import Report
 
 KEPT = "the results are those of the settings that were run"
 
@@ -38,7 +43,9 @@ class ShowAccuracy:
     verify: bool = False
     """Solve problems whose answer is known; no scene is needed."""
     levels: tuple[int, ...] = (16, 24, 32, 48)
-    """Cells across the object to study, from coarse to fine."""
+    """Three or more grids to study [cells across the object]."""
+    frames: Annotated[int | None, help_of(Timing, "frames")] = None
+    seconds: Annotated[float | None, help_of(Timing, "seconds")] = None
     out: Path | None = None
     """Folder of accuracy.json, .html and .png; default out/accuracy-SCENE."""
     set: tuple[str, ...] = ()
@@ -62,7 +69,10 @@ class ShowAccuracy:
             raise InputError(
                 "scene", "none", "there is nothing to study.", "Name a preset, or add --verify."
             )
-        return self._study(Scene.named(self.scene).replaced(parse_changes(self.set)))
+        length = {"time.frames": self.frames, "time.seconds": self.seconds}
+        changes = {path: value for path, value in length.items() if value is not None}
+        changes = merge_changes(changes, parse_changes(self.set))
+        return self._study(Scene.named(self.scene).replaced(changes))
 
     def _verify(self) -> int:
         from phy124.studies.validation.accuracy.verify import verify
@@ -108,6 +118,8 @@ class ShowAccuracy:
         print(table(report.data()["rows"]))
         for sentence in report.sentences:
             print(sentence)
+        if report.convergence.error is None and bars.ended is None:
+            print(self._advice(levels, report))
         for preset, said in report.promises.items():
             print(f"promise of {preset}: {said}")
         print("\n".join(str(path) for path in sorted(out.glob("accuracy.*"))), missing, sep="\n")
@@ -115,14 +127,36 @@ class ShowAccuracy:
 
     def _sorted_levels(self, scene: Scene) -> tuple[int, ...]:
         """The levels from coarse to fine; raises InputError for one that the scene rejects."""
-        if not self.levels:
-            raise InputError("levels", "none", "there is nothing to study.", "Give 16 24 32, say.")
         for cells in self.levels:
             try:
                 scene.replaced({"accuracy": {"cells": cells}})
             except InputError as refusal:
                 raise InputError("levels", cells, refusal.limit, refusal.remedy) from None
-        return tuple(sorted(set(self.levels)))
+        levels = tuple(sorted(set(self.levels)))
+        if len(levels) < 3:
+            raise InputError(
+                "levels",
+                " ".join(map(str, levels)) or "none",
+                "an error is estimated from three or more grids.",
+                "Add one: --levels 16 24 32, for example.",
+            )
+        return levels
+
+    def _advice(self, levels: tuple[int, ...], report: Report) -> str:
+        """The command that may find the error of a scene whose study found none."""
+        command = f"phy124 accuracy {shlex.quote(str(self.scene))}"
+        if self.image is not None:
+            command += f" --image {shlex.quote(str(self.image))}"
+        run = [row.cells for row in report.rows if row.level and not row.torn]
+        if len(run) < 3:  # finer grids had too few particles, or tore the material
+            finest = max(run, default=levels[0])
+            grids = sorted({max(4, round(finest * part)) for part in (0.5, 0.75, 1)})
+        else:
+            grids = [*levels[1:], round(1.5 * levels[-1])]
+        options = " ".join(f"--set {shlex.quote(change)}" for change in self.set)
+        return with_program(
+            f"Try `{command} --levels {' '.join(map(str, grids))} {options}".rstrip() + "`."
+        )
 
     def _object(
         self, scene: Scene, device: str, progress: Progress

@@ -17,6 +17,7 @@ from phy124.errors import InputError
 from phy124.imaging.cutout import Cutout, cut_out, title_of
 from phy124.imaging.cutting import Cutting
 from phy124.io.files import replacing
+from phy124.runtime.installation import with_program
 from phy124.runtime.isolated import Deadline
 from phy124.weights.store import search_first
 
@@ -97,4 +98,4 @@ def doubt(cutout: Cutout, remedy: str) -> None:
     for warning in cutout.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if cutout.warnings:
-        print(f"warning: {remedy}", file=sys.stderr)
+        print(f"warning: {with_program(remedy)}", file=sys.stderr)

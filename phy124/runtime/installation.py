@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 import sys
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
@@ -30,6 +31,22 @@ def install_command(extra: str) -> str:
     return f"{_pip()} --editable {shlex.quote(f'{folder}[{extra}]')}"
 
 
+def program() -> str:
+    """How the running program is started again: `phy124`, or its path from here."""
+    path = Path(sys.argv[0])
+    if path.name == "__main__.py":
+        return f"{_short(Path(sys.executable))} -m {PACKAGE}"
+    on_path = shutil.which(PACKAGE)
+    if path.name != PACKAGE or (on_path and Path(on_path).resolve() == path.resolve()):
+        return PACKAGE
+    return _short(path)
+
+
+def with_program(message: str) -> str:
+    """Return a message whose commands (`phy124 ...` in backquotes) start the running program."""
+    return message.replace(f"`{PACKAGE} ", f"`{program()} ")
+
+
 def clone() -> Path | None:
     """The repository checkout this code runs from, or None."""
     root = Path(__file__).resolve().parents[2]
@@ -54,11 +71,17 @@ def packages(extra: str) -> list[str]:
 
 def _pip() -> str:
     """`pip install` for this interpreter; uv if the environment has no pip."""
-    python, here = Path(sys.executable), Path.cwd()
-    python = shlex.quote(str(python.relative_to(here) if python.is_relative_to(here) else python))
+    python = _short(Path(sys.executable))
     if not _has("pip"):
         return f"uv pip install --python {python}"
     return f"{python} -m pip install"
+
+
+def _short(path: Path) -> str:
+    """A path as a shell's word, relative to the current folder if it lies inside."""
+    here = Path.cwd()
+    path = path if path.is_absolute() else here / path
+    return shlex.quote(str(path.relative_to(here) if path.is_relative_to(here) else path))
 
 
 def _has(package: str) -> bool:

@@ -1,8 +1,9 @@
 """The study: one scene at several grid spacings, with the time and the error of each.
 
 The error of a setting is its distance from the extrapolation of all levels, by Richardson with the
-observed order, plus the uncertainty of that (`convergence`). If finer grids do not come closer to
-each other, there is no error: "not converging".
+observed order, plus the uncertainty of that (`convergence`). If the levels part at some instant,
+errors are those of the motion up to it. If finer grids never come closer to each other, there is no
+error, only the distance between the two finest.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from phy124.accuracy.convergence import TRUSTED, Convergence, distances, richardson
+from phy124.accuracy.convergence import TRUSTED, Convergence, distances, longest_convergence
 from phy124.accuracy.difference import Difference, difference
 from phy124.accuracy.forecast import QUIET, Forecaster, pixels_per_size
 from phy124.accuracy.promises import kept, promise, torn
@@ -97,14 +98,33 @@ class Report:
     recommendation: str
     promises: dict[str, str]
     """Preset -> whether its promise holds in this scene, in words."""
+    until: float | None = None
+    """Time up to which the errors hold [s], if the levels part later; None: the whole motion."""
+    closest: float | None = None
+    """Distance between the two finest levels, relative to the size; None with fewer levels."""
     interrupted: bool = False
     """Whether Ctrl-C or an error ended it before all settings had been run."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences about the result, each once."""
-        said = (*self.skipped, self.convergence.why_not, self.recommendation)
+        said = (*self.skipped, self._extent, self.convergence.why_not, self.recommendation)
         return tuple(sentence for sentence in dict.fromkeys(said) if sentence)
+
+    @property
+    def _extent(self) -> str:
+        """What part of the motion the errors describe, or how far the finest levels are apart."""
+        if self.until is not None:
+            return (
+                f"The levels part after {self.until:.3g} s, where their motions take different "
+                "paths. All errors are of the motion until then."
+            )
+        if self.convergence.error is None and self.closest is not None:
+            return (
+                f"The error is unknown; the two finest levels differ by {self.closest:.1%} of the "
+                "object's size."
+            )
+        return ""
 
     def data(self) -> dict[str, Any]:
         """Plain data for accuracy.json; infinities become None."""
@@ -281,17 +301,23 @@ class Study:
             return self._unjudged(rows, skipped, why)
         names = [row.name for row in levels]
         clips = [self.clips[name] for name in names]
-        apart = distances([clip.means for clip in clips]) / size
-        found = _without_torn(rows, richardson([1 / row.cells for row in levels], apart))
-        known = dict(zip(names, found.errors, strict=False))
-        judged = tuple(self._compared(row, clips, found, known) for row in rows)
+        spacings = [1 / row.cells for row in levels]
+        convergence, frames = longest_convergence(spacings, [clip.means for clip in clips], size)
+        convergence = _without_torn(rows, convergence)
+        known = dict(zip(names, convergence.errors, strict=False))
+        judged = tuple(self._compared(row, clips, convergence, known, frames) for row in rows)
+        finest = distances([clip.means for clip in clips[-2:]])
+        times = clips[0].times
+        until = float(times[frames - 1]) if frames < len(times) else None
         return Report(
             judged,
             skipped,
-            found,
+            convergence,
             size,
-            recommend(judged, found),
-            kept_promises(self.scene, self._thickness, judged, found),
+            recommend(judged, convergence),
+            kept_promises(self.scene, self._thickness, judged, convergence, until),
+            until=until,
+            closest=float(finest[0, 1]) / size if len(clips) > 1 else None,
         )
 
     def _unjudged(self, rows: list[Row], skipped: tuple[str, ...], why: str) -> Report:
@@ -301,9 +327,22 @@ class Study:
         return Report(tuple(rows), skipped, none, size, why, promises)
 
     def _compared(
-        self, row: Row, levels: list[Clip], found: Convergence, known: dict[str, float]
+        self,
+        row: Row,
+        levels: list[Clip],
+        found: Convergence,
+        known: dict[str, float],
+        frames: int,
     ) -> Row:
-        """The row with its distance from the finest level and its error; a torn one unchanged."""
+        """The row with its distance from the finest level and its error; a torn one unchanged.
+
+        Args:
+            row: The row.
+            levels: Clips of the levels, from coarse to fine.
+            found: Their convergence.
+            known: Errors of the levels by name.
+            frames: Number of first frames that these errors hold for.
+        """
         if row.torn:
             return row
         view, clip, size = self.scene.view, self.clips[row.name], self.scene.object.size
@@ -313,7 +352,8 @@ class Study:
         if clip is not levels[-1] and self.thorough:
             apart = difference(clip, levels[-1], small, device=self.device)
             apart = replace(apart, pixels=apart.pixels / shrink)
-        each = [distances([clip.means, level.means])[0, 1] / size for level in levels]
+        start = slice(frames)
+        each = [distances([clip.means[start], level.means[start]])[0, 1] / size for level in levels]
         error = known.get(row.name, found.error_of(np.array(each)))
         if error is None:
             return replace(row, from_finest=apart)
@@ -385,7 +425,11 @@ def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
 
 
 def kept_promises(
-    scene: Scene, thickness: float | None, rows: tuple[Row, ...], found: Convergence
+    scene: Scene,
+    thickness: float | None,
+    rows: tuple[Row, ...],
+    found: Convergence,
+    until: float | None = None,
 ) -> dict[str, str]:
     """For each preset whose level was run: whether the promised error holds here, in words.
 
@@ -394,6 +438,7 @@ def kept_promises(
         thickness: Local thickness of its object relative to its size.
         rows: The settings that were run.
         found: The convergence of the levels.
+        until: Time up to which the errors hold [s]; None: the whole motion.
     """
     said = {}
     for name, accuracy in PRESETS.items():
@@ -406,7 +451,7 @@ def kept_promises(
             said[name] = f"cannot be judged: {found.why_not}"
         else:
             promised = promise(scene.model_copy(update={"accuracy": name}), thickness)
-            said[name] = kept(promised, row.error)
+            said[name] = kept(promised, row.error, until)
     return said
 
 
