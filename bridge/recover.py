@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phy124.errors import InputError
-from phy124.io.destinations import put
+from phy124.io.files import move_to
 
 from . import bag
 from .sinks.mcap import CHUNK, PART
@@ -60,7 +60,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         counts = _copy(source, temporary, file.name)
-        put(temporary, file)
+        move_to(temporary, file)
         if target.suffix != bag.SUFFIX:
             bag.write_metadata(target, file.name, counts)
     except OSError as error:

@@ -12,11 +12,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from phy124.errors import InputError
-from phy124.io.clip import Clip, shape_of
-from phy124.io.export import write_ply_sequence
-from phy124.io.export.html import write_html
-from phy124.io.files import staged
+from phy124.io.clip import Clip, read_shape
+from phy124.io.files import staging
 from phy124.io.formats import FORMATS, Format, written_formats
+from phy124.io.html import write_html
+from phy124.io.sequence import write_ply_sequence
 from phy124.rendering.framing import still_camera
 from phy124.rendering.shine import add_gloss
 from phy124.rendering.stage.build import make_stage, pack_stage
@@ -54,8 +54,8 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
     keep = {done.clip, done.films, *paths}
     for kind, path in zip(kinds, paths, strict=True):
         if not path.exists():
-            size = EXPORTS[kind].about(*shape_of(done.clip / "clip.safetensors"))
-            with visitors.writing(visitor, size, keep), TOGETHER, staged(done.exports) as folder:
+            size = EXPORTS[kind].about(*read_shape(done.clip / "clip.safetensors"))
+            with visitors.writing(visitor, size, keep), TOGETHER, staging(done.exports) as folder:
                 EXPORTS[kind].write(done, folder / path.name)
             if not visitor.give_up(visitors.room.each, keep):
                 path.unlink()

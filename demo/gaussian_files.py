@@ -15,8 +15,8 @@ from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import PlyFile, normalised
 from phy124.io import ply
 from phy124.io.dialect import likely_axes
-from phy124.io.files import replacing, staged
-from phy124.io.formats import recognised
+from phy124.io.files import replacing, staging
+from phy124.io.formats import recognise
 from phy124.particles.thinning import thin
 from phy124.rendering.orienting import ENOUGH, UNTURNED, candidates, draw_oriented
 from phy124.rendering.render import Renderer
@@ -76,14 +76,14 @@ def _opened(path: Path, out: Path, count: int) -> GaussianFile:
         there = f"The file has {len(found.gaussians):,} Gaussians; fewer and larger ones cover"
         notes.append(f"{there} the same here, where {count:,} are the most.")
     few = normalised(thin(kept, ENOUGH), path.name)
-    with staged(out) as folder:
+    with staging(out) as folder:
         _draw(few, folder)
         with replacing(folder / "gaussians.ply") as temporary:
             temporary.write_bytes(ply.encode(kept))
     axes = likely_axes(path, found.axes)
     made = str(out / "gaussians.ply")
     # Several versions of a format are read alike.
-    title = recognised(path).title.rstrip(" 0123456789")
+    title = recognise(path).title.rstrip(" 0123456789")
     return GaussianFile(made, title, len(kept), axes, tuple(notes))
 
 

@@ -22,7 +22,7 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from phy124.errors import InputError
-from phy124.io.export.html import VIEWER
+from phy124.io.html import VIEWER
 
 from .bodies import BodyLimit
 from .connections import Patient, allow_connections

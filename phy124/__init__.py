@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from phy124.generators import Generator
     from phy124.imaging.cutout import cut_out
     from phy124.io.clip import Clip
-    from phy124.io.export.html import write_html
     from phy124.io.formats import read_gaussians, write_gaussians
+    from phy124.io.html import write_html
     from phy124.io.ply import read_ply, write_ply
     from phy124.io.video import write_mp4
     from phy124.live import Live
@@ -81,7 +81,7 @@ _MODULES = {
     "gaussians": ["Frame", "Gaussians"],
     "generators": ["Generator"],
     "imaging.cutout": ["cut_out"],
-    "io.export.html": ["write_html"],
+    "io.html": ["write_html"],
     "io.formats": ["read_gaussians", "write_gaussians"],
     "io.ply": ["read_ply", "write_ply"],
     "io.video": ["write_mp4"],

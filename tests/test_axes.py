@@ -5,7 +5,7 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.gaussians import rotation_matrices, sh_basis
-from phy124.io.axes import euler, orientation, turn, turned, upright
+from phy124.io.axes import euler, orientation, parse_rotation, rotate_gaussians, upright
 from support.shapes import random_gaussians
 
 
@@ -16,7 +16,7 @@ def random_rotation(rng) -> np.ndarray:
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_places_shapes_and_colours_turn_by_any_rotation(rng, degree):
     given, rotation = random_gaussians(rng, degree=degree), random_rotation(rng)
-    made = turned(given, rotation)
+    made = rotate_gaussians(given, rotation)
     assert np.allclose(made.means, given.means @ rotation.T, atol=1e-6)
     assert np.allclose(made.covariances(), rotation @ given.covariances() @ rotation.T, atol=1e-6)
     directions = rng.normal(size=(20, 3))
@@ -25,7 +25,7 @@ def test_places_shapes_and_colours_turn_by_any_rotation(rng, degree):
     before = np.einsum("dk,nkc->ndc", sh_basis(directions, count), given.sh)
     after = np.einsum("dk,nkc->ndc", sh_basis(directions @ rotation.T, count), made.sh)
     assert np.abs(after - before).max() < 2e-5
-    back = turned(made, rotation.T)
+    back = rotate_gaussians(made, rotation.T)
     assert np.allclose(back.means, given.means, atol=1e-5)
 
 
@@ -40,7 +40,9 @@ def test_angles_are_about_x_then_y_then_z():
 
 def test_a_quaternion_is_wxyz_of_any_length():
     half = np.radians(30) / 2
-    assert np.allclose(turn(f"{3 * np.cos(half)} 0 0 {3 * np.sin(half)}"), euler([0, 0, 30]))
+    assert np.allclose(
+        parse_rotation(f"{3 * np.cos(half)} 0 0 {3 * np.sin(half)}"), euler([0, 0, 30])
+    )
 
 
 def test_up_is_any_direction_and_front_as_level_as_can_be(rng):
@@ -66,7 +68,9 @@ def test_rotate_comes_first(rng):
     rotation = euler([20, -35, 50])
     quaternion = "0.2,0.4,-0.1,0.3"
     assert np.allclose(orientation(rotate="20,-35,50"), orientation() @ rotation)
-    assert np.allclose(orientation("z", rotate=quaternion), orientation("z") @ turn(quaternion))
+    assert np.allclose(
+        orientation("z", rotate=quaternion), orientation("z") @ parse_rotation(quaternion)
+    )
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def test_unknown_columns_are_named_once(tmp_path):
     more = {"roughness": 0.5, "obj_dc_0": 0, "obj_dc_1": 0, "obj_dc_2": 0, "t\x1b[31mx": 0, "nx": 0}
     found = read(tmp_path, **more, **{f"f_rest_{i}": 0.0 for i in range(9)})
     (note,) = found.notes
-    assert note.endswith("passed over: roughness, obj_dc_0 to obj_dc_2, t?[31mx.")
+    assert note.endswith("ignored: roughness, obj_dc_0 to obj_dc_2, t?[31mx.")
 
 
 def test_many_unknown_columns_make_a_short_note(tmp_path):

@@ -88,7 +88,7 @@ def test_without_its_package_4dgs_says_what_to_install(clip, capsys, monkeypatch
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("--to obj", "No such format is written"),
+        ("--to obj", "This output format is not supported"),
         ("--to glb --frame 3", "The clip has the frames 0 to 2"),
         ("--to glb --frame -1", "The clip has the frames 0 to 2"),
         ("--to glb --frame 1 --all", "Leave one of them out"),

@@ -29,9 +29,9 @@ from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.imaging.grabcut import apply_marks
-from phy124.io.clip import Clip, shape_of
-from phy124.io.export.html import LICENCE, SCRIPTS, STYLE, VIEWER
+from phy124.io.clip import Clip, read_shape
 from phy124.io.formats import FORMATS, read_gaussians
+from phy124.io.html import LICENCE, SCRIPTS, STYLE, VIEWER
 from phy124.scene import Scene
 from support.quantisation import many
 
@@ -114,7 +114,7 @@ def test_each_format_is_offered_with_size_and_program(export, done, name, result
     path = export(name)
     assert path.suffix == FORMATS[name].suffix
     clip = Clip.load(done.clip / "clip.safetensors")
-    assert offer.about(*shape_of(done.clip / "clip.safetensors")) > 0
+    assert offer.about(*read_shape(done.clip / "clip.safetensors")) > 0
     if FORMATS[name].encode:
         there = read_gaussians(path).gaussians.means
         np.testing.assert_allclose(there, clip.means[0], atol=1e-3)
@@ -211,13 +211,7 @@ def _stroke(keep: bool, *points: tuple[float, float], width: float = 0.2) -> Str
 
 def test_strokes_keep_and_remove_and_the_last_one_counts():
     marks = np.asarray(
-        painted(
-            [
-                _stroke(True, (0.1, 0.5), (0.9, 0.5)),
-                _stroke(False, (0.9, 0.5)),
-            ],
-            (100, 100),
-        )
+        painted([_stroke(True, (0.1, 0.5), (0.9, 0.5)), _stroke(False, (0.9, 0.5))], (100, 100))
     )
     assert (marks[50, 10], marks[50, 90], marks[10, 50]) == (2, 1, 0)
     portrait = np.asarray(painted([_stroke(True, (0.25, 0.9))], (50, 100)))

@@ -19,7 +19,7 @@ from demo.work import gaussians_of, made_gaussians
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io import ply
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.dialect import Axes
 from phy124.io.formats import endings
 from phy124.rendering.orienting import UPS
@@ -29,7 +29,9 @@ from support.shapes import ball
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 SOON = Deadline(60)
-HEAD, ROWS = ply.encode(turned(ball(1200), orientation("y", "z").T)).split(b"end_header\n")
+HEAD, ROWS = ply.encode(rotate_gaussians(ball(1200), orientation("y", "z").T)).split(
+    b"end_header\n"
+)
 # No program has signed it.
 HEAD = b"".join(line for line in HEAD.splitlines(keepends=True) if b"comment" not in line)
 
@@ -71,7 +73,7 @@ def read(studio: Studio, data: bytes) -> GaussianFile:
 
 def test_what_of_a_file_is_passed_over_is_among_its_notes(studio):
     file = read(studio, of(head=HEAD.replace(b"property float nx", b"property float metallic")))
-    assert file.notes[0] == "Columns that are not known are passed over: metallic."
+    assert file.notes[0] == "Unknown columns are ignored: metallic."
 
 
 def test_file_is_thinned_drawn_in_24_poses_and_simulated(studio):

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from phy124.io import ply
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.clip import Clip
 from support.hostile import bomb
 from support.pages import blocks
@@ -134,7 +134,7 @@ def test_the_page_names_no_other_machine(server):
 
 def test_api_takes_gaussians_with_an_up_axis(client, tmp_path):
     file = tmp_path / "ball.ply"
-    file.write_bytes(ply.encode(turned(ball(300), orientation("y", "z").T)))
+    file.write_bytes(ply.encode(rotate_gaussians(ball(300), orientation("y", "z").T)))
     _, report = generate(client, file, known={"up": "y"})
     assert report["file"] == {"up": "y", "front": None, "program": None}
     assert (report["gaussians"], report["generator"]) == (300, "3DGS PLY")

@@ -9,9 +9,8 @@ import pytest
 
 from phy124.__main__ import main
 from phy124.errors import InputError
-from phy124.io.destinations import put
-from phy124.io.export.sequence import write_ply_sequence
-from phy124.io.files import replacing, staged
+from phy124.io.files import move_to, replacing, staging
+from phy124.io.sequence import write_ply_sequence
 from support.clips import random_clip
 
 ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
@@ -37,7 +36,7 @@ def umask():
 def test_a_mode_is_that_of_a_new_file(mask, mode, umask, tmp_path):
     umask(mask)
     write(tmp_path / "a.txt")
-    with staged(tmp_path / "out") as folder:
+    with staging(tmp_path / "out") as folder:
         (folder / "b.txt").touch()
     for path in (tmp_path / "a.txt", tmp_path / "out" / "b.txt"):
         assert stat.S_IMODE(path.stat().st_mode) == mode
@@ -52,7 +51,7 @@ def test_a_link_is_followed(exists, tmp_path):
     link.symlink_to("there/real.txt")
     write(link)
     assert link.is_symlink() and target.read_text() == "new"
-    with staged(tmp_path) as folder:
+    with staging(tmp_path) as folder:
         (folder / "link.txt").write_text("newer")
     assert link.is_symlink() and target.read_text() == "newer"
     assert names(tmp_path / "there") == ["real.txt"] and names(tmp_path) == ["link.txt", "there"]
@@ -63,12 +62,12 @@ def test_linked_folders_are_followed(tmp_path):
     (tmp_path / "disk" / "frames" / "old.png").touch()
     (tmp_path / "out").symlink_to(tmp_path / "disk")
     (tmp_path / "disk" / "films").symlink_to(tmp_path / "disk" / "frames")
-    with staged(tmp_path / "out") as folder:
+    with staging(tmp_path / "out") as folder:
         (folder / "films").mkdir()
         (folder / "films" / "new.png").touch()
     assert names(tmp_path / "disk" / "frames") == ["new.png"]
     (tmp_path / "new").symlink_to(tmp_path / "disk" / "missing")
-    with staged(tmp_path / "new") as folder:
+    with staging(tmp_path / "new") as folder:
         (folder / "clip").touch()
     assert names(tmp_path / "disk" / "missing") == ["clip"]
 
@@ -90,7 +89,7 @@ def test_a_device_is_written_into(tmp_path):
         pytest.skip("no devices can be made here")
     write(device)
     assert stat.S_ISCHR(device.stat().st_mode) and names(tmp_path) == ["null"]
-    with staged(tmp_path) as folder:
+    with staging(tmp_path) as folder:
         (folder / "null").touch()
     assert stat.S_ISCHR(device.stat().st_mode)
 
@@ -145,7 +144,7 @@ def test_to_another_file_system_it_is_copied(kind, tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "replace", apart)
     monkeypatch.setattr(os, "rename", apart)
-    put(source, path)
+    move_to(source, path)
     assert names(tmp_path) == ["path"]
     assert (path / "x" if kind == "folder" else path).read_text() == "new"
 

@@ -11,8 +11,9 @@ import pytest
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Frame
 from phy124.io.clip import Clip
-from phy124.io.export import write_ply_sequence, write_usd
+from phy124.io.formats.usd import write_usd
 from phy124.io.ply import read_ply
+from phy124.io.sequence import write_ply_sequence
 
 SUPERSPLAT = re.compile(r"(.*?)(\d+)(?:\.compressed)?\.ply$")
 """How the SuperSplat editor recognises a sequence: same first group, rising second."""
@@ -60,7 +61,7 @@ def test_an_archive(tmp_path, clip):
 def test_five_digits_for_ten_thousand_frames(tmp_path, three_gaussians, monkeypatch):
     g = three_gaussians.select(np.array([0]))
     many = Clip.from_frames([Frame(i, i / 24, g) for i in range(10_000)])
-    monkeypatch.setattr("phy124.io.export.sequence.write_ply", lambda file, gaussians: None)
+    monkeypatch.setattr("phy124.io.sequence.write_ply", lambda file, gaussians: None)
     names = write_ply_sequence(tmp_path / "out", many)
     assert names[0] == "frame_00001.ply" and names[-1] == "frame_10000.ply"
     assert names == sorted(names)

@@ -14,7 +14,7 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
-from phy124.io.export.html import pack, write_html
+from phy124.io.html import pack, write_html
 from phy124.rendering.stage.build import make_stage, pack_stage
 from phy124.scene import View
 

@@ -7,7 +7,7 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.io import files
-from phy124.io.files import replacing, staged, writable
+from phy124.io.files import replacing, staging, writable
 from phy124.runtime.failures import failure
 
 
@@ -16,7 +16,7 @@ def names(folder):
 
 
 def test_a_staged_folder_s_files_appear_together(tmp_path):
-    with staged(tmp_path / "out") as folder:
+    with staging(tmp_path / "out") as folder:
         (folder / "clip").write_text("new")
         (folder / "report.json").touch()
         assert not (tmp_path / "out" / "clip").exists()
@@ -27,7 +27,7 @@ def test_pictures_of_an_older_run_do_not_mix_with_the_new_ones(tmp_path):
     (tmp_path / "frames").mkdir()
     (tmp_path / "frames" / "99.png").touch()
     (tmp_path / "mine.txt").touch()
-    with staged(tmp_path) as folder:
+    with staging(tmp_path) as folder:
         (folder / "frames").mkdir()
         (folder / "frames" / "00.png").touch()
     assert names(tmp_path / "frames") == ["00.png"]
@@ -77,9 +77,9 @@ def test_a_machine_that_runs_short_is_no_bad_name(tmp_path, monkeypatch, code):
     def refuse(*_: object, **options: object) -> None:
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(files, "beginning", refuse)
+    monkeypatch.setattr(files, "create_temporary", refuse)
     monkeypatch.setattr(files.tempfile, "mkdtemp", refuse)
-    for writes in (replacing(tmp_path / "a.json"), staged(tmp_path / "new")):
+    for writes in (replacing(tmp_path / "a.json"), staging(tmp_path / "new")):
         with pytest.raises(OSError, match=f"Errno {code}") as refused, writes:
             pytest.fail("it began")
         assert failure(refused.value).status == 1
@@ -87,5 +87,5 @@ def test_a_machine_that_runs_short_is_no_bad_name(tmp_path, monkeypatch, code):
 
 
 def test_a_folder_with_too_long_a_name_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"out = .*name too long"), staged(tmp_path / ("n" * 300)):
+    with pytest.raises(InputError, match=r"out = .*name too long"), staging(tmp_path / ("n" * 300)):
         pytest.fail("it began")

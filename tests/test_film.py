@@ -7,7 +7,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from phy124.errors import InputError
-from phy124.io.export import usd
+from phy124.io.formats import usd
 from phy124.io.ply import read_ply
 from phy124.rendering.film import (
     describe_playback,

@@ -9,20 +9,20 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.content import MAX_GAUSSIANS
 from phy124.io.formats import (
     FORMATS,
+    find_written_format,
     is_file_of_gaussians,
     read_as_is,
     read_gaussians,
-    recognised,
+    recognise,
     spz,
     write_gaussians,
-    written_as,
     written_formats,
 )
-from phy124.io.formats.codebook import codebook, nearest, palette
+from phy124.io.formats.quantise import make_codebook, make_palette, nearest_codes
 from phy124.io.ply import read_ply, write_ply
 from support.quantisation import Errors, bound, errors, many
 
@@ -51,7 +51,7 @@ def test_formats_round_trip_within_their_steps(tmp_path, rng, name, degree):
     assert content.antialiased == (name not in ("splat", "glb"))
     assert content.gaussians.sh_degree == min(degree, FORMATS[name].degree)
     allowed = bound(name, wanted, path.read_bytes())
-    there = turned(wanted, orientation(*content.axes).T)
+    there = rotate_gaussians(wanted, orientation(*content.axes).T)
     assert not errors(content.gaussians, there).within(allowed)
     ours = read_gaussians(path).gaussians
     np.testing.assert_allclose(ours.means, wanted.means, atol=allowed.means)
@@ -75,7 +75,7 @@ def test_what_other_programs_wrote_is_read(file, name, axes):
     wanted = read_ply(FOREIGN / "source.ply").gaussians
     content = read_as_is(FOREIGN / file)
     found, axes = content.gaussians, axes or content.axes
-    wanted = turned(wanted, orientation(*axes).T)
+    wanted = rotate_gaussians(wanted, orientation(*axes).T)
     allowed = bound(name, wanted, (FOREIGN / file).read_bytes())
     if name == "sog":  # its palette of harmonics is judged by what its own program reads
         own = read_as_is(FOREIGN / "splat-transform-sog.ply").gaussians
@@ -103,14 +103,14 @@ def test_content_tells_the_format_whatever_the_name(tmp_path):
     for file, kind in kinds.items():
         copy = tmp_path / "copy.dat"
         copy.write_bytes((FOREIGN / file).read_bytes())
-        assert recognised(copy).name == kind and is_file_of_gaussians(copy)
+        assert recognise(copy).name == kind and is_file_of_gaussians(copy)
         assert len(read_gaussians(copy).gaussians) == 40
     other = tmp_path / "relief"
     for data in (b"", b"hello" * 64, bytes(64), np.random.default_rng(0).bytes(3200)):
         other.write_bytes(data)
         assert not is_file_of_gaussians(other)
         with pytest.raises(InputError, match="no file of Gaussians"):
-            recognised(other)
+            recognise(other)
     assert not is_file_of_gaussians("relief") and is_file_of_gaussians("missing.SPZ")
 
 
@@ -155,7 +155,7 @@ def test_tags_of_a_ply_are_read(tmp_path, three_gaussians, tag, axes, antialiase
     content = read_as_is(path)
     assert (content.axes, content.antialiased) == (axes, antialiased)
     turn = orientation(*axes) @ orientation().T
-    there = turned(three_gaussians, turn).means
+    there = rotate_gaussians(three_gaussians, turn).means
     np.testing.assert_allclose(read_ply(path).gaussians.means, there, atol=1e-6)
     np.testing.assert_allclose(read_gaussians(path).gaussians.means, there, atol=1e-6)
 
@@ -185,7 +185,7 @@ def test_degree_4_of_spz_is_left_out(tmp_path):
     harmonics[:, 0], harmonics[:, 20] = 160, 255
     sections = [bytes(18), b"\xff" * 2, bytes(6), bytes(6), bytes(8), harmonics.tobytes()]
     head = spz.Head(b"NGSP", 3, 2, 4, 12, 0, 0)
-    (tmp_path / "a.spz").write_bytes(spz._gzipped(spz.HEADER.pack(*head) + b"".join(sections)))
+    (tmp_path / "a.spz").write_bytes(spz._gzip(spz.HEADER.pack(*head) + b"".join(sections)))
     sh = read_as_is(tmp_path / "a.spz").gaussians.sh
     assert sh.shape == (2, 16, 3)
     assert (sh[:, 1] == 0.25).all() and (sh[:, 2:] == 0).all()
@@ -210,14 +210,17 @@ def test_bombs_are_refused_before_they_unfold(tmp_path, count, words):
 
 def test_unknown_formats_and_folders_are_refused(tmp_path, three_gaussians):
     for path, name, words in (
-        ("a.obj", None, "names no format"),
+        ("a.obj", None, "no format"),
         ("a.ply", "obj", "Choose one of ply"),
-        ("a.ply", "compressed-ply", "No such format is written"),
+        ("a.ply", "compressed-ply", "This output format is not supported"),
         ("no/a.glb", None, "folder that exists"),
     ):
         with pytest.raises(InputError, match=words):
             write_gaussians(tmp_path / path, three_gaussians, name)
-    assert written_as(Path("x.USDA")).name == "usd" and written_as(Path("x.spz")).name == "spz"
+    assert (
+        find_written_format(Path("x.USDA")).name == "usd"
+        and find_written_format(Path("x.spz")).name == "spz"
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -231,21 +234,21 @@ def test_every_format_is_declared_whole():
 
 def test_a_codebook_is_near_all_values(rng):
     values = np.concatenate([rng.normal(size=5000), [-27.6, 9.0]])
-    codes = codebook(values)
-    error = np.abs(codes[nearest(codes, values)] - values)
+    codes = make_codebook(values)
+    error = np.abs(codes[nearest_codes(codes, values)] - values)
     assert len(codes) == 256 and (np.diff(codes) >= 0).all()
     assert error.max() < 37 / 127 and np.sqrt((error**2).mean()) < 0.02
-    assert np.ptp(codebook(np.zeros(3))) == 0
+    assert np.ptp(make_codebook(np.zeros(3))) == 0
 
 
 def test_a_palette_holds_few_vectors_exactly_and_many_nearly(rng):
     vectors = rng.normal(size=(4000, 9)).astype(np.float32)
-    entries, labels = palette(vectors, 4096)
+    entries, labels = make_palette(vectors, 4096)
     np.testing.assert_array_equal(entries[labels], vectors)
     few = (rng.normal(size=(64, 9))[rng.integers(64, size=4000)]).astype(np.float32)
     error = {}
     for most in (16, 256):
-        entries, labels = palette(few, most)
+        entries, labels = make_palette(few, most)
         assert len(entries) == most and labels.max() == most - 1
         error[most] = float(np.square(entries[labels] - few).mean())
     assert error[256] < 0.05 < error[16] < 1

@@ -77,7 +77,7 @@ def inside(data: bytes, rng: random.Random) -> bytes:
     """What is compressed is damaged, and then compressed again as if nothing were wrong."""
     damage = rng.choice([cut, flip, flip_head, huge, digits])
     if data[:2] == b"\x1f\x8b":
-        return spz._gzipped(damage(zlib.decompress(data, 31), rng))
+        return spz._gzip(damage(zlib.decompress(data, 31), rng))
     if data[:2] != b"PK":
         return damage(data, rng)
     out = io.BytesIO()
@@ -95,7 +95,7 @@ DAMAGES = (cut, flip, flip_head, huge, digits, insert, noise, inside)
 def gzip_bomb() -> bytes:
     """Zeros that say they are ten million Gaussians."""
     head = spz.HEADER.pack(b"NGSP", 3, 10_000_000, 0, 12, 0, 0)
-    return spz._gzipped(head + bytes(1 << 26))
+    return spz._gzip(head + bytes(1 << 26))
 
 
 def zstd_bomb(announced: bool) -> bytes:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.formats import FORMATS, write_gaussians
 from support.foreign import JUDGES
 from support.quantisation import bound, errors, many
@@ -27,9 +27,11 @@ def test_other_programs_read_what_is_written(tmp_path, judge, name, degree):
     write_gaussians(path, wanted, name)
     found = judge.read(path)
     assert found.sh_degree == min(degree, format.degree)
-    there = turned(wanted, orientation(*format.axes).T)
+    there = rotate_gaussians(wanted, orientation(*format.axes).T)
     if judge.name == "splat-transform" and name.startswith("spz") and upright(found, there):
-        found = turned(found, np.diag([1.0, -1.0, -1.0]))  # version 2.7 turns SPZ to a PLY's axes
+        found = rotate_gaussians(
+            found, np.diag([1.0, -1.0, -1.0])
+        )  # version 2.7 turns SPZ to a PLY's axes
     assert not errors(found, there).within(bound(name, there, path.read_bytes()))
 
 

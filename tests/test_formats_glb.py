@@ -10,7 +10,7 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, joined
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.formats import glb, read_as_is, read_gaussians, write_gaussians
 from support.quantisation import many
 from support.shapes import ball
@@ -89,7 +89,7 @@ def test_nodes_of_a_glb_move_turn_and_scale_their_gaussians(tmp_path, rng):
     up = np.array([0, 0, 10])
     assert_same(plain, wanted.moved(1, up))
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])  # about our z, which is the file's y
-    assert_same(other, turned(wanted, turn).moved(2, up))
+    assert_same(other, rotate_gaussians(wanted, turn).moved(2, up))
 
 
 def _set(path: str, value) -> object:
@@ -116,7 +116,7 @@ SPLATS = "meshes/0/primitives/0/extensions/KHR_gaussian_splatting"
         (SPLATS, None, "no mesh has KHR_gaussian_splatting"),
         ("nodes/0/scale", [1, 2, 1], "unevenly"),
         ("nodes/0/scale", [-1, 1, 1], "mirrors"),
-        ("nodes/0/children", [0], "go in a circle"),
+        ("nodes/0/children", [0], "cycle of nodes"),
         ("accessors/0/count", 10**9, "announces 1,000,000,000"),
         ("accessors/2/count", 7, "7 values for 3 Gaussians"),
         ("accessors/2/componentType", 5123, "not normalised"),
@@ -134,7 +134,7 @@ SPLATS = "meshes/0/primitives/0/extensions/KHR_gaussian_splatting"
             "not there",
         ),
         ("meshes/0/primitives/0/attributes/POSITION", -1, "no number -1"),
-        ("meshes/0/primitives/0/indices", 0, "chosen by indices"),
+        ("meshes/0/primitives/0/indices", 0, "selected by indices"),
         ("nodes/0/rotation", [0, 0, 0, 0], "skews"),
         ("nodes/0/scale", [0, 0, 0], "skews"),
         ("scene", 7, "no number 7"),
@@ -190,7 +190,7 @@ def test_glb_reads_in_the_library_of_another_container(tmp_path, rng):
     wanted = many(rng, 200, 3)
     write_gaussians(tmp_path / "a.glb", wanted)
     found = fourdgs.from_gltf(str(tmp_path / "a.glb")).gaussians
-    there = turned(wanted, orientation(*glb.Y_UP).T)
+    there = rotate_gaussians(wanted, orientation(*glb.Y_UP).T)
     np.testing.assert_allclose(found.positions, there.means, atol=1e-6)
     np.testing.assert_allclose(found.scales, there.scales, rtol=1e-6)
     np.testing.assert_allclose(found.rotations, np.roll(there.quats, -1, axis=1), atol=1e-6)

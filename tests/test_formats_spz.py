@@ -8,7 +8,7 @@ import pytest
 
 from phy124.gaussians import Gaussians, quaternions, rotation_matrices, sh_basis
 from phy124.io.formats import read_as_is, read_gaussians, spz
-from phy124.io.formats.spz_extensions import SYSTEMS, read_extensions
+from phy124.io.formats.spz import SYSTEMS, read_extensions
 from support.quantisation import many
 
 WAYS = {

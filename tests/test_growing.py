@@ -10,8 +10,8 @@ from safetensors import safe_open
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
-from phy124.io import locks
-from phy124.io.clip import Clip, joined
+from phy124.io import files
+from phy124.io.clip import Clip, stack_arrays
 from phy124.io.growing import Growing, Unlike
 from support.shapes import ball
 
@@ -85,8 +85,8 @@ def test_frames_that_differ_in_kind_are_refused(tmp_path):
 def test_a_file_in_use_or_cut_short_is_refused(tmp_path):
     growing, *_ = grown(tmp_path / "frames")
     place = growing.place()
-    if locks.AVAILABLE:
-        with pytest.raises(InputError, match="another process is computing this very run"):
+    if files.LOCKS_AVAILABLE:
+        with pytest.raises(InputError, match="another process is computing this run"):
             Growing.there(tmp_path, place)
     growing.close()
     again = Growing.there(tmp_path, place)
@@ -100,10 +100,10 @@ def test_a_file_in_use_or_cut_short_is_refused(tmp_path):
 
 def test_arrays_that_only_look_consecutive_are_copied():
     rows = [np.ones(3), np.ones(3)]
-    assert not any(np.shares_memory(joined(rows), row) for row in rows)
+    assert not any(np.shares_memory(stack_arrays(rows), row) for row in rows)
     whole = np.arange(12.0).reshape(4, 3)
-    assert np.array_equal(joined([whole[0], whole[2]]), whole[[0, 2]])
-    assert np.shares_memory(joined([whole[1], whole[2]]), whole)
+    assert np.array_equal(stack_arrays([whole[0], whole[2]]), whole[[0, 2]])
+    assert np.shares_memory(stack_arrays([whole[1], whole[2]]), whole)
 
 
 def test_a_file_that_has_no_room_does_not_stay(tmp_path, monkeypatch):

@@ -20,7 +20,7 @@ from phy124.accuracy.choose import Goal
 from phy124.commands.bars import Bars
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
-from phy124.io.files import staged
+from phy124.io.files import staging
 from phy124.io.ply import write_ply
 from phy124.mpm.threads import Barrier
 from phy124.scene import Scene
@@ -297,10 +297,10 @@ def solving():
 
 
 def test_only_empty_folders_of_the_run_are_removed(tmp_path):
-    with pytest.raises(ZeroDivisionError), staged(tmp_path / "a" / "b"):
+    with pytest.raises(ZeroDivisionError), staging(tmp_path / "a" / "b"):
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(ZeroDivisionError), staged(tmp_path / "a" / "b"):
+    with pytest.raises(ZeroDivisionError), staging(tmp_path / "a" / "b"):
         (tmp_path / "a" / "other").touch()
         raise ZeroDivisionError
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["other"]
@@ -369,8 +369,8 @@ def pressing_ctrl_c(where: str):
 
 HOLD = """
 import sys, time
-from phy124.io.files import staged
-with staged(sys.argv[1]) as folder:
+from phy124.io.files import staging
+with staging(sys.argv[1]) as folder:
     (folder / "clip").touch()
     print(folder, flush=True)
     time.sleep(600)
@@ -383,12 +383,12 @@ def test_leftovers_of_killed_processes_are_removed(tmp_path):
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout
         theirs = Path(process.stdout.readline().strip())
-        with staged(tmp_path) as mine, staged(tmp_path) as nested:
+        with staging(tmp_path) as mine, staging(tmp_path) as nested:
             stay = [path.is_dir() for path in (theirs, mine, nested)]
         process.kill()
     assert all(stay)
     assert (theirs / "clip").exists()
-    with staged(tmp_path) as mine:
+    with staging(tmp_path) as mine:
         assert list(tmp_path.iterdir()) == [mine]
     assert list(tmp_path.iterdir()) == []
 

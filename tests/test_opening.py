@@ -138,11 +138,11 @@ def test_what_was_saved_in_place_of_a_file_is_named(tmp_path, capsys, command, d
 def test_a_file_packed_by_gzip_is_called_that(tmp_path, capsys, name):
     (tmp_path / name).write_bytes(gzip.compress(b"ply\nformat ascii 1.0\n"))
     assert main(["convert", str(tmp_path / name), str(tmp_path / "out.ply")]) == 2
-    assert "packed by gzip" in capsys.readouterr().err
+    assert "compressed by gzip" in capsys.readouterr().err
 
 
 def test_a_zip_archive_of_no_sog_is_called_that(tmp_path, capsys):
     with zipfile.ZipFile(tmp_path / "it.zip", "w") as archive:
         archive.writestr("point_cloud.ply", b"ply\n")
     assert main(["convert", str(tmp_path / "it.zip"), str(tmp_path / "out.ply")]) == 2
-    assert "a zip archive, but of no SOG" in capsys.readouterr().err
+    assert "a zip archive, but no SOG" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from phy124.generators.neural.lgm.generator import Lgm, to_gaussians
 from phy124.generators.neural.lgm.model import LgmModel, Option, load
 from phy124.generators.neural.orbit import TO_WORLD
 from phy124.generators.ply_file import PlyFile
-from phy124.io.axes import DIALECTS, turned
+from phy124.io.axes import DIALECTS, rotate_gaussians
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
@@ -61,14 +61,14 @@ def box(count: int, size: float, seed: int) -> Gaussians:
 
 def as_lgm(gaussians: Gaussians) -> Gaussians:
     """The same object through LGM's 14 numbers."""
-    theirs = turned(gaussians, TO_WORLD.T)
+    theirs = rotate_gaussians(gaussians, TO_WORLD.T)
     columns = [theirs.means, theirs.opacities[:, None], theirs.scales, theirs.quats, theirs.rgb]
     return to_gaussians(np.concatenate(columns, axis=1))
 
 
 def as_dreamgaussian(gaussians: Gaussians) -> Gaussians:
     """The same object through DreamGaussian's parameters."""
-    theirs = turned(gaussians, TO_WORLD.T)
+    theirs = rotate_gaussians(gaussians, TO_WORLD.T)
     parameters = {
         "xyz": torch.from_numpy(theirs.means),
         "f_dc": torch.from_numpy(theirs.sh),

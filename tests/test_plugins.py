@@ -31,10 +31,10 @@ from phy124.io.formats import (
     FORMATS,
     Format,
     endings,
+    find_written_format,
     read_gaussians,
-    recognised,
+    recognise,
     write_gaussians,
-    written_as,
     written_formats,
 )
 from phy124.materials import FixedCorotated
@@ -295,7 +295,7 @@ def test_format_of_the_docs_is_read_and_written(monkeypatch, tmp_path, capsys):
     assert "NumPy archive" in capsys.readouterr().out
     read = read_gaussians(tmp_path / "ball.npz")
     np.testing.assert_allclose(read.gaussians.means, body.means, atol=1e-6)
-    assert recognised(tmp_path / "ball.npz").name == "npz" and ".npz" in endings()
+    assert recognise(tmp_path / "ball.npz").name == "npz" and ".npz" in endings()
     generator = generators.make(str(tmp_path / "ball.npz"))
     assert len(generator(None, seed=0, progress=lambda *event: None)) == 50
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
@@ -307,14 +307,14 @@ def test_signs_shared_by_two_formats_leave_it_to_the_ending(monkeypatch, tmp_pat
     register_format(monkeypatch, examples(monkeypatch)["NPZ"])
     write_gaussians(tmp_path / "ball.sog", ball(50))
     write_gaussians(tmp_path / "ball.npz", ball(50))
-    assert recognised(tmp_path / "ball.sog").name == "sog"
+    assert recognise(tmp_path / "ball.sog").name == "sog"
     (tmp_path / "ball.npz").rename(tmp_path / "ball")
-    assert recognised(tmp_path / "ball").name == "sog"
+    assert recognise(tmp_path / "ball").name == "sog"
 
 
 def test_format_from_outside_does_not_replace_ply(monkeypatch, tmp_path):
     register_format(monkeypatch, examples(monkeypatch)["NPZ"], "ply")
-    assert written_as(tmp_path / "ball.ply") is FORMATS["ply"]
+    assert find_written_format(tmp_path / "ball.ply") is FORMATS["ply"]
     assert ".npz" not in endings()
 
 

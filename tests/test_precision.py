@@ -10,10 +10,10 @@ import pytest
 from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile, Reading
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
+from phy124.io.content import COARSE, centre_means, describe_coarseness, move_back
 from phy124.io.formats import read_as_is, read_gaussians, write_gaussians
 from phy124.io.ply import raw_table, read_ply
-from phy124.io.precision import COARSE, centred, in_place, too_coarse
 from phy124.pipeline.capture import capture
 from phy124.scene import Scene
 from support.captures import captured
@@ -151,9 +151,9 @@ def test_a_glb_whose_node_lies_far_away_keeps_every_place(tmp_path, turn):
 
     (tmp_path / "a.glb").write_bytes(edited((tmp_path / "a.glb").read_bytes(), change))
     found = read_as_is(tmp_path / "a.glb")
-    turned = usual if turn[0] == 0 else usual[:, [2, 0, 1]]
+    rotate_gaussians = usual if turn[0] == 0 else usual[:, [2, 0, 1]]
     there = found.gaussians.means.astype(float) + found.origin
-    np.testing.assert_allclose(there - EARTH, turned, atol=3e-7)
+    np.testing.assert_allclose(there - EARTH, rotate_gaussians, atol=3e-7)
     assert found.remarks() == []
     assert read_gaussians(tmp_path / "a.glb").origin != (0, 0, 0)
 
@@ -172,18 +172,18 @@ def test_a_glb_of_far_places_in_float32_is_called_coarse(tmp_path):
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
 def test_what_is_moved_to_its_origin_goes_back_exactly(rng, scale):
     places = (rng.normal(size=(500, 3)) * scale + EARTH * scale).astype(np.float32)
-    means, origin = centred(places.astype(float))
-    back = in_place(means, origin)
+    means, origin = centre_means(places.astype(float))
+    back = move_back(means, origin)
     assert origin.any() and back is not None
     np.testing.assert_array_equal(back, places)
-    assert in_place(means + np.float32(1e-9 * scale), origin) is None
+    assert move_back(means + np.float32(1e-9 * scale), origin) is None
 
 
 def test_what_is_too_coarse_depends_on_what_is_chosen(rng):
     means = rng.uniform(-1, 1, (4000, 3))
-    assert too_coarse(means, 1.9 / COARSE) is None
-    assert too_coarse(means[np.abs(means).max(axis=1) < 0.5], 1.9 / COARSE) is not None
-    assert too_coarse(means, 0) is None
+    assert describe_coarseness(means, 1.9 / COARSE) is None
+    assert describe_coarseness(means[np.abs(means).max(axis=1) < 0.5], 1.9 / COARSE) is not None
+    assert describe_coarseness(means, 0) is None
 
 
 def test_a_sog_far_away_keeps_its_places(tmp_path):
@@ -203,7 +203,7 @@ def test_a_sog_far_away_keeps_its_places(tmp_path):
 
 
 def test_the_floor_of_a_far_capture_is_told_in_its_own_places(tmp_path):
-    table = raw_table(turned(captured(7, floaters=0).gaussians, orientation().T))
+    table = raw_table(rotate_gaussians(captured(7, floaters=0).gaussians, orientation().T))
     columns = {name: table[name].astype(float) for name in table.dtype.names}
     kinds = dict.fromkeys(columns, "f8")
     found = []

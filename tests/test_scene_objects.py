@@ -13,7 +13,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame, as_objects
 from phy124.generators.shapes import shape
 from phy124.io.clip import Clip
-from phy124.io.export.usd import write_usd
+from phy124.io.formats.usd import write_usd
 from phy124.io.ply import read_ply, write_ply
 from phy124.monitor.tearing import Pieces
 from phy124.particles import Particles, compute_bounds
@@ -451,6 +451,6 @@ def test_notes_of_every_file_come_into_the_report(tmp_path):
         made.gaussians, made.scene, tmp_path / "out", about=made.about, films=False
     ).report
     assert report["notes"][:2] == [
-        "Columns that are not known are passed over: first.",
-        "other: Columns that are not known are passed over: second.",
+        "Unknown columns are ignored: first.",
+        "other: Unknown columns are ignored: second.",
     ]

@@ -114,7 +114,7 @@ def test_a_wrong_picture_stops_the_renderer_too(tmp_path, three_gaussians):
 
 def test_pictures_are_taken_one_by_one(tmp_path, monkeypatch):
     taken, seen = [], []
-    monkeypatch.setattr(video, "_checked", lambda p, *_: seen.append(len(taken)) or p)
+    monkeypatch.setattr(video, "_check_picture", lambda p, *_: seen.append(len(taken)) or p)
 
     def pictures():
         for i in range(20):
@@ -160,7 +160,7 @@ def test_an_encoder_that_stands_still_is_ended(tmp_path, monkeypatch, processes)
     stuck.chmod(0o755)
     monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: str(stuck))
     monkeypatch.setattr(video, "STUCK", 0.3)
-    with pytest.raises(InputError, match=r"encoder stopped after \d+ pictures: it said nothing"):
+    with pytest.raises(InputError, match=r"encoder stopped after \d+ pictures: no message"):
         write_mp4(tmp_path / "a.mp4", (plain(0) for _ in range(100)), fps=24)
     assert [path.name for path in tmp_path.iterdir()] == ["stuck"]
 

@@ -16,8 +16,7 @@ from typing import IO, Any, Literal
 
 from phy124.errors import SHORT_CODES, Incomplete, InputError
 from phy124.gaussians import Frame
-from phy124.io.destinations import put
-from phy124.io.files import sweep_parts, writable
+from phy124.io.files import move_to, sweep_parts, writable
 from phy124.runtime.installation import install_command
 
 from .. import PROGRAM, bag
@@ -209,7 +208,7 @@ class McapSink:
         os.fsync(self._stream.fileno())
         self._stream.close()
         if self._single:
-            put(self.file, self.path)
+            move_to(self.file, self.path)
         else:
             bag.write_metadata(self.path, self.file.name, self._counts)
             self._older.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 from phy124.budget.cost import Rates, Work
 from phy124.errors import InputError
-from phy124.io.clip import scene_in
+from phy124.io.clip import read_scene
 from phy124.io.files import replacing
 from phy124.runtime import isolated
 from phy124.runtime.isolated import Deadline, Unfinished
@@ -182,7 +182,7 @@ def scene_of_result(done: Done) -> Scene:
     Raises:
         InputError: Its motion depends on a picture, of which a clip does not say where it lies.
     """
-    scene = Scene.from_data(scene_in(done.clip / "clip.safetensors"))
+    scene = Scene.from_data(read_scene(done.clip / "clip.safetensors"))
     for field, _ in files_named(scene):
         if not field.startswith("view."):
             limit = f"The scene has a picture ({field}), and such a one is not fitted here."

@@ -11,7 +11,7 @@ from pathlib import Path
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.io.files import staged
+from phy124.io.files import staging
 from phy124.runtime import isolated
 from phy124.runtime.isolated import Deadline, Unfinished
 from phy124.studies.fit.video import is_film, read_film
@@ -91,7 +91,7 @@ def _opened(path: Path, out: Path, seconds: float, speed: float, processor: floa
     if count < 2:
         limit = f"The scene lasts {seconds:.2f} s, in which the video shows {count} picture."
         raise InputError("video", path.name, limit, "Choose more frames for the scene.")
-    with staged(out) as folder:
+    with staging(out) as folder:
         for number in range(count):
             Image.fromarray(film.pictures[number]).save(folder / f"{number:05d}.png")
     return Seen(out, fps, count, whole)

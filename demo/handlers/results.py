@@ -9,7 +9,7 @@ import gradio as gr
 
 from phy124.camera import VIEWS
 from phy124.errors import InputError
-from phy124.io.clip import Clip, scene_in, shape_of
+from phy124.io.clip import Clip, read_scene, read_shape
 from phy124.io.formats import FORMATS
 from phy124.scene import Scene
 
@@ -153,7 +153,7 @@ def report_of(studio: Studio, job: Job) -> str:
     """The report of a finished run, with the errors measured on its scene before or after it."""
     done: Done = job.progress.result
     report, study = done.report, read_study(done.study)
-    data = scene_in(done.clip / "clip.safetensors")
+    data = read_scene(done.clip / "clip.safetensors")
     scene, count, thickness = Scene.from_data(data), report["gaussians"], report.get("thickness")
     stops = studio.forecaster.stops(scene, gaussians=count, thickness=thickness, study=study)
     return as_html(report, data, job.progress.expected, stops, study)
@@ -167,7 +167,7 @@ def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, An
         if job.kind != "run" or not _is_there(done) or done.films in seen:
             continue
         seen.add(done.films)
-        scene = scene_in(done.clip / "clip.safetensors")
+        scene = read_scene(done.clip / "clip.safetensors")
         found.append({
             "job": job.name, "title": str(scene["material"]["law"]).replace("_", " ").capitalize(),
             "detail": f"{scene['time']['frames']} frames, {scene['accuracy']}"
@@ -219,7 +219,7 @@ def takeaway_of(done: Done) -> dict[str, Any]:
     Handlers add what was "asked" for: if another result is shown by then, the panel ignores it.
     """
     files, offers = [], []
-    frames, gaussians = shape_of(done.clip / "clip.safetensors")
+    frames, gaussians = read_shape(done.clip / "clip.safetensors")
     for path in _films(done):
         files.append(_link(path, f"Video, {path.stem}", "MP4"))
     for name, (label, hint) in FILES.items():

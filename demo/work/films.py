@@ -8,7 +8,7 @@ from typing import Any
 
 from phy124 import pipeline
 from phy124.io.clip import Clip
-from phy124.io.export.html import pack
+from phy124.io.html import pack
 from phy124.io.video import write_animation
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import still_camera
@@ -42,7 +42,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
     view = view.model_copy(update={"formats": ("mp4",), "outputs": (), "stage": stage})
     tell = limits.tell
     tell(Step("render", 0, len(clip) * len(view.sides)))
-    with pipeline.staged(out) as folder:
+    with pipeline.staging(out) as folder:
         left_out = _videos(clip, view, order, folder, limits, watch)
         about = _in_photograph(clip, view, order, folder, limits, watch)
         tell(Step("save", 0, 2))

@@ -15,7 +15,7 @@ from phy124.camera import Camera
 from phy124.errors import Cancelled
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
-from phy124.io.export.html import pack
+from phy124.io.html import pack
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, make_stage, pack_stage
 from phy124.scene import Scene

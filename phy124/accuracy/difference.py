@@ -51,7 +51,7 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
     clip, reference = clip.surface, reference.surface
     if clip.means.shape != reference.means.shape:
         raise ValueError(f"clips of {clip.means.shape} and {reference.means.shape} do not match")
-    counted = reference.own
+    counted = reference.object_mask
     size = float(np.ptp(reference.means[0][counted], axis=0).max())
     gaps = clip.means[:, counted].astype(float) - reference.means[:, counted]
     squares = (gaps**2).sum(axis=2)

@@ -92,14 +92,14 @@ class ShowAccuracy:
         return bars.status(f"{len(rows)} checks were made") or (0 if good else 1)
 
     def _study(self, scene: Scene) -> int:
-        from phy124.io.files import staged, write_whole
+        from phy124.io.files import staging, write_whole
         from phy124.studies.validation.accuracy.plots import save_page, save_picture
         from phy124.studies.validation.accuracy.study import Study
 
         device, levels = pick_device(self.device), self._sorted_levels(scene)
         name = Path(str(self.scene)).stem
         out = self.out or Path("out") / f"accuracy-{name}"
-        with Bars(quiet=self.json, keeps=True) as bars, staged(out, keeps=True) as folder:
+        with Bars(quiet=self.json, keeps=True) as bars, staging(out, keeps=True) as folder:
             gaussians, scene, crop = self._object(scene, device, bars)
             study = Study(gaussians, scene, device, levels, crop, progress=bars, keep=True)
             report = study.run()

@@ -14,7 +14,7 @@ import tyro
 from phy124.commands.bars import Bars
 from phy124.commands.options import CameraOptions, Device
 from phy124.io.clip import Clip
-from phy124.io.files import staged, write_whole
+from phy124.io.files import staging, write_whole
 from phy124.io.video import Picture, refuse_missing_encoder, write_mp4
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress
@@ -49,7 +49,7 @@ class Compare:
         device = pick_device(self.device)
         refuse_missing_encoder()
         seen = []
-        with Bars(quiet=self.json, keeps=True) as bars, staged(out, keeps=True) as folder:
+        with Bars(quiet=self.json, keeps=True) as bars, staging(out, keeps=True) as folder:
             with bars.keeping():
                 for side in view.sides:
                     seen.append(_filmed(a, b, view, side, folder, device, bars))

@@ -18,10 +18,10 @@ from phy124.io.clip import Clip
 from phy124.io.content import Content
 from phy124.io.formats import (
     Format,
+    find_written_format,
     read_gaussians,
     write_frames,
     write_gaussians,
-    written_as,
     written_formats,
 )
 from phy124.particles.merging import merge_clip_to, merge_to
@@ -57,7 +57,7 @@ class Convert:
         Raises:
             InputError: If the file cannot be read or the other not written.
         """
-        chosen = written_as(self.out, self.to)
+        chosen = find_written_format(self.out, self.to)
         content = read_gaussians(
             self.file, up=self.up, front=self.front, dialect=self.dialect, rotate=self.rotate
         )
@@ -94,7 +94,7 @@ class Export:
         Raises:
             InputError: If the clip cannot be read, has no such frame, or a file not be written.
         """
-        chosen, clip = written_as(Path(), self.to), Clip.load(self.clip)
+        chosen, clip = find_written_format(Path(), self.to), Clip.load(self.clip)
         if self.frame is not None and self.all:
             limit = "It says one frame, and --all says every one."
             raise InputError("frame", self.frame, limit, "Leave one of them out.")

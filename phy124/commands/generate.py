@@ -97,7 +97,7 @@ class Generate:
         clip = Clip.load(result.folder / "clip.safetensors")
         view = Scene.from_data(clip.scene).view
         try:
-            with pipeline.staged(result.folder) as folder:
+            with pipeline.staging(result.folder) as folder:
                 path, about = pipeline.into_photograph(
                     clip, view, self.image, result.folder, folder, device=device, progress=bars
                 )
@@ -190,7 +190,7 @@ class Simulate:
         watch = Stopwatch()
         if self.plan.dry_run:
             return self._predict(file, scene, device)
-        bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staged(out)
+        bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staging(out)
         with bars, place:  # a folder that cannot be used is refused before any work
             with watch.stage("read"):
                 read = self._read(file, scene, bars)

@@ -14,7 +14,7 @@ from phy124.commands.bars import Bars
 from phy124.commands.options import Device, ViewOptions
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
-from phy124.io.files import staged
+from phy124.io.files import staging
 from phy124.io.video import refuse_missing_encoder
 from phy124.rendering.film import film, note_if_choppy, refuse_missing_writers
 from phy124.rendering.framing import describe_framing
@@ -61,7 +61,7 @@ class Render:
         out = self.out or self.clip.parent
         refuse_missing_writers(view)
         photograph = self._photograph()
-        with Bars(quiet=self.json, keeps=True) as bars, staged(out, keeps=True) as folder:
+        with Bars(quiet=self.json, keeps=True) as bars, staging(out, keeps=True) as folder:
             with suppress(Cancelled):
                 device = pick_device(self.device)
                 film(clip, view, folder, device=device, threads=self.threads, progress=bars)

@@ -14,7 +14,7 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.errors import InputError
-from phy124.io.files import staged, write_whole
+from phy124.io.files import staging, write_whole
 from phy124.runtime.cores import cores, refuse_threads
 from phy124.studies.validation.experiments import EXPERIMENTS, Experiment, Outcome, named
 from phy124.studies.validation.experiments.page import data, details, save_page, summary
@@ -113,7 +113,7 @@ class Validate:
         if self.docs or self.out is not None:
             refuse_missing_plots()
         if self.out is not None:
-            with staged(self.out):
+            with staging(self.out):
                 pass
 
     def _write(self, done: Sequence[Outcome], *, whole: bool) -> None:
@@ -121,7 +121,7 @@ class Validate:
         if self.docs and whole:
             save_page(done, *DOCS, machine=_machine())
         if self.out is not None and done:
-            with staged(self.out, keeps=True) as folder:
+            with staging(self.out, keeps=True) as folder:
                 rows = [data(each) for each in done]
                 write_whole(folder / "experiments.json", json.dumps(rows, indent=1))
                 page = folder / "experiments.md"

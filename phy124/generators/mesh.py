@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.shapes import covered
-from phy124.io.axes import orientation, turned
-from phy124.io.content import AGAIN, Y_UP
+from phy124.io.axes import orientation, rotate_gaussians
+from phy124.io.content import AGAIN, Y_UP, describe_coarseness, step_of
 from phy124.io.opening import obstacle
-from phy124.io.precision import step_of, too_coarse
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
 
@@ -75,7 +74,7 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
     rgb = np.broadcast_to(np.asarray(colour, float), points.shape) if colours is None else colours
     low, high = points.min(axis=0), points.max(axis=0)
     made = covered((points - (low + high) / 2) / (high - low).max(), normals, rgb)
-    return turned(made, orientation(*UPRIGHT[kind]))
+    return rotate_gaussians(made, orientation(*UPRIGHT[kind]))
 
 
 def _kind(path: Path) -> str:
@@ -150,7 +149,7 @@ def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
     drawn = _drawn(solids, seed)
     # Before its node moves it, a shape has the numbers of the file.
     largest: Any = max(shapes, key=lambda one: len(getattr(one, "faces", ())))
-    return drawn, too_coarse(largest.vertices, step_of(largest.vertices))
+    return drawn, describe_coarseness(largest.vertices, step_of(largest.vertices))
 
 
 def _loaded(path: str, kind: str) -> Any:

@@ -14,10 +14,10 @@ from pydantic import Field
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.surroundings import surroundings
-from phy124.io.axes import numbers, orientation, turned
-from phy124.io.content import Y_DOWN, Content
+from phy124.io.axes import orientation, parse_numbers, rotate_gaussians
+from phy124.io.content import Y_DOWN, Content, describe_coarseness
 from phy124.io.dialect import likely_dialect
-from phy124.io.formats import read_as_is, recognised, rotation_of
+from phy124.io.formats import read_as_is, recognise, rotation_of
 from phy124.progress import Progress, silent
 from phy124.schema.section import Section
 
@@ -173,7 +173,7 @@ class PlyFile:
             notes = [*notes, *surroundings(gaussians, content.origin)]
         progress("read", 1, 1)
         return Opened(
-            turned(gaussians, rotation),
+            rotate_gaussians(gaussians, rotation),
             rotation,
             [
                 f"{count} of {given} Gaussians of the file {why} and were dropped."
@@ -183,13 +183,13 @@ class PlyFile:
             content.axes,
             tuple(notes),
             content.origin,
-            content.blurred(gaussians) is not None,
+            describe_coarseness(gaussians.means, content.step) is not None,
         )
 
     def _hint(self, content: Content) -> None:
         """Warn if the file looks like one of another dialect, and nothing was said of its axes."""
         told = self.reading.model_dump(include={"up", "front", "dialect", "rotate"})
-        if told != UNTOLD or content.axes != Y_DOWN or recognised(Path(self.path)).name != "ply":
+        if told != UNTOLD or content.axes != Y_DOWN or recognise(Path(self.path)).name != "ply":
             return
         likely = likely_dialect(Path(self.path))
         if likely is not None:
@@ -205,7 +205,7 @@ class PlyFile:
         crop = self.reading.crop
         if crop is None:
             return None
-        values = numbers(crop, 6)
+        values = parse_numbers(crop, 6)
         if values is None or (values[:3] >= values[3:]).any():
             raise InputError(
                 "crop", crop, "A box has six numbers, each of the first three the lower.",

@@ -62,19 +62,19 @@ def orientation(
             known = ", ".join(DIALECTS)
             raise InputError("dialect", dialect, "It is not known.", f"Choose one of {known}.")
         up, front = DIALECTS[dialect][0], front or DIALECTS[dialect][1]
-    z = direction("up", up)
-    x = direction("front", front) if front else _usual_front(z)
+    z = parse_direction("up", up)
+    x = parse_direction("front", front) if front else _usual_front(z)
     level = x - z * (x @ z)
     if np.linalg.norm(level) < ACROSS:
         limit = "The front cannot lie along the up axis."
         raise InputError("front", front, limit, f"Choose an axis across {up}.")
     x = level / np.linalg.norm(level)
     axes = np.stack([x, np.cross(z, x), z])
-    return axes if rotate is None else axes @ turn(rotate)
+    return axes if rotate is None else axes @ parse_rotation(rotate)
 
 
-def direction(field: str, text: str) -> NDArray[np.float64]:
-    """The unit vector given by the name of an axis or by three numbers.
+def parse_direction(field: str, text: str) -> NDArray[np.float64]:
+    """Return the unit vector that the name of an axis or three numbers describe.
 
     Raises:
         InputError: If the text is neither, or the vector has no length.
@@ -83,34 +83,32 @@ def direction(field: str, text: str) -> NDArray[np.float64]:
         vector = np.zeros(3)
         vector["xyz".index(text[-1])] = -1 if text.startswith("-") else 1
         return vector
-    vector = numbers(text, 3)
+    vector = parse_numbers(text, 3)
     if vector is None or not np.linalg.norm(vector):
-        raise InputError(
-            field, text, "It is not an axis or a direction.",
-            f"Choose one of {', '.join(FRONTS)}, or three numbers such as 0.1,-1,0.2.",
-        )  # fmt: skip
+        limit = "It is not an axis or a direction."
+        remedy = f"Choose one of {', '.join(FRONTS)}, or three numbers such as 0.1,-1,0.2."
+        raise InputError(field, text, limit, remedy)
     return vector / np.linalg.norm(vector)
 
 
-def turn(text: str) -> NDArray[np.float64]:
-    """The rotation [3,3] given by three angles [degrees] or by a quaternion wxyz.
+def parse_rotation(text: str) -> NDArray[np.float64]:
+    """Return the rotation [3,3] of three angles [degrees] or of a quaternion wxyz.
 
     Raises:
         InputError: If the text is neither.
     """
-    angles, quaternion = numbers(text, 3), numbers(text, 4)
+    angles, quaternion = parse_numbers(text, 3), parse_numbers(text, 4)
     if angles is not None:
         return euler(angles)
     if quaternion is None or not np.linalg.norm(quaternion):
-        raise InputError(
-            "rotate", text, "It is neither three angles nor a quaternion.",
-            "Write degrees about x, y and z, such as 10,0,-25, or a quaternion w,x,y,z.",
-        )  # fmt: skip
+        limit = "It is neither three angles nor a quaternion."
+        remedy = "Write degrees about x, y and z, such as 10,0,-25, or a quaternion w,x,y,z."
+        raise InputError("rotate", text, limit, remedy)
     return rotation_matrices(quaternion[None])[0]
 
 
 def euler(degrees: Sequence[float] | NDArray) -> NDArray[np.float64]:
-    """Rotation about x, then y, then z, all three fixed: Rz Ry Rx."""
+    """Rotation [3,3] about the fixed axes x, then y, then z: Rz Ry Rx."""
     matrix = np.eye(3)
     for axis, angle in enumerate(np.radians(degrees).tolist()):
         c, s = math.cos(angle), math.sin(angle)
@@ -131,8 +129,8 @@ def upright(normal: NDArray) -> NDArray[np.float64]:
     return np.eye(3) + cross + cross @ cross / (1 + z)
 
 
-def numbers(text: str, count: int) -> NDArray[np.float64] | None:
-    """Exactly `count` finite numbers separated by commas or spaces, or None."""
+def parse_numbers(text: str, count: int) -> NDArray[np.float64] | None:
+    """Read `count` finite numbers separated by commas or spaces; None if the text is not that."""
     try:
         values = np.array(text.replace(",", " ").split(), np.float64)
     except ValueError:
@@ -140,8 +138,8 @@ def numbers(text: str, count: int) -> NDArray[np.float64] | None:
     return values if len(values) == count and np.isfinite(values).all() else None
 
 
-def turned(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
-    """The Gaussians rotated about the origin by `rotation [3,3]`: centres, shapes and colours.
+def rotate_gaussians(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
+    """Rotate the centres, shapes and colours of Gaussians about the origin by `rotation [3,3]`.
 
     A signed permutation of the axes is exact: the quaternion's vector part and the scales are
     permuted like the centres, and only harmonics above degree 0 need arithmetic.
@@ -149,7 +147,7 @@ def turned(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
     if not np.array_equal(np.abs(rotation), np.abs(rotation).round()):
         means = gaussians.means.astype(np.float64) @ rotation.T
         quats = quaternions(rotation @ rotation_matrices(gaussians.quats))
-        sh = _turned_sh(gaussians.sh, rotation)
+        sh = _rotate_colours(gaussians.sh, rotation)
         means, quats = means.astype(np.float32), quats.astype(np.float32)
         return replace(gaussians, means=means, quats=quats, sh=sh)
     order, sign = np.abs(rotation).argmax(axis=1), rotation.sum(axis=1).astype(np.float32)
@@ -159,21 +157,21 @@ def turned(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
         means=gaussians.means[:, order] * sign,
         quats=np.concatenate([gaussians.quats[:, :1], vector], axis=1),
         scales=gaussians.scales[:, order],
-        sh=_turned_sh(gaussians.sh, rotation),
+        sh=_rotate_colours(gaussians.sh, rotation),
     )
 
 
-def _turned_sh(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
+def _rotate_colours(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
     count = sh.shape[1]
     if count == 1:
         return sh
-    # One turn for all: its matrix is what it does to each harmonic alone.
+    # The rotation of each unit harmonic is a row of one matrix for all Gaussians.
     unit = np.repeat(np.eye(count, dtype=np.float32)[:, :, None], 3, axis=2)
     matrix = rotate_sh(unit, np.repeat(quaternions(rotation[None]), count, axis=0))[:, :, 0]
     return np.einsum("kj,nkc->njc", matrix, sh, optimize=True)
 
 
 def _usual_front(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The assumed front for the axis closest to up."""
-    nearest = max(FRONTS, key=lambda axis: float(direction("up", axis) @ z))
-    return direction("front", FRONTS[nearest])
+    """Return the assumed front for the axis closest to up."""
+    nearest = max(FRONTS, key=lambda axis: float(parse_direction("up", axis) @ z))
+    return parse_direction("front", FRONTS[nearest])

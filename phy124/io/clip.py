@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
 
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians, of_walls, rotate_sh, stacked
 from phy124.io.files import replacing
 from phy124.io.opening import obstacle
-from phy124.io.tensors import save_tensors
 
 FORMAT = "phy124-clip"
 VERSION = "1"
@@ -101,11 +102,11 @@ class Clip:
         first = frames[0].gaussians
 
         def stack(name: str) -> Array:
-            return joined([getattr(f.gaussians, name) for f in frames])
+            return stack_arrays([getattr(f.gaussians, name) for f in frames])
 
-        def kept(name: str) -> Array | None:
-            found = [getattr(f, name) for f in frames]
-            return None if any(one is None for one in found) else joined(found)
+        def stack_if_all(name: str) -> Array | None:
+            arrays = [getattr(f, name) for f in frames]
+            return None if any(array is None for array in arrays) else stack_arrays(arrays)
 
         return cls(
             means=stack("means"),
@@ -115,21 +116,21 @@ class Clip:
             sh=first.sh,
             times=np.array([f.time for f in frames], dtype=np.float64),
             rotations=rotations,
-            velocities=kept("velocities"),
-            contacts=kept("contacts"),
+            velocities=stack_if_all("velocities"),
+            contacts=stack_if_all("contacts"),
             wrenches=stacked(frames) if all(f.wrenches is not None for f in frames) else None,
             walls=tuple(frames[0].wrenches or ()),
             object_id=first.object_id,
         )
 
     @property
-    def own(self) -> NDArray[np.bool_]:
-        """Which Gaussians are the object and not its surroundings, such as a floor [N]."""
-        own = np.ones(len(self.opacities), bool)
+    def object_mask(self) -> NDArray[np.bool_]:
+        """True for Gaussians of the object, False for surroundings, such as a floor [N]."""
+        mask = np.ones(len(self.opacities), bool)
         for part in self.scene.get("parts", []):
             if part.get("surroundings"):
-                own[slice(*part["gaussians"])] = False
-        return own if own.any() else ~own
+                mask[slice(*part["gaussians"])] = False
+        return mask if mask.any() else ~mask
 
     @property
     def surface(self) -> Clip:
@@ -148,9 +149,9 @@ class Clip:
         return replace(self, **each, report={**self.report, "grains": 0})
 
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
-        """The Gaussians of one frame, with their colours rotated with the material.
+        """Return the Gaussians of one frame, with their colours rotated with the material.
 
-        With `velocities` the frame always has velocities, even if none were kept: see `velocity`.
+        With `velocities`, a clip without velocities derives them: see `velocity`.
         """
         sh = self.sh
         if self.rotations is not None and sh.shape[1] > 1:
@@ -165,15 +166,15 @@ class Clip:
         return Frame(index, float(self.times[index]), gaussians, v, forces, walls)
 
     def frames(self, *, velocities: bool = False) -> Iterator[Frame]:
-        """All frames in order, with one in memory at a time if the clip is memory-mapped."""
+        """Yield all frames in order; of a memory-mapped clip, one is in memory at a time."""
         return (self.frame(index, velocities=velocities) for index in range(len(self)))
 
     def velocity(self, index: int) -> Array | None:
         """Velocities of the centres at a frame [N,3], m/s; None if there is only one frame.
 
-        They are those the run kept (`velocities = true` in its scene), or else the difference
-        quotient of the neighbouring frames, (x_after - x_before) / (t_after - t_before), one-sided
-        at both ends.
+        The run's velocities if the clip has them (`velocities = true` in its scene), else the
+        difference quotient of the neighbouring frames, (x_after - x_before) / (t_after - t_before),
+        one-sided at both ends.
         """
         if self.velocities is not None:
             return self.velocities[index]
@@ -184,39 +185,39 @@ class Clip:
         return (self.means[after] - self.means[before]) / seconds
 
     def flaws(self) -> list[str]:
-        """A sentence for each frame with Gaussians at no finite place, which no picture shows."""
-        found = []
+        """Describe each frame that has Gaussians with NaN or infinite values, in a sentence."""
+        sentences = []
         for index in range(len(self)):
             arrays = (self.means[index], self.quats[index], self.scales[index])
             bad = ~np.all([np.isfinite(array).all(axis=1) for array in arrays], axis=0)
             if bad.any():
                 count = np.count_nonzero(bad)
-                found.append(
+                sentences.append(
                     f"Frame {index}: {count} of {len(bad)} Gaussians have NaN or infinite values "
                     "and are not shown."
                 )
-        return found
+        return sentences
 
     def with_report(self, report: dict[str, Any]) -> Clip:
-        """The same clip with another report."""
+        """Return the clip with another report."""
         return replace(self, report=report)
 
     def tensors(self) -> dict[str, NDArray]:
-        """The arrays of its file, by name."""
+        """Return the arrays of the clip's file, by name."""
         more = (*OPTIONAL, WALLS, OBJECT)
         names = REQUIRED + tuple(n for n in more if getattr(self, n) is not None)
         return {name: np.ascontiguousarray(getattr(self, name)) for name in names}
 
     def metadata(self) -> dict[str, str]:
-        """What its file says beside the arrays."""
-        told = {
+        """Return the texts of the clip's file: scene, report, names of walls and objects."""
+        texts = {
             "format": FORMAT,
             "version": VERSION,
             "scene": json.dumps(self.scene),
             "report": json.dumps(self.report),
             "walls": json.dumps(self.walls),
         }
-        return {**told, "objects": json.dumps(self.objects)} if self.objects else told
+        return {**texts, "objects": json.dumps(self.objects)} if self.objects else texts
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write one safetensors file; it appears whole or not at all.
@@ -255,8 +256,8 @@ class Clip:
             raise _refusal(path, f"its tensors do not fit together ({error}).") from error
 
 
-def joined(rows: Sequence[NDArray]) -> NDArray:
-    """Arrays of one shape stacked; no copy if they lie one after the other, as in a clip's file."""
+def stack_arrays(rows: Sequence[NDArray]) -> NDArray:
+    """Stack arrays of one shape; without a copy if they are adjacent, as in a clip's file."""
     first = rows[0]
     base, start, step = first.base, first.ctypes.data, first.nbytes
     follow = (
@@ -268,8 +269,8 @@ def joined(rows: Sequence[NDArray]) -> NDArray:
     return np.lib.stride_tricks.as_strided(first, shape, strides, writeable=False)
 
 
-def shape_of(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Numbers of frames and of Gaussians of a saved clip, from the head of its file.
+def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Return the numbers of frames and of Gaussians of a saved clip, from its file's header.
 
     Raises:
         InputError: If the file is missing, cut short, or not a clip of this version.
@@ -282,8 +283,8 @@ def shape_of(path: str | os.PathLike[str]) -> tuple[int, int]:
     return frames, gaussians
 
 
-def scene_in(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The scene of a saved clip as plain data, from the head of its file.
+def read_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the scene of a saved clip as plain data, from its file's header.
 
     Raises:
         InputError: If the file is missing, cut short, or not a clip of this version.
@@ -291,8 +292,8 @@ def scene_in(path: str | os.PathLike[str]) -> dict[str, Any]:
     return json.loads(_read_metadata(Path(path))["scene"])
 
 
-def _refusal(path: object, what: str, remedy: str = MADE) -> InputError:
-    return InputError("clip", path, what, remedy)
+def _refusal(path: object, limit: str, remedy: str = MADE) -> InputError:
+    return InputError("clip", path, limit, remedy)
 
 
 def _read_metadata(path: Path) -> dict[str, str]:
@@ -306,19 +307,19 @@ def _read_metadata(path: Path) -> dict[str, str]:
     if metadata.get("format") != FORMAT or not {"scene", "report"} <= metadata.keys():
         raise _refusal(path, "it is a safetensors file, but not a phy124 clip.")
     if metadata.get("version") != VERSION:
-        found = metadata.get("version")
-        raise _refusal(path, f"it has clip version {found}, this program reads {VERSION}.")
+        version = metadata.get("version")
+        raise _refusal(path, f"it has clip version {version}, this program reads {VERSION}.")
     return metadata
 
 
 def _order_header(path: Path) -> None:
-    """Sort what a file says of itself, which safetensors does not: equal clips, equal files."""
+    """Sort the metadata of a safetensors file, so that equal clips give equal files."""
     with open(path, "r+b") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))
         header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
         text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
-        if len(text) <= length:  # spaces may follow, and nothing else may move
+        if len(text) <= length:  # it is padded with spaces: the tensors must not move
             file.seek(8)
             file.write(text.ljust(length))
 
@@ -340,3 +341,22 @@ def _map_tensors(path: Path) -> dict[str, NDArray]:
             np.zeros(shape, dtype) if empty else np.memmap(path, dtype, "r", start, shape)
         )
     return arrays
+
+
+def save_tensors(
+    tensors: Mapping[str, NDArray], path: Path, metadata: Mapping[str, str] | None = None
+) -> None:
+    """Write arrays and text to one file.
+
+    Raises:
+        OSError: The file cannot be written, for instance since there is no room. (safetensors has
+            an exception of another type for it.)
+    """
+    try:
+        whole = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
+        save_file(whole, path, dict(metadata or {}))
+    except SafetensorError as error:
+        number = re.search(r"\(os error (\d+)\)", str(error))
+        if number is None:
+            raise OSError(str(error)) from error
+        raise OSError(int(number[1]), os.strerror(int(number[1])), str(path)) from error

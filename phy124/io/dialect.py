@@ -1,8 +1,7 @@
-"""Which program may have written a file, told by its columns and by where its points lie, and
-which way up it hence is.
+"""Guesses which program wrote a file, from its columns and positions, and so its up axis.
 
-Few programs sign their files, so this is a guess from what each is known to write
-(docs/guide/plugins.md); it is told to the user, never acted upon without a look at it.
+Few programs sign their files, so this is a guess from what each program is known to write
+(docs/guide/plugins.md). It is reported to the user, and never applied without the user's choice.
 """
 
 from __future__ import annotations
@@ -15,48 +14,45 @@ from numpy.typing import NDArray
 
 from phy124.io.axes import DIALECTS, FRONTS
 from phy124.io.content import Y_UP
-from phy124.io.formats import recognised
-from phy124.io.ply import VERTICAL
+from phy124.io.formats import recognise
+from phy124.io.ply import CENTRE, DC, QUATS, SCALES, VERTICAL
 from phy124.io.plyheader import Header, read_header
 
 ENOUGH, BLOCKS = 10_000, 20
-"""Number of rows that are looked at, and of the places all over the file where they are read."""
-LGM = (
-    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
-    "rot_0", "rot_1", "rot_2", "rot_3",
-)  # fmt: skip
+"""Number of rows that are examined, and of the blocks all over the file that they come from."""
+LGM = (*CENTRE, *DC, "opacity", *SCALES, *QUATS)
 """The columns that LGM writes, in its order."""
 SIGNED = ("phy124", "SuperSplat")
-"""Programs that say in a comment that they wrote a file; its axes are the usual ones."""
+"""Programs that name themselves in a comment, and use the usual axes."""
 UNIT = 1e-3
-"""How far the length of a unit quaternion may be off 1."""
+"""Largest deviation of a unit quaternion's length from 1."""
 
 
 class Axes(NamedTuple):
-    """Which directions of a file point up and to the front."""
+    """Directions of a file that point up and to the front."""
 
     up: str
     front: str
     said: bool
-    """Whether the file or its format says so; else it is a guess."""
+    """True if the file or its format states the directions; False if they are a guess."""
     program: str | None = None
-    """The program that the file looks like, and why, if that is unusual."""
+    """The program that probably wrote the file, and why, if it is not the usual one."""
 
 
 def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
-    """The axes that a file most likely has.
+    """Return the most likely axes of a file.
 
     Args:
         path: The file.
-        axes: Those with which its reader has read it.
+        axes: The axes that its reader assumed.
 
     Raises:
         InputError: If the file is missing or of no format that is read.
     """
     up, front = axes[0], axes[1] or FRONTS[axes[0]]
-    form = recognised(path)
+    form = recognise(path)
     if form.name != "ply":
-        # glTF and SPZ define their axes; the others have them by habit.
+        # glTF and SPZ define their axes; in other formats they are a convention.
         return Axes(up, front, form.axes == Y_UP)
     likely = likely_dialect(path)
     if likely is not None and axes[0] == DIALECTS["3dgs"][0]:
@@ -65,24 +61,24 @@ def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
 
 
 def _names_its_axes(header: Header) -> bool:
-    """Whether a comment says which way is up; a bare y may be meant either way."""
-    named = [found[1].lower() for text in header.comments if (found := VERTICAL.fullmatch(text))]
-    return _signed(header) or any(name != "y" for name in named)
+    """Whether a comment states the up axis; a bare y is ambiguous."""
+    matches = filter(None, map(VERTICAL.fullmatch, header.comments))
+    return _is_signed(header) or any(match[1].lower() != "y" for match in matches)
 
 
-def _signed(header: Header) -> bool:
+def _is_signed(header: Header) -> bool:
     return any(program in text for text in header.comments for program in SIGNED)
 
 
 def likely_dialect(path: Path) -> tuple[str, str] | None:
-    """The dialect that a file may have, and what of it says so; None for the usual one.
+    """Return the likely dialect of a file and the reason; None if it is the usual one.
 
     Raises:
         InputError: If the file is missing or its header is invalid.
     """
     header = read_header(path)
     names = header.row.names or ()
-    if _signed(header) or header.ascii or "f_rest_0" in names or not set(LGM) <= set(names):
+    if _is_signed(header) or header.ascii or "f_rest_0" in names or not set(LGM) <= set(names):
         return None
     rows = _some_rows(path, header)
     reach, unit = _reach(rows), _unit(rows)
@@ -97,7 +93,7 @@ def likely_dialect(path: Path) -> tuple[str, str] | None:
 
 
 def _some_rows(path: Path, header: Header) -> NDArray:
-    """Rows from all over the file, as a structured array; some twice if there are few."""
+    """Sample rows from the whole file, as a structured array; a short file's rows may repeat."""
     each = min(header.count, ENOUGH // BLOCKS)
     firsts = np.linspace(0, header.count - each, BLOCKS).astype(int).tolist()
     places = [header.start + first * header.row.itemsize for first in firsts]

@@ -1,17 +1,146 @@
-"""Output files appear whole or not at all."""
+"""Output files: they appear whole or not at all, and replace older ones in a single step.
+
+A path may be a link, which is followed, or a device or pipe, which is written into. Locks end with
+the process that holds them, however it ends, so leftovers of killed processes are recognised.
+"""
 
 from __future__ import annotations
 
+import errno
 import os
+import secrets
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from phy124.errors import SHORT_CODES, Incomplete, InputError
-from phy124.io.destinations import PARTS, beginning, put, real
-from phy124.io.locks import lock, locked, unlock
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+LOCKS_AVAILABLE = fcntl is not None
+"""Whether this system has such locks."""
+
+
+def lock(path: Path, *, wait: bool = False) -> int | None:
+    """Lock a file or folder; None if another process holds the lock or locks are unavailable."""
+    if fcntl is None:
+        return None
+    with suppress(OSError):
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            return descriptor
+        except OSError:
+            os.close(descriptor)
+    return None
+
+
+def unlock(held: int | None) -> None:
+    """Release a lock."""
+    if held is not None:
+        os.close(held)
+
+
+@contextmanager
+def locking(path: Path) -> Iterator[None]:
+    """Hold a lock, for which other processes wait."""
+    held = lock(path, wait=True)
+    try:
+        yield
+    finally:
+        unlock(held)
+
+
+DESCRIPTORS = ("/dev/fd/", "/proc/", "/dev/stdout", "/dev/stderr")
+"""Beginnings of paths that name an open file of any kind."""
+PARTS = ".*-????????.part*"
+"""Pattern of the names of files that are still being filled."""
+LONGEST = 40
+"""Longest part of a file's name that the name of its temporary file repeats, in characters."""
+
+
+def is_stream(path: Path) -> bool:
+    """Whether a path is written into rather than replaced: a device, a pipe or an open file.
+
+    Raises:
+        OSError: The path is a folder, a disk, a socket, or a link to itself.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except FileNotFoundError:
+        return False
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "this is the name of a folder")
+    if stat.S_ISBLK(mode) or stat.S_ISSOCK(mode):
+        raise OSError(errno.EINVAL, "this is the name of a disk or a socket")
+    return not stat.S_ISREG(mode) or os.path.abspath(path).startswith(DESCRIPTORS)
+
+
+def create_temporary(path: Path) -> Path:
+    """Create an empty temporary file, which `move_to` moves to `path` when it is complete.
+
+    Its name has the ending of `path`, which some writers need. It is in the folder of the file that
+    `path` leads to, or in the folder for temporary files if `path` is a stream.
+
+    Raises:
+        OSError: No file can be written there.
+    """
+    folder = Path(tempfile.gettempdir()) if is_stream(path) else resolve_links(path).parent
+    ending = path.suffix if len(path.suffix) <= LONGEST else ""
+    name = f".{path.stem[:LONGEST]}-{secrets.token_hex(4)}.part{ending}"
+    # The system applies the umask, which a process can read only by changing it for all threads.
+    os.close(os.open(folder / name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    return folder / name
+
+
+def move_to(source: Path, path: Path) -> None:
+    """Move a finished file or folder to a path, replacing a file or folder that is there.
+
+    Links are followed, and devices and pipes are written into. To another file system, the content
+    is copied.
+
+    Raises:
+        OSError: No file can be written there.
+    """
+    if source.is_dir():
+        shutil.rmtree(resolve_links(path), ignore_errors=True)
+    elif is_stream(path):
+        with open(source, "rb") as file, open(path, "wb") as stream:
+            shutil.copyfileobj(file, stream)
+        source.unlink()
+        return
+    try:
+        os.replace(source, resolve_links(path))
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        _copy(source, path)
+
+
+def resolve_links(path: Path) -> Path:
+    """Return the path without links."""
+    return Path(os.path.realpath(path))
+
+
+def _copy(source: Path, path: Path) -> None:
+    """Move a file or folder to another file system."""
+    if source.is_dir():
+        shutil.move(source, resolve_links(path))
+        return
+    copy = create_temporary(path)
+    try:
+        shutil.copyfile(source, copy)
+        os.replace(copy, resolve_links(path))
+    finally:
+        copy.unlink(missing_ok=True)
+    source.unlink()
+
 
 PathLike = str | os.PathLike[str]
 MAKING = ".making-"
@@ -19,27 +148,27 @@ MAKING = ".making-"
 
 
 @contextmanager
-def staged(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
-    """A temporary folder whose files are moved into `out` if all goes well.
+def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
+    """Provide a temporary folder, whose files are moved into `out` if the block succeeds.
 
-    If something fails, folders that were created for it are removed again, unless somebody else
-    uses them by then. Leftovers of killed processes in `out` are removed as well.
+    If the block fails, folders that were created for it are removed, unless they are in use by
+    then. Leftovers of killed processes in `out` are removed as well.
 
     Args:
         out: The folder to fill.
-        keeps: Whether files that are whole by then are moved even if something fails.
+        keeps: Whether files that are complete are moved even if the block fails.
 
     Raises:
         InputError: If `out` cannot be a folder.
         OSError: If there is no room.
-        Incomplete: Something failed, and `keeps` has kept some files.
+        Incomplete: The block failed, and some files were kept.
     """
     out, missing = Path(out), []
     try:
-        made = real(out)
-        missing = [path for path in (made, *made.parents) if not path.exists()]
-        made.mkdir(parents=True, exist_ok=True)
-        with locked(made):
+        target = resolve_links(out)
+        missing = [path for path in (target, *target.parents) if not path.exists()]
+        target.mkdir(parents=True, exist_ok=True)
+        with locking(target):
             _sweep(out)
             folder = Path(tempfile.mkdtemp(prefix=MAKING, dir=out))
             held = lock(folder)
@@ -63,10 +192,10 @@ def staged(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
 
 
 def deliver(folder: Path) -> list[str]:
-    """Move what is whole in a folder of `staged` to where it belongs; returns the names."""
+    """Move the complete files of a folder of `staging` to its output folder; return their names."""
     out, names = folder.parent, sorted(path.name for path in folder.glob("[!.]*"))
     for name in names:
-        put(folder / name, out / name)
+        move_to(folder / name, out / name)
     return names
 
 
@@ -82,7 +211,7 @@ def write_whole(path: PathLike, text: str) -> None:
 
 
 def _sweep(out: Path) -> None:
-    """Remove the folders and files of processes that have ended: their locks ended with them."""
+    """Remove the temporary folders and files of processes that have ended."""
     for folder in out.glob(f"{MAKING}*"):
         held = lock(folder)
         if held is not None:
@@ -92,7 +221,7 @@ def _sweep(out: Path) -> None:
 
 
 def sweep_parts(folder: Path) -> None:
-    """Remove the half-written files of processes that have ended from a folder."""
+    """Remove the temporary files of processes that have ended from a folder."""
     for path in folder.glob(PARTS):
         held = lock(path)
         if held is not None:
@@ -117,13 +246,11 @@ def _remove_empty(folders: list[Path]) -> None:
 
 @contextmanager
 def replacing(path: PathLike) -> Iterator[Path]:
-    """A temporary file to write to; it takes the place of `path` if all goes well.
+    """Provide a temporary file to write to, which replaces `path` if the block succeeds.
 
-    If `path` is a link, it takes the place of the file that the link leads to; a device or a pipe
-    is written into. The file's mode is that of a new file.
-
-    If the block ends early for any reason, including an interrupt, the temporary file is removed
-    and an older file at `path` is left as it was.
+    If `path` is a link, the file that it leads to is replaced; a device or a pipe is written into.
+    The file's mode is that of a new file. If the block ends early for any reason, including an
+    interrupt, the temporary file is removed, and an older file at `path` is unchanged.
 
     Raises:
         InputError: If the folder is missing or the file cannot be written.
@@ -131,20 +258,17 @@ def replacing(path: PathLike) -> Iterator[Path]:
     """
     path = Path(path)
     try:
-        temporary = beginning(path)
+        temporary = create_temporary(path)
     except OSError as error:
         if error.errno in SHORT_CODES:
             raise
-        raise InputError(
-            "output",
-            path,
-            f"no file can be written there ({error.strerror}).",
-            "Give a file name in a folder that exists and that you may write to.",
-        ) from error
+        limit = f"no file can be written there ({error.strerror})."
+        remedy = "Give a file name in a folder that exists and that you may write to."
+        raise InputError("output", path, limit, remedy) from error
     held = lock(temporary)
     try:
         yield temporary
-        put(temporary, path)
+        move_to(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise

@@ -1,4 +1,4 @@
-"""Why a file cannot be opened, in words: it is not there, a folder, a pipe, or not permitted."""
+"""Reasons why a file cannot be opened: it is missing, a folder, a pipe, or not permitted."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ RECORDED = (
     "`python -m bridge info {}` describes it, and `ros2 bag play {}` plays it.",
 )
 NOT_ALONE = "meta.json"
-"""A file that is nothing without the others in its folder."""
+"""A file that is useless without the other files of its folder."""
 IN_FOLDERS = {
     NOT_ALONE: (
         "it is the folder of an unpacked SOG.",
@@ -21,7 +21,7 @@ IN_FOLDERS = {
     "metadata.yaml": RECORDED,
     "clip.safetensors": ("it is the folder of a run.", "Give {}/clip.safetensors."),
 }
-"""A file in a folder -> what the folder is, and what to do."""
+"""A file in a folder -> what the folder contains, and the remedy."""
 RECORDING = b"\x89MCAP"
 """First bytes of a recording of messages, as the bridge makes them."""
 PAGE = (
@@ -36,13 +36,13 @@ STAND_INS = {
     b"<!doctype html": PAGE,
     b"<html": PAGE,
 }
-"""First bytes, in lower case, of what is often saved in place of a file."""
+"""First bytes, in lower case, of texts that are often saved in place of a file."""
 HEAD = max(map(len, STAND_INS))
-"""Number of bytes that tell it [bytes]."""
+"""Number of first bytes that are examined."""
 
 
 def obstacle(path: PathLike) -> tuple[str, str] | None:
-    """Why a file cannot be read, and what to do about it; None if it can be opened."""
+    """Return why a file cannot be read, and the remedy; None if it can be opened."""
     path = Path(path)
     try:
         mode = path.stat().st_mode
@@ -64,13 +64,13 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
 
 
 def stand_in(head: bytes) -> tuple[str, str] | None:
-    """What was saved in place of a file, by its first bytes, and what to do; None if it is not."""
+    """Recognise by its first bytes a text saved in place of a file; return it and the remedy."""
     head = head[:HEAD].lower()
     return next((words for sign, words in STAND_INS.items() if head.startswith(sign)), None)
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
-    """What a folder is, and which file to give instead."""
+    """Return what a folder is, and which file to give instead."""
     for name, words in IN_FOLDERS.items():
         if (path / name).is_file():
             return _about(path, *words)

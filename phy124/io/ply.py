@@ -4,14 +4,26 @@ The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `v
 properties are found by name; colours are spherical harmonics, with all red `f_rest` first, then
 green, then blue. Such files have x right, y down, z into the picture; ours is z up with the object
 facing +x, so the axes are renamed on reading and writing (docs/reference/conventions.md). This
-change of axes is a signed permutation and hence exact: values read back bit for bit, except for the
+change of axes is a signed permutation, so it is exact: values read back bit for bit, except for the
 rounding of log and logit.
+
+Columns of other trainers that change the Gaussians are applied. Unknown columns are named in a
+note, since they may change the Gaussians, too.
+
+    program                           columns                     read as
+    Mip-Splatting, GOF, RaDe-GS       filter_3D                   its filter widens and thins
+    2DGS                              no scale_2                  flat
+    isotropic trainings               scale_0 alone               round
+    trainings of plain colours        red, green, blue, no f_dc   colours that do not change
+    Scaffold-GS, Octree-GS, HAC       f_anchor_feat, f_offset     refused: a network makes them
 """
 
 from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,12 +31,201 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
-from phy124.io.axes import orientation, turned
-from phy124.io.columns import check_names, columns
-from phy124.io.content import MAX_GAUSSIANS, OBJECT, Y_DOWN, Content, content_of
+from phy124.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
+from phy124.io.axes import orientation, rotate_gaussians
+from phy124.io.content import (
+    DEGREE_4,
+    LARGEST_SH,
+    MAX_GAUSSIANS,
+    OBJECT,
+    Y_DOWN,
+    Content,
+    content_of,
+)
 from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
+
+FILTER = "filter_3D"
+"""Standard deviation of Mip-Splatting's filter, in the file's unit (Yu et al. 2023, eq. 7)."""
+CENTRE = ("x", "y", "z")
+DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+RGB = ("red", "green", "blue")
+SCALES = ("scale_0", "scale_1", "scale_2")
+QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+SPLATS = (*SCALES, *QUATS, "opacity")
+KNOWN = {*CENTRE, *DC, *RGB, *SPLATS, OBJECT, FILTER, "nx", "ny", "nz"}
+"""Columns that are read, repeat others (red, green, blue), or mean nothing here (normals)."""
+ANCHORS = ("f_anchor_feat_0", "f_offset_0")
+FLAT = 0.01
+"""Thickness of a Gaussian without one, in its shorter sides."""
+MOST_NAMED = 12
+"""Unknown columns that a note names; a numbered group counts as a single column."""
+COEFFICIENTS = (*SH_COEFFICIENTS, 25)
+"""Harmonics of degree 0 to 4."""
+STANDARD = "Export it in the standard 3DGS layout."
+Columns = dict[str, NDArray[Any]]
+
+
+def check_names(path: Path, header: Header) -> None:
+    """Refuse a PLY without the columns that Gaussians need.
+
+    Raises:
+        InputError: A column is missing.
+    """
+    names = set(header.row.names or ())
+    if "packed_position" in names:
+        limit = "it is compressed by SuperSplat, not a plain PLY."
+        raise refusal(path, limit, f"Run `phy124 convert {path.name} plain.ply`.")
+    if not header.count:
+        raise refusal(path, "it holds no Gaussians.", "Export it again with Gaussians.")
+    if not names & set(SPLATS):
+        limit = "it is a plain point cloud or mesh: it has no scales, rotations and opacities."
+        remedy = "Give a Gaussian splatting PLY, as LGM, TRELLIS or a 3DGS training write it."
+        raise refusal(path, limit, remedy)
+    if names & set(ANCHORS):
+        limit = "it holds anchors of Scaffold-GS, from which a network makes the Gaussians."
+        raise refusal(path, limit, "Export the Gaussians of a view with that program.")
+    wanted = (*CENTRE, "scale_0", *QUATS, "opacity")
+    missing = [name for name in wanted if name not in names]
+    missing += [] if names >= set(RGB) else [name for name in DC if name not in names]
+    missing += ["scale_1"] if "scale_2" in names and "scale_1" not in names else []
+    if missing:
+        limit = f"it has no {', '.join(missing)}."
+        raise refusal(path, limit, STANDARD)
+
+
+def read_columns(path: Path, table: NDArray[Any]) -> tuple[Columns, list[str]]:
+    """Return the activated columns by the names of `Gaussians`, and notes about them.
+
+    Args:
+        path: The file.
+        table: The rows of element `vertex`, whose names `check_names` has accepted.
+
+    Raises:
+        InputError: The number of harmonics is that of no degree from 0 to 4.
+    """
+    names = table.dtype.names or ()
+    scales, opacities, notes = _activate(table)
+    if FILTER in names:
+        scales, opacities = _apply_filter(scales, opacities, table[FILTER])
+        notes.append(f"The filter of Mip-Splatting ({FILTER}) was applied to its Gaussians.")
+    sh, remarks = _harmonics(path, table)
+    columns: Columns = {
+        "means": _group(table, CENTRE, np.float64),
+        "quats": _group(table, QUATS),
+        "scales": scales,
+        "opacities": opacities,
+        "sh": sh,
+    }
+    if OBJECT in names:
+        columns[OBJECT] = _group(table, (OBJECT,))[:, 0]
+    unknown = (name for name in names if name not in KNOWN and not name.startswith("f_rest_"))
+    return columns, [*notes, *remarks, *describe_unread(unknown)]
+
+
+def _group(
+    table: NDArray[Any], names: tuple[str, ...], kind: type[np.floating] = np.float32
+) -> NDArray[Any]:
+    """Copy columns to an array [N,len(names)]; too large doubles become infinite in float32."""
+    out = np.empty((len(table), len(names)), kind)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for i, name in enumerate(names):
+            out[:, i] = table[name]
+    return out
+
+
+def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
+    """Return standard deviations [N,3], opacities [N] in 0..1, and notes about them."""
+    sides = tuple(name for name in SCALES if name in (table.dtype.names or ()))
+    scales, notes = _group(table, sides, np.float64), []
+    opacities = table["opacity"].astype(np.float64)
+    if _are_activated(scales, opacities):
+        notes.append(
+            "Its scales are read as lengths, not logarithms, and its opacities as 0..1, not "
+            "logits: every scale is above 0 and every opacity within 0..1."
+        )
+    else:
+        with np.errstate(over="ignore", invalid="ignore"):
+            scales, opacities = np.exp(scales), 1 / (1 + np.exp(-opacities))
+    if len(sides) == 2:
+        flat = FLAT * scales.min(axis=1, keepdims=True)
+        scales = np.concatenate([scales, flat], axis=1)
+        notes.append("Its Gaussians are flat, as those of 2DGS: it has no scale_2.")
+    if len(sides) == 1:
+        scales = np.repeat(scales, 3, axis=1)
+        notes.append("Its Gaussians are round: it has no scale_1 and scale_2.")
+    return scales, opacities, notes
+
+
+def _are_activated(scales: NDArray[np.float64], opacities: NDArray[np.float64]) -> bool:
+    """Whether a file stores lengths and opacities, not logarithms and logits as usual.
+
+    Scales alone cannot decide: in a capture in millimetres, all logarithms may be above 0.
+    """
+    sound = np.isfinite(scales).all(axis=1) & np.isfinite(opacities)
+    scales, opacities = scales[sound], opacities[sound]
+    within = (opacities >= 0) & (opacities <= 1)
+    return bool(sound.any() and (scales > 0).all() and within.all())
+
+
+def _apply_filter(
+    scales: NDArray[np.float64], opacities: NDArray[np.float64], widths: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Convolve Gaussians with isotropic Gaussians of a width, as Mip-Splatting draws them.
+
+    Variances add, and opacities fall as sqrt(det before / det after).
+    """
+    with np.errstate(all="ignore"):
+        before = np.square(scales)
+        after = before + np.square(widths.astype(np.float64))[:, None]
+        thinner = np.where(after > 0, before / np.where(after > 0, after, 1), 1)
+        thinner[np.isnan(after)] = np.nan
+        return np.sqrt(after), opacities * np.sqrt(thinner.prod(axis=1))
+
+
+def _harmonics(path: Path, table: NDArray[Any]) -> tuple[NDArray[np.float32], list[str]]:
+    """Return colours [N,K,3] up to degree 3, and notes about them."""
+    names = table.dtype.names or ()
+    first = _group(table, DC) if set(DC) <= set(names) else _first_of_rgb(table)
+    rest = sum(name.startswith("f_rest_") for name in names)
+    if rest not in [3 * (k - 1) for k in COEFFICIENTS] or any(
+        f"f_rest_{i}" not in names for i in range(rest)
+    ):
+        limit = f"it has {rest} f_rest values; harmonics of degree 0 to 4 have 0, 9, 24, 45 or 72."
+        raise refusal(path, limit, STANDARD)
+    each = rest // 3
+    kept = min(each, LARGEST_SH - 1)
+    wanted = tuple(f"f_rest_{channel * each + k}" for channel in range(3) for k in range(kept))
+    sh = np.empty((len(table), 1 + kept, 3), np.float32)
+    sh[:, 0] = first
+    sh[:, 1:] = _group(table, wanted).reshape(len(table), 3, kept).transpose(0, 2, 1)
+    return sh, [DEGREE_4] if kept < each else []
+
+
+def _first_of_rgb(table: NDArray[Any]) -> NDArray[np.float64]:
+    """Convert plain colours, bytes or fractions (float columns), to harmonics of degree 0."""
+    rgb = _group(table, RGB, np.float64)
+    kind = table.dtype["red"]
+    # Columns of an ascii file are all read as float64: colours above 1 are bytes.
+    most = np.iinfo(kind).max if kind.kind in "ui" else 255.0 if (rgb > 1).any() else 1.0
+    return (rgb / most - 0.5) / SH_C0
+
+
+def describe_unread(names: Iterable[str]) -> list[str]:
+    """Name the columns that are not read in a sentence, if there are any."""
+    shown: list[str] = []
+    for _, group in groupby(map(_printable, names), lambda name: name.rstrip("0123456789")):
+        alike = list(group)
+        shown += alike if len(alike) < 3 else [f"{alike[0]} to {alike[-1]}"]
+    if not shown:
+        return []
+    more = f" and {len(shown) - MOST_NAMED} more" if len(shown) > MOST_NAMED else ""
+    return [f"Unknown columns are ignored: {', '.join(shown[:MOST_NAMED])}{more}."]
+
+
+def _printable(name: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in name[:40])
+
 
 SCALE_FLOOR = 1e-12
 """Smallest scale written, m, since a perfectly flat Gaussian has no logarithm."""
@@ -37,15 +238,15 @@ MIP = ("SplatRenderMode: mip", "antialiased 1")
 """How Brush and Postshot say that a file was trained with Mip-Splatting's filter."""
 NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
 NO_NUMBER = re.compile(rb"[-+]?(nan\([^)]*\)|1\.#\w+)", re.IGNORECASE)
-"""How programs on Windows write what is no number: -nan(ind), 1.#QNAN, -1.#INF00."""
+"""NaN and infinity as programs on Windows write them: -nan(ind), 1.#QNAN, -1.#INF00."""
 
 
 class Ply(NamedTuple):
-    """What a file contained; `read_gaussians` also tells what was passed over."""
+    """Content of a file; `read_gaussians` also returns notes about what it ignored."""
 
     gaussians: Gaussians
-    """The Gaussians in our world, in metres if that is the file's unit; moved to the origin if they
-    lie so far from it in double precision that float32 could not tell them apart."""
+    """The Gaussians in our axes, in metres if that is the file's unit. They are moved to the origin
+    if they are so far from it that float32 could not distinguish them."""
     dropped: int
     """Number of rows left out because a value was NaN or infinite."""
 
@@ -63,8 +264,8 @@ def read_ply(
         path: The file.
         up: Direction in the file that points up, as `phy124.io.axes.orientation` takes it.
         front: Direction in the file that the object's front faces.
-        dialect: The program that wrote the file, used where `up` is not given. Without it, what
-            the file says of its vertical axis counts, else what viewers show upright.
+        dialect: The program that wrote the file, used if `up` is not given. Without it, the file's
+            comment about its vertical axis counts, else the usual axes.
 
     Raises:
         InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
@@ -73,30 +274,30 @@ def read_ply(
     content = read(Path(path)).in_place
     if rotation is None:
         rotation = orientation(content.axes[0], front or content.axes[1])
-    return Ply(turned(content.gaussians, rotation), content.dropped)
+    return Ply(rotate_gaussians(content.gaussians, rotation), content.dropped)
 
 
 def read(path: Path) -> Content:
-    """The Gaussians of a PLY in its own axes.
+    """Read the Gaussians of a PLY in the file's axes.
 
     Raises:
         InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
     """
     header = read_header(path)
     check_names(path, header)
-    raw, notes = columns(path, _rows(path, header))
-    axes, antialiased = said(header.comments)
+    raw, notes = read_columns(path, _rows(path, header))
+    axes, antialiased = read_comments(header.comments)
     return content_of("PLY", path, raw, axes, antialiased=antialiased, notes=notes)
 
 
-def said(comments: tuple[str, ...]) -> tuple[tuple[str, str | None], bool]:
-    """The axes that a header's comments name, and whether they ask for Mip-Splatting's filter."""
+def read_comments(comments: tuple[str, ...]) -> tuple[tuple[str, str | None], bool]:
+    """Return the axes that a header's comments name, and whether they name Mip-Splatting."""
     axes: tuple[str, str | None] = Y_DOWN
     antialiased = False
     for text in comments:
-        if found := VERTICAL.fullmatch(text):
-            # Brush writes y whatever is up, so a bare y only says that up is along y.
-            axes = Y_DOWN if found[1].lower() in ("y", "-y") else (found[1].lower(), None)
+        if match := VERTICAL.fullmatch(text):
+            # Brush writes y for any up axis, so a bare y only says that up is along y.
+            axes = Y_DOWN if match[1].lower() in ("y", "-y") else (match[1].lower(), None)
         antialiased |= text in MIP
     return axes, antialiased
 
@@ -106,11 +307,13 @@ def write_ply(
 ) -> None:
     """Write the Inria layout, binary little-endian float32; it appears whole or not at all."""
     with replacing(path) as temporary:
-        temporary.write_bytes(encode(turned(gaussians, orientation().T), antialiased=antialiased))
+        temporary.write_bytes(
+            encode(rotate_gaussians(gaussians, orientation().T), antialiased=antialiased)
+        )
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """The bytes of a PLY whose axes are those of the Gaussians, which should be x right, y down."""
+    """Return the bytes of a PLY in the axes of the Gaussians, which should be x right, y down."""
     table = raw_table(gaussians)
     names = table.dtype.names or ()
     tags = [COMMENT, "Vertical axis: -y", *(MIP if antialiased else NOT_MIP)]
@@ -120,13 +323,12 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def read_rows(path: Path) -> NDArray[Any]:
-    """The rows of element `vertex` of any PLY file, as a structured array.
+    """Read the rows of element `vertex` of any PLY file, as a structured array.
 
     Raises:
         InputError: If the file is missing, is no PLY file, is too large or cut short.
     """
-    header = read_header(path)
-    return _rows(path, header)
+    return _rows(path, read_header(path))
 
 
 def _rows(path: Path, header: Header) -> NDArray[Any]:
@@ -136,7 +338,7 @@ def _rows(path: Path, header: Header) -> NDArray[Any]:
     if header.ascii:
         return _read_ascii(path, header)
     available = max(path.stat().st_size - header.start, 0) // header.row.itemsize
-    count = min(available, header.count)  # No memory is taken for what is not there.
+    count = min(available, header.count)  # no memory is allocated for missing rows
     rows = np.fromfile(path, header.row, count, offset=header.start)
     if len(rows) < header.count:
         raise _cut_short(path, len(rows), header.count)
@@ -166,13 +368,13 @@ def _read_ascii(path: Path, header: Header) -> NDArray[Any]:
     return table
 
 
-def _cut_short(path: Path, found: int, wanted: int) -> InputError:
-    limit = f"it is cut short: {found:,} of {wanted:,} Gaussians are there."
+def _cut_short(path: Path, rows: int, wanted: int) -> InputError:
+    limit = f"it is cut short: {rows:,} of {wanted:,} Gaussians are there."
     return refusal(path, limit, "Copy or download it again.")
 
 
 def raw_table(gaussians: Gaussians) -> NDArray[Any]:
-    """Rows of the Inria layout: raw values (logits, log scales) in the Gaussians' own axes."""
+    """Return rows of the Inria layout: raw values (logits, log scales) in the Gaussians' axes."""
     opacity = np.clip(gaussians.opacities.astype(np.float64), OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     rest = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), -1)
     groups = {

@@ -24,10 +24,10 @@ TYPES = {
 """Names of the number types, old and new."""
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_DIGITS = 30
-"""Digits of the largest number of rows that is looked at."""
+"""Largest number of digits of a number of rows."""
 LINE_ENDS = rb"\r\n|\n|\r"
-"""Where bytes of a header are split. In text, other characters end lines and words, too."""
-SPLATS = "Read it as what it is: `phy124 convert`, `phy124 simulate` and the others take it."
+"""Bytes that end a line of a header. Text has further characters that end lines."""
+SPLATS = "Keep it as it is: `phy124 convert`, `phy124 simulate` and the others read it."
 CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give OUT.ply."
 
 
@@ -59,7 +59,7 @@ class Header:
     elements: tuple[Element, ...]
     """The elements up to the first that holds lists."""
     comments: tuple[str, ...] = ()
-    """What the program that wrote it says."""
+    """Comments of the program that wrote it."""
 
 
 @dataclass
@@ -90,7 +90,7 @@ def read_header(path: Path) -> Header:
             raise refusal(path, "it has lists before or in its points.", "Export Gaussians alone.")
         before, wanted = elements[:vertex], elements[vertex]
         after = takewhile(lambda e: e.properties and not e.has_list, elements[vertex + 1 :])
-        found = _placed([*before, wanted, *after], ORDERS[encoding], start)
+        located = _locate([*before, wanted, *after], ORDERS[encoding], start)
     except (IndexError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -98,22 +98,22 @@ def read_header(path: Path) -> Header:
     return Header(
         ascii=encoding == "ascii",
         count=wanted.count,
-        row=found[vertex].row,
-        start=start if encoding == "ascii" else found[vertex].start,
+        row=located[vertex].row,
+        start=start if encoding == "ascii" else located[vertex].start,
         skip_lines=sum(e.count for e in before),
-        elements=found,
+        elements=located,
         comments=tuple(" ".join(line[1:]) for line in lines if line[:1] == ["comment"]),
     )
 
 
 def refusal(path: Path, limit: str, remedy: str) -> InputError:
-    """The error for an unusable PLY file; `limit` starts with a lower-case letter."""
+    """Return the error for an unusable PLY file; `limit` starts with a lower-case letter."""
     return content.refusal("PLY", path, limit, remedy)
 
 
 def _header_lines(path: Path) -> tuple[list[list[str]], int]:
-    """The words of each line of the header, and its length in bytes."""
-    content.refuse_unopened("PLY", path)
+    """Return the words of each line of the header, and its length in bytes."""
+    content.check_opens("PLY", path)
     with open(path, "rb") as file:
         head = file.read(MAX_BYTES)
     if not head:
@@ -154,13 +154,13 @@ def _elements(words: list[list[str]]) -> list[_Element]:
     return elements
 
 
-def _placed(elements: list[_Element], order: str, start: int) -> tuple[Element, ...]:
-    """Where the rows of each element lie."""
-    found = []
+def _locate(elements: list[_Element], order: str, start: int) -> tuple[Element, ...]:
+    """Locate the rows of each element."""
+    located = []
     for element in elements:
-        found.append(Element(element.name, element.count, _dtype(element, order), start))
-        start += element.count * found[-1].row.itemsize
-    return tuple(found)
+        located.append(Element(element.name, element.count, _dtype(element, order), start))
+        start += element.count * located[-1].row.itemsize
+    return tuple(located)
 
 
 def _dtype(element: _Element, order: str) -> np.dtype[Any]:

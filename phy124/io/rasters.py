@@ -17,25 +17,25 @@ Raster = NDArray[np.float32]
 LARGEST = 65535
 """The largest value of 16 bits."""
 MIDDLE = 32768
-"""What stands for zero where values have a sign; 0 itself means that nothing is there."""
+"""Zero of values with a sign; 0 itself marks a pixel without a value."""
 PNG_EFFORT = 3
 """Compression level, 0 to 9."""
 
 
 def step_of(largest: float, *, signed: bool) -> float:
-    """The difference of two neighbouring values of 16 bits that reach up to `largest`."""
+    """Return the step of 16-bit values that reach up to `largest`."""
     return max(largest, 1e-30) / (LARGEST - MIDDLE if signed else LARGEST)
 
 
 def sixteen_bits(
     raster: Raster, covered: NDArray[np.bool_], step: float, *, signed: bool
 ) -> NDArray[np.uint16]:
-    """Values as whole numbers: raw = value / step, plus `MIDDLE` if signed; 0 where uncovered.
+    """Convert to integers: raw = value / step, plus `MIDDLE` if signed; 0 where not covered.
 
     Args:
         raster: Values [H,W,C].
-        covered: Where there are any [H,W].
-        step: The difference of two neighbouring values.
+        covered: Mask of the pixels that have a value [H,W].
+        step: Difference of neighbouring values.
         signed: Whether values may be below zero.
     """
     raw = np.rint(raster / step) + (MIDDLE if signed else 0)
@@ -73,10 +73,10 @@ def write_exr(path: str | os.PathLike[str], raster: Raster, channels: tuple[str,
 
 
 def refuse_missing_exr() -> None:
-    """Refuse EXR files where the package that writes them is not installed.
+    """Refuse EXR files if the package that writes them is not installed.
 
     Raises:
-        InputError: It is not.
+        InputError: The package is missing.
     """
     _openexr()
 

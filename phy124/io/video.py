@@ -32,7 +32,7 @@ from phy124.io.files import replacing
 Picture = NDArray[np.uint8]
 FPS_RANGE = (0.1, 240.0)
 STUCK = 120.0
-"""Time after which an encoder that takes no picture, or does not end, is killed, s."""
+"""Time after which an encoder that accepts no picture, or does not end, is killed [s]."""
 ENCODER = ("-preset", "veryfast", "-crf", "18", "-movflags", "+faststart", "-f", "mp4")
 """CRF 18 is visually lossless; slower presets save few bytes here."""
 BT709 = (
@@ -44,7 +44,7 @@ BT709 = (
 CODEC = ("-vf", BT709, "-c:v", "libx264", "-pix_fmt", "yuv420p")
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
-"""Coverage from which a GIF's pixel, which cannot be half transparent, is drawn."""
+"""Coverage from which a pixel of a GIF, which cannot be half transparent, is drawn."""
 CLEAR = 255
 """Index of the GIF colour that is not drawn."""
 PNG_EFFORT = 3
@@ -52,10 +52,10 @@ PNG_EFFORT = 3
 
 
 def refuse_missing_encoder() -> None:
-    """Make sure that MP4s can be written, by encoding a picture to nowhere.
+    """Refuse MP4s if the encoder does not work; this encodes a picture as a test.
 
     Raises:
-        InputError: The encoder is missing or does not work here.
+        InputError: The encoder is missing or does not work.
     """
     if problem := encoder_problem():
         limit = f"the video encoder, ffmpeg, does not work here ({problem})."
@@ -67,7 +67,7 @@ def refuse_missing_encoder() -> None:
 
 
 def encoder_problem() -> str:
-    """What is wrong with the encoder, in words; nothing if it works."""
+    """Describe why the encoder does not work; empty if it works."""
     try:
         return _problem_of(imageio_ffmpeg.get_ffmpeg_exe())
     except RuntimeError as error:
@@ -76,7 +76,7 @@ def encoder_problem() -> str:
 
 @cache
 def _problem_of(program: str) -> str:
-    """What is wrong with an encoder, as encoding a picture shows."""
+    """Describe why an encoder cannot encode a picture; empty if it can."""
     size = 16
     command = [program, *_source(size, size, Fraction(24)), *CODEC, "-f", "null", "-"]
     try:
@@ -85,8 +85,8 @@ def _problem_of(program: str) -> str:
         )
     except (OSError, subprocess.SubprocessError) as error:
         return str(error)
-    said = done.stderr.decode(errors="replace").strip().splitlines()
-    return (said[0] if said else f"exit status {done.returncode}") if done.returncode else ""
+    lines = done.stderr.decode(errors="replace").strip().splitlines()
+    return (lines[0] if lines else f"exit status {done.returncode}") if done.returncode else ""
 
 
 def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
@@ -102,7 +102,7 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
     """
     with _closing(frames), replacing(path) as temporary:
         _check_rate(fps)
-        first, pictures = _peeked(frames)
+        first, pictures = _peek(frames)
         padding = [(0, first.shape[0] % 2), (0, first.shape[1] % 2), (0, 0)]
         even = (np.pad(picture, padding, "edge") for picture in pictures)
         written = _encode(temporary, path, even, fps)
@@ -124,16 +124,12 @@ def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, 
     """
     kind = ANIMATIONS.get(Path(path).suffix.lower())
     if kind is None:
-        raise InputError(
-            "output",
-            path,
-            "animations are GIF or WebP files.",
-            "End the name in .gif or .webp, or write an MP4.",
-        )
+        remedy = "End the name in .gif or .webp, or write an MP4."
+        raise InputError("output", path, "animations are GIF or WebP files.", remedy)
     _check_rate(fps)
     with _closing(frames), replacing(path) as temporary:
-        made = _gif_frame if kind == "GIF" else Image.fromarray
-        images = [made(picture) for picture in _peeked(frames, channels=(3, 4))[1]]
+        convert = _gif_frame if kind == "GIF" else Image.fromarray
+        images = [convert(picture) for picture in _peek(frames, channels=(3, 4))[1]]
         clear = {"transparency": CLEAR, "disposal": 2} if images[0].mode == "P" else {}
         images[0].save(
             temporary,
@@ -161,14 +157,14 @@ def write_pictures(
     """
     count = 0
     with _closing(frames):
-        for count, picture in enumerate(_peeked(frames, channels=(3, 4))[1], 1):
+        for count, picture in enumerate(_peek(frames, channels=(3, 4))[1], 1):
             with replacing(Path(folder) / f"{name}_{count:04}.png") as temporary:
                 Image.fromarray(picture).save(temporary, "PNG", compress_level=PNG_EFFORT)
     return count
 
 
 def _gif_frame(picture: Picture) -> Image.Image:
-    """A picture for a GIF: unchanged, or with its coverage as 255 colours and a transparent one."""
+    """Convert a picture for a GIF; with coverage, to 255 colours and a transparent one."""
     if picture.shape[2] == 3:
         return Image.fromarray(picture)
     image = Image.fromarray(picture[..., :3]).quantize(CLEAR)
@@ -177,7 +173,7 @@ def _gif_frame(picture: Picture) -> Image.Image:
 
 
 def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: float) -> int:
-    """Stream the pictures into ffmpeg, which has ended when this returns or raises.
+    """Stream the pictures into ffmpeg; it has ended when this returns or raises.
 
     imageio's own writer is not used because it sees neither ffmpeg's exit code nor its messages.
     """
@@ -201,24 +197,24 @@ def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: flo
             encoder.wait()
         if encoder.returncode:
             log.seek(0)
-            silent = f"it said nothing, exit status {encoder.returncode}"
-            raise _unfinished(path, sent, log.read().decode(errors="replace").strip() or silent)
+            silent = f"no message, exit status {encoder.returncode}"
+            raise _encoder_error(path, sent, log.read().decode(errors="replace").strip() or silent)
     return sent
 
 
 def _source(width: int, height: int, rate: Fraction) -> list[str]:
-    """Options of ffmpeg for raw pictures on its standard input, and for silence."""
+    """Return ffmpeg's options to read raw pictures from its standard input, silently."""
     return f"-v error -f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
 
 
 def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
-    """Send all pictures, wait for the end, and return how many the encoder accepted."""
+    """Send all pictures, wait for the end, and return the number that the encoder accepted."""
     sent = 0
     for picture in pictures:
         try:
             with _ended_if_stuck(encoder):
                 _pipe(encoder).write(np.ascontiguousarray(picture).data)
-        except OSError:  # it has stopped: its exit code and message tell why
+        except OSError:  # it has stopped; its exit code and message say why
             break
         sent += 1
     with _ended_if_stuck(encoder):
@@ -230,7 +226,7 @@ def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
 
 @contextmanager
 def _ended_if_stuck(encoder: subprocess.Popen[bytes]) -> Iterator[None]:
-    """While waiting for the encoder: kill it if that takes longer than `STUCK` seconds."""
+    """Kill the encoder if the block takes longer than `STUCK` seconds."""
     timer = threading.Timer(STUCK, encoder.kill)
     timer.daemon = True
     timer.start()
@@ -245,22 +241,19 @@ def _pipe(encoder: subprocess.Popen[bytes]) -> IO[bytes]:
     return encoder.stdin
 
 
-def _unfinished(path: object, sent: int, message: str) -> Exception:
-    """What the encoder's last words mean."""
+def _encoder_error(path: object, sent: int, message: str) -> Exception:
+    """Return the exception for the encoder's last message."""
     if any(words in message.lower() for words in DISK_WORDS):
         return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     message = " ".join(message.split())
-    return InputError(
-        "output",
-        path,
-        f"the video encoder stopped after {sent} pictures: {message[:300]}.",
-        "Most often the disk is full: make room or choose another folder.",
-    )
+    limit = f"the video encoder stopped after {sent} pictures: {message[:300]}."
+    remedy = "The disk may be full: make room or choose another folder."
+    return InputError("output", path, limit, remedy)
 
 
 @contextmanager
 def _closing(frames: Iterable[Picture]) -> Iterator[None]:
-    """Close a generator of frames on the way out, so that its threads do not outlive the file."""
+    """Close a generator of frames at the end, so that its threads do not outlive the file."""
     try:
         yield
     finally:
@@ -268,21 +261,20 @@ def _closing(frames: Iterable[Picture]) -> Iterator[None]:
             frames.close()
 
 
-def _peeked(
+def _peek(
     frames: Iterable[Picture], channels: tuple[int, ...] = (3,)
 ) -> tuple[Picture, Iterator[Picture]]:
-    """The first picture, and an iterator over all of them that checks each one."""
+    """Return the first picture, and an iterator over all pictures that checks each of them."""
     pictures = iter(frames)
     first = next(pictures, None)
     if first is None:
-        raise InputError(
-            "frames", 0, "a video needs at least one picture.", "Simulate one frame or more."
-        )
+        limit = "a video needs at least one picture."
+        raise InputError("frames", 0, limit, "Simulate one frame or more.")
     every = itertools.chain([first], pictures)
-    return first, (_checked(picture, first.shape, channels) for picture in every)
+    return first, (_check_picture(picture, first.shape, channels) for picture in every)
 
 
-def _checked(picture: Picture, shape: tuple[int, ...], channels: tuple[int, ...]) -> Picture:
+def _check_picture(picture: Picture, shape: tuple[int, ...], channels: tuple[int, ...]) -> Picture:
     fits = picture.shape == shape and len(shape) == 3 and shape[2] in channels
     if picture.dtype != np.uint8 or not fits:
         wanted = " or ".join(map(str, channels))
@@ -295,12 +287,11 @@ def _checked(picture: Picture, shape: tuple[int, ...], channels: tuple[int, ...]
 def _check_rate(fps: float) -> None:
     low, high = FPS_RANGE
     if not low <= fps <= high:  # also where it is NaN
-        raise InputError(
-            "fps", fps, f"a video shows {low:g} to {high:g} pictures per second.", "Choose 24."
-        )
+        limit = f"a video shows {low:g} to {high:g} pictures per second."
+        raise InputError("fps", fps, limit, "Choose 24.")
 
 
 def _durations(count: int, fps: float, unit: int) -> list[int]:
-    """How long each picture is shown, in whole milliseconds that are multiples of `unit`."""
+    """Return the duration of each picture in milliseconds, a multiple of `unit`."""
     ends = np.rint(np.arange(count + 1) * 1000 / fps / unit).astype(int) * unit
     return np.diff(ends).tolist()

@@ -83,7 +83,7 @@ def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
     check_comparable(a, b)
     a, b = a.surface, b.surface
     size = _size(a)
-    keep = a.own
+    keep = a.object_mask
     squares = np.stack(
         [_squared_distances(x[keep], y[keep]) for x, y in zip(a.means, b.means, strict=True)]
     )
@@ -126,7 +126,9 @@ def check_comparable(a: Clip, b: Clip) -> None:
             f"their frames are up to {late:.3g} s apart in time.",
             "Simulate one of them again with the other's time.fps.",
         )
-    apart = math.sqrt(_squared_distances(_centre(a, a.own), _centre(b, a.own)).mean()) / _size(a)
+    apart = math.sqrt(
+        _squared_distances(_centre(a, a.object_mask), _centre(b, a.object_mask)).mean()
+    ) / _size(a)
     if not apart <= SAME_OBJECT:
         raise _refusal(
             f"they begin as different objects: {apart:.0%} of the size apart at rest.",
@@ -154,7 +156,7 @@ class Pictures:
 
 
 def _size(clip: Clip) -> float:
-    return float(np.ptp(clip.means[0][clip.own], axis=0).max()) or 1.0
+    return float(np.ptp(clip.means[0][clip.object_mask], axis=0).max()) or 1.0
 
 
 def _centre(clip: Clip, keep: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.cutout import Cutout
 from phy124.io.clip import Clip
-from phy124.io.files import staged as staged
+from phy124.io.files import staging as staging
 from phy124.pipeline import resume
 from phy124.pipeline.composing import into_photograph as into_photograph
 from phy124.pipeline.gaussians import Static as Static
@@ -90,7 +90,7 @@ def generate(
     check_sources(scene, split(image)[1])
     refuse_unfilmable(scene)
     watch = Stopwatch()
-    with staged(out):  # Refused before any work, if at all.
+    with staging(out):  # Refused before any work, if at all.
         options: dict[str, Any] = {"device": device, "progress": progress, "watch": watch}
         made = static(image, scene, **options, **making)
         return simulate(

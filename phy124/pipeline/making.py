@@ -18,7 +18,7 @@ from phy124.accuracy.promises import promise
 from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip
 from phy124.io.files import deliver, replacing, write_whole
-from phy124.io.files import staged as staged
+from phy124.io.files import staging as staging
 from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
 from phy124.pipeline import earlier, resume
@@ -95,7 +95,7 @@ class Making:
         """
         before = earlier.listed(self.out) - {PAUSE}  # this run's own may be of that name
         try:
-            with staged(self.out) as folder:
+            with staging(self.out) as folder:
                 sweep(self.out)
                 return self._made(folder, before, *self._moved(moved))
         finally:

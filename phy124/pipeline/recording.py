@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from phy124.errors import InputError
-from phy124.io import locks
+from phy124.io import files as disk
 from phy124.io.clip import Clip
 from phy124.io.growing import Growing, Unlike
 from phy124.pipeline import resume
@@ -61,7 +61,7 @@ class Recording:
         """
         self.out, self.path = out, (out or Path()) / PAUSE
         self.about, self.files, self.frames = about, files, frames
-        self.failed = out is None or not locks.AVAILABLE
+        self.failed = out is None or not disk.LOCKS_AVAILABLE
         """Whether it was given up."""
         self.resumed, self.saved = saved > 0, saved
         """Number of frames from which the run can go on, should it be ended now."""
@@ -178,7 +178,7 @@ class Recording:
             if self.frames is None:
                 path = self.path.with_name(FRAMES.format(secrets.token_hex(4)))
                 count, header = run.scene.time.frames, self._header(run)
-                with locks.locked(path.parent):  # nobody takes it for a leftover meanwhile
+                with disk.locking(path.parent):  # nobody takes it for a leftover meanwhile
                     self.frames = Growing.like(path, frame, count, rotation=turns, header=header)
             run.frames[place], turned = self.frames.put(frame, turns)
             if turned is not None:
@@ -234,9 +234,9 @@ def sweep(out: Path) -> None:
     if (out / PAUSE).is_file():
         with suppress(InputError):
             needed = (resume.read_frames(out / PAUSE) or {}).get("file")
-    with locks.locked(out):
+    with disk.locking(out):
         for path in (path for path in found if path.name != needed):
-            held = locks.lock(path)
+            held = disk.lock(path)
             if held is not None:
                 path.unlink(missing_ok=True)
-            locks.unlock(held)
+            disk.unlock(held)

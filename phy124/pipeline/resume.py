@@ -20,10 +20,10 @@ from safetensors import SafetensorError, safe_open
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians, of_walls, rotate_sh, stacked
+from phy124.io.clip import save_tensors
 from phy124.io.files import replacing
 from phy124.io.growing import MOVING, SHAPES, Growing
 from phy124.io.opening import obstacle
-from phy124.io.tensors import save_tensors
 from phy124.monitor import OBSERVERS
 from phy124.monitor.observer import Observer
 from phy124.monitor.wrenches import Wrenches

@@ -11,8 +11,9 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.io.clip import Clip
-from phy124.io.export import refuse_missing_usd, write_ply_sequence, write_usd
-from phy124.io.files import staged
+from phy124.io.files import staging
+from phy124.io.formats.usd import refuse_missing_usd, write_usd
+from phy124.io.sequence import write_ply_sequence
 from phy124.io.video import (
     FPS_RANGE,
     Picture,
@@ -135,7 +136,7 @@ def _encode(ending: str, write: Callable[..., object]) -> Encoder:
 def _png(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
     del fps
     path = folder / f"{side}-png"
-    with staged(path) as temporary:
+    with staging(path) as temporary:
         write_pictures(temporary, images, name=side)
     return path
 

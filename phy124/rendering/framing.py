@@ -193,7 +193,7 @@ def _radii(points: Values, cameras: list[Camera]) -> Values:
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
     """Corners of the box around the object at rest, extended down to the ground if it can fall."""
     # One row per axis: extremes of long rows are faster.
-    rest = np.ascontiguousarray(clip.means[0][clip.own].T)
+    rest = np.ascontiguousarray(clip.means[0][clip.object_mask].T)
     first = np.compress(np.isfinite(rest).all(axis=0), rest, axis=1)
     if not first.size:
         limit = "all Gaussians of its first frame have NaN or infinite values."

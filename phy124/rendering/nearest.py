@@ -55,8 +55,8 @@ class Sample:
     @classmethod
     def of(cls, clip: Clip) -> Sample:
         """Sample a clip's object, without its scenery."""
-        visible = np.flatnonzero(clip.own & (clip.opacities >= VISIBLE))
-        chosen = visible if len(visible) else np.flatnonzero(clip.own)
+        visible = np.flatnonzero(clip.object_mask & (clip.opacities >= VISIBLE))
+        chosen = visible if len(visible) else np.flatnonzero(clip.object_mask)
         chosen = chosen[:: 1 + len(chosen) // SAMPLE]
         chosen = chosen[np.isfinite(clip.means[0, chosen]).all(axis=1)]
         means = clip.means[:, chosen].astype(np.float64)

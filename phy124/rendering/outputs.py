@@ -24,7 +24,7 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians, rotation_matrices
 from phy124.io.clip import Clip
-from phy124.io.files import staged
+from phy124.io.files import staging
 from phy124.io.rasters import (
     MIDDLE,
     refuse_missing_exr,
@@ -148,7 +148,7 @@ def write_outputs(
     path, seen = folder / f"{side}-outputs", Seen(clip, cameras(clip, view, side), view.outputs)
     steps = seen.steps() if view.output_format == "png" else {}
     renderer, rows = Renderer(device=device, filter=view.filter), []
-    with staged(path) as temporary:
+    with staging(path) as temporary:
         for index, camera in enumerate(seen.cameras):
             rasters, covered = seen.rasters(renderer, index)
             files = {}

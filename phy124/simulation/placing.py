@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.io.axes import euler, turned
+from phy124.io.axes import euler, rotate_gaussians
 from phy124.particles import Particles, size_transform
 from phy124.scene import Scene
 
@@ -29,7 +29,7 @@ def place(gaussians: Gaussians, scene: Scene, own: NDArray[np.bool_]) -> Gaussia
     body = scene.object
     standing = gaussians.moved(*placing(gaussians, scene, own))
     if any(body.turn):
-        standing = turned(standing, euler(body.turn))
+        standing = rotate_gaussians(standing, euler(body.turn))
         scale, offset = placing(standing, scene, own)
         standing = standing.moved(1.0, offset / scale)
     return shifted(standing, own, (*body.place, body.lift))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from phy124.budget.remedies import advise, find_remedies, find_speedups
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame
-from phy124.io.clip import Clip, joined
+from phy124.io.clip import Clip, stack_arrays
 from phy124.monitor.diagnostics import describe_substep
 from phy124.monitor.observer import Kind, Observer, Violation, find, restore_all, snapshots
 from phy124.monitor.watchdog import Watchdog
@@ -175,7 +175,7 @@ class Simulation:
         if not setup.keep:
             raise ValueError("this run does not keep its frames")
         clip = replace(
-            Clip.from_frames(self.frames, joined(self.rotations) if self.rotations else None),
+            Clip.from_frames(self.frames, stack_arrays(self.rotations) if self.rotations else None),
             opacities=setup.shown.opacities,
             sh=setup.shown.sh,
             scene=setup.cleaned_scene.data(),

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.formats import FORMATS, read_gaussians
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -42,13 +42,16 @@ def _judged(folder: Path) -> None:
     for judge in JUDGES:
         for name in judge.reads:
             format = FORMATS[name]
-            path, there = folder / f"a{format.suffix}", turned(wanted, orientation(*format.axes).T)
+            path, there = (
+                folder / f"a{format.suffix}",
+                rotate_gaussians(wanted, orientation(*format.axes).T),
+            )
             format.write(path, wanted)
             if judge.missing():
                 continue
             found = judge.read(path)
             if np.abs(found.means - there.means).max() > 0.1:
-                found = turned(found, np.diag([1.0, -1.0, -1.0]))
+                found = rotate_gaussians(found, np.diag([1.0, -1.0, -1.0]))
             rows = errors(found, there), bound(name, there, path.read_bytes())
             cells = [
                 f"{error * unit:.2g} / {most * unit:.2g}"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from phy124 import pipeline
 from phy124.gaussians import Gaussians
-from phy124.io import locks
+from phy124.io import files
 from phy124.runtime.startup import start
 from phy124.scene import Scene
 
@@ -26,14 +26,14 @@ SCENES = {
 
 def seconds(gaussians: Gaussians, scene: Scene, *, kept: bool) -> tuple[float, float]:
     """Seconds of the clock and of the processor that a run without films takes."""
-    usual, locks.AVAILABLE = locks.AVAILABLE, kept and locks.AVAILABLE
+    usual, files.LOCKS_AVAILABLE = files.LOCKS_AVAILABLE, kept and files.LOCKS_AVAILABLE
     try:
         with tempfile.TemporaryDirectory(dir=".") as out:
             clock, processor = time.perf_counter(), time.process_time()
             pipeline.simulate(gaussians, scene, out, films=False, keep=True, threads=1)
             return time.perf_counter() - clock, time.process_time() - processor
     finally:
-        locks.AVAILABLE = usual
+        files.LOCKS_AVAILABLE = usual
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ from visit import GRAPHICS_ARE_LOST, LONG, drawn, psnr
 from phy124.camera import Camera
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
-from phy124.io.export.html import write_html
+from phy124.io.html import write_html
 from phy124.rendering.render import Renderer
 from phy124.rendering.shine import add_gloss, make_shine
 from phy124.rendering.stage.build import Stage, make_stage, pack_stage

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from phy124.io import ply
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
 from support.shapes import ball
 
 pytestmark = pytest.mark.browser
 
 
 def test_a_file_is_turned_by_keyboard_and_moved(visit, tmp_path):
-    data = ply.encode(turned(ball(500), orientation("y", "z").T))
+    data = ply.encode(rotate_gaussians(ball(500), orientation("y", "z").T))
     unsigned = [line for line in data.splitlines(keepends=True) if b"comment" not in line]
     (tmp_path / "ball.ply").write_bytes(b"".join(unsigned))
     (tmp_path / "broken.ply").write_bytes(data[:200])

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phy124.gaussians import Gaussians, joined, rotation_matrices
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
 from support.shapes import ball
 
 
@@ -42,7 +42,7 @@ def captured(seed: int, *, floor: int = 6000, floaters: int = 80, noise: float =
     kind = np.repeat([0, 1, 2], [len(shell), floor, floaters])
     to_file = orientation().T  # what write_ply does to our axes
     return Place(
-        turned(upright, turn).moved(scale, shift),
+        rotate_gaussians(upright, turn).moved(scale, shift),
         kind,
         to_file @ turn @ [0, 0, 1],
         to_file @ turn,

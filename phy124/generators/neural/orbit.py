@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
-from phy124.io.axes import turned
+from phy124.io.axes import rotate_gaussians
 
 FOV_Y = 49.1
 """Vertical field of view of all of them, degrees."""
@@ -45,4 +45,4 @@ def focal(height: int, fov_y: float = FOV_Y) -> float:
 
 def to_world(gaussians: Gaussians) -> Gaussians:
     """The networks' Gaussians (y up, front +z) in our world: (x, y, z) = their (z, x, y)."""
-    return turned(gaussians, TO_WORLD)
+    return rotate_gaussians(gaussians, TO_WORLD)

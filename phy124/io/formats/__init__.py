@@ -1,4 +1,4 @@
-"""All formats of files of Gaussians that are read or written.
+"""The formats of files of Gaussians that are read or written.
 
 `FORMATS` declares each of phy124's own once; the command line and the page list what is declared.
 To add a still format, write a module with `read(path) -> Content` and
@@ -10,42 +10,113 @@ file, and add a `Format` to `FORMATS`. A package registers its `Format` by an en
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError, suggest
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Frame, Gaussians
 from phy124.io import ply
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.clip import Clip
-from phy124.io.content import Y_UP, Content
-from phy124.io.export import write_fourdgs, write_sequence, write_usd
+from phy124.io.content import Y_DOWN, Y_UP, Content
+from phy124.io.files import replacing
 from phy124.io.formats import compressed_ply, glb, sog, splat, spz
-from phy124.io.formats.format import Format
+from phy124.io.formats.fourdgs import write_fourdgs
+from phy124.io.formats.usd import write_usd
 from phy124.io.opening import obstacle
 from phy124.io.plyheader import read_header
+from phy124.io.sequence import write_sequence
 from phy124.progress import Progress, silent
 from phy124.schema.plugins import list_plugins, load_plugin
+
+
+class Encoder(Protocol):
+    """Encodes Gaussians in the file's axes as the bytes of a file."""
+
+    def __call__(self, gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
+        """Return the bytes."""
+        ...
+
+
+class ClipWriter(Protocol):
+    """Writes all frames into one file."""
+
+    def __call__(self, path: Path, clip: Clip, *, progress: Progress = silent) -> None:
+        """Write a clip in our axes."""
+        ...
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format of files of Gaussians."""
+
+    name: str
+    """Name in commands."""
+    title: str
+    suffix: str
+    holds: str
+    """Properties of a Gaussian that the file contains, and their precision."""
+    opens_in: str
+    """Programs that read it."""
+    bytes_each: float
+    """Bytes per frame and Gaussian of degree 0, measured with the example of a duck."""
+    degree: int = 3
+    """Highest degree of its harmonics."""
+    objects: str = ""
+    """The field with the object of each Gaussian; empty if there is none."""
+    axes: tuple[str, str] = Y_DOWN
+    """Directions of its files that point up and to the front."""
+    read: Callable[[Path], Content] | None = None
+    encode: Encoder | None = None
+    write_clip: ClipWriter | None = None
+    """Writes all frames into one file; None if a file contains one instant."""
+    package: str | None = None
+    """Package besides phy124 that must be installed to write it."""
+    signs: tuple[bytes, ...] = ()
+    """First bytes of its files; empty if only the ending of a file's name shows the format."""
+    other_suffixes: tuple[str, ...] = ()
+    """Further endings with which it is written."""
+
+    @property
+    def installed(self) -> bool:
+        """Whether the package that writes it is installed."""
+        return self.package is None or find_spec(self.package) is not None
+
+    @property
+    def written(self) -> bool:
+        """Whether phy124 writes it."""
+        return self.encode is not None or self.write_clip is not None
+
+    def write(self, path: Path, gaussians: Gaussians, *, antialiased: bool = False) -> None:
+        """Write one instant; the file appears whole or not at all."""
+        if self.encode is None:
+            assert self.write_clip is not None, f"{self.name} is not written"
+            return self.write_clip(path, Clip.from_frames([Frame(0, 0.0, gaussians)]))
+        there = rotate_gaussians(gaussians, orientation(*self.axes).T)
+        with replacing(path) as temporary:
+            temporary.write_bytes(self.encode(there, antialiased=antialiased))
+
 
 __all__ = [
     "FORMATS",
     "Format",
     "endings",
+    "find_written_format",
     "formats",
     "is_file_of_gaussians",
     "read_as_is",
     "read_gaussians",
-    "recognised",
+    "recognise",
     "rotation_of",
     "write_frames",
     "write_gaussians",
-    "written_as",
     "written_formats",
 ]
 
@@ -104,17 +175,17 @@ FORMATS = {
         ),
     )
 }  # fmt: skip
-"""Name -> format; of several with one suffix the first is written by that suffix."""
+"""Name -> format; if several have a suffix, the first of them is written with it."""
 GZIP = b"\x1f\x8b\x08"
-"""First bytes of what gzip packs."""
+"""First bytes of a file compressed by gzip."""
 HEAD = 4096
-"""Bytes that are looked at to recognise a file."""
+"""Number of first bytes that are examined to recognise a file."""
 
 
 def formats() -> dict[str, Format]:
-    """Return all formats by name: phy124's own, then those that packages have registered.
+    """Return all formats by name: phy124's, then those that packages have registered.
 
-    A registered format that cannot be loaded is left out, and none replaces one of phy124's own.
+    A registered format is left out if it cannot be loaded, or has the name of a format of phy124.
     """
     known = dict(FORMATS)
     for name in list_plugins("formats"):
@@ -143,11 +214,11 @@ def read_gaussians(
     dialect: str | None = None,
     rotate: str | None = None,
 ) -> Content:
-    """Read a file of Gaussians of any known format, which its content tells, into our axes.
+    """Read a file of Gaussians into our axes; its content determines its format.
 
     Args:
         path: The file.
-        up: Direction in the file that points up; absent: as the file or its format says.
+        up: Direction in the file that points up; default: that of the file or its format.
         front: Direction in the file that the object's front faces.
         dialect: The program that wrote a PLY, used where `up` is not given.
         rotate: Rotation applied to the file before, as `phy124.io.axes.orientation` takes it.
@@ -160,18 +231,18 @@ def read_gaussians(
     content = read_as_is(path).in_place
     rotation = rotation_of(content, up, front, dialect, rotate)
     x, y, z = (rotation @ content.origin).tolist()
-    found = turned(content.gaussians, rotation)
-    return content._replace(gaussians=found, axes=("z", "x"), origin=(x, y, z))
+    gaussians = rotate_gaussians(content.gaussians, rotation)
+    return content._replace(gaussians=gaussians, axes=("z", "x"), origin=(x, y, z))
 
 
 def read_as_is(path: str | os.PathLike[str]) -> Content:
-    """Read a file of Gaussians in its own axes.
+    """Read a file of Gaussians in the file's axes.
 
     Raises:
         InputError: If the file is missing, damaged or of an unknown format.
     """
     path = Path(path)
-    read = recognised(path).read
+    read = recognise(path).read
     assert read is not None
     return read(path)
 
@@ -179,17 +250,17 @@ def read_as_is(path: str | os.PathLike[str]) -> Content:
 def rotation_of(
     content: Content, up: str | None, front: str | None, dialect: str | None, rotate: str | None
 ) -> NDArray[np.float64]:
-    """The rotation [3,3] from a file's axes to ours.
+    """Return the rotation [3,3] from a file's axes to ours.
 
     Args:
-        content: What was read from it.
-        up: Direction that points up, if the user has said so.
-        front: Direction of the front, likewise.
-        dialect: The program that wrote it, likewise.
-        rotate: Rotation before that, likewise.
+        content: Content of the file.
+        up: Direction that points up, if the user gave it.
+        front: Direction of the front, if the user gave it.
+        dialect: The program that wrote the file, if the user gave it.
+        rotate: Rotation applied before, if the user gave it.
 
     Raises:
-        InputError: If they contradict each other.
+        InputError: If the options contradict each other.
     """
     if up is None and dialect is None:
         up, front = content.axes[0], front or content.axes[1]
@@ -203,28 +274,28 @@ def write_gaussians(
     *,
     antialiased: bool = False,
 ) -> Format:
-    """Write Gaussians in our axes; returns the format.
+    """Write Gaussians in our axes; return the format.
 
     Args:
         path: The file; it appears whole or not at all.
         gaussians: What to write.
-        format: Name in `FORMATS`; absent: by the ending of the path.
+        format: Name in `FORMATS`; default: determined by the ending of the path.
         antialiased: Whether they were trained with Mip-Splatting's filter.
 
     Raises:
         InputError: If the format is unknown, needs a package that is not installed, or the file
             cannot be written.
     """
-    chosen = written_as(Path(path), format)
+    chosen = find_written_format(Path(path), format)
     chosen.write(Path(path), gaussians, antialiased=antialiased)
     return chosen
 
 
-def written_as(path: Path, name: str | None = None) -> Format:
-    """The format of a name, or of the ending of a path.
+def find_written_format(path: Path, name: str | None = None) -> Format:
+    """Return the format with a name, or the format for the ending of a path.
 
     Raises:
-        InputError: If there is none, or it is not written.
+        InputError: If there is no such format, or it is only read.
     """
     written = written_formats()
     if name is None:
@@ -233,19 +304,21 @@ def written_as(path: Path, name: str | None = None) -> Format:
             if ending in (chosen.suffix, *chosen.other_suffixes):
                 return chosen
         known = ", ".join(dict.fromkeys(f.suffix for f in written.values()))
-        limit = "Its ending names no format that is written."
+        limit = "Its ending is that of no format that can be written."
         raise InputError("output", path, limit, f"End the name in one of {known}.")
     if name not in written:
         load_plugin("formats", name)  # a broken plug-in says what is wrong with it
-        raise InputError("to", name, "No such format is written.", suggest(name, list(written)))
+        raise InputError(
+            "to", name, "This output format is not supported.", suggest(name, list(written))
+        )
     return written[name]
 
 
-def recognised(path: Path) -> Format:
-    """The format of a file, by its first bytes; `.splat`, which has no mark, by its rows.
+def recognise(path: Path) -> Format:
+    """Return the format of a file, by its first bytes or, for `.splat`, by its rows.
 
     Raises:
-        InputError: If the file is missing or of no format that is read.
+        InputError: If the file is missing or its format is not read.
     """
     if hindrance := obstacle(path):
         limit, remedy = hindrance
@@ -255,38 +328,38 @@ def recognised(path: Path) -> Format:
     if spz.begins(head):
         return FORMATS["spz"]
     known = formats()
-    signed = _signed(known.values(), head, path.suffix.lower())
+    signed = _match_signature(known.values(), head, path.suffix.lower())
     if signed is FORMATS["ply"] and compressed_ply.is_compressed(read_header(path)):
         return FORMATS["compressed-ply"]
     if signed is not None:
         return signed
     if head.startswith(GZIP):
-        limit = "It is packed by gzip, and no SPZ."
-        raise InputError("file", path, limit, "Unpack it with gunzip, and give what is in it.")
-    # Broken, or without a mark: its own reader says what is wrong.
-    for named in known.values():
-        if named.read and named.suffix == path.suffix.lower():
-            return named
+        limit = "It is compressed by gzip, but is no SPZ file."
+        raise InputError("file", path, limit, "Unpack it with gunzip, and give its content.")
+    # It is broken or has no signature: the reader for its ending says what is wrong.
+    for chosen in known.values():
+        if chosen.read and chosen.suffix == path.suffix.lower():
+            return chosen
     if splat.likely(path):
         return FORMATS["splat"]
-    limit = "It is no file of Gaussians that is read here."
+    limit = "It is no file of Gaussians in a format that phy124 reads."
     remedy = f"Give one of {', '.join(endings())}; splat-transform converts .ksplat and others."
     raise InputError("file", path, limit, remedy)
 
 
-def _signed(known: Iterable[Format], head: bytes, ending: str) -> Format | None:
-    """Return the format of a file's first bytes; of several, the one that has its ending."""
+def _match_signature(known: Iterable[Format], head: bytes, ending: str) -> Format | None:
+    """Return the format of a file's first bytes; the ending decides between several formats."""
     signed = [f for f in known if f.signs and head.startswith(f.signs)]
     return next((f for f in signed if f.suffix == ending), signed[0] if signed else None)
 
 
 def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
-    """Whether a name is that of a file of Gaussians: by its ending, else by its content."""
+    """Whether a file contains Gaussians, judged by its ending, else by its content."""
     path = Path(name)
     if path.suffix.lower() in endings():
         return True
     try:
-        return recognised(path).read is not None
+        return recognise(path).read is not None
     except (InputError, OSError, ValueError):
         return False
 
@@ -294,22 +367,13 @@ def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
 def write_frames(
     path: Path, clip: Clip, chosen: Format, *, name: str = "frame", progress: Progress = silent
 ) -> list[str]:
-    """Write every frame of a clip as a file of its own; returns their names.
+    """Write one file per frame, as `write_sequence` does; return their names.
 
     Args:
         path: A new or empty folder, or a name ending in .zip.
-        clip: What to write.
+        clip: The frames.
         chosen: The format of the files.
-        name: What the file names start with.
+        name: Start of the file names.
         progress: Called as ("export", frames done, frames in all).
-
-    Raises:
-        InputError: If the clip is empty, or the files cannot be written.
     """
-    return write_sequence(
-        path, clip, partial(_write, chosen), chosen.suffix, name=name, progress=progress
-    )
-
-
-def _write(chosen: Format, path: Path, gaussians: Gaussians) -> None:
-    chosen.write(path, gaussians)
+    return write_sequence(path, clip, chosen.write, chosen.suffix, name=name, progress=progress)

@@ -23,17 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import SH_C0
-from phy124.io.columns import COEFFICIENTS, passed_over
 from phy124.io.content import DEGREE_4, LARGEST_SH, Content, check_count, content_of, refusal
-from phy124.io.formats.smallest_three import completed
-from phy124.io.ply import said
+from phy124.io.formats.quantise import restore_largest
+from phy124.io.ply import COEFFICIENTS, describe_unread, read_comments
 from phy124.io.plyheader import Element, Header, read_header
 
 KIND = "PLY"
 CHUNK = 256
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-BOXES = [f"{end}_{axis}" for axis in ("x", "y", "z", "scale_x", "scale_y", "scale_z")
-         for end in ("min", "max")]  # fmt: skip
+SCALE_AXES = ("scale_x", "scale_y", "scale_z")
+BOXES = [f"{end}_{axis}" for axis in (*"xyz", *SCALE_AXES) for end in ("min", "max")]
 
 
 def is_compressed(header: Header) -> bool:
@@ -42,7 +41,7 @@ def is_compressed(header: Header) -> bool:
 
 
 def read(path: Path) -> Content:
-    """The Gaussians of a compressed PLY.
+    """Read the Gaussians of a compressed PLY.
 
     Raises:
         InputError: If the file is missing, cut short, or its elements do not fit together.
@@ -62,14 +61,14 @@ def read(path: Path) -> Content:
         raw = {
             "means": _within(_split(vertex["packed_position"], (11, 10, 11)), chunk, which, "xyz"),
             "quats": _rotations(vertex["packed_rotation"]),
-            "scales": np.exp(_within(scales, chunk, which, ("scale_x", "scale_y", "scale_z"))),
+            "scales": np.exp(_within(scales, chunk, which, SCALE_AXES)),
             "opacities": colour[:, 3],
             "sh": _harmonics((colour[:, :3] - 0.5) / SH_C0, rows.get("sh")),
         }
-    axes, antialiased = said(header.comments)
+    axes, antialiased = read_comments(header.comments)
     higher = len(rows["sh"].dtype.names or ()) if "sh" in rows else 0
     notes = [DEGREE_4] if higher > 3 * (LARGEST_SH - 1) else []
-    notes += passed_over(name for name in vertex.dtype.names or () if name not in PACKED)
+    notes += describe_unread(name for name in vertex.dtype.names or () if name not in PACKED)
     return content_of(KIND, path, raw, axes, antialiased=antialiased, notes=notes)
 
 
@@ -83,7 +82,7 @@ def _elements(path: Path, header: Header) -> list[Element]:
 def _rows(path: Path, element: Element, size: int) -> NDArray[Any]:
     there = element.start + element.count * element.row.itemsize <= size
     rows = np.fromfile(path, element.row, element.count if there else 0, offset=element.start)
-    if len(rows) < element.count:  # It may also change while it is read.
+    if len(rows) < element.count:  # the file may also shrink while it is read
         raise refusal(KIND, path, f"it is cut short: its element {element.name} is not all there.")
     return rows
 
@@ -113,7 +112,7 @@ def _check(path: Path, header: Header, rows: dict[str, NDArray[Any]]) -> None:
 
 
 def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
-    """Fields of packed integers, the highest first, as fractions [N,len(bits)]."""
+    """Unpack fields of integers, highest bits first, as fractions [N,len(bits)]."""
     out = np.empty((len(packed), len(bits)), np.float32)
     shift = sum(bits)
     for i, width in enumerate(bits):
@@ -126,7 +125,7 @@ def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
 def _within(
     fractions: NDArray, chunk: NDArray[Any], which: NDArray, axes: str | tuple[str, ...]
 ) -> NDArray[np.float64]:
-    """Values from fractions of the box of each Gaussian's chunk, in double precision."""
+    """Scale fractions to the box of each Gaussian's chunk, in double precision."""
     out = np.empty(fractions.shape)
     for i, axis in enumerate(axes):
         low, high = (chunk[f"{end}_{axis}"].astype(np.float64)[which] for end in ("min", "max"))
@@ -136,16 +135,16 @@ def _within(
 
 def _rotations(packed: NDArray) -> NDArray[np.float32]:
     others = (_split(packed & np.uint32((1 << 30) - 1), (10, 10, 10)) - 0.5) * np.sqrt(2)
-    return completed(others, packed >> np.uint32(30))
+    return restore_largest(others, packed >> np.uint32(30))
 
 
 def _harmonics(first: NDArray, table: NDArray[Any] | None) -> NDArray[np.float32]:
-    """Colours [N,K,3] of degree 0, and of higher degrees if the file has them."""
+    """Return colours [N,K,3] of degree 0, and of higher degrees if the file has them."""
     if table is None or not table.dtype.names:
         return first[:, None].astype(np.float32)
     count = len(table.dtype.names)
     values = np.stack([table[f"f_rest_{i}"] for i in range(count)], axis=1)
-    # The middle of each of 256 bins, but the ends of the first and the last.
+    # A byte is the middle of its bin; 0 and 255 are the ends of the range.
     inside = (values.astype(np.float32) + 0.5) / 256
     inside[values == 0], inside[values == 255] = 0, 1
     rest = ((inside - 0.5) * 8).reshape(len(values), 3, count // 3).transpose(0, 2, 1)

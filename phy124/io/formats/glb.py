@@ -15,7 +15,7 @@
     _OBJECT_ID                               SCALAR float   ours: which object of several
 
 Files of early 2026, made before the text was ratified, have logarithmic scales
-(phy124/io/formats/glb_scales.py). Nodes may move, turn and evenly scale their Gaussians.
+(phy124/io/formats/glb_values.py). Nodes may translate, rotate and evenly scale their Gaussians.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import SH_C0, Gaussians, rotation_matrices
-from phy124.io.axes import turned
-from phy124.io.columns import passed_over
+from phy124.io.axes import rotate_gaussians
 from phy124.io.content import (
     DEGREE_4,
     LARGEST_SH,
@@ -41,35 +40,33 @@ from phy124.io.content import (
     Content,
     check_count,
     content_of,
+    normalise_quats,
+    read_whole_file,
     refusal,
-    unit,
-    whole_file,
+    step_of,
 )
-from phy124.io.formats.glb_accessors import KIND, Scene, is_fractions, item, values
-from phy124.io.formats.glb_scales import kind_of_scales
-from phy124.io.precision import step_of
+from phy124.io.formats.glb_values import KIND, Scene, is_fractions, item, kind_of_scales, values
+from phy124.io.ply import describe_unread
 
 MAGIC = b"glTF"
 EXTENSION = "KHR_gaussian_splatting"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<II")
 LONGEST = 1 << 20
-"""Largest description (JSON) that is read [bytes]; that of one object has 4,000."""
+"""Largest description (JSON) that is read [bytes]; a usual one has 4,000."""
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
-"""Relative difference up to which the scales of a node's axes count as one."""
+"""Largest relative difference of the scales of a node's axes that counts as even scaling."""
 EXTENSIONS = (EXTENSION, "KHR_mesh_quantization")
 """Extensions of glTF that are read."""
 MAX_NODES = 2000
 OBJECT = "_OBJECT_ID"
-"""An attribute of an application's own, which other readers pass over."""
+"""An application-specific attribute, which other readers ignore."""
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
 """Programs that turn a PLY upright by half a turn about z."""
-READ = {
-    "POSITION", "COLOR_0", OBJECT,
-    *(f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")),
-    *(f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)),
-}  # fmt: skip
+READ = {"POSITION", "COLOR_0", OBJECT}
+READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
+READ |= {f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)}
 """Attributes that are read, and the colours for readers without the extension."""
 
 
@@ -78,29 +75,29 @@ class Primitive(NamedTuple):
 
     attributes: dict[str, int]
     """Name -> accessor."""
-    told: dict[str, Any]
-    """What the extension says of them."""
+    extension: dict[str, Any]
+    """The primitive's entry of the extension."""
     matrix: NDArray[np.float64]
-    """Where their node places them [4,4]."""
+    """Transform of their node [4,4]."""
     gaussians: int
     """Number of Gaussians."""
 
 
 def read(path: Path) -> Content:
-    """The Gaussians of all nodes of a GLB's scene.
+    """Read the Gaussians of all nodes of a GLB's scene.
 
     Raises:
-        InputError: If the file is missing, cut short or damaged, has no Gaussians, or needs what
-            is not read, such as compression or another kernel.
+        InputError: If the file is missing, cut short or damaged, has no Gaussians, or has an
+            unsupported feature, such as compression or another kernel.
     """
-    scene = _chunks(path, whole_file(KIND, path))
+    scene = _chunks(path, read_whole_file(KIND, path))
     try:
         primitives = _primitives(scene)
         logs, notes = _kind_of_scales(scene, primitives)
-        parts = [_moved(scene, _columns(scene, one, logs), one.matrix) for one in primitives]
+        parts = [_apply_matrix(scene, _columns(scene, p, logs), p.matrix) for p in primitives]
         step = max(part.pop("step") for part in parts)
         raw = {name: np.concatenate([part[name] for part in _alike(parts)]) for name in parts[0]}
-        if not any(OBJECT in one.attributes for one in primitives):
+        if not any(OBJECT in primitive.attributes for primitive in primitives):
             del raw["object_id"]
         axes, notes = _axes(scene), [*notes, *_passed_over(scene, primitives)]
     except InputError:
@@ -113,17 +110,17 @@ def read(path: Path) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """The bytes of a GLB; the extension cannot say whether it is antialiased."""
+    """Return the bytes of a GLB; the extension cannot store whether it is antialiased."""
     del antialiased
     arrays = _attributes(gaussians)
     body, views, accessors = bytearray(), [], []
     for name, array in arrays.items():
-        views.append({"buffer": 0, "byteOffset": len(body), "byteLength": array.nbytes,
-                      "target": 34962})  # fmt: skip
+        view = {"byteOffset": len(body), "byteLength": array.nbytes, "target": 34962}
+        views.append({"buffer": 0, **view})
         accessors.append(_accessor(name, array, len(accessors)))
         body += array.tobytes()
-    splats = {"kernel": "ellipse", "colorSpace": SRGB, "projection": "perspective",
-              "sortingMethod": "cameraDistance"}  # fmt: skip
+    splats = {"kernel": "ellipse", "colorSpace": SRGB}
+    splats |= {"projection": "perspective", "sortingMethod": "cameraDistance"}
     primitive = {
         "mode": 0,
         "attributes": {name: index for index, name in enumerate(arrays)},
@@ -148,7 +145,7 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
-    """Arrays by attribute; each is a multiple of 4 bytes long."""
+    """Return the array of each attribute, whose length is a multiple of 4 bytes."""
     rgba = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)
     arrays = {
         "POSITION": gaussians.means,
@@ -165,28 +162,28 @@ def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
 
 
 def _names(count: int) -> list[str]:
-    """Attributes of the first `count` harmonics, in our order."""
+    """Names of the first `count` harmonics' attributes, in our order."""
     pairs = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
     return [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree, n in pairs[:count]]
 
 
 def _accessor(name: str, array: NDArray, view: int) -> dict[str, Any]:
     kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[1 if array.ndim == 1 else array.shape[1]]
-    made: dict[str, Any] = {
+    accessor: dict[str, Any] = {
         "bufferView": view,
         "componentType": 5121 if array.dtype == np.uint8 else 5126,
         "count": len(array),
         "type": kind,
     }
     if array.dtype == np.uint8:
-        made["normalized"] = True
+        accessor["normalized"] = True
     if name == "POSITION":
-        made |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
-    return made
+        accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+    return accessor
 
 
 def _chunks(path: Path, data: bytes) -> Scene:
-    """The description and the binary chunk."""
+    """Return the description and the binary chunk."""
     if len(data) < HEADER.size or data[:4] != MAGIC:
         raise refusal(KIND, path, "it does not begin as a GLB file.", "Give a GLB file.")
     _, version, length = HEADER.unpack_from(data)
@@ -194,14 +191,14 @@ def _chunks(path: Path, data: bytes) -> Scene:
         raise refusal(KIND, path, f"it is glTF {version}; glTF 2 is read.", "Export it again.")
     if length > len(data):
         raise refusal(KIND, path, f"it is cut short: {len(data):,} of {length:,} bytes are there.")
-    found: dict[int, memoryview] = {}
+    chunks: dict[int, memoryview] = {}
     at, view = HEADER.size, memoryview(data)
     while at + CHUNK.size <= len(data):
         size, kind = CHUNK.unpack_from(data, at)
         at += CHUNK.size
-        found.setdefault(kind, view[at : at + size])
+        chunks.setdefault(kind, view[at : at + size])
         at += size
-    text = found.get(JSON_CHUNK, memoryview(b""))
+    text = chunks.get(JSON_CHUNK, memoryview(b""))
     if not text or len(text) > LONGEST:
         raise refusal(KIND, path, f"its description is missing or longer than {LONGEST:,} bytes.")
     try:
@@ -210,7 +207,7 @@ def _chunks(path: Path, data: bytes) -> Scene:
         raise refusal(KIND, path, "its description is no JSON.") from error
     if not isinstance(tree, dict):
         raise refusal(KIND, path, "its description is no glTF.")
-    return Scene(path, tree, found.get(BIN_CHUNK, memoryview(b"")))
+    return Scene(path, tree, chunks.get(BIN_CHUNK, memoryview(b"")))
 
 
 def _axes(scene: Scene) -> tuple[str, str]:
@@ -220,54 +217,50 @@ def _axes(scene: Scene) -> tuple[str, str]:
 
 
 def _primitives(scene: Scene) -> list[Primitive]:
-    """All Gaussians of the scene."""
-    total, found = 0, []
-    for mesh, matrix in list(_placed(scene)):  # a circle is found before anything is read
+    """Return all primitives of the scene that are Gaussians."""
+    total, primitives = 0, []
+    for mesh, matrix in list(_list_meshes(scene)):  # a circle is found before anything is read
         for primitive in item(scene, "meshes", mesh)["primitives"]:
-            told = primitive.get("extensions", {}).get(EXTENSION)
-            if told is not None:
-                _check_kind(scene, primitive, told)
+            extension = primitive.get("extensions", {}).get(EXTENSION)
+            if extension is not None:
+                _check_kind(scene, primitive, extension)
                 count = int(item(scene, "accessors", primitive["attributes"]["POSITION"])["count"])
                 total += count
                 # Several nodes may show one mesh, so a small file can describe a large scene.
                 check_count(KIND, scene.path, total, 60, len(scene.body))
-                found.append(Primitive(primitive["attributes"], told, matrix, count))
+                primitives.append(Primitive(primitive["attributes"], extension, matrix, count))
     if not total:
         limit = f"it holds no Gaussians: no mesh has {EXTENSION}."
         raise refusal(KIND, scene.path, limit, "Give a GLB of Gaussians, not of a mesh.")
-    return found
+    return primitives
 
 
 def _kind_of_scales(scene: Scene, primitives: list[Primitive]) -> tuple[bool, list[str]]:
-    """Whether the scales of a file are logarithms, and what is said about it."""
+    """Return whether the scales of a file are logarithms, and notes about it."""
     generator = str(scene.tree.get("asset", {}).get("generator", ""))
     pairs = [
-        (_values(scene, one, f"{EXTENSION}:SCALE", 3), _values(scene, one, "POSITION", 3))
-        for one in primitives
+        (_values(scene, p, f"{EXTENSION}:SCALE", 3), _values(scene, p, "POSITION", 3))
+        for p in primitives
     ]
     return kind_of_scales(generator, pairs)
 
 
 def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
-    """Sentences about attributes and extensions that are not read."""
-    names = dict.fromkeys(name for one in primitives for name in one.attributes)
+    """Return notes about attributes and extensions that are not read."""
+    names = dict.fromkeys(name for primitive in primitives for name in primitive.attributes)
     fourth = f"{EXTENSION}:SH_DEGREE_4"
     others = [name for name in names if name not in READ and not name.startswith(fourth)]
     degree = [DEGREE_4] if any(name.startswith(fourth) for name in names) else []
-    return [*degree, *passed_over(others), *_extensions(scene)]
-
-
-def _extensions(scene: Scene) -> list[str]:
-    """A sentence that names extensions which may change the Gaussians and are not read."""
     wanted = dict.fromkeys(map(str, scene.tree.get("extensionsRequired", [])))
     for node in scene.tree.get("nodes", []):
         wanted |= dict.fromkeys(node.get("extensions", {}) if "mesh" in node else [])
     unread = ", ".join(name[:60] for name in wanted if name not in EXTENSIONS)
-    return [f"Extensions that are not read may change it: {unread[:300]}."] if unread else []
+    extensions = [f"Unsupported extensions may change it: {unread[:300]}."] if unread else []
+    return [*degree, *describe_unread(others), *extensions]
 
 
-def _placed(scene: Scene) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Each mesh of the scene that is shown, with the matrix [4,4] of its node."""
+def _list_meshes(scene: Scene) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Yield each mesh of the scene, with the matrix [4,4] of its node."""
     tree, here = scene.tree, np.eye(4)
     shown = item(scene, "scenes", tree.get("scene", 0)) if "scenes" in tree else {}
     roots = shown.get("nodes", [])
@@ -283,7 +276,7 @@ def _placed(scene: Scene) -> Iterator[tuple[int, NDArray[np.float64]]]:
         waiting += [(child, matrix) for child in node.get("children", [])] if roots else []
         if "mesh" in node:
             yield node["mesh"], matrix
-    limit = f"its nodes are more than {MAX_NODES:,}, or go in a circle."
+    limit = f"it has more than {MAX_NODES:,} nodes, or a cycle of nodes."
     raise refusal(KIND, scene.path, limit, "Export it again.")
 
 
@@ -292,38 +285,38 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    with np.errstate(all="ignore"):  # What is no rotation becomes NaN and is refused.
+    with np.errstate(all="ignore"):  # an invalid rotation becomes NaN and is refused
         turn = rotation_matrices(np.array([[w, x, y, z]]))[0]
     matrix[:3, :3] = turn * np.array(node.get("scale", (1, 1, 1)), np.float64)
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
     return matrix
 
 
-def _check_kind(scene: Scene, primitive: dict[str, Any], told: dict[str, Any]) -> None:
-    """Refuse Gaussians of a kind that is not read."""
+def _check_kind(scene: Scene, primitive: dict[str, Any], extension: dict[str, Any]) -> None:
+    """Refuse Gaussians of an unsupported kind."""
     if "indices" in primitive:
-        limit = "its Gaussians are chosen by indices, which are not read."
+        limit = "its Gaussians are selected by indices, which is not supported."
         raise refusal(KIND, scene.path, limit, "Export it without indices.")
-    if told.get("extensions"):
-        limit = f"its Gaussians are compressed by {', '.join(told['extensions'])}, a draft."
+    if extension.get("extensions"):
+        limit = f"its Gaussians are compressed by {', '.join(extension['extensions'])}, a draft."
         raise refusal(KIND, scene.path, limit, "Export it without compression.")
-    if told.get("kernel", "ellipse") != "ellipse":
-        limit = f"its kernel is {str(told['kernel'])[:40]}; ellipse is read."
+    if extension.get("kernel", "ellipse") != "ellipse":
+        limit = f"its kernel is {str(extension['kernel'])[:40]}; only ellipse is read."
         raise refusal(KIND, scene.path, limit, "Export it again.")
 
 
 def _values(scene: Scene, primitive: Primitive, name: str, width: int) -> NDArray[np.float32]:
-    """The values of an attribute [N,width]."""
+    """Return the values of an attribute [N,width]."""
     if name not in primitive.attributes:
         raise refusal(KIND, scene.path, f"its Gaussians have no {name}.", "Export it again.")
     index = primitive.attributes[name]
-    # Centres may be whole numbers of a step, which a node scales (KHR_mesh_quantization).
+    # Centres may be multiples of a step, which a node scales (KHR_mesh_quantization).
     whole = name == OBJECT or (name == "POSITION" and not is_fractions(scene, index))
     return values(scene, index, width, primitive.gaussians, as_they_are=whole)
 
 
 def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArray[np.float32]]:
-    """Columns of one primitive by the names of `Gaussians`."""
+    """Return the columns of a primitive by the names of `Gaussians`."""
     of = partial(_values, scene, primitive)
     scales = of(f"{EXTENSION}:SCALE", 3)
     with np.errstate(over="ignore"):
@@ -334,16 +327,16 @@ def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArra
     named = OBJECT in primitive.attributes
     return {
         "means": of("POSITION", 3),
-        "quats": unit(np.roll(of(f"{EXTENSION}:ROTATION", 4), 1, axis=1)),
+        "quats": normalise_quats(np.roll(of(f"{EXTENSION}:ROTATION", 4), 1, axis=1)),
         "scales": scales,
         "opacities": of(f"{EXTENSION}:OPACITY", 1)[:, 0],
-        "sh": _displayed(sh) if primitive.told.get("colorSpace") == LINEAR else sh,
+        "sh": _to_display_colours(sh) if primitive.extension.get("colorSpace") == LINEAR else sh,
         "object_id": of(OBJECT, 1)[:, 0] if named else np.full(len(sh), np.nan, np.float32),
     }
 
 
-def _displayed(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Colours of linear light as the display's, to first order about their mean [N,K,3]."""
+def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Convert linear colours [N,K,3] to the display's, to first order about their mean."""
     linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     slope = np.where(linear <= 0.0031308, 12.92, (bright + 0.055) / 2.4 / np.maximum(linear, 1e-9))
@@ -352,8 +345,8 @@ def _displayed(sh: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.concatenate([first, sh[:, 1:] * slope], axis=1, dtype=np.float32)
 
 
-def _moved(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
-    """Columns as their node places them, and the `step` between neighbouring places."""
+def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
+    """Transform columns by the matrix of their node, and add the file's resolution as `step`."""
     step = step_of(raw["means"])
     if np.array_equal(matrix, np.eye(4)):
         return {**raw, "step": step}
@@ -361,18 +354,18 @@ def _moved(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> di
     size = float(sizes.mean())
     turn = matrix[:3, :3] / (size or 1.0)
     if not np.allclose(turn @ turn.T, np.eye(3), atol=EVEN) or np.linalg.det(turn) < 0:
-        limit = "a node scales its Gaussians unevenly, skews or mirrors them, which is not read."
+        limit = "a node scales its Gaussians unevenly, skews or mirrors them, which is unsupported."
         raise refusal(KIND, scene.path, limit, "Apply the node's transform and export it again.")
     shapes = {name: value for name, value in raw.items() if name != "object_id"}
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         means = raw["means"].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        gaussians = turned(Gaussians(**shapes), turn).moved(size, np.zeros(3))
-    found = {name: getattr(gaussians, name) for name in shapes}
-    return {**raw, **found, "means": means, "step": step * size}
+        gaussians = rotate_gaussians(Gaussians(**shapes), turn).moved(size, np.zeros(3))
+    rotated = {name: getattr(gaussians, name) for name in shapes}
+    return {**raw, **rotated, "means": means, "step": step * size}
 
 
 def _alike(parts: list[dict[str, NDArray]]) -> list[dict[str, NDArray]]:
-    """Columns with as many harmonics in every part."""
+    """Pad the harmonics of all parts to the same number."""
     most = max(part["sh"].shape[1] for part in parts)
     rows = [(0, most - part["sh"].shape[1]) for part in parts]
     padded = [np.pad(p["sh"], ((0, 0), row, (0, 0))) for p, row in zip(parts, rows, strict=True)]

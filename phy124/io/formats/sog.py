@@ -38,12 +38,17 @@ from phy124.io.content import (
     LARGEST_SH,
     Content,
     check_count,
+    check_opens,
     content_of,
     refusal,
-    refuse_unopened,
 )
-from phy124.io.formats.codebook import codebook, nearest, palette
-from phy124.io.formats.smallest_three import completed, reduced
+from phy124.io.formats.quantise import (
+    drop_largest,
+    make_codebook,
+    make_palette,
+    nearest_codes,
+    restore_largest,
+)
 
 KIND = "SOG"
 META = "meta.json"
@@ -58,20 +63,18 @@ COEFFICIENTS = (0, 3, 8, 15, 24)
 """Harmonics above degree 0, by degree."""
 TAG = 252
 OBJECT = "object_id"
-BROKEN = (
-    LookupError, TypeError, ValueError, ArithmeticError, AttributeError, OSError, EOFError,
-    NotImplementedError, RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
-)  # fmt: skip
-"""What zip, JSON and WebP readers raise on broken files."""
+BROKEN = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, OSError, EOFError)
+BROKEN += (RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error)
+"""Exceptions of zip, JSON and WebP readers on broken files."""
 
 
 def read(path: Path) -> Content:
-    """The Gaussians of a SOG file.
+    """Read the Gaussians of a SOG file.
 
     Raises:
         InputError: If the file is missing, cut short, damaged or of another version.
     """
-    refuse_unopened(KIND, path)
+    check_opens(KIND, path)
     try:
         with zipfile.ZipFile(path) as archive:
             return _read(path, archive)
@@ -115,7 +118,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """The bytes of a SOG file, with the Gaussians in their order."""
+    """Return the bytes of a SOG file, with the Gaussians in their order."""
     meta: dict[str, Any] = {
         "version": 2,
         "asset": {"generator": "phy124"},
@@ -124,7 +127,7 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
     }
     pictures: dict[str, NDArray[np.uint8]] = {}
     _put_centres(meta, pictures, gaussians)
-    others, which = reduced(gaussians.quats)
+    others, which = drop_largest(gaussians.quats)
     packed = np.rint((others * np.sqrt(2) + 1) / 2 * 255).clip(0, 255)
     pictures["quats.webp"] = _square(packed, which + TAG)
     meta["quats"] = {"files": ["quats.webp"]}
@@ -135,10 +138,10 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
         _put_harmonics(meta, pictures, gaussians)
     if gaussians.object_id is not None:
         _put_objects(meta, pictures, gaussians.object_id)
-    return _zipped(meta, pictures)
+    return _zip(meta, pictures)
 
 
-def _zipped(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> bytes:
+def _zip(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> bytes:
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:
         for name, picture in pictures.items():
@@ -151,10 +154,10 @@ def _zipped(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> byt
 
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """A member of the archive, if it is no larger than `most`."""
+    """Read a member of the archive, of at most `most` bytes."""
     known = {info.filename.rpartition("/")[2]: info for info in archive.infolist()}
     if name == META and name not in known:
-        limit = "it is a zip archive, but of no SOG: it has no meta.json."
+        limit = "it is a zip archive, but no SOG: it has no meta.json."
         raise refusal(KIND, path, limit, "Unpack it, and give a file in it.")
     if name not in known:
         raise refusal(KIND, path, f"it has no {name[:80]}.", "Export it again.")
@@ -166,7 +169,7 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes
 
 
 def _picture(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> NDArray[np.uint8]:
-    """A WebP picture of at most so many pixels [H,W,4]."""
+    """Read a WebP picture [H,W,4] of at most `most` pixels."""
     data = _member(path, archive, str(name), 4 * most + 4096)
     width, height = _size(data)
     if width * height > most:
@@ -179,7 +182,7 @@ def _picture(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> NDAr
 
 
 def _size(data: bytes) -> tuple[int, int]:
-    """Width and height of a WebP picture, from its header alone."""
+    """Read the width and height of a WebP picture from its header."""
     kind = data[12:16]
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP" or len(data) < 30:
         raise ValueError("a picture is no WebP")
@@ -187,16 +190,16 @@ def _size(data: bytes) -> tuple[int, int]:
         bits = int.from_bytes(data[21:25], "little")
         return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
     if kind == b"VP8X":
-        return (int.from_bytes(data[24:27], "little") + 1,
-                int.from_bytes(data[27:30], "little") + 1)  # fmt: skip
+        width, height = (int.from_bytes(data[i : i + 3], "little") + 1 for i in (24, 27))
+        return width, height
     raise ValueError("a picture is not lossless")
 
 
 def _codes(entry: dict[str, Any]) -> NDArray[np.float32]:
-    """The 256 values that bytes stand for."""
+    """Return the 256 values of a codebook."""
     codes = np.array(entry["codebook"], np.float64)
     if codes.shape != (256,):
-        raise ValueError("a codebook has not 256 values")
+        raise ValueError("a codebook does not have 256 values")
     return codes.astype(np.float32)
 
 
@@ -213,7 +216,7 @@ def _centres(entry: dict[str, Any], pixels: Any) -> NDArray[np.float64]:
 def _rotations(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
     others = (pixels[:, :3] / np.float32(255) * 2 - 1) / np.float32(np.sqrt(2))
     tag = pixels[:, 3]
-    quats = completed(others, np.maximum(tag, TAG) - TAG)
+    quats = restore_largest(others, np.maximum(tag, TAG) - TAG)
     quats[tag < TAG] = 1, 0, 0, 0
     return quats
 
@@ -221,7 +224,7 @@ def _rotations(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
 def _harmonics(
     path: Path, archive: zipfile.ZipFile, entry: dict[str, Any], pixels: Any
 ) -> NDArray[np.float32]:
-    """Coefficients of degree 1 and higher [N,K-1,3]."""
+    """Return the coefficients of degree 1 and higher [N,K-1,3]."""
     count, each = int(entry["count"]), COEFFICIENTS[int(entry["bands"])]
     if not 0 < count <= MOST_ENTRIES or not each:
         raise ValueError("its palette of harmonics is empty or too large")
@@ -238,12 +241,12 @@ def _harmonics(
 
 
 def _objects(meta: dict[str, Any], pixels: Any) -> dict[str, NDArray[np.int32]]:
-    """The object of each Gaussian, if the file has it from us; others may have extras, too."""
+    """Return the object of each Gaussian, if phy124 wrote it; other programs may have extras."""
     extras = meta.get("extras")
-    own = extras.get("phy124") if isinstance(extras, dict) else None
-    if own is None:
+    ours = extras.get("phy124") if isinstance(extras, dict) else None
+    if ours is None:
         return {}
-    rows = pixels(own[OBJECT]).astype(np.int32)
+    rows = pixels(ours[OBJECT]).astype(np.int32)
     return {OBJECT: rows[:, :3] @ np.array([1, 1 << 8, 1 << 16], np.int32)}
 
 
@@ -267,20 +270,20 @@ def _put_centres(meta: dict, pictures: dict, gaussians: Gaussians) -> None:
 def _put_codes(
     meta: dict, pictures: dict, name: str, values: NDArray, alpha: NDArray | None = None
 ) -> None:
-    codes = codebook(values.ravel())
-    pictures[f"{name}.webp"] = _square(nearest(codes, values), alpha)
+    codes = make_codebook(values.ravel())
+    pictures[f"{name}.webp"] = _square(nearest_codes(codes, values), alpha)
     meta[name] = {"codebook": codes.tolist(), "files": [f"{name}.webp"]}
 
 
 def _put_harmonics(meta: dict, pictures: dict, gaussians: Gaussians) -> None:
     rest = gaussians.sh[:, 1:]
-    entries, labels = palette(rest.reshape(len(rest), -1), MOST_ENTRIES)
-    codes = codebook(entries.ravel())
+    entries, labels = make_palette(rest.reshape(len(rest), -1), MOST_ENTRIES)
+    codes = make_codebook(entries.ravel())
     each = rest.shape[1]
     rows = -(-len(entries) // ENTRIES_PER_ROW)
     pixels = np.zeros((rows * ENTRIES_PER_ROW * each, 4), np.uint8)
     pixels[:, 3] = 255
-    pixels[: len(entries) * each, :3] = nearest(codes, entries).reshape(-1, 3)
+    pixels[: len(entries) * each, :3] = nearest_codes(codes, entries).reshape(-1, 3)
     files = ["shN_centroids.webp", "shN_labels.webp"]
     pictures[files[0]] = pixels.reshape(rows, ENTRIES_PER_ROW * each, 4)
     zeros = np.zeros(len(labels), np.int64)
@@ -294,7 +297,7 @@ def _put_harmonics(meta: dict, pictures: dict, gaussians: Gaussians) -> None:
 
 
 def _square(values: NDArray, alpha: NDArray | None = None) -> NDArray[np.uint8]:
-    """Rows [N,3] as a picture that is about as high as wide [H,W,4]; alpha is 255 if not given."""
+    """Arrange rows [N,3] as a roughly square picture [H,W,4]; alpha is 255 by default."""
     width = 4 * -(-max(int(np.ceil(np.sqrt(len(values)))), 1) // 4)
     height = 4 * -(-len(values) // (4 * width))
     pixels = np.zeros((height * width, 4), np.uint8)

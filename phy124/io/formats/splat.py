@@ -6,7 +6,7 @@
     24      colour   4 uint8    red, green, blue, opacity; value / 255
     28      rotation 4 uint8    wxyz; (value - 128) / 128
 
-Spherical harmonics above degree 0 have no place in it.
+It has no spherical harmonics above degree 0.
 """
 
 from __future__ import annotations
@@ -17,26 +17,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import SH_C0, Gaussians
-from phy124.io.content import Content, check_count, content_of, refusal, refuse_unopened
+from phy124.io.content import Content, check_count, check_opens, content_of, refusal
 
 ROW = np.dtype(
     [("centre", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)]
 )
 LOOKED_AT = 1000
-"""Rows that show whether bytes without a header can be a `.splat` file."""
+"""Number of rows that are examined to recognise a `.splat` file."""
 
 
 def read(path: Path) -> Content:
-    """The Gaussians of a `.splat` file.
+    """Read the Gaussians of a `.splat` file.
 
     Raises:
         InputError: If the file is missing, cut short, too large, or nothing in it is finite.
     """
-    refuse_unopened("splat", path)
+    check_opens("splat", path)
     size = path.stat().st_size
     count, rest = divmod(size, ROW.itemsize)
     if rest:
-        limit = f"its {size:,} bytes are no multiple of {ROW.itemsize}: it is cut short or foreign."
+        limit = (
+            f"its {size:,} bytes are not a multiple of {ROW.itemsize}: it is cut short or foreign."
+        )
         raise refusal("splat", path, limit)
     check_count("splat", path, count, ROW.itemsize, size)
     rows = np.fromfile(path, ROW)
@@ -52,7 +54,7 @@ def read(path: Path) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """The bytes of a `.splat` file; it cannot say whether it is antialiased."""
+    """Return the bytes of a `.splat` file; it cannot store whether it is antialiased."""
     del antialiased
     rows = np.empty(len(gaussians), ROW)
     rows["centre"], rows["scale"] = gaussians.means, gaussians.scales

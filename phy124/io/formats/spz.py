@@ -42,35 +42,99 @@ from phy124.io.content import (
     Content,
     check_count,
     content_of,
+    read_whole_file,
     refusal,
-    whole_file,
 )
-from phy124.io.formats.smallest_three import completed, reduced
-from phy124.io.formats.spz_extensions import read_extensions
+from phy124.io.formats.quantise import drop_largest, restore_largest
+
+RECORD = struct.Struct("<II")
+AXES = 0xADBE0003
+SYSTEMS = (
+    *(x + y + z for z in "BF" for y in "DU" for x in "LR"),
+    *(x + y + z for y in "FB" for z in "DU" for x in "LR"),
+)
+"""Names of the systems 1 to 16."""
+USUAL = "RUB"
+"""The system of a file that does not name one."""
+DIRECTIONS = {"R": (1, 0, 0), "U": (0, 1, 0), "B": (0, 0, 1)}
+DIRECTIONS |= {"L": (-1, 0, 0), "D": (0, -1, 0), "F": (0, 0, -1)}
+MOST_NAMED = 8
+
+
+class Extensions(NamedTuple):
+    """The extensions of a file that are understood, and notes about the others."""
+
+    system: str = USUAL
+    """Directions of x, y and z."""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """Directions of the file that point up, and to the front of the object (the viewer)."""
+        return _axis(self.system, "UD"), _axis(self.system, "BF")
+
+    @property
+    def left_handed(self) -> bool:
+        """Whether the axes are left-handed, so that the file must be mirrored."""
+        return bool(np.linalg.det([DIRECTIONS[letter] for letter in self.system]) < 0)
+
+
+def read_extensions(data: bytes) -> Extensions:
+    """Read the records of extensions; damaged ones are ignored, with a note."""
+    system, notes, unknown, at = None, [], [], 0
+    while at < len(data):
+        kind, size = RECORD.unpack_from(data, at) if at + RECORD.size <= len(data) else (0, 1 << 32)
+        at += RECORD.size
+        payload = data[at : at + size]
+        at += size
+        if at > len(data):
+            notes.append("Its extensions are cut short; the incomplete one was ignored.")
+        elif kind == AXES:
+            (value,) = struct.unpack("<I", payload) if size == 4 else (0,)
+            if 1 <= value <= len(SYSTEMS):
+                system = system or SYSTEMS[value - 1]
+            else:
+                notes.append(f"Its system of axes, {value}, is unknown: {USUAL} is assumed.")
+        else:
+            unknown.append(f"{kind:#010x}")
+    if unknown:
+        listed = ", ".join(list(dict.fromkeys(unknown))[:MOST_NAMED])
+        notes.insert(0, f"Unknown extensions were ignored: {listed}.")
+    extensions = Extensions(system or USUAL)
+    if extensions.left_handed:
+        notes.append(f"Its axes are left-handed ({system}): it was mirrored along x.")
+    return extensions._replace(notes=tuple(notes))
+
+
+def _axis(system: str, letters: str) -> str:
+    """Return the axis, with its sign, that points to the first of two opposite letters."""
+    (at,) = (i for i, letter in enumerate(system) if letter in letters)
+    return "xyz"[at] if system[at] == letters[0] else f"-{'xyz'[at]}"
+
 
 KIND = "SPZ"
 MAGIC = b"NGSP"
 GZIP = b"\x1f\x8b"
 FOURTH = struct.pack("<I", 4)
-"""What stands after the magic in a file of version 4."""
+"""Bytes after the magic in a file of version 4."""
 HEADER = struct.Struct("<4sIIBBBB")
 MORE = struct.Struct("<I12x")
 ENTRY = struct.Struct("<QQ")
 ANTIALIASED, EXTENDED = 1, 2
 MOST_RECORDS = 1 << 20
-"""Bytes of extensions that are read."""
+"""Largest size of the extensions that are read [bytes]."""
 COLOUR = 0.15
 MOST_BITS = 16
-"""Bits after the point that are written; fewer if the object is larger than 128 of its units."""
+"""Fractional bits that are written; fewer if the object is larger than 128 units."""
 REACH = (1 << 23) - 1
 GZIP_LEVEL = 4
 """6 takes twice as long and saves 1 %."""
 LEVEL = 9
-"""Zstandard's level: more takes longer and saves hardly anything."""
+"""Zstandard's level: higher ones take longer and save hardly anything."""
 WINDOW = 1 << 27
 """Largest window [bytes] of a Zstandard stream that is read."""
 HARMONIC_BITS = (5, 4, 4)
-"""Bits that are written for harmonics of degree 1, 2, 3."""
+"""Bits written for harmonics of degree 1, 2, 3."""
 
 
 class Head(NamedTuple):
@@ -86,7 +150,7 @@ class Head(NamedTuple):
 
     @property
     def sizes(self) -> list[int]:
-        """Bytes of each section, without those that are empty."""
+        """Size of each section that is not empty [bytes]."""
         centre, rotation = 6 if self.version < 2 else 9, 3 if self.version < 3 else 4
         harmonics = 3 * ((self.degree + 1) ** 2 - 1)
         rows = (centre, 1, 3, 3, rotation, harmonics)
@@ -94,12 +158,12 @@ class Head(NamedTuple):
 
 
 def read(path: Path) -> Content:
-    """The Gaussians of an SPZ file.
+    """Read the Gaussians of an SPZ file.
 
     Raises:
         InputError: If the file is missing, cut short, damaged or of another version.
     """
-    data = whole_file(KIND, path)
+    data = read_whole_file(KIND, path)
     in_streams = data[:4] == MAGIC and data[4:8] == FOURTH
     head, body, records = _streams(path, data) if in_streams else _whole(path, data)
     n, at = head.gaussians, np.cumsum([0, *head.sizes])
@@ -124,14 +188,14 @@ def read(path: Path) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """The bytes of a file of version 3, which most programs read."""
-    head, sections = _packed(gaussians, 3, antialiased=antialiased)
-    return _gzipped(HEADER.pack(*head) + b"".join(sections))
+    """Return the bytes of a file of version 3, which most programs read."""
+    head, sections = _pack(gaussians, 3, antialiased=antialiased)
+    return _gzip(HEADER.pack(*head) + b"".join(sections))
 
 
 def encode_v4(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """The bytes of a file of version 4."""
-    head, sections = _packed(gaussians, 4, antialiased=antialiased)
+    """Return the bytes of a file of version 4."""
+    head, sections = _pack(gaussians, 4, antialiased=antialiased)
     streams = [zstandard.ZstdCompressor(level=LEVEL).compress(section) for section in sections]
     start = HEADER.size + MORE.size
     table = [ENTRY.pack(len(a), len(b)) for a, b in zip(streams, sections, strict=True)]
@@ -139,7 +203,7 @@ def encode_v4(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def begins(data: bytes) -> bool:
-    """Whether a file that begins like this is SPZ."""
+    """Whether a file with these first bytes is an SPZ file."""
     if data[:4] == MAGIC:
         return True
     try:
@@ -151,16 +215,16 @@ def begins(data: bytes) -> bool:
 def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
     """Mirror columns along x, from a left-handed system to a right-handed one."""
     raw["means"] *= np.array([-1, 1, 1], np.float32)
-    # A mirror turns round the other way whatever turns about an axis in it.
+    # A mirror reverses rotations about the axes that lie in it.
     raw["quats"] *= np.array([1, 1, -1, -1], np.float32)
     raw["sh"] *= mirror_signs(raw["sh"].shape[1]).astype(np.float32)[:, None]
 
 
 def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Header, sections and extensions of versions 1 to 3."""
+    """Return header, sections and extensions of versions 1 to 3."""
     if data[:4] == MAGIC:
-        # Browsers unpack what a server calls packed by gzip.
-        data = _gzipped(data, level=0)
+        # Browsers have unpacked a file that a server declares as compressed by gzip.
+        data = _gzip(data, level=0)
     packer = zlib.decompressobj(31)
     try:
         first = packer.decompress(data, HEADER.size)
@@ -177,7 +241,7 @@ def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
 
 
 def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Header, sections and extensions of version 4."""
+    """Return header, sections and extensions of version 4."""
     head = _head(path, data[: HEADER.size], len(data), versions=(4,))
     if len(data) < HEADER.size + MORE.size:
         raise _short(path)
@@ -193,14 +257,14 @@ def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
             raise refusal(KIND, path, f"its stream {i} is announced with {raw:,} bytes.")
         if start + size > len(data):
             raise _short(path)
-        parts.append(_unpacked(path, data[start : start + size], wanted))
+        parts.append(_unpack(path, data[start : start + size], wanted))
         start += size
     records = data[HEADER.size + MORE.size : at][:MOST_RECORDS] if head.flags & EXTENDED else b""
     return head, np.frombuffer(b"".join(parts), np.uint8), records
 
 
-def _unpacked(path: Path, stream: bytes, wanted: int) -> bytes:
-    """One Zstandard stream, whose own header must announce what the file's table does."""
+def _unpack(path: Path, stream: bytes, wanted: int) -> bytes:
+    """Decompress a Zstandard stream, whose header must agree with the file's table."""
     try:
         announced = zstandard.frame_content_size(stream)
         if announced in (-1, wanted):
@@ -233,37 +297,37 @@ def _short(path: Path) -> Exception:
 
 
 def _places(head: Head, data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Centres [N,3]."""
+    """Return centres [N,3]."""
     if head.version < 2:
         return np.ascontiguousarray(data).view("<f2").astype(np.float32)
-    return _fixed(data) / np.float32(2**head.bits)
+    return _read_24_bits(data) / np.float32(2**head.bits)
 
 
-def _fixed(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Integers of 24 bits, low byte first [N,9] -> [N,3]."""
+def _read_24_bits(data: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Read integers of 24 bits, low byte first [N,9] -> [N,3]."""
     wide = np.zeros((len(data), 3, 4), np.uint8)
     wide[..., 1:] = data.reshape(-1, 3, 3)
     return (wide.view("<i4")[..., 0] >> 8).astype(np.float32)
 
 
 def _from_three(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Quaternions wxyz of versions 1 and 2."""
+    """Return quaternions wxyz of versions 1 and 2."""
     vector = data.astype(np.float32) / np.float32(127.5) - 1
     scalar = np.sqrt(np.maximum(1 - np.square(vector).sum(axis=1, keepdims=True), 0))
     return np.concatenate([scalar, vector], axis=1)
 
 
 def _from_four(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Quaternions wxyz of version 3 and later."""
+    """Return quaternions wxyz of version 3 and later."""
     packed = np.ascontiguousarray(data).view("<u4")
     fields = (packed >> np.array([20, 10, 0], np.uint32)) & np.uint32(1023)
     size = (fields & 511).astype(np.float32) / np.float32(511 * np.sqrt(2))
     others = np.where(fields >> 9, -size, size)
-    return np.roll(completed(others, packed[:, 0] >> 30), 1, axis=1)
+    return np.roll(restore_largest(others, packed[:, 0] >> 30), 1, axis=1)
 
 
-def _packed(gaussians: Gaussians, version: int, *, antialiased: bool) -> tuple[Head, list[bytes]]:
-    """Header and sections, not yet compressed."""
+def _pack(gaussians: Gaussians, version: int, *, antialiased: bool) -> tuple[Head, list[bytes]]:
+    """Return header and uncompressed sections."""
     bits = _bits(gaussians.means)
     steps = np.rint(gaussians.means.astype(np.float64) * 2**bits).clip(-REACH, REACH)
     centres = steps.astype("<i4").view(np.uint8).reshape(-1, 3, 4)[..., :3]
@@ -283,7 +347,7 @@ def _packed(gaussians: Gaussians, version: int, *, antialiased: bool) -> tuple[H
 
 
 def _bits(means: NDArray) -> int:
-    """Bits after the point with which the farthest centre still fits."""
+    """Largest number of fractional bits with which the farthest centre fits."""
     reach = float(np.abs(means).max(initial=1e-6))
     return int(np.clip(np.floor(np.log2(REACH / reach)), 0, MOST_BITS))
 
@@ -293,7 +357,7 @@ def _byte(values: NDArray) -> NDArray[np.uint8]:
 
 
 def _to_four(quats: NDArray) -> NDArray[np.uint8]:
-    others, which = reduced(np.roll(quats, -1, axis=1))
+    others, which = drop_largest(np.roll(quats, -1, axis=1))
     size = np.rint(np.abs(others) * (511 * np.sqrt(2))).clip(0, 511).astype("<u4")
     fields = size | np.where(others < 0, np.uint32(512), np.uint32(0))
     packed = fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2] | which.astype("<u4") << 30
@@ -301,7 +365,7 @@ def _to_four(quats: NDArray) -> NDArray[np.uint8]:
 
 
 def _harmonics(rest: NDArray) -> NDArray[np.uint8]:
-    """Bytes of the harmonics above degree 0, rounded to multiples of a step."""
+    """Return bytes of the harmonics above degree 0, rounded to multiples of a step."""
     count = rest.shape[1]
     bits = np.repeat(HARMONIC_BITS, (3, 5, 7))[:count, None]
     step = (1 << (8 - bits)).astype(np.int16)
@@ -309,6 +373,6 @@ def _harmonics(rest: NDArray) -> NDArray[np.uint8]:
     return ((values + step // 2) // step * step).clip(0, 255).astype(np.uint8)
 
 
-def _gzipped(data: bytes, level: int = GZIP_LEVEL) -> bytes:
+def _gzip(data: bytes, level: int = GZIP_LEVEL) -> bytes:
     packer = zlib.compressobj(level, wbits=31)
     return packer.compress(data) + packer.flush()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, joined, quaternions, rotation_matrices
 from phy124.generators.ply_file import Opened, PlyFile, normalised, robust_bounds
-from phy124.io.axes import turned, upright
+from phy124.io.axes import rotate_gaussians, upright
 from phy124.particles import clean
 from phy124.particles.thinning import thin
 from phy124.pipeline.capture.floor import Floor, find_floor
@@ -47,7 +47,7 @@ class Capture:
     about: dict[str, Any]
     """How the file was rotated and what floor was found, for the report."""
     notes: tuple[str, ...] = ()
-    """What of the file is read in another way than usual, or passed over, as sentences."""
+    """Sentences about columns that are ignored, or read in an unusual way."""
 
 
 def capture(
@@ -128,7 +128,7 @@ def _on_floor(opened: Opened, *, told: bool) -> _Read:
             "Take more of the scene into --crop, or leave --floor out.",
         )  # fmt: skip
     turn = upright(found.normal)
-    standing = turned(given, turn)
+    standing = rotate_gaussians(given, turn)
     above = standing.select(~lies)
     alone = isolated(above)
     own, cleaned = clean(above.select(~alone))

@@ -95,7 +95,7 @@ def make_stage(
     if view.stage == "transparent":
         return None
     background = backdrop(view)
-    rest = np.asarray(clip.means[0][clip.own] if rest is None else rest)
+    rest = np.asarray(clip.means[0][clip.object_mask] if rest is None else rest)
     # Column-major order, in which extremes are several times faster.
     rest = np.asfortranarray(rest[_finite(rest)], np.float64)
     if view.stage == "plain" or not len(rest):
@@ -107,7 +107,7 @@ def make_stage(
         for wall in walls
         if not wall.is_floor
     )
-    shadowing = None if clip.own.all() else clip.own
+    shadowing = None if clip.object_mask.all() else clip.object_mask
     return Stage(background, heights, shown, _caster(clip, rest, heights, device), shadowing)
 
 
@@ -142,7 +142,7 @@ def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
 
 def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
     """Place a shadow map that covers the floor around the object in all frames."""
-    chosen = np.flatnonzero(clip.own & _finite(clip.means[0]))
+    chosen = np.flatnonzero(clip.object_mask & _finite(clip.means[0]))
     points = clip.means[:, chosen[:: 1 + len(chosen) // SAMPLE]].astype(np.float64)
     points = np.where(np.isfinite(points), points, points[0])
     points[..., 2] -= heights[:, None]

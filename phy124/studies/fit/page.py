@@ -12,8 +12,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from phy124.io.export.html import VIEWER
 from phy124.io.files import replacing
+from phy124.io.html import VIEWER
 from phy124.studies.fit.report import table
 
 WIDTH, HEIGHT, TOP, BOTTOM, MARGIN = 300, 110, 6, 92, 6

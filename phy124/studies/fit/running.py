@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from phy124.io.clip import Clip
-from phy124.io.files import staged, write_whole
+from phy124.io.files import staging, write_whole
 from phy124.io.video import refuse_missing_encoder
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
@@ -99,7 +99,7 @@ def _written(target: Target, runs: Runs, budget: Budget, found: Estimate, out: P
     scene = target.scene.replaced(values)
     clip = runs.player.clip(target.played.replaced(values).data())
     report = report_of(target, runs, found, clip, seconds=budget.spent)
-    with staged(out, keeps=True) as folder:
+    with staging(out, keeps=True) as folder:
         write_whole(folder / SCENE, scene.to_toml())
         _write_report(folder, report)
         if target.film is not None:

@@ -180,7 +180,7 @@ def _given(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Crop]:
 
 def _tracks(clip: Clip) -> Table:
     """Some Gaussians of a clip, as if they had been tracked."""
-    surface, own = clip.surface, np.flatnonzero(clip.surface.own)
+    surface, own = clip.surface, np.flatnonzero(clip.surface.object_mask)
     chosen = own[np.linspace(0, len(own) - 1, min(TRACKED, len(own))).astype(int)]
     count = len(clip)
     times = np.repeat(np.asarray(clip.times, float), len(chosen))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from phy124.errors import InputError
-from phy124.io.files import deliver, replacing, staged, sweep_parts
+from phy124.io.files import deliver, replacing, staging, sweep_parts
 from phy124.runtime.installation import install_command
 
 
@@ -74,7 +74,7 @@ class Storage:
     def filling(self, folder: str) -> Iterator[Filling]:
         """A place on this machine for the files of a folder, which may be stored in parts."""
         if self.here is not None:
-            with staged(self.here / folder) as place:
+            with staging(self.here / folder) as place:
                 yield Filling(place, partial(_deliver, place))
             return
         with tempfile.TemporaryDirectory(prefix="phy124-") as temporary:

@@ -17,8 +17,7 @@ from pathlib import Path
 from phy124.errors import SHORT_CODES, InputError
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
-from phy124.io.destinations import real
-from phy124.io.files import replacing
+from phy124.io.files import replacing, resolve_links
 from phy124.io.ply import write_ply
 from phy124.progress import Progress, silent
 
@@ -26,16 +25,13 @@ from phy124.progress import Progress, silent
 def write_ply_sequence(
     path: str | os.PathLike[str], clip: Clip, *, name: str = "frame", progress: Progress = silent
 ) -> list[str]:
-    """Write one 3DGS PLY per frame as `write_sequence` does; returns the file names.
+    """Write one 3DGS PLY per frame, as `write_sequence` does; return the file names.
 
     Args:
         path: A new or empty folder, or a name ending in .zip.
-        clip: What to write.
-        name: What the file names start with.
+        clip: The frames.
+        name: Start of the file names.
         progress: Called as ("export", frames done, frames in all).
-
-    Raises:
-        InputError: If the clip is empty, the name is unusable or the files cannot be written.
     """
     return write_sequence(path, clip, write_ply, ".ply", name=name, progress=progress)
 
@@ -56,22 +52,22 @@ def write_sequence(
     Args:
         path: A new or empty folder, or a name ending in .zip for one archive (stored, not
             compressed, since these files hardly shrink).
-        clip: What to write.
+        clip: The frames.
         write: Writes the Gaussians of one frame.
         suffix: Ending of the files' names, with its point.
-        name: What the file names start with.
+        name: Start of the file names.
         progress: Called as ("export", frames done, frames in all).
 
     Raises:
         InputError: If the clip is empty, the name is unusable or the files cannot be written.
     """
-    path = real(Path(path))
+    path = resolve_links(Path(path))
     if not len(clip):
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
     if not name or Path(name).name != name:
         raise InputError("name", name, "it cannot start a file's name.", "Use a word: frame.")
 
-    def numbered(folder: Path) -> Iterator[Path]:
+    def write_numbered(folder: Path) -> Iterator[Path]:
         # As many digits for all: players sort the names as text.
         digits = max(4, len(str(len(clip))))
         for done, frame in enumerate(clip.frames(), 1):
@@ -82,14 +78,14 @@ def write_sequence(
 
     if path.suffix.lower() != ".zip":
         with _new_folder(path) as folder:
-            return [file.name for file in numbered(folder)]
+            return [file.name for file in write_numbered(folder)]
     names = []
     with (
         replacing(path) as temporary,
         zipfile.ZipFile(temporary, "w") as archive,
         tempfile.TemporaryDirectory() as scratch,
     ):
-        for file in numbered(Path(scratch)):
+        for file in write_numbered(Path(scratch)):
             archive.write(file, file.name)
             file.unlink()
             names.append(file.name)
@@ -98,7 +94,7 @@ def write_sequence(
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder that becomes `path` if all goes well."""
+    """Provide a temporary folder that becomes `path` if the block succeeds."""
     try:
         if path.exists() and any(path.iterdir()):
             # Older frames would play among the new ones.
@@ -107,12 +103,9 @@ def _new_folder(path: Path) -> Iterator[Path]:
     except OSError as error:
         if error.errno in SHORT_CODES:
             raise
-        raise InputError(
-            "output",
-            path,
-            f"the folder cannot be made ({error.strerror}).",
-            "Give a new name in a folder that exists and that you may write to.",
-        ) from error
+        limit = f"the folder cannot be made ({error.strerror})."
+        remedy = "Give a new name in a folder that exists and that you may write to."
+        raise InputError("output", path, limit, remedy) from error
     with scratch:
         folder = Path(scratch.name) / "frames"
         folder.mkdir()

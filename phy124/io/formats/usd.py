@@ -1,7 +1,7 @@
 """OpenUSD: the whole clip as one animated prim, ParticleField3DGaussianSplat (OpenUSD 26.03).
 
 It is the only open format that keeps moving Gaussians in a single file. Units and axes are the
-project's own (metres, z up), which USD declares in its header; opacities and scales are linear.
+project's (metres, z up), which USD declares in its header; opacities and scales are linear.
 """
 
 from __future__ import annotations
@@ -38,9 +38,8 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
     """
     pxr = _pxr()
     if Path(path).suffix.lower() not in ENDINGS:
-        raise InputError(
-            "output", path, "a USD file ends in .usdc, .usda or .usd.", "Rename it; prefer .usdc."
-        )
+        limit = "a USD file ends in .usdc, .usda or .usd."
+        raise InputError("output", path, limit, "Rename it; prefer .usdc.")
     if not len(clip):
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
     with replacing(path) as temporary:
@@ -55,32 +54,28 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
 
 
 def refuse_missing_usd() -> None:
-    """Refuse USD files where the package that writes them is not installed.
+    """Refuse USD files if the package that writes them is not installed.
 
     Raises:
-        InputError: It is not, or is too old.
+        InputError: The package is missing or too old.
     """
     _pxr()
 
 
 def _pxr() -> Any:
-    """The modules of OpenUSD that are used here."""
+    """Import the modules of OpenUSD that are used here."""
     try:
         from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
 
         schema = getattr(UsdVol, SCHEMA)
     except (ImportError, AttributeError) as error:
-        raise InputError(
-            "format",
-            "usd",
-            "this needs the package usd-core, 26.3 or later.",
-            f"Run `{install_command('usd')}`.",
-        ) from error
+        limit = "this needs the package usd-core, 26.3 or later."
+        raise InputError("format", "usd", limit, f"Run `{install_command('usd')}`.") from error
     return SimpleNamespace(Sdf=Sdf, Usd=Usd, UsdGeom=UsdGeom, Schema=schema, Vt=Vt)
 
 
 def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
-    """A new stage with everything that does not change in time, and its prim of splats."""
+    """Create a stage with everything that does not change in time, and its prim of splats."""
     stage = pxr.Usd.Stage.CreateNew(os.fspath(path))
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -102,7 +97,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 
 
 def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
-    """Set everything that moves, at one time code."""
+    """Set everything that moves, at a time code."""
     vectors = pxr.Vt.Vec3fArray.FromNumpy
     # In memory USD quaternions are (x, y, z, w).
     quats = np.ascontiguousarray(np.roll(gaussians.quats, -1, axis=1))
@@ -116,7 +111,7 @@ def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
 
 
 def _colour(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
-    """Set the spherical harmonics at one time code, or for all times."""
+    """Set the spherical harmonics at a time code, or for all times."""
     flat = pxr.Vt.Vec3fArray.FromNumpy(gaussians.sh.reshape(-1, 3))
     attribute = splats.CreateRadianceSphericalHarmonicsCoefficientsAttr()
     attribute.Set(flat) if code is None else attribute.Set(flat, code)

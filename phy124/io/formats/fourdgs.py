@@ -1,10 +1,10 @@
-"""`.4dgs`: all frames in one file, as keyframes and what changes between them.
+"""`.4dgs`: all frames in one file, as keyframes and the changes between them.
 
 The open container of 4dgs.dev, version 1, model `keyframe-delta`, written by its own library
-(package fourdgs, Apache-2.0, numpy only). It declares how far any value may be off: positions by
-2 % of the median scale, scales by 0.5 %, rotations by 0.0005, colours and opacities by 0.5 / 255.
-Every Gaussian keeps its number in time; a reader can seek. Colours are those of degree 0, still in
-time. Axes are those of glTF: y up, the front is z, metres.
+(package fourdgs, Apache-2.0, numpy only). It declares the largest error of each value: 2 % of the
+median scale for positions, 0.5 % for scales, 0.0005 for rotations, 0.5 / 255 for colours and
+opacities. Every Gaussian keeps its index in all frames, and a reader can seek. Colours are those of
+degree 0, and constant. Axes are those of glTF: y up, z to the front, metres.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.io.axes import orientation, turned
+from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.clip import Clip
 from phy124.io.content import Y_UP
 from phy124.io.files import replacing
@@ -29,9 +29,9 @@ from phy124.runtime.installation import install_command
 PROFILE = "fine"
 """The library's smallest bounds."""
 KEYFRAME = 8
-"""Frames from one keyframe to the next: at most so many are read to show any instant."""
+"""Frames per keyframe, which is the largest number of frames read to show any instant."""
 STILL = 1 / 24
-"""How long the last frame is shown if there is only one [s]."""
+"""Duration of a clip with one frame [s]."""
 FOREVER = 1e6
 """Width in time of a Gaussian that does not fade [s]; the writer needs a finite one."""
 
@@ -52,7 +52,7 @@ def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progres
     rotation = orientation(*Y_UP).T
     samples = []
     for index, frame in enumerate(clip.frames()):
-        gaussians = turned(frame.gaussians, rotation)
+        gaussians = rotate_gaussians(frame.gaussians, rotation)
         samples.append(_sample(library, gaussians, float(times[index]), duration))
         progress("export", index, len(clip))
     options = library.KeyframeDeltaOptions(keyframe_every=KEYFRAME)
@@ -63,18 +63,17 @@ def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progres
 
 
 def _library() -> Any:
-    """The parts of fourdgs that are used here."""
+    """Import the functions and classes of fourdgs that are used here."""
     try:
         from fourdgs import GaussianSet
         from fourdgs.keyframe_delta_file import write_sequence
         from fourdgs.keyframe_delta_writer import KeyframeDeltaOptions, Sample
     except ImportError as error:
-        raise InputError(
-            "format",
-            "4dgs",
+        limit, remedy = (
             "this needs the package fourdgs, 0.6.",
             f"Run `{install_command('fourdgs')}`.",
-        ) from error
+        )
+        raise InputError("format", "4dgs", limit, remedy) from error
     return SimpleNamespace(
         GaussianSet=GaussianSet,
         Sample=Sample,
@@ -84,14 +83,14 @@ def _library() -> Any:
 
 
 def _sample(library: Any, gaussians: Gaussians, time: float, duration: float) -> Any:
-    """All Gaussians at one instant, for the library."""
+    """Convert all Gaussians at one instant to the library's class."""
     count = len(gaussians)
 
     def each(value: float) -> NDArray[np.float32]:
         return np.full(count, value, np.float32)
 
     rgba = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)
-    told = library.GaussianSet(
+    gaussian_set = library.GaussianSet(
         positions=gaussians.means,
         scales=gaussians.scales,
         rotations=np.roll(gaussians.quats, -1, axis=1),
@@ -102,4 +101,4 @@ def _sample(library: Any, gaussians: Gaussians, time: float, duration: float) ->
         win_lo=each(0),
         win_hi=each(duration),
     )
-    return library.Sample(t0=time, ids=np.arange(count), gaussians=told)
+    return library.Sample(t0=time, ids=np.arange(count), gaussians=gaussian_set)

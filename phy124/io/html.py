@@ -34,7 +34,7 @@ from phy124.gaussians import SH_C0
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 
-VIEWER = Path(__file__).parents[1] / "viewer"
+VIEWER = Path(__file__).with_name("viewer")
 """Folder of the player's scripts; the web page serves them from here too."""
 SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "shine.js", "player.js")
 STYLE = "player.css"
@@ -44,7 +44,7 @@ TALLEST = 4.0
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
 """A stage as plain data and its shadow maps [T,C,C] (phy124/rendering/stage/build.py)."""
 Glossy = dict[str, Any]
-"""What shines and how, as plain data (phy124/rendering/shine.py)."""
+"""Which Gaussians reflect light and how, as plain data (phy124/rendering/shine.py)."""
 PERCENTILES = (1, 99)
 """Ends of the colour ramp of stretch, as percentiles, so that single Gaussians do not set it."""
 
@@ -57,14 +57,14 @@ def pack(
     stage: Staged | None = None,
     shine: Glossy | None = None,
 ) -> bytes:
-    """The clip in the form the player reads.
+    """Return the clip in the form that the player reads.
 
     Args:
         clip: What to pack.
         camera: The first view; its picture size does not matter.
         background: Colour behind the Gaussians, 0..1.
-        stage: What stands behind and around them instead.
-        shine: What shines, of a clip whose Gaussians are shaped for it.
+        stage: The stage to draw in place of the background.
+        shine: The reflective Gaussians, for a clip whose Gaussians are shaped for it.
 
     Raises:
         InputError: If the clip is empty.
@@ -97,8 +97,8 @@ def pack(
         rest.astype("<f4"),
         *_split(_centres(clip.means, low, high)),
         _differences(_planar(np.rint(clip.quats * 127).clip(-127, 127).astype(np.int8))),
-        _differences(_planar(_quantized(ratios, *reach))),
-        _differences(_quantized(speeds, 0.0, head["speed"])),
+        _differences(_planar(_quantise(ratios, *reach))),
+        _differences(_quantise(speeds, 0.0, head["speed"])),
         *shades,
     ]
     text = json.dumps(head, allow_nan=False).encode()
@@ -125,16 +125,16 @@ def write_html(
         camera: The first view.
         title: Title of the page.
         background: Colour behind the Gaussians, 0..1.
-        stage: What stands behind and around them instead.
-        shine: What shines, of a clip whose Gaussians are shaped for it.
+        stage: The stage to draw in place of the background.
+        shine: The reflective Gaussians, for a clip whose Gaussians are shaped for it.
         viewer: Folder of the player's scripts.
 
     Raises:
         InputError: If the clip is empty, the player is not installed or the file cannot be written.
     """
     parts = {name: _asset(viewer / name) for name in (*SCRIPTS, STYLE, LICENCE)}
-    made = pack(clip, camera, background=background, stage=stage, shine=shine)
-    data = base64.b64encode(made).decode()
+    packed = pack(clip, camera, background=background, stage=stage, shine=shine)
+    data = base64.b64encode(packed).decode()
     scripts = "".join(f"<script>{parts[name]}</script>\n" for name in SCRIPTS)
     page = PAGE.format(
         title=html.escape(title),
@@ -172,16 +172,12 @@ def _asset(path: Path) -> str:
     try:
         return path.read_text("utf-8")
     except OSError:
-        raise InputError(
-            "viewer",
-            path,
-            "the player's files are missing.",
-            "Install phy124 with its demo folder.",
-        ) from None
+        limit = "the player's files are missing."
+        raise InputError("viewer", path, limit, "Install phy124 again.") from None
 
 
 def _view(camera: Camera) -> dict[str, Any]:
-    """A camera as an orbit around its target [degrees, m]."""
+    """Return a camera as an orbit around its target [degrees, m]."""
     away = np.subtract(camera.eye, camera.target)
     radius = float(np.linalg.norm(away))
     return {
@@ -199,14 +195,14 @@ def _colours(clip: Clip) -> NDArray[np.uint8]:
 
 
 def _centres(means: NDArray, low: NDArray, high: NDArray) -> NDArray[np.uint16]:
-    """Positions [T,3,N] quantised to 65536 steps of the box, as differences in time."""
+    """Quantise positions to 65536 steps of the box, as differences in time [T,3,N]."""
     width = np.maximum(high - low, 1e-12)
     steps = np.rint((means - low) / width * 65535).astype("<u2")
     return _differences(_planar(steps))
 
 
 def _split(values: NDArray[np.uint16]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """The low bytes, then the high bytes."""
+    """Split integers into low bytes and high bytes."""
     return (values & 255).astype(np.uint8), (values >> 8).astype(np.uint8)
 
 
@@ -216,13 +212,13 @@ def _planar(values: NDArray) -> NDArray:
 
 
 def _differences(values: NDArray) -> NDArray:
-    """Each frame minus the one before, in the wrapping arithmetic of its type."""
+    """Subtract the previous frame from each frame, in the type's modular arithmetic."""
     out = values.copy()
     out[1:] -= values[:-1]
     return out
 
 
-def _quantized(values: NDArray, low: float, high: float) -> NDArray[np.uint8]:
+def _quantise(values: NDArray, low: float, high: float) -> NDArray[np.uint8]:
     return np.rint((values - low) / max(high - low, 1e-12) * 255).clip(0, 255).astype(np.uint8)
 
 

@@ -1,0 +1,179 @@
+"""The values of a GLB: its accessors, and whether its scales are logarithms.
+
+An accessor (glTF 2.0, section 3.6.2) reads numbers of one type from a view of the binary chunk. A
+sparse one replaces some of them, and one without a view begins with zeros.
+
+The ratified text of KHR_gaussian_splatting has lengths as scales, its review draft had logarithms,
+and a file does not say which of the two it follows. Negative scales show that they are logarithms,
+and the names of some generators do, too. If all logarithms are above 0, as in a file in
+millimetres, the Gaussians themselves decide: those of an object are about as wide as their
+distance. Logarithms that are read as lengths are far too small for that.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.io.content import refusal
+
+KIND = "GLB"
+TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The two chunks of a file."""
+
+    path: Path
+    tree: dict[str, Any]
+    body: memoryview
+
+
+def item(scene: Scene, kind: str, index: Any) -> Any:
+    """Return an entry of a list of the description, such as node 3.
+
+    Raises:
+        ValueError: There is no such entry.
+    """
+    entries = scene.tree.get(kind, [])
+    if type(index) is not int or not 0 <= index < len(entries):
+        raise ValueError(f"its {kind} have no number {str(index)[:40]}")
+    return entries[index]
+
+
+def values(
+    scene: Scene, index: Any, width: int, count: int, *, as_they_are: bool = False
+) -> NDArray[np.float32]:
+    """Return the values of an accessor [count,width].
+
+    Args:
+        scene: The file.
+        index: Index of the accessor.
+        width: Numbers per value.
+        count: Expected number of values.
+        as_they_are: Whether to return integers unchanged, even if the file declares them to be
+            fractions of the largest integer.
+
+    Raises:
+        InputError: The file is cut short.
+        ValueError: The accessor has other values, or exceeds its view.
+    """
+    accessor = item(scene, "accessors", index)
+    if WIDTHS.get(accessor["type"]) != width:
+        raise ValueError(f"accessor {index} is of type {str(accessor['type'])[:40]}")
+    if accessor["count"] != count:
+        raise ValueError(f"accessor {index} has {accessor['count']} values for {count} Gaussians")
+    dtype = np.dtype(TYPES[accessor["componentType"]])
+    if "bufferView" in accessor:
+        raw = _read_view(scene, accessor, dtype, count, width)
+    else:
+        raw = np.zeros((count, width), dtype)
+    if "sparse" in accessor:
+        raw = _apply_sparse(scene, accessor["sparse"], raw)
+    if dtype.kind == "f" or as_they_are:
+        return raw.astype(np.float32)
+    if not accessor.get("normalized", False):
+        raise ValueError(f"accessor {index} holds integers that are not normalised")
+    return np.maximum(raw / np.float32(np.iinfo(dtype).max), -1).astype(np.float32)
+
+
+def is_fractions(scene: Scene, index: Any) -> bool:
+    """Whether the integers of an accessor are fractions of the largest integer."""
+    return bool(item(scene, "accessors", index).get("normalized", False))
+
+
+def _read_view(
+    scene: Scene, place: dict[str, Any], dtype: np.dtype[Any], count: int, width: int
+) -> NDArray[Any]:
+    """Read numbers [count,width] from a view of the binary chunk."""
+    view = item(scene, "bufferViews", place["bufferView"])
+    if view.get("buffer", 0) != 0 or "uri" in scene.tree["buffers"][0]:
+        raise ValueError("some of its values are in another file")
+    offset, first = int(view.get("byteOffset", 0)), int(place.get("byteOffset", 0))
+    stride = int(view.get("byteStride", dtype.itemsize * width))
+    end = first + stride * (count - 1) + dtype.itemsize * width
+    if min(offset, first) < 0 or stride < dtype.itemsize * width or end > int(view["byteLength"]):
+        raise ValueError(f"view {place['bufferView']} is shorter than its {count:,} values")
+    if offset + end > len(scene.body):
+        raise refusal(KIND, scene.path, "it is cut short: some of its values are missing.")
+    shape, strides = (count, width), (stride, dtype.itemsize)
+    return np.ndarray(shape, dtype, scene.body, offset + first, strides)
+
+
+def _apply_sparse(scene: Scene, sparse: dict[str, Any], raw: NDArray[Any]) -> NDArray[Any]:
+    """Replace some of the numbers [N,width] by those of a sparse accessor."""
+    count, kind = int(sparse["count"]), np.dtype(TYPES[sparse["indices"]["componentType"]])
+    if kind.kind != "u":
+        raise ValueError("a sparse accessor has no whole indices")
+    rows = _read_view(scene, sparse["indices"], kind, count, 1)[:, 0]
+    if rows.max() >= len(raw):
+        raise ValueError("a sparse accessor replaces values that are not there")
+    raw = raw.copy()
+    raw[rows] = _read_view(scene, sparse["values"], raw.dtype, count, raw.shape[1])
+    return raw
+
+
+PLAYCANVAS = re.compile(r"splat-transform (\d+)\.(\d+)")
+LENGTHS_SINCE = (2, 7)
+"""Version of splat-transform that first wrote lengths."""
+FEW = 0.01
+"""Fraction up to which negative scales are ignored: a mirrored length is no logarithm."""
+NEIGHBOURS = 4
+SOME = 2000
+"""Number of Gaussians that are examined."""
+BARE = 0.55
+"""Width, in distances to the neighbours, below which Gaussians leave an object full of holes."""
+SHORT = 1.0
+"""Smallest median scale that can be a logarithm, if all scales are positive."""
+COVERING = (0.6, 6.0)
+"""Widths of Gaussians that cover an object, in the same unit; measured were 1.2 to 3.5."""
+NOTE = "Its scales are read as logarithms: {}."
+
+
+def kind_of_scales(
+    generator: str, parts: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
+) -> tuple[bool, list[str]]:
+    """Return whether scales are logarithms, with a note if that is a guess.
+
+    Args:
+        generator: The file's name of the program that wrote it.
+        parts: Scales [N,3] and centres [N,3] of each primitive.
+    """
+    negative = sum(np.count_nonzero(scales < 0) for scales, _ in parts)
+    if negative > FEW * sum(scales.size for scales, _ in parts):
+        return True, []
+    if match := PLAYCANVAS.match(generator):
+        logs = (int(match[1]), int(match[2])) < LENGTHS_SINCE
+        return logs, [NOTE.format(f"{match[0]} wrote logarithms")] if logs else []
+    if generator.startswith("phy124"):
+        return False, []
+    if _too_small(*max(parts, key=lambda part: len(part[0]))):
+        return True, [NOTE.format("as lengths they would leave it full of holes")]
+    return False, []
+
+
+def _too_small(scales: NDArray[np.float32], means: NDArray[np.float32]) -> bool:
+    """Whether Gaussians cover an object only if their scales are logarithms."""
+    sound = np.isfinite(means).all(axis=1) & np.isfinite(scales).all(axis=1)
+    longest, places = scales[sound].max(axis=1, initial=0), means[sound].astype(np.float64)
+    if len(places) <= NEIGHBOURS:
+        return False
+    from scipy.spatial import KDTree
+
+    some = slice(None, None, max(1, len(places) // SOME))
+    # On a surface, k neighbours lie in a circle of k times the area of each.
+    apart = KDTree(places).query(places[some], NEIGHBOURS + 1)[0][:, -1] / np.sqrt(NEIGHBOURS)
+    spacing, length = float(np.median(apart)), float(np.median(longest[some]))
+    with np.errstate(over="ignore"):
+        width = np.exp(length)
+    low, high = COVERING
+    bare = SHORT < length < BARE * spacing
+    return bare and low * spacing <= width <= high * spacing
