@@ -10,6 +10,9 @@ import pytest
 from demo import bodies
 from demo.bodies import DEEPEST, VALUES, BodyLimit, is_plain
 
+PATIENCE = 60.0
+"""Time after which a request without an answer fails its test [s]."""
+
 
 def _nested(depth: int, beside: str = "") -> bytes:
     return ("[" * depth + beside + "]" * depth).encode()
@@ -92,7 +95,7 @@ def test_bodies_that_trickle_in_have_only_so_much_memory(monkeypatch):
         for size in (80, 30, 10, 5):
             asked.append(ask(size))
             await asyncio.sleep(0)
-        await asked[1]
+        await asyncio.wait_for(asked[1], PATIENCE)
         more.set()
         await asyncio.gather(*asked)
         assert limit._held == 0

@@ -50,6 +50,16 @@ def test_if_none_is_waited_for_the_newest_is_closed():
     assert [each for each in connections if each.transport.aborted] == [new]
 
 
+def test_room_is_made_without_known_connections():
+    """Connections of other protocols, such as websockets, are not closed."""
+    connections: set = set()
+    new = _connection(connections)
+    connections.clear()
+    connections.add(object())
+    new._make_room()
+    assert new.transport.aborted
+
+
 def test_excess_connections_close_kept_alive_ones():
     connections: set[Patient] = set()
     _connection(connections)

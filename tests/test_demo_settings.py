@@ -136,10 +136,16 @@ def test_lists_of_a_scene_are_counted_first(change, monkeypatch):
         scene_of(change, Settings())
 
 
-@pytest.mark.parametrize("data", [None, "press", {"material": {"law": "gold"}}, {"x" * 30_000: 1}])
+@pytest.mark.parametrize("data", [None, "press", {"material": {"law": "gold"}}])
 def test_what_is_no_scene_is_refused(data):
     with pytest.raises(InputError):
         scene_of(data, Settings())
+
+
+def test_long_scenes_are_refused_before_they_are_read(monkeypatch):
+    monkeypatch.setattr(Scene, "from_data", lambda *_: pytest.fail("it was read"))
+    with pytest.raises(InputError, match="longer than the .* characters"):
+        scene_of({"x" * 300_000: 1}, Settings())
 
 
 FILES = [

@@ -10,6 +10,10 @@ from demo import streams
 from demo.streams import ADDRESS, EACH, Streams
 
 
+PATIENCE = 60.0
+"""Time after which a stream that should have ended fails its test [s]."""
+
+
 class Page:
     """Streams that are open until something ends them."""
 
@@ -58,7 +62,7 @@ def test_of_too_many_streams_of_a_cookie_the_oldest_ends():
         opened = [await page.visit("a") for _ in range(EACH)]
         other = await page.visit("b")
         await page.visit("a")
-        await opened[0]
+        await asyncio.wait_for(opened[0], PATIENCE)
         assert page.answers[0][-1] == {
             "type": "http.response.body",
             "body": b"",
@@ -90,7 +94,7 @@ def test_a_stream_lives_on_only_while_its_page_is_here(monkeypatch, here):
     async def visit():
         page = Page(here=here)
         task = await page.visit("a")
-        await asyncio.wait([task], timeout=0.1 if here else None)
+        await asyncio.wait([task], timeout=0.1 if here else PATIENCE)
         assert task.done() is not here
 
     asyncio.run(visit())
