@@ -144,7 +144,7 @@ def test_what_is_no_scene_is_refused(data):
 
 def test_long_scenes_are_refused_before_they_are_read(monkeypatch):
     monkeypatch.setattr(Scene, "from_data", lambda *_: pytest.fail("it was read"))
-    with pytest.raises(InputError, match="longer than the .* characters"):
+    with pytest.raises(InputError, match=r"longer than the .* characters"):
         scene_of({"x" * 300_000: 1}, Settings())
 
 

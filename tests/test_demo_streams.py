@@ -9,7 +9,6 @@ import pytest
 from demo import streams
 from demo.streams import ADDRESS, EACH, Streams
 
-
 PATIENCE = 60.0
 """Time after which a stream that should have ended fails its test [s]."""
 
