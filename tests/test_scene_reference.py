@@ -13,9 +13,17 @@ from support.declared import leaves
 PAGE = Path(__file__).parents[1] / "docs/reference/scene.md"
 
 
-def test_the_page_is_the_declaration_s():
-    told = "run `phy124 scenes --reference > docs/reference/scene.md`"
-    assert PAGE.read_text("utf-8") == format_reference(), told
+def test_page_shows_the_example():
+    assert f"```toml\n{EXAMPLE}```" in PAGE.read_text("utf-8")
+
+
+def test_reference_of_one_section(capsys):
+    assert main(["scenes", "material", "--reference"]) == 0
+    shown = capsys.readouterr().out
+    assert "## `material`: snow\n" in shown and "## `forces`" not in shown
+    assert shown in format_reference()
+    assert main(["scenes", "materail", "--reference"]) == 2
+    assert "Did you mean material?" in capsys.readouterr().err
 
 
 def test_the_example_is_a_scene(tmp_path):

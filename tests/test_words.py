@@ -42,7 +42,7 @@ def list_rooms() -> dict[str, list[Path]]:
     rooms = {page: [ROOT / page] for page in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")}
     for folder in ("phy124", "demo", "bridge", "docs"):
         for path in sorted((ROOT / folder).rglob("*")):
-            if path.suffix in (".py", ".md", ".ipynb") and "api" not in path.parts:
+            if path.suffix in (".py", ".md", ".ipynb") and not {"api", "generated"} & {*path.parts}:
                 room = "/".join(path.relative_to(ROOT).parts[:-1][:2])
                 rooms.setdefault(room, []).append(path)
     return rooms

@@ -16,9 +16,9 @@ class Scenes:
     """List the preset scenes, or print one as TOML to start a scene file from."""
 
     name: tyro.conf.Positional[str | None] = None
-    """Preset to print in full."""
+    """Preset to print in full, or with --reference a section such as material or forces."""
     reference: bool = False
-    """Print every field of a scene: which values it takes, its default and its meaning."""
+    """Print the fields of a scene, or of one section: accepted values, default and meaning."""
     schema: bool = False
     """Print the JSON schema of scene files, for editors; the same as --reference --json."""
     json: bool = False
@@ -27,7 +27,8 @@ class Scenes:
     def run(self) -> int:
         """Print the list, the preset or the reference."""
         if self.reference or self.schema:
-            print(format_schema() if self.schema or self.json else format_reference(), end="")
+            as_json = self.schema or self.json
+            print(format_schema() if as_json else format_reference(self.name), end="")
             return 0
         if self.name is not None:
             scene = Scene.named(self.name)

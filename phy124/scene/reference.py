@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 
+from phy124.errors import InputError, suggest
 from phy124.scene.scene import Scene
 from phy124.schema.declaration import Declaration, Node, format_number, read_declaration
 
@@ -74,12 +75,29 @@ background = "whitesmoke"
 """A complete scene file with a part, stiffness, forces, a profile, boundaries and a motion."""
 
 
-def format_reference() -> str:
-    """Return the reference page in Markdown."""
+def format_reference(section: str | None = None) -> str:
+    """Return the reference in Markdown, or one section of it such as `material`.
+
+    Raises:
+        InputError: There is no such section.
+    """
+    pages = list_pages()
+    if section is not None:
+        if section not in pages:
+            limit = "a scene has no such section."
+            raise InputError("section", section, limit, suggest(section, [*pages]))
+        return pages[section]
+    return "\n".join([HEAD.format(example=EXAMPLE), *pages.values()])
+
+
+def list_pages() -> dict[str, str]:
+    """Return the tables of each section: `scene` for its own fields, then by their names."""
     declared, written = read_declaration(Scene), set[str]()
-    parts = [HEAD.format(example=EXAMPLE)]
-    parts += _format_section(declared, "Scene", declared.schema, "", written)
-    return "\n".join(parts)
+    pages = dict[str, str]()
+    for path, text in _format_section(declared, "Fields of a scene", declared.schema, "", written):
+        name = path.partition(".")[0].partition("[")[0] or "scene"
+        pages[name] = "\n".join(filter(None, [pages.get(name), text]))
+    return pages
 
 
 def format_schema() -> str:
@@ -90,11 +108,11 @@ def format_schema() -> str:
 
 def _format_section(
     declared: Declaration, title: str, node: Node, path: str, written: set[str]
-) -> Iterator[str]:
-    """Yield the table of a section, then those of its inner sections not yet written."""
+) -> Iterator[tuple[str, str]]:
+    """Yield path and table of a section, then those of its inner sections not yet written."""
     description = (node.get("description") or "").replace("\n", " ")
-    yield f"## {title}\n\n{description}\n"
-    yield "\n".join(_format_table(declared, node)) + "\n"
+    table = "\n".join(_format_table(declared, node))
+    yield path, f"## {title}\n\n{description}\n\n{table}\n"
     for name, inner in node["properties"].items():
         where = f"{path}{name}"
         for kind, section in _list_sections(declared, inner):

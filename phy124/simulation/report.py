@@ -1,4 +1,4 @@
-"""The report of a run as plain data; its keys are documented in docs/reference/report.md."""
+"""The report of a run as plain data; phy124.pipeline.report_keys documents its keys."""
 
 from __future__ import annotations
 

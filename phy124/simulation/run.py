@@ -186,7 +186,7 @@ class Simulation:
         return clip.with_report(self.report() | report_clip(setup, clip))
 
     def report(self) -> dict[str, Any]:
-        """Return the report; its keys are documented in docs/reference/report.md."""
+        """Return the report; phy124.pipeline.report_keys documents its keys."""
         return report_run(self)
 
     def snapshot(self) -> dict[str, Any]:

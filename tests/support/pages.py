@@ -8,7 +8,11 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[2]
 PAGES = [
     ROOT / "README.md",
-    *(page for page in sorted((ROOT / "docs").rglob("*.md")) if "api" not in page.parts),
+    *(
+        page
+        for page in sorted((ROOT / "docs").rglob("*.md"))
+        if not {"api", "generated"} & {*page.parts}
+    ),
     ROOT / "CONTRIBUTING.md",
 ]
 """Written by hand: the API reference is made from docstrings."""

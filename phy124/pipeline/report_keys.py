@@ -1,0 +1,268 @@
+"""The keys of report.json, which every run writes and which its clip contains too.
+
+Keys that are `NotRequired` exist only if the named option or scene asks for them. An observer of
+your own may add keys. The keys are stable: a release that removes one says so in the changelog.
+"""
+
+from typing import Any
+
+from typing_extensions import NotRequired, TypedDict
+
+
+class CutOut(TypedDict):
+    """How the object was cut out of the picture, as seen in `cutout.png`."""
+
+    method: str
+    """alpha, u2net, u2netp, grabcut, mask or brush."""
+    coverage: float
+    """Fraction of the picture that the object covers."""
+    pieces: int
+    """Number of connected pieces."""
+    touches: list[str]
+    """Edges of the picture that the object touches."""
+    unseen: float
+    """Fraction of the outline on the edge of the picture."""
+    alike: float
+    """Fraction of the surroundings that have the object's colours."""
+    undecided: float
+    """Fraction of half-transparent pixels away from the outline."""
+    frames: int
+    """Number of frames of an animation, of which the first is used."""
+    objects: int
+    """Number of separate objects found."""
+    touching: bool
+    """Whether the object may be two objects that touch."""
+    warnings: list[str]
+    """Reasons to doubt the cut-out."""
+    notes: list[str]
+    """Parts of the picture's file that were ignored."""
+
+
+class Substep(TypedDict):
+    """Length of the substeps."""
+
+    mean: float
+    """Mean length [s]."""
+    asked: float | None
+    """`time.substep` of the scene [s]."""
+    split: bool
+    """Whether substeps are shorter than `asked`."""
+    fractions: dict[str, float]
+    """Fraction of the substeps that each limit determined."""
+    rejected: int
+    """Number of substeps that were repeated with a shorter length."""
+    retried: list[int]
+    """Frames that were repeated with shorter substeps."""
+
+
+class Tearing(TypedDict):
+    """Elastic particles that may have lost contact with each other."""
+
+    apart: int
+    """Largest number of particles in one frame that are stretched apart."""
+    stretch: float
+    """Their largest stretch."""
+    loose: int
+    """Number of particles that separated from the piece to which they belong."""
+    likely: bool
+    """Whether the grid probably tore the material."""
+
+
+class Balance(TypedDict):
+    """Results of the watchdog."""
+
+    energy_gain: float | None
+    """Largest energy gain without a cause, as a fraction; null without `checks.balance`."""
+    momentum_gain: float | None
+    """Largest momentum change without a cause, as a fraction; null without `checks.balance`."""
+    min_J: float
+    """Smallest volume ratio of a particle."""
+    max_J: float
+    """Largest volume ratio of a particle."""
+    inside_out: int
+    """Number of inverted particles."""
+    reset: int
+    """Number of deformations that were reset to the shape at rest."""
+    ballistic: int
+    """Number of particles outside the simulated space."""
+    tearing: Tearing
+    """Signs of numerical fracture."""
+
+
+class Promise(TypedDict):
+    """Expected error of the clip; docs/results/accuracy.md explains it."""
+
+    error: float | None
+    """Upper bound as a fraction of the object's size; null if not measured, torn or stopped."""
+    why: str
+    """Reason for this value, as a sentence."""
+    unmeasured: str
+    """Kind of scene that was not measured, if that is the reason."""
+    own: bool
+    """Whether the error was measured on this scene."""
+    seconds: float | None
+    """Length of the part of the clip for which it holds, from the start [s]; null: all of it."""
+
+
+class Goal(TypedDict):
+    """Result of `--max-error` or `--max-seconds`."""
+
+    target: str
+    """Error or time asked for."""
+    cells: int
+    """Cells across the object in the chosen grid."""
+    error: float | None
+    """Estimated error in the unit of the target; null if it cannot be estimated."""
+    unit: str
+    """fraction, pixels or metres."""
+    fraction: float | None
+    """Estimated error as a fraction of the object's size."""
+    levels: list[int]
+    """Grids that were simulated."""
+    errors: list[float]
+    """Estimated error of each grid."""
+    seconds: list[float]
+    """Time of each grid [s]."""
+    order: float
+    """Observed order of convergence."""
+    refined: bool
+    """Whether a finer grid was added after the first estimate."""
+    met: bool
+    """Whether the target is met."""
+    why_not: str
+    """Reason if the target is not met."""
+    torn: list[int]
+    """Grids that were not used because they may have torn the material."""
+    particles_per_axis: float
+    """Particles per cell and axis."""
+
+
+class Forecast(TypedDict):
+    """Predicted and actual times."""
+
+    predicted: float
+    """Predicted time [s]."""
+    span: list[float]
+    """Range that should contain the actual time [s]."""
+    spent: float
+    """Actual time [s]."""
+    ratio: float
+    """Actual time divided by the predicted one."""
+    stages: dict[str, Any]
+    """The same for each stage."""
+    substeps: int
+    """Predicted number of substeps."""
+    limiters: dict[str, int]
+    """Predicted number of substeps that each limit determines."""
+    caveat: str | None
+    """Reason why the prediction may be wrong."""
+
+
+class Energy(TypedDict):
+    """Energy balance [J]."""
+
+    turnover: float
+    """Largest energy converted."""
+    lost: float
+    """Energy lost since the start; the sum of the following three."""
+    material: float
+    """Loss by viscosity, plasticity and flow inside the material."""
+    contact: float
+    """Loss by friction at walls."""
+    numerical: float
+    """Remaining loss, caused by the method; negative if energy was gained."""
+
+
+class Report(TypedDict):
+    """The keys of the report."""
+
+    complete: bool
+    """Whether the simulation reached its end; otherwise the good frames are kept."""
+    stopped: str | None
+    """Reason why the simulation stopped early."""
+    interrupted: bool
+    """Whether Ctrl-C or SIGTERM ended the run; `--resume` continues it."""
+    files: list[str]
+    """Files and folders that the run wrote; the next run in this folder removes old ones."""
+    remedies: list[dict[str, Any]]
+    """Changes of the scene that help after a stop, each sufficient alone, as field and value."""
+    foreground: str | None
+    """Method that cut the object out; null without a picture."""
+    cutout: CutOut | None
+    """Details of the cut-out; null without a picture."""
+    generator: str | None
+    """Name of the generator, or the file of Gaussians."""
+    effort: NotRequired[dict[str, Any]]
+    """Settings and predicted seconds of a generator that works for minutes."""
+    gaussians: int
+    """Number of Gaussians."""
+    grains: int
+    """Number of additional Gaussians inside granular or torn material."""
+    particles: int
+    """Number of particles."""
+    frames: int
+    """Number of frames."""
+    substeps: int
+    """Number of substeps."""
+    mass: float
+    """Mass of all particles [kg]."""
+    thickness: float | None
+    """Local thickness relative to the object's size, exceeded by three quarters of its volume."""
+    objects: NotRequired[dict[str, Any]]
+    """Counts, mass [kg] and position [m] of each object, and poses of free rigid ones."""
+    pairs: NotRequired[dict[str, Any]]
+    """Largest force [N] and its time, and last force and torque, of each pair of objects."""
+    sources: NotRequired[dict[str, Any]]
+    """Source, cut-out, generator and cleaning of each further object from a file."""
+    shapes: dict[str, Any]
+    """Largest ratios of the axes of a Gaussian (`needle`, `axis_ratio`) and `opacity` per law."""
+    shine: dict[str, Any]
+    """Ranges of Gaussians whose gloss is drawn, per law."""
+    static: int
+    """Number of Gaussians of static parts, which are not simulated."""
+    sleep: dict[str, Any] | None
+    """First frame at rest (`since`), number of `frames` at rest, and `substeps` saved."""
+    walls: dict[str, Any] | None
+    """Largest and last force [N] and torque [N m] of each wall, with `wrenches` or `contacts`."""
+    cleaning: list[str]
+    """Gaussians that were dropped or repaired, as sentences."""
+    notes: list[str]
+    """Further remarks about files, materials and the run, as sentences."""
+    capture: NotRequired[dict[str, Any]]
+    """Of a capture: rotation from the file's axes, and the floor found with `--floor`."""
+    playback: NotRequired[dict[str, Any]]
+    """Pictures per second (`fps`), `speed` (1 is real time) and `seconds` of the videos."""
+    departures: NotRequired[list[dict[str, Any]]]
+    """Views that the object leaves, and the camera distance that shows all of it."""
+    grid: dict[str, Any]
+    """Cell width `dx` [m] and number of nodes of the last `window`."""
+    threads: int
+    """CPU threads; the result is the same bit for bit for the same number of threads."""
+    limiters: dict[str, int]
+    """Number of substeps that each limit determined: elastic, speed, gradient, viscous, user."""
+    substep: Substep
+    """Length of the substeps."""
+    balance: Balance
+    """Results of the watchdog."""
+    energy: NotRequired[Energy]
+    """Energy balance, with `checks.energy`."""
+    effects: dict[str, Any]
+    """Effects that were computed (`ran`) or not (`left_out`, with reason and saved seconds)."""
+    promise: Promise
+    """Expected error of the clip."""
+    forecast: NotRequired[Forecast]
+    """Predicted and actual times, with `--forecast`."""
+    goal: NotRequired[Goal]
+    """Result of `--max-error` or `--max-seconds`."""
+    stages: list[dict[str, Any]]
+    """Name, seconds and kernel launches of each stage."""
+    substep_stages: list[dict[str, Any]]
+    """The same for the stages of a substep, on the main thread."""
+    seconds: float
+    """Wall time of the run [s]."""
+    device: str
+    """Device that simulated."""
+    processor: str
+    """Processor of the machine."""
+    versions: dict[str, str]
+    """Versions of phy124 and of the libraries that compute."""
