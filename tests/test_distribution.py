@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -52,13 +53,33 @@ def programs(wheel, tmp_path_factory) -> Path:
     What phy124 needs is taken from the environment of the tests, whose own phy124 is left out: a
     folder named in a .pth file does not have its own .pth files read.
     """
-    folder = tmp_path_factory.mktemp("elsewhere") / "venv"
+    python = make_environment(tmp_path_factory.mktemp("elsewhere") / "venv")
+    run(sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps", wheel)
+    return python.parent
+
+
+def make_environment(folder: Path) -> Path:
+    """The interpreter of a fresh environment that sees the packages of this one, but no phy124."""
     venv.create(folder, symlinks=True)
     paths = sysconfig.get_paths("venv", vars={"base": str(folder), "platbase": str(folder)})
-    python = Path(paths["scripts"], "python")
-    run(sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps", wheel)
     Path(paths["purelib"], "needed.pth").write_text(sysconfig.get_path("purelib"))
-    return python.parent
+    return Path(paths["scripts"], "python")
+
+
+@pytest.mark.slow
+def test_script_next_to_the_clone_imports_phy124(tmp_path):
+    """The clone's folder is called phy124 as well, and Python looks next to the script first."""
+    clone, script = tmp_path / "phy124", tmp_path / "test.py"
+    for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE"):
+        clone.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, clone)
+    for name in FOLDERS.values():
+        shutil.copytree(ROOT / name, clone / name, ignore=shutil.ignore_patterns("__pycache__"))
+    python = make_environment(tmp_path / "venv")
+    pip = [sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps"]
+    run(*pip, "--no-build-isolation", "--editable", clone, cwd=tmp_path)
+    script.write_text("import phy124, phy124_demo; phy124.read_ply; print(phy124.__file__)")
+    assert run(python, script, cwd=tmp_path).strip() == str(clone / "phy124/__init__.py")
 
 
 @pytest.mark.slow
