@@ -151,3 +151,9 @@ def test_a_rate_that_no_video_has_is_refused_at_once(time, chosen, field):
     remedy = float(str(refused.value).rpartition("= ")[2].rstrip("."))
     refuse_unfilmable(scene.replaced({"view.speed": remedy}))
     refuse_unfilmable(scene.replaced({"view.formats": ["png"]}))
+
+
+def test_film_makes_its_folder(tmp_path, clip):
+    view = Scene().view.model_copy(update={"views": ("front",), "size": (16, 16)})
+    (path,) = film(clip, view, tmp_path / "out/new")
+    assert path == tmp_path / "out/new/front.mp4" and path.is_file()

@@ -51,7 +51,7 @@ def film(
     Args:
         clip: The clip to film.
         view: Sides, size, background, formats and outputs.
-        folder: An existing folder.
+        folder: Where to write; it is made if it is missing.
         device: Warp's name of the device that draws.
         threads: CPU threads that draw videos and pictures; None: the number of cores.
         progress: Called as ("render SIDE", pictures done, pictures in all) for each side, and as
@@ -66,6 +66,7 @@ def film(
     """
     folder, watch = Path(folder), watch or Stopwatch()
     refuse_unkept(clip, view)
+    folder.mkdir(parents=True, exist_ok=True)
     stage, shine = make_stage(clip, view, device=device), make_shine(clip, view)
     paths: list[Path] = []
     for name in view.formats:

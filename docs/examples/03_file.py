@@ -1,0 +1,19 @@
+"""A file of Gaussians: read it, let the object wobble, and write its last frame as a file."""
+
+from pathlib import Path
+
+import phy124
+from phy124.pipeline import static
+
+folder = Path("out/file")
+folder.mkdir(parents=True, exist_ok=True)
+# Any file of Gaussians will do; this one is made so that the program is complete.
+phy124.write_gaussians(folder / "teddy.spz", static("demo/examples/teddy.png").gaussians)
+
+teddy = phy124.read_gaussians(folder / "teddy.spz").gaussians
+scene = phy124.Scene.named("jelly").replaced(
+    {"accuracy": "draft", "view.views": ["front"], "view.stage": "studio"}
+)
+clip = phy124.Simulation(phy124.prepare(teddy, scene)).run()
+phy124.film(clip, scene.view, folder)
+phy124.write_gaussians(folder / "last.ply", clip.frame(-1).gaussians)

@@ -1,0 +1,21 @@
+"""A sweep: clips of three objects with three stiffnesses, made on all cores."""
+
+from phy124.studies.sweep import Dataset, Plan, Sweep, run
+
+declared = Sweep.from_data(
+    {
+        "pictures": ["demo/examples/duck.png", "demo/examples/teddy.png"],
+        "gaussians": 5000,
+        "scene": "press",
+        "films": True,
+        "set": {
+            "accuracy": "draft",
+            "time.frames": 10,
+            "view.views": [["front"]],
+            "material.E": {"first": 1e4, "last": 1e6, "count": 3, "spacing": "log"},
+        },
+    }
+)
+run(Plan(declared), "out/sweep-example")
+for row, clip in Dataset("out/sweep-example"):
+    print(row["picture"], row["set.material.E"], f"{clip.means[-1, :, 2].max():.2f} m")
