@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import phy124
-from phy124.io.export import write_usd
+from phy124.io.formats.usd import write_usd
 from phy124.pipeline import cameras, static
 
 scene = phy124.Scene.named("jelly").replaced(
