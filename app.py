@@ -1,4 +1,4 @@
-"""The hosted page: `python app.py`, or a Hugging Face Space as it stands (docs/guide/web.md)."""
+"""The hosted page: `python app.py`, or a Hugging Face Space (docs/guide/hosting.md)."""
 
 import sys
 

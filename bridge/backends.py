@@ -1,6 +1,6 @@
 """Backends: the way frames are published live. rclpy where ROS 2 is, otherwise DDS; also Foxglove.
 
-A package adds one with an entry point `phy124.sinks` (docs/guide/extending.md).
+A package adds one with an entry point `phy124.sinks` (docs/guide/extending-files.md).
 """
 
 from __future__ import annotations

@@ -140,7 +140,7 @@ def _beside_ros(name: str, module: str, newest: int) -> str:
         return text
     return (
         f"{text}; ROS 2's packages are built for {name} {newest}: use a virtual environment "
-        "made with constraints-ros.txt (docs/guide/bridge.md)"
+        "made with constraints-ros.txt (docs/guide/ros2-package.md)"
     )
 
 

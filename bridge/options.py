@@ -12,7 +12,7 @@ from .layout import Profile
 
 LIVE_PROFILE: Profile = "viz"
 LIVE_POINTS = 32_768
-"""Gaussians per frame that ordinary subscribers receive at 30 Hz (docs/guide/bridge.md)."""
+"""Gaussians per frame that ordinary subscribers receive at 30 Hz (docs/guide/ros2-messages.md)."""
 LIVE_SPLATS = 8_192
 """Most Gaussians per frame of the profile `splats`, of 384 bytes each."""
 LAST_SECOND = 2**31 - 1

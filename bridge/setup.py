@@ -1,6 +1,6 @@
 """The ROS 2 package phy124_bridge: this folder, as `colcon build` expects it.
 
-The package phy124 itself is installed with pip (docs/guide/bridge.md).
+The package phy124 itself is installed with pip (docs/guide/ros2-package.md).
 """
 
 from pathlib import Path

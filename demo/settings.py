@@ -1,6 +1,6 @@
 """Settings of the hosted page, one typed class read from `PHY124_*` environment variables.
 
-The table in docs/guide/web.md is written from this class by `python -m demo.settings`.
+The table in docs/guide/hosting.md is written from this class by `python -m demo.settings`.
 """
 
 from __future__ import annotations

@@ -29,8 +29,8 @@ def test_point_sizes(profile, size):
 
 
 def documented_reader():
-    """The snippet of docs/guide/bridge.md."""
-    text = (Path(__file__).parents[1] / "docs/guide/bridge.md").read_text()
+    """The snippet of docs/guide/ros2-messages.md."""
+    text = (Path(__file__).parents[1] / "docs/guide/ros2-messages.md").read_text()
     (snippet,) = re.findall(r"```python\n(.*?)```", text, re.S)
     names = {}
     exec(snippet, names)

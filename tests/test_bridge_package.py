@@ -318,7 +318,7 @@ def test_colcon_builds_the_package(tmp_path, colcon, options):
 
 @pytest.mark.slow
 def test_installing_beside_ros_leaves_its_packages_alone(tmp_path):
-    """The line of docs/guide/bridge.md, where the system has NumPy 1.26 and an old pydantic."""
+    """docs/guide/ros2-package.md, where the system has NumPy 1.26 and an old pydantic."""
     environment = {**os.environ, "PYTHONUSERBASE": str(tmp_path / "system")}
     base = getattr(sys, "_base_executable", sys.executable)
 

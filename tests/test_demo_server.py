@@ -203,8 +203,10 @@ def test_a_program_fits_its_run_to_a_video(client, tmp_path):
 
 @pytest.mark.slow
 def test_the_program_of_the_documentation_runs(server, monkeypatch, capsys):
-    """docs/guide/web.md: a run, another film of it, its figures, its error."""
-    (program,) = (b.text for b in blocks() if b.page.name == "web.md" and b.words[0] == "python")
+    """docs/guide/web-programs.md: a run, another film of it, its figures, its error."""
+    (program,) = (
+        b.text for b in blocks() if b.page.name == "web-programs.md" and b.words[0] == "python"
+    )
     monkeypatch.chdir(ROOT)
     names = {}
     exec(program.replace("http://127.0.0.1:7860", server.url), names)

@@ -80,8 +80,10 @@ def test_bad_settings_are_refused_by_name(variable, value):
 
 
 def test_the_documented_table_is_the_classes_own():
-    text = (FOLDER.parent / "docs/guide/web.md").read_text("utf-8")
-    assert table() in text, "write the output of `python -m demo.settings` into docs/guide/web.md"
+    text = (FOLDER.parent / "docs/guide/hosting.md").read_text("utf-8")
+    assert table() in text, (
+        "write the output of `python -m demo.settings` into docs/guide/hosting.md"
+    )
 
 
 def test_every_law_force_and_boundary_is_offered():

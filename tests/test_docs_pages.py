@@ -7,24 +7,28 @@ from pathlib import Path
 import pytest
 
 from phy124.scene import Scene
-from support.pages import PAGES, ROOT, blocks, paragraphs
+from support.pages import BLOCK, PAGES, ROOT, blocks, count_words, paragraphs
 
 TALLEST = 8
 """Lines of 110 letters in a paragraph."""
 RUN = {
     "README.md": "test_readme.py",
-    "bridge.md": "test_bridge_layout.py",
-    "extending.md": "test_plug_and_play.py",
-    "filming.md": "test_scene_cameras.py",
+    "ros2-messages.md": "test_bridge_layout.py",
+    "cameras.md": "test_scene_cameras.py",
+    "captures.md": "test_docs_pages.py",
+    "extending-files.md": "test_plugins.py",
+    "extending.md": "test_plugins.py",
     "fitting.md": "test_fit.py",
     "formats.md": "test_formats.py",
     "live.md": "test_live.py",
+    "moved-objects.md": "test_scene_objects.py",
+    "objects-in-files.md": "test_scene_objects.py",
     "objects.md": "test_scene_objects.py",
     "pictures.md": "test_docs_pages.py",
-    "plugins.md": "test_docs_pages.py",
+    "shape.md": "test_docs_pages.py",
     "scene.md": "test_scene_reference.py",
     "sweeps.md": "test_sweep.py",
-    "web.md": "test_demo_server.py",
+    "web-programs.md": "test_demo_server.py",
 }
 """Which test runs the Python and TOML of a page; test_docs_commands.py has the commands."""
 
@@ -39,6 +43,45 @@ def test_no_paragraph_is_a_wall(page):
     for paragraph in paragraphs(page.read_text("utf-8")):
         lines = textwrap.wrap(paragraph, 110)
         assert len(lines) <= TALLEST, f"{len(lines)} lines: split {lines[0]}"
+
+
+LINK = re.compile(r"\]\(([^)\s#]*)(?:#([^)\s]*))?\)")
+WRITTEN_LATER = ("reference/api/", "reference/generated/")
+"""Pages that Sphinx writes."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_to_a_file_and_a_heading(page):
+    for path, anchor in LINK.findall(BLOCK.sub("", page.read_text("utf-8"))):
+        if ":" in path or any(folder in path for folder in WRITTEN_LATER):
+            continue
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), path
+        if anchor and target.suffix == ".md":
+            assert anchor in anchors(target.read_text("utf-8")), f"{path}#{anchor}"
+
+
+def anchors(text: str) -> set[str]:
+    """Return the anchors of a page's headings."""
+    heads = re.findall(r"^#+ (.*)$", BLOCK.sub("", text), re.M)
+    plain = (re.sub(r"\[(.*?)\]\(.*?\)", r"\1", head).lower() for head in heads)
+    return {re.sub(r"[^\w\- ]", "", head).strip().replace(" ", "-") for head in plain}
+
+
+@pytest.mark.parametrize(
+    ("folder", "limit"), [("guide", 900), ("results", 700), ("start", 900), ("examples", 900)]
+)
+def test_pages_are_short(folder, limit):
+    for page in (ROOT / "docs" / folder).glob("*.md"):
+        words = count_words(page.read_text("utf-8"))
+        assert words <= limit, f"{page.name} has {words} words: split it"
+
+
+def test_every_page_is_in_the_contents():
+    contents = (ROOT / "docs/index.md").read_text("utf-8")
+    for folder in ("guide", "results", "lab", "design"):
+        for page in (ROOT / "docs" / folder).glob("*.md"):
+            assert f"\n{folder}/{page.stem}\n" in contents, page.name
 
 
 def test_paragraphs_are_told_from_lists_tables_and_code():
@@ -56,13 +99,14 @@ def test_all_code_is_run():
 def test_a_picture_is_cut_out_from_python(tmp_path, monkeypatch, capsys):
     (tmp_path / "demo").symlink_to(ROOT / "demo")
     monkeypatch.chdir(tmp_path)
+    exec(code("shape.md", "python"), {})
     exec(code("pictures.md", "python"), {})
     assert capsys.readouterr().out.startswith("alpha 0.")
     assert Path("out.png").is_file()
 
 
 def test_a_region_may_be_in_the_units_of_the_file(tmp_path):
-    (tmp_path / "scene.toml").write_text(code("plugins.md", "toml"))
+    (tmp_path / "scene.toml").write_text(code("captures.md", "toml"))
     (part,) = Scene.from_toml(tmp_path / "scene.toml").parts
     assert part.region.units == "file"
 

@@ -139,7 +139,7 @@ class Nothing:
 
 
 def test_the_generator_of_the_documentation_runs(monkeypatch):
-    """docs/guide/extending.md: 15 lines are a generator, used by name and as an object."""
+    """docs/guide/extending-files.md: 15 lines are a generator, used by name and as an object."""
     (code,) = (block.text for block in blocks() if "GENERATORS" in block.text)
     assert 5 <= len([line for line in code.splitlines() if line.strip()]) <= 15
     monkeypatch.setitem(GENERATORS, "ball", None)  # so that it is taken out again

@@ -243,12 +243,14 @@ def test_what_a_sink_lacks_is_said(monkeypatch):
 
 
 def examples(monkeypatch) -> dict:
-    """What the page docs/guide/extending.md defines from "A material" on."""
+    """What the guide defines: a material, a force, a boundary, a format and a sink."""
     monkeypatch.setitem(sys.modules, "phy124_bridge", bridge)
     monkeypatch.setitem(sys.modules, "phy124_bridge.sink", bridge.sink)
-    page = (Path(__file__).parents[1] / "docs/guide/extending.md").read_text()
+    guide = Path(__file__).parents[1] / "docs/guide"
+    text = (guide / "extending.md").read_text("utf-8")
+    text += (guide / "extending-files.md").read_text("utf-8").partition("## A format")[2]
     names: dict = {}
-    for block in re.findall(r"```python\n(.*?)```", page[page.index("## A material") :], re.S):
+    for block in re.findall(r"```python\n(.*?)```", text, re.S):
         exec(block, names)
     return names
 

@@ -153,8 +153,8 @@ def test_a_scene_with_cameras_survives_toml(tmp_path):
 
 
 def test_the_cameras_of_the_documentation(tmp_path, clip):
-    """docs/guide/filming.md."""
-    (text,) = (b.text for b in blocks() if b.page.name == "filming.md" and b.words[0] == "toml")
+    """docs/guide/cameras.md."""
+    (text,) = (b.text for b in blocks() if b.page.name == "cameras.md" and b.words[0] == "toml")
     (tmp_path / "moves.toml").write_text(text)
     shown = Scene().replaced(ViewOptions(cameras=tmp_path / "moves.toml").changes()).view
     assert shown.sides == ("half", "closer", "reveal")

@@ -1,6 +1,5 @@
 """Several objects in one scene: how they are declared, made, placed, kept and written."""
 
-import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +25,7 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import notes
 from phy124.simulation.deform import Deformer
 from support.clips import random_clip
-from support.pages import ROOT
+from support.pages import blocks
 from support.shapes import ball
 
 if sys.version_info >= (3, 11):
@@ -263,11 +262,18 @@ def test_one_that_is_held_stays_and_carries():
     assert clip.wrenches[-4:, 0, 0, 2].max() < 0, "it presses down"
 
 
+def scenes_of(page: str) -> list[str]:
+    """Return the scenes on a page of the guide."""
+    return [b.text for b in blocks() if b.page.name == page and b.words[0] == "toml"]
+
+
 def test_the_scene_of_the_guide_runs():
-    """docs/guide/objects.md."""
-    page = (ROOT / "docs/guide/objects.md").read_text("utf-8")
-    text, meshed, *_ = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (text,) = scenes_of("objects.md")
+    (meshed,) = scenes_of("objects-in-files.md")
     assert Scene.from_data(tomllib.loads(meshed)).objects[0].mesh == Path("chair.glb")
+    kinds = ["path", "free"]
+    for scene, kind in zip(scenes_of("moved-objects.md"), kinds, strict=True):
+        assert Scene.from_data(tomllib.loads(scene)).objects[-1].motion.kind == kind
     shown = Scene.from_data(tomllib.loads(text)).replaced({**QUICK, "time.frames": 2})
     run = Simulation(prepare(ball(400), shown, RunContext(threads=1)))
     assert run.run().report["complete"] and run.solver.model.held == {2}

@@ -72,7 +72,7 @@ class Standard:
         del request
         left_out = () if self._action else (Feature.STEP_SIMULATION_ACTION,)
         found = [int(feature) for feature in Feature if feature not in left_out]
-        said = "phy124: one deformable object; ~/push, ~/grab (docs/guide/bridge.md)"
+        said = "phy124: one deformable object; ~/push, ~/grab (docs/guide/steering.md)"
         return {"features": {"features": found, "spawn_formats": [], "custom_info": said}}
 
     def state(self, request: Any) -> dict[str, Any]:

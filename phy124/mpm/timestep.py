@@ -2,7 +2,7 @@
 
 dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|): A the largest eigenvalue of
 d tau / d ln sigma (an isolated particle is a harmonic oscillator of omega^2 = 4 A / (rho0 dx^2)),
-|v| the largest speed, |C| the largest velocity gradient. See docs/reference/physics.md.
+|v| the largest speed, |C| the largest velocity gradient. See docs/design/physics.md.
 
 If the substep followed A up and down in phase with a vibration, it would pump energy into it. A is
 therefore forgotten only slowly: leapfrog with substeps of equal length conserves energy.

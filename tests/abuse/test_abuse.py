@@ -1,4 +1,4 @@
-"""Attacks on a real server, after the threat model in docs/guide/web.md; a minute or two.
+"""Attacks on a real server, after the threat model in docs/guide/security.md; a minute or two.
 
 Each test is an attacker; the last ones look at what all of them have left behind.
 """

@@ -1,4 +1,4 @@
-"""How often the interval of a fit holds the truth: docs/guide/fitting.md#how-well-it-does.
+"""How often the interval of a fit holds the truth: docs/lab/fitting.md.
 
     python tests/benchmarks/coverage.py FOLDER --seeds 0 25
 

@@ -4,7 +4,7 @@
 To add a still format, write a module with `read(path) -> Content` and
 `encode(gaussians, *, antialiased) -> bytes` next to a table of its layout, both in the axes of the
 file, and add a `Format` to `FORMATS`. A package registers its `Format` by an entry point of
-`phy124.formats` (docs/guide/extending.md).
+`phy124.formats` (docs/guide/extending-files.md).
 """
 
 from __future__ import annotations
