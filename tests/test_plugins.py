@@ -2,6 +2,7 @@
 
 import json
 import re
+import runpy
 import socket
 import sys
 from functools import cache
@@ -25,8 +26,9 @@ from phy124 import generators, pipeline
 from phy124.__main__ import main
 from phy124.boundaries import Ground
 from phy124.budget.effects import Effects
-from phy124.errors import InputError
+from phy124.errors import Cancelled, InputError
 from phy124.forces import Force, Gravity
+from phy124.io.clip import Clip
 from phy124.io.formats import (
     FORMATS,
     Format,
@@ -159,10 +161,19 @@ def test_plugin_material_survives_scene_changes():
     assert isinstance(scene.parts[0].material, Rubber)
 
 
-def test_run_of_an_unwritable_scene_is_refused_first(tmp_path):
-    with pytest.raises(InputError, match="a scene file cannot name it"):
-        pipeline.simulate(ball(300), own(), tmp_path / "out", progress=pytest.fail)
-    assert not (tmp_path / "out").exists()
+def test_interrupted_run_with_own_classes_leaves_no_pause(tmp_path):
+    """Its first frames are kept, but no file could say how the run goes on."""
+
+    def cancel(stage, done, total):
+        if (stage, done) == ("simulate", 2):
+            raise Cancelled
+
+    out = tmp_path / "out"
+    result = pipeline.simulate(ball(300), own(), out, progress=cancel, keep=True)
+    assert result.report["interrupted"] and result.report["frames"] == 2
+    assert not [path for path in out.iterdir() if "pause" in path.name]
+    assert "pause.safetensors" not in result.report["files"]
+    assert len(Clip.load(out / "clip.safetensors")) == 2
 
 
 def test_a_registered_name_is_read_and_written(installed, tmp_path):
@@ -253,6 +264,58 @@ def examples(monkeypatch) -> dict:
     for block in re.findall(r"```python\n(.*?)```", text, re.S):
         exec(block, names)
     return names
+
+
+def test_swirl_of_the_docs_is_filmed_from_python(monkeypatch, tmp_path, capsys):
+    """An unregistered force: films, clip and report are written, and the clip is filmed again."""
+    page = (Path(__file__).parents[1] / "docs/guide/particle-forces.md").read_text("utf-8")
+    script = tmp_path / "swirl.py"  # Warp reads the kernel's source from the file
+    script.write_text("\n".join(re.findall(r"```python\n(.*?)```", page, re.S)))
+    write_gaussians(tmp_path / "duck.ply", ball(300))
+    view = {"view.size": 32, "view.views": ["front"], "object.lift": 0.5}
+    scene = Scene.named("drop").replaced({**QUICK, **view})
+    monkeypatch.setattr(Scene, "named", lambda name: scene)
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(script))
+    clip = Clip.load("out/swirl.safetensors")
+    assert clip.scene["forces"][1]["kind"] == "swirl" and clip.report["unregistered"] == ["Swirl"]
+    t = clip.times[-1]
+    turned = np.arctan2(clip.means[-1, :, 1], clip.means[-1, :, 0])
+    start = np.arctan2(clip.means[0, :, 1], clip.means[0, :, 0])
+    turn = np.angle(np.exp(1j * (turned - start)))
+    assert np.median(turn) == pytest.approx(20 * t**2 / 2, rel=0.1), "angular acceleration of 20"
+    report = json.loads(Path("out/swirl/report.json").read_text())
+    assert "Swirl is defined by your program only" in " ".join(report["notes"])
+    assert {"front.mp4", "clip.safetensors", "scene.toml"} <= set(report["files"])
+    assert Path("out/front.mp4").is_file()
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    for clip in ("out/swirl.safetensors", "out/swirl/clip.safetensors"):
+        assert main(["render", clip, "--out", "again", "--device", "cpu"]) == 0
+    text = Path("out/swirl/scene.toml").read_text()
+    assert text.startswith("# Without Swirl") and [
+        f.kind for f in Scene.from_toml("out/swirl/scene.toml").forces
+    ] == ["gravity"]
+    with pytest.raises(InputError, match=r"forces\.1\.kind = swirl"):
+        Scene.from_data(Clip.load("out/swirl.safetensors").scene)
+
+
+def test_scene_of_a_clip_leaves_out_unknown_classes():
+    """Also a class that has the name of one of phy124's own but other fields."""
+    data = Scene.named("collide").data()
+    assert Scene.of_clip(data) == Scene.named("collide")
+    data["forces"].append({"kind": "gravity", "strength": 1.0})
+    data["boundaries"].append({"kind": "ramp"})
+    data["material"] = {"law": "rubber", "shore": 3}
+    data["objects"][0]["material"] = {"law": "rubber"}
+    scene = Scene.of_clip(data)
+    usual = Scene.named("collide")
+    assert scene.forces == usual.forces and scene.boundaries == usual.boundaries
+    assert {material.law for material in scene.materials} == {"neo_hookean"}
+    with pytest.raises(InputError, match=r"time\.frames"):
+        Scene.of_clip({**data, "time": {"frames": 0}})
+    with pytest.raises(InputError, match="no_such"):
+        Scene.of_clip({"no_such": 1})
 
 
 def test_the_examples_of_the_docs_move(monkeypatch):

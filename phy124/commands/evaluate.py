@@ -76,7 +76,7 @@ class Evaluate:
 
     def _videos(self, clip: Clip, progress: Progress) -> dict[str, np.ndarray]:
         """Pictures [T,S,S,3] from the paper's four sides."""
-        view = Scene.from_data(clip.scene, str(self.clip)).view
+        view = Scene.of_clip(clip.scene, str(self.clip)).view
         usual = {"size": (self.size, self.size), "elevation": self.elevation, "fit": False}
         view = view.model_copy(update=usual)
         device = pick_device(self.device)

@@ -95,7 +95,7 @@ class Generate:
     def _composed(self, result: pipeline.Result, device: str, bars: Bars) -> pipeline.Result:
         """The result with its film in the photograph."""
         clip = Clip.load(result.folder / "clip.safetensors")
-        view = Scene.from_data(clip.scene).view
+        view = Scene.of_clip(clip.scene).view
         try:
             with pipeline.staging(result.folder) as folder:
                 path, about = pipeline.into_photograph(

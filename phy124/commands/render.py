@@ -54,9 +54,7 @@ class Render:
         given = parse_changes(self.set).items()
         others = {f"view.{key.removeprefix('view.')}": value for key, value in given}
         view = (
-            Scene.from_data(clip.scene, str(self.clip))
-            .replaced(merge_changes(changes, others))
-            .view
+            Scene.of_clip(clip.scene, str(self.clip)).replaced(merge_changes(changes, others)).view
         )
         out = self.out or self.clip.parent
         refuse_missing_writers(view)

@@ -85,7 +85,6 @@ def generate(
         Cancelled: `progress` raised it.
     """
     refuse_threads(threads)
-    scene.require_serialisable()
     refuse_missing(scene)
     check_sources(scene, split(image)[1])
     refuse_unfilmable(scene)
@@ -155,7 +154,6 @@ def simulate(
         Incomplete: Not all could be computed or written; it says what is kept, and where.
         Cancelled: `progress` raised it.
     """
-    scene.require_serialisable()
     refuse_missing(scene)
     if films:
         refuse_unfilmable(scene)

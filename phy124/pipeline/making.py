@@ -201,11 +201,13 @@ class Making:
     def _write(
         self, folder: Path, run: Simulation, clip: Clip, interrupted: bool
     ) -> dict[str, Any]:
-        report = self._report(clip, run.scene.view, interrupted)
-        names = {SCENE, earlier.REPORT, CLIP, PLY, *self.files, *([PAUSE] if interrupted else [])}
+        report = self._report(clip, run.setup.cleaned_scene, interrupted)
+        names = {SCENE, earlier.REPORT, CLIP, PLY, *self.files}
+        if interrupted and not run.scene.unregistered:
+            names.add(PAUSE)
         report["files"] = sorted(names)
         with self.watch.stage("save"):
-            write_whole(folder / SCENE, run.setup.cleaned_scene.to_toml())
+            write_whole(folder / SCENE, _scene_file(run.setup.cleaned_scene))
             write_json(folder / earlier.REPORT, report)
             self.recording.finish(clip.with_report(report), folder / CLIP)
             if interrupted:
@@ -257,15 +259,13 @@ class Making:
         else:
             self.recording.leave()
 
-    def _report(self, clip: Clip, view: View, interrupted: bool) -> dict[str, Any]:
+    def _report(self, clip: Clip, scene: Scene, interrupted: bool) -> dict[str, Any]:
         about = {"foreground": None, "cutout": None, "generator": None, **self.about}
         cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]
         report = {**about, **clip.report, "cleaning": cleaning}
-        report |= framed(clip, view) if self.films else {}
+        report |= framed(clip, scene.view) if self.films else {}
         report["notes"] = [*_of_files(about), *report["notes"]]
-        report["promise"] = asdict(
-            promise(Scene.from_data(clip.scene), report["thickness"], report)
-        )
+        report["promise"] = asdict(promise(scene, report["thickness"], report))
         return self._renewed(report, (), interrupted=interrupted)
 
     def _renewed(
@@ -278,6 +278,15 @@ class Making:
         if interrupted:
             report["stopped"] = report["stopped"] or INTERRUPTED
         return {**report, "interrupted": interrupted}
+
+
+def _scene_file(scene: Scene) -> str:
+    """A scene as TOML, without users' classes that a file cannot name."""
+    if not scene.unregistered:
+        return scene.to_toml()
+    left_out = ", ".join(scene.unregistered)
+    head = f"# Without {left_out}, which only the program that made this run defines.\n"
+    return head + Scene.of_clip(scene.data()).to_toml()
 
 
 def _of_files(about: dict[str, Any]) -> list[str]:

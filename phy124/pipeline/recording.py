@@ -99,7 +99,7 @@ class Recording:
         Raises:
             OSError: It cannot be written.
         """
-        if self.failed or self.frames is None:
+        if self.failed or self.frames is None or run.scene.unregistered:
             return
         begun = time.perf_counter()
         resume.save(run, self.path, about=self.about, frames=self.frames, files=self.files)

@@ -228,6 +228,8 @@ class Report(TypedDict):
     """Gaussians that were dropped or repaired, as sentences."""
     notes: list[str]
     """Further remarks about files, materials and the run, as sentences."""
+    unregistered: list[str]
+    """Classes of the scene that only the program that made the run defines."""
     capture: NotRequired[dict[str, Any]]
     """Of a capture: rotation from the file's axes, and the floor found with `--floor`."""
     playback: NotRequired[dict[str, Any]]

@@ -262,6 +262,24 @@ class Scene(Section):
             raise explain(error, source, cls) from None
 
     @classmethod
+    def of_clip(cls, data: dict[str, Any], source: str = "clip") -> Scene:
+        """Read the scene of a clip to film it, without classes that this program does not know.
+
+        Forces and boundaries of unknown classes are left out, and unknown materials become the
+        default. Such a clip was made by a program that defines the classes.
+
+        Raises:
+            InputError: If the data is not a scene.
+        """
+        try:
+            return cls.from_data(data, source)
+        except InputError:
+            known = _known_part(data)
+            if known == data:
+                raise
+            return cls.from_data(known, source)
+
+    @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Scene:
         """Read a scene file.
 
@@ -298,23 +316,27 @@ class Scene(Section):
         self.require_serialisable()
         return tomli_w.dumps(self.data())
 
+    @property
+    def unregistered(self) -> dict[str, str]:
+        """Users' classes that a file cannot name, each with the entry points that register it."""
+        sections = ((LAWS, self.materials), (FORCES, self.forces), (BOUNDARIES, self.boundaries))
+        return {
+            type(section).__name__: kinds.group
+            for kinds, group in sections
+            for section in group
+            if not kinds.has_name(section)
+        }
+
     def require_serialisable(self) -> None:
         """Refuse a scene with a user's class that a file cannot name.
 
         Raises:
             InputError: A user's class is not registered under a name.
         """
-        for kinds, sections in (
-            (LAWS, self.materials),
-            (FORCES, self.forces),
-            (BOUNDARIES, self.boundaries),
-        ):
-            for section in sections:
-                if not kinds.has_name(section):
-                    limit = "it is your own class, and a scene file cannot name it."
-                    group = kinds.group
-                    remedy = f"Register it by an entry point phy124.{group}, or use it in Python."
-                    raise InputError(group, type(section).__name__, limit, remedy)
+        for name, group in self.unregistered.items():
+            limit = "it is your own class, and a scene file cannot name it."
+            remedy = f"Register it by an entry point phy124.{group}, or use it in Python."
+            raise InputError(group, name, limit, remedy)
 
     def replaced(self, changes: dict[str, Any]) -> Scene:
         """Return a copy with other values at dotted paths, such as `{"material.E": 2e4}`.
@@ -350,3 +372,23 @@ def preset_names() -> list[str]:
 def preset_folder() -> Path:
     """Return the folder that holds the presets."""
     return Path(str(resources.files("phy124") / "presets"))
+
+
+def _known_part(data: dict[str, Any]) -> dict[str, Any]:
+    """Plain data of a scene without sections of classes that this program does not know."""
+    data = _with_known_laws(data)
+    for kinds in (FORCES, BOUNDARIES):
+        if kinds.group in data:
+            data[kinds.group] = [s for s in data[kinds.group] if kinds.knows(s)]
+    return data
+
+
+def _with_known_laws(section: dict[str, Any]) -> dict[str, Any]:
+    """A section without unknown materials, also in its parts and objects."""
+    section = dict(section)
+    if not LAWS.knows(section.get("material", {})):
+        section.pop("material", None)
+    for name in ("parts", "objects"):
+        if name in section:
+            section[name] = [_with_known_laws(item) for item in section[name]]
+    return section

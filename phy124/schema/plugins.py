@@ -98,6 +98,12 @@ class Kinds:
         """Return whether the class of a section is not one of phy124's own."""
         return type(section) not in get_args(self.union)
 
+    def knows(self, data: dict[str, Any]) -> bool:
+        """Return whether plain data is a section of phy124's own or of a registered class."""
+        name = str(data.get(self.tag, ""))
+        kind = self.by_name.get(name) or load_plugin(self.group, name)
+        return kind is not None and data.keys() <= kind.model_fields.keys()
+
     def has_name(self, section: Section) -> bool:
         """Return whether a file can name the kind of a section."""
         if not self.is_foreign(section):

@@ -41,6 +41,7 @@ def report_run(run: Run) -> dict[str, Any]:
         "thickness": setup.thickness,
         "cleaning": setup.cleaning,
         "notes": _notes(run),
+        "unregistered": [*run.scene.unregistered],
         "grid": {"dx": solver.model.dx, "window": solver.grid.size.tolist()},
         "substeps": clock.substeps,
         "threads": len(solver.workers),
@@ -124,9 +125,20 @@ def _notes(run: Run) -> list[str]:
         *buried.notes(scene.boundaries, run.solver.model),
         *_cfl_note(run),
         *([stiff] if stiff else []),
+        *_unregistered_notes(scene.unregistered),
         *(note for observer in run.observers for note in observer.notes()),
         *run.remarks,
     ]
+
+
+def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
+    """Yield what the files of a run lack if its scene has users' classes without a name."""
+    for name, group in classes.items():
+        yield (
+            f"{name} is defined by your program only: the clip can be filmed again, but the run "
+            f"cannot be resumed or repeated from its files. An entry point phy124.{group} gives "
+            "it a name for scene files."
+        )
 
 
 def _cfl_note(run: Run) -> list[str]:

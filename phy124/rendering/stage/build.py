@@ -21,7 +21,6 @@ from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFram
 from phy124.rendering.stage.shadow import GLASS, SLOPE, Caster, Glass
 from phy124.rendering.stage.solids import floor_heights, place_walls
 from phy124.scene import Scene, View
-from phy124.schema.plugins import load_plugin
 
 SAMPLE = 1024
 """Number of Gaussians whose paths decide the extent of the shadow map."""
@@ -125,7 +124,7 @@ def _boundaries(clip: Clip) -> Sequence[Boundary]:
     known: list[Any] = []
     for options in clip.scene.get("boundaries", []):
         kind = options.get("kind")
-        if kind in BOUNDARIES.by_name or load_plugin("boundaries", kind) is not None:
+        if BOUNDARIES.knows(options):
             known.append(options)
         elif kind in defined:
             known.append(defined[kind].model_validate(options))
