@@ -18,6 +18,7 @@ RUN = {
     "captures.md": "test_docs_pages.py",
     "extending-files.md": "test_plugins.py",
     "extending.md": "test_plugins.py",
+    "particle-forces.md": "test_plugins.py",
     "fitting.md": "test_fit.py",
     "formats.md": "test_formats.py",
     "live.md": "test_live.py",
