@@ -57,7 +57,7 @@ def run_out(friction_angle: float, cells: int) -> tuple[float, float]:
     s = channel(Sand(friction_angle=friction_angle), width, width, width / cells, friction=0.6)
     s.advance(1.0)
     x = s.state.x.numpy()
-    assert x[:, 2].min() > -0.2 * s.model.dx  # what docs/design/physics.md promises
+    assert x[:, 2].min() > -0.2 * s.model.dx  # what docs/design/laws.md promises
     assert np.quantile(np.abs(s.state.v.numpy()), 0.99) < 0.015  # 0.001 half a second later
     return float(np.quantile(x[:, 0], 0.98)) / width - 1, slope(s, width)
 

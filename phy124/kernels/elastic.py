@@ -2,7 +2,7 @@
 
 Every law has a stress, an energy per rest volume whose derivative it is, and a modulus: an upper
 bound of the largest eigenvalue of d tau / d ln sigma, which limits the substep
-(docs/design/physics.md).
+(docs/design/laws.md).
 `theta` holds the law's parameters, `h` its history (unused here), `C` the velocity gradient.
 """
 

@@ -1,7 +1,7 @@
 """Constitutive laws a scene can name, each with its own parameters in SI units and their bounds.
 
 A material is its own section of the scene file. Its device functions are in phy124/kernels; the
-formulae and their sources are in docs/design/physics.md.
+formulae and their sources are in docs/design/laws.md.
 """
 
 from typing import Annotated
