@@ -171,7 +171,7 @@ def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
     assert all(row.error is None and row.from_finest is None for row in torn)
     assert report.promises["draft"] == "none: on D/16 the grid may tear the material"
     assert "D/16" not in report.recommendation
-    assert not plots.dominated(report.rows) & {row.name for row in torn}
+    assert not plots.find_dominated(report.rows) & {row.name for row in torn}
     plots.save_page(report, tmp_path / "a.html")
     points = json.loads(re.search(r"const points = (.*);", (tmp_path / "a.html").read_text())[1])
     assert all(point["error"] is None for point in points if "16" in point["name"])
@@ -234,7 +234,7 @@ def test_the_recommendation_is_the_fastest_that_is_good_enough():
 
 def test_what_another_setting_beats_is_dominated():
     rows = (row(16, 0.05, 1), row(32, 0.03, 3), row(32, 0.04, 6, "half the substep at D/32"))
-    assert plots.dominated(rows) == {"half the substep at D/32"}
+    assert plots.find_dominated(rows) == {"half the substep at D/32"}
 
 
 def test_the_page_needs_no_network_and_holds_every_point(study, tmp_path):
@@ -373,7 +373,7 @@ def test_errors_of_a_run_that_parts_hold_until_then(study):
     moved = kept.means.copy()
     moved[3:] += 5
     made.clips["D/16"] = replace(kept, means=moved)
-    report = made._judged(list(whole.rows), ())
+    report = made._conclude(list(whole.rows), ())
     made.clips["D/16"] = kept
     assert report.until == pytest.approx(2 / 24)
     assert "part after 0.0833 s" in report.sentences[0]

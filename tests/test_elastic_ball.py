@@ -5,9 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from phy124.studies.validation.experiments.elastic_ball import Elements, Law, forces, law, mesh
+from phy124.studies.validation.experiments.elastic_ball import (
+    Elements,
+    Law,
+    fit_law,
+    make_mesh,
+    plate_forces,
+)
+from phy124.studies.validation.experiments.experiment import find_root
 from phy124.studies.validation.experiments.hertz import NU, RADIUS, E
-from phy124.studies.validation.experiments.roots import root
 
 LAME = 0.5 / (1 + NU), NU / ((1 + NU) * (1 - 2 * NU))
 
@@ -26,12 +32,12 @@ def tatara(depth: float) -> float:
         f = 2 * (1 + NU) * RADIUS**2 / reach**1.5 + (1 - NU**2) / math.sqrt(reach)
         return a * a / RADIUS - force(a) * f / (math.pi * E) - depth
 
-    return force(root(missing, 1e-9, RADIUS))
+    return force(find_root(missing, 1e-9, RADIUS))
 
 
 def test_a_ball_that_swells_is_under_the_pressure_of_its_law():
     """u = e x: the work of the forces is the volume times the trace of the stress."""
-    ball = mesh(8, whole=True)
+    ball = make_mesh(8, whole=True)
     elements, (mu, lam), e = Elements.of(ball), LAME, 0.05
     inner, _ = elements.forces(e * ball.x.ravel(), mu, lam)
     stress = mu * (1 + e - 1 / (1 + e)) + 3 * lam * math.log1p(e) / (1 + e)
@@ -40,7 +46,7 @@ def test_a_ball_that_swells_is_under_the_pressure_of_its_law():
 
 
 def test_stiffness_is_the_derivative_of_the_forces():
-    ball = mesh(3, whole=False)
+    ball = make_mesh(3, whole=False)
     elements, rng = Elements.of(ball), np.random.default_rng(0)
     u, way = rng.normal(size=(2, ball.x.size)) * 0.02 * (np.arange(ball.x.size) % 2)
     _, stiffness = elements.forces(u, *LAME)
@@ -54,7 +60,7 @@ def test_a_ball_that_is_hardly_pressed_follows_hertz():
     """Deeper it is stiffer, between two plates as Tatara says; on one plate still more."""
     depths = 0.004, 0.03, 0.06
     half = [Law(NU).force(depth) for depth in depths]
-    two, one = (forces(depths, NU, whole=whole) / half for whole in (False, True))
+    two, one = (plate_forces(depths, NU, whole=whole) / half for whole in (False, True))
     assert two[0] == pytest.approx(1, abs=0.04) and one[0] == pytest.approx(1, abs=0.06)
     for depth, hertz, found in list(zip(depths, half, two, strict=True))[1:]:
         assert found == pytest.approx(tatara(0.5 * depth) / (hertz * 1e5 * 0.25), rel=0.02)
@@ -62,13 +68,13 @@ def test_a_ball_that_is_hardly_pressed_follows_hertz():
 
 
 def test_twice_as_many_elements_agree_within_a_per_cent():
-    coarse, fine = (forces((0.06, 0.1), NU, whole=False, fine=n) for n in (12, 24))
+    coarse, fine = (plate_forces((0.06, 0.1), NU, whole=False, fine=n) for n in (12, 24))
     np.testing.assert_allclose(coarse, fine, rtol=0.01)
 
 
 def test_law_matches_elements_and_its_slope():
-    fitted = law(NU, whole=False)
-    found = forces((0.02, 0.1), NU, whole=False)
+    fitted = fit_law(NU, whole=False)
+    found = plate_forces((0.02, 0.1), NU, whole=False)
     np.testing.assert_allclose([fitted.force(d) for d in (0.02, 0.1)], found, rtol=0.01)
     slope = (fitted.force(0.05 + 1e-6) - fitted.force(0.05 - 1e-6)) / 2e-6
     assert fitted.slope(0.05) == pytest.approx(slope)

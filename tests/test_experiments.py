@@ -12,37 +12,35 @@ from phy124.commands import validate
 from phy124.commands.validate import Validate
 from phy124.errors import Cancelled, InputError
 from phy124.progress import silent
-from phy124.studies.validation.bodies import ball_of_shells, lattice
+from phy124.studies.validation.bodies import ball_of_shells, lattice, sheet
 from phy124.studies.validation.experiments import (
     EXPERIMENTS,
     Experiment,
     Quantity,
+    beam,
     dam_break,
-    elastica,
-    heavy_elastica,
+    find_experiment,
     hertz,
-    impact,
     incline,
     middle_axis,
-    named,
     pressed_block,
+    restitution,
     sand_column,
     terminal_speed,
 )
 from phy124.studies.validation.experiments import page as page_module
 from phy124.studies.validation.experiments import running as running_module
-from phy124.studies.validation.experiments.elastic_ball import Law, law
-from phy124.studies.validation.experiments.outcome import Outcome, found
+from phy124.studies.validation.experiments.elastic_ball import Law, fit_law
+from phy124.studies.validation.experiments.experiment import Outcome, estimate
 from phy124.studies.validation.experiments.page import data, details, save_page, summary
 from phy124.studies.validation.experiments.running import (
     Measured,
     Run,
-    measure,
-    outcome,
-    outcomes,
-    runs,
+    conclude,
+    list_runs,
+    measure_run,
+    run_all,
 )
-from phy124.studies.validation.experiments.symmetry import sheet
 
 QUARTER = Quantity.within("a quarter", 0.25, 0.02)
 
@@ -72,7 +70,7 @@ def result(experiment: Experiment) -> Outcome:
     ]
     coarse = experiment.grids[0]
     control = Measured(Run(experiment.name, coarse, True), experiment.control(coarse), 1.0)
-    return outcome(experiment, [*grids, control])
+    return conclude(experiment, [*grids, control])
 
 
 def test_every_experiment_is_declared_whole():
@@ -89,21 +87,23 @@ def test_every_experiment_is_declared_whole():
 
 def test_the_elastica_is_that_of_the_tables():
     """Values of the published tables at 1 and 2; linear theory for small loads: a third of it."""
-    assert elastica.exact(1.0) == pytest.approx(0.30172, abs=1e-5)
-    assert elastica.exact(2.0) == pytest.approx(0.49346, abs=1e-5)
-    assert elastica.exact(1e-3) == pytest.approx(1e-3 / 3, rel=1e-3)
-    assert heavy_elastica.exact(1e-3) == pytest.approx(1e-3 / 8, rel=1e-3)
+    assert beam.elastica_drop(1.0) == pytest.approx(0.30172, abs=1e-5)
+    assert beam.elastica_drop(2.0) == pytest.approx(0.49346, abs=1e-5)
+    assert beam.elastica_drop(1e-3) == pytest.approx(1e-3 / 3, rel=1e-3)
+    assert beam.heavy_elastica_drop(1e-3) == pytest.approx(1e-3 / 8, rel=1e-3)
 
 
 def test_impact_lasts_as_hertz_says_and_damping_slows_it():
-    depth = impact.SHALLOW
-    lossless = impact.theory(0.0, depth, Law(0.0))
+    depth = restitution.SHALLOW
+    lossless = restitution.solve_theory(0.0, depth, Law(0.0))
     assert lossless.restitution == pytest.approx(1.0, abs=1e-4)
-    ways = np.cumsum(-lossless.speeds) * lossless.times[0:2].max() * impact.speed(depth)
-    assert ways.max() == pytest.approx(depth * impact.RADIUS, rel=0.01)
-    losses = [impact.theory(loss, depth, Law(0.0)).restitution for loss in (0.0, 0.02, 0.05)]
+    ways = np.cumsum(-lossless.speeds) * lossless.times[0:2].max() * restitution.speed(depth)
+    assert ways.max() == pytest.approx(depth * restitution.RADIUS, rel=0.01)
+    losses = [
+        restitution.solve_theory(loss, depth, Law(0.0)).restitution for loss in (0.0, 0.02, 0.05)
+    ]
     assert losses == sorted(losses, reverse=True)
-    assert 0.9 < hertz.turning(law(0.0, whole=True)) < 0.95, "a whole ball is stiffer"
+    assert 0.9 < hertz.turning_time(fit_law(0.0, whole=True)) < 0.95, "a whole ball is stiffer"
 
 
 def test_a_body_turns_over_as_euler_says():
@@ -121,7 +121,7 @@ def test_a_pressed_block_has_the_moduli_of_small_strain():
         (1 - 1e-6, 1 - 1e-6, 1 / (1 - 2 * nu)),
         (1 - 1e-6, 1 + 1e-6 * nu, 1.0),
     ):
-        assert -pressed_block.law(axial, lateral)[0] / 1e-6 == pytest.approx(modulus, rel=1e-4)
+        assert -pressed_block.stress(axial, lateral)[0] / 1e-6 == pytest.approx(modulus, rel=1e-4)
 
 
 def test_sand_has_both_regimes_and_a_wider_angle_in_a_plane():
@@ -154,29 +154,29 @@ def test_ball_of_shells_and_lattice_have_their_sizes():
 
 def test_three_grids_give_the_value_of_none():
     """An error of second order is taken away; a mistake leaves the band."""
-    one = result(made()).found[0]
+    one = result(made()).estimates[0]
     assert one.value == pytest.approx(0.25, abs=1e-6) and one.order == pytest.approx(2, abs=0.05)
     assert one.error == pytest.approx(1 / 64, rel=0.05)
     assert one.inside and one.control_outside
 
 
 def test_diverging_grids_give_the_finest_and_the_spread():
-    one = found((4, 6, 8), QUARTER, (0.25, 0.3, 0.2), 0.5)
+    one = estimate((4, 6, 8), QUARTER, (0.25, 0.3, 0.2), 0.5)
     assert one.order is None and one.value == 0.2 and one.error == pytest.approx(0.1)
 
 
 def test_a_value_that_is_in_by_its_error_alone_is_told_apart():
     """The limit is 0.27, the band ends at 0.26, and the finest grid is a hundredth away."""
-    near = result(made(run=lambda cells: (0.27 + cells**-2,))).found[0]
+    near = result(made(run=lambda cells: (0.27 + cells**-2,))).estimates[0]
     assert near.inside and near.by_its_error
-    assert not result(made()).found[0].by_its_error
+    assert not result(made()).estimates[0].by_its_error
     assert "in by error" in "\n".join(details(result(made(run=lambda cells: (0.27 + cells**-2,)))))
 
 
 def test_a_miss_is_said_and_needs_a_reason():
     off = made(run=lambda cells: (0.3 + cells**-2 / 100,))
     missed = result(off)
-    assert not missed.found[0].inside and not missed.good
+    assert not missed.estimates[0].inside and not missed.good
     explained = result(made(run=off.run, reason="it leaks"))
     assert explained.good
     said = "\n".join(details(explained))
@@ -185,14 +185,14 @@ def test_a_miss_is_said_and_needs_a_reason():
 
 def test_a_control_that_stays_inside_is_a_failure():
     vacuous = result(made(control=lambda cells: (0.25 + cells**-2,)))
-    assert vacuous.found[0].inside and not vacuous.good
+    assert vacuous.estimates[0].inside and not vacuous.good
     assert "CONTROL" in summary(vacuous)
 
 
 def test_a_run_that_fails_is_told_and_stops_no_other(monkeypatch):
     broken = made(run=lambda cells: (1 / (cells - 6),), grids=(4, 6, 8))
-    monkeypatch.setattr(running_module, "named", lambda name: broken)
-    (seen,) = outcomes([broken], jobs=1, progress=silent)
+    monkeypatch.setattr(running_module, "find_experiment", lambda name: broken)
+    (seen,) = run_all([broken], jobs=1, progress=silent)
     assert not seen.good and "ZeroDivisionError" in seen.failures[0]
     assert data(seen)["verdict"] == "FAILED"
 
@@ -203,9 +203,9 @@ def test_progress_stops_the_runs(monkeypatch):
         if done == 2:
             raise Cancelled
 
-    monkeypatch.setattr(running_module, "named", lambda name: made())
+    monkeypatch.setattr(running_module, "find_experiment", lambda name: made())
     with pytest.raises(Cancelled):
-        list(outcomes([made()], jobs=1, progress=stop))
+        list(run_all([made()], jobs=1, progress=stop))
 
 
 def test_experiments_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys):
@@ -216,7 +216,7 @@ def test_experiments_that_are_done_survive_an_error(tmp_path, monkeypatch, capsy
         raise OSError(errno.EIO, "a process was killed")
 
     first = made(name="hertz")
-    monkeypatch.setattr(validate, "outcomes", one)
+    monkeypatch.setattr(validate, "run_all", one)
     monkeypatch.setattr(validate, "EXPERIMENTS", [first, made(name="second")])
     monkeypatch.setattr(page_module, "save_plot", lambda outcome, path: path.touch())
     assert main(["validate", "--json", "--out", str(tmp_path / "out")]) == 1
@@ -260,7 +260,7 @@ def test_the_same_figures_give_the_same_plots(tmp_path):
 
 def test_a_falling_block_comes_to_its_terminal_speed():
     """The smallest experiment, run by its name."""
-    done = measure(Run("terminal-speed", 4, False))
+    done = measure_run(Run("terminal-speed", 4, False))
     assert not done.failure and len(done.values) == len(terminal_speed.TIMES) + 1
     *ways, speed = done.values
     assert speed == pytest.approx(terminal_speed.LIMIT, rel=5e-3)
@@ -270,7 +270,7 @@ def test_a_falling_block_comes_to_its_terminal_speed():
 
 def test_a_pressed_block_is_as_stiff_as_its_law():
     """Its forces come from the impulses that a plate gives."""
-    stress, ratio = pressed_block.pressed(4, 1, 0, pressed_block.NU)
+    stress, ratio = pressed_block.press(4, 1, 0, pressed_block.NU)
     assert stress / pressed_block.E == pytest.approx(1.0, rel=0.01)
     assert ratio == pytest.approx(pressed_block.NU, rel=0.01)
 
@@ -283,8 +283,13 @@ def test_names_are_refused_with_those_that_exist(capsys):
     assert Validate(list=True).run() == 0
     listed = capsys.readouterr().out
     assert all(each.name in listed for each in EXPERIMENTS)
-    coarse, middle, fine = named("hertz").grids
-    assert [run.cells for run in runs(named("hertz"))] == [fine, middle, coarse, coarse]
+    coarse, middle, fine = find_experiment("hertz").grids
+    assert [run.cells for run in list_runs(find_experiment("hertz"))] == [
+        fine,
+        middle,
+        coarse,
+        coarse,
+    ]
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from phy124.mpm import Model, Solver, State
 from phy124.scene import Scene
 from phy124.simulation.solver import kernels
 from phy124.studies.validation.bodies import lattice
-from phy124.studies.validation.experiments import beam, elastica
+from phy124.studies.validation.experiments import beam
 
 A = np.array([[0.3, -0.8, 0.2], [0.5, -0.1, 0.4], [-0.6, 0.7, -0.2]])
 
@@ -59,8 +59,8 @@ def test_a_scene_asks_for_it_with_apic_alone():
 
 def test_a_beam_bends_as_far_as_the_elastica():
     """Within the experiment's band, which the affine fit leaves by 4 %."""
-    (drop,) = beam.drops(2, (1.0,), elastica.weight, gradient="spline")
-    (band,) = beam.band((1.0,), (elastica.exact(1.0),), "PL²/EI")
+    (drop,) = beam.measure_drops(2, (1.0,), beam.load_tip, gradient="spline")
+    (band,) = beam.make_band((1.0,), beam.elastica_drop, "PL²/EI")
     assert band.low <= drop <= band.high
-    (soft,) = beam.drops(2, (1.0,), elastica.weight)
+    (soft,) = beam.measure_drops(2, (1.0,), beam.load_tip)
     assert soft > 1.03 * band.high

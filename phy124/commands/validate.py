@@ -16,10 +16,15 @@ from phy124.commands.bars import Bars
 from phy124.errors import InputError
 from phy124.io.files import staging, write_whole
 from phy124.runtime.cores import cores, refuse_threads
-from phy124.studies.validation.experiments import EXPERIMENTS, Experiment, Outcome, named
-from phy124.studies.validation.experiments.page import data, details, save_page, summary
-from phy124.studies.validation.experiments.plots import refuse_missing_plots
-from phy124.studies.validation.experiments.running import outcomes
+from phy124.studies.validation.experiments import EXPERIMENTS, Experiment, Outcome, find_experiment
+from phy124.studies.validation.experiments.page import (
+    data,
+    details,
+    refuse_missing_plots,
+    save_page,
+    summary,
+)
+from phy124.studies.validation.experiments.running import run_all
 
 DOCS = Path("docs/lab/experiments.md"), Path("docs/images/experiments")
 """The page and its plots in a clone."""
@@ -66,7 +71,7 @@ class Validate:
     def _validate(self, chosen: Sequence[Experiment]) -> int:
         done: list[Outcome] = []
         with Bars(quiet=self.json, keeps=True) as bars, bars.keeping():
-            for outcome in outcomes(chosen, jobs=self.jobs or cores(), progress=bars):
+            for outcome in run_all(chosen, jobs=self.jobs or cores(), progress=bars):
                 done.append(outcome)
                 if not self.json:
                     print("\n".join([summary(outcome), *details(outcome)]), flush=True)
@@ -83,7 +88,7 @@ class Validate:
         """The experiments to run."""
         if self.name is None:
             return [each for each in EXPERIMENTS if each.quick or not self.quick]
-        return [named(self.name)]
+        return [find_experiment(self.name)]
 
     def _refuse_docs(self) -> None:
         """Make sure that the whole page can be written.
@@ -130,10 +135,10 @@ class Validate:
 
 def _summary(done: Sequence[Outcome]) -> str:
     """The result of all in a sentence."""
-    inside, total = (sum(map(f, done)) for f in (lambda o: o.inside, lambda o: len(o.found)))
+    inside, total = (sum(map(f, done)) for f in (lambda o: o.inside, lambda o: len(o.estimates)))
     held = sum(outcome.control_holds for outcome in done)
     seconds = sum(outcome.seconds for outcome in done)
-    narrow = sum(each.by_its_error for outcome in done for each in outcome.found)
+    narrow = sum(each.by_its_error for outcome in done for each in outcome.estimates)
     return (
         f"{inside} of {total} values in their bands, {narrow} of them only give or take their own "
         f"error; {held} of {len(done)} controls outside, as "

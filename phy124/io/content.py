@@ -142,9 +142,8 @@ def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
             # A row with a NaN has no finite sum; summing is much quicker than testing each value.
             good &= np.isfinite(value.reshape(len(value), -1).sum(axis=1, dtype=np.float64))
     kept = {name: value[good] for name, value in raw.items()} if not good.all() else raw
-    return Gaussians(**{**kept, "quats": normalise_quats(kept["quats"])}), int(
-        np.count_nonzero(~good)
-    )
+    gaussians = Gaussians(**{**kept, "quats": normalise_quats(kept["quats"])})
+    return gaussians, int(np.count_nonzero(~good))
 
 
 def normalise_quats(quats: NDArray) -> NDArray[np.float32]:

@@ -266,7 +266,7 @@ def studies(parts: list[str], *, docs: bool) -> dict[str, str]:
         if not wants(parts, name):
             continue
         start, scene = time.process_time(), beginning(preset).replaced(changes)
-        study = Study(static(picture), scene, levels=levels, told=lambda row: print(row.name))
+        study = Study(static(picture), scene, levels=levels, on_row=lambda row: print(row.name))
         report = study.run()
         made[name] = study_table(report)
         print(f"{name}: {time.process_time() - start:.0f} CPU seconds\n{made[name]}", flush=True)

@@ -13,8 +13,8 @@ import argparse
 import math
 from typing import Any
 
-from phy124.studies.validation.experiments.elastic_ball import law
-from phy124.studies.validation.experiments.hertz import NU, RADIUS, E, hertz, pressed
+from phy124.studies.validation.experiments.elastic_ball import fit_law
+from phy124.studies.validation.experiments.hertz import NU, RADIUS, E, hertz, press
 
 DEPTHS = (0.02, 0.035, 0.05)
 """How far each plate presses [m]."""
@@ -26,7 +26,7 @@ GRIDS = (16, 22, 32, 44, 64)
 
 def elements(depth: float) -> float:
     """Force by finite elements [N]."""
-    return E * RADIUS**2 * law(NU, whole=False).force(depth / RADIUS)
+    return E * RADIUS**2 * fit_law(NU, whole=False).force(depth / RADIUS)
 
 
 def errors(cells: int, depth: float = DEPTHS[-1], **given: Any) -> list[float]:
@@ -37,7 +37,7 @@ def errors(cells: int, depth: float = DEPTHS[-1], **given: Any) -> list[float]:
         depth: How far the plate presses [m].
         given: `per_axis` and `precision` of `pressed`.
     """
-    found = (pressed(cells // 2, depth, phase=phase, **given) for phase in PHASES)
+    found = (press(cells // 2, depth, phase=phase, **given) for phase in PHASES)
     return [force / elements(depth) - 1 for force in found]
 
 

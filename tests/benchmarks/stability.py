@@ -18,7 +18,7 @@ from phy124.materials import FixedCorotated, Material, NeoHookean
 from phy124.mpm import Unstable
 from phy124.studies.validation.stress import CASES, Setting, examine
 from phy124.studies.validation.stress.bodies import DX, Array, body, host, steps
-from phy124.studies.validation.stress.impact import hit
+from phy124.studies.validation.stress.impact import throw_at_floor
 from phy124.studies.validation.stress.limits import heavy_on_light
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -85,7 +85,7 @@ def measure_impacts() -> list[dict[str, Any]]:
         for nu in (0.3, 0.45):
             for mach in (0.1, 0.5, 1.0, 2.0, 5.0):
                 try:
-                    found = hit(mach, law(E=1e4, nu=nu), SETTING)._asdict()
+                    found = throw_at_floor(mach, law(E=1e4, nu=nu), SETTING)._asdict()
                 except RuntimeError as error:
                     found = {"error": str(error)}
                 rows.append({"law": law.__name__, "nu": nu, "mach": mach, **found})

@@ -12,7 +12,7 @@ from phy124.boundaries import HalfSpace
 from phy124.boundaries.motion import Path
 from phy124.materials import NeoHookean
 from phy124.mpm import FreeBody, Model, Pair, Solver
-from phy124.studies.validation.experiments.elastic_ball import Elements, law, mesh
+from phy124.studies.validation.experiments.elastic_ball import Elements, fit_law, make_mesh
 from phy124.studies.validation.experiments.hertz import HOLD, MOVE, NU, RADIUS, E
 from support.shapes import trimmed_ball
 
@@ -23,7 +23,7 @@ BOX = FreeBody("box", "box", (RADIUS, RADIUS, 0.3), (0, 0, -0.3), density=1e9, f
 
 def elements(depth: float) -> float:
     """Force by finite elements [N], of a ball pressed by a depth [m]."""
-    return E * RADIUS**2 * law(NU, whole=False).force(depth / RADIUS)
+    return E * RADIUS**2 * fit_law(NU, whole=False).force(depth / RADIUS)
 
 
 def upper_half(cells: int, per_axis: int) -> tuple[np.ndarray, np.ndarray]:
@@ -102,7 +102,7 @@ def collision(radius, approach, *, E, nu, density, fine=6):
     Args:
         approach: Speed of one ball towards the other [m/s].
     """
-    ball = mesh(fine, whole=True)
+    ball = make_mesh(fine, whole=True)
     elements, top = Elements.of(ball), ball.surface
     lame = 0.5 / (1 + nu), nu / ((1 + nu) * (1 - 2 * nu))
     mass = density * radius**2 / E * elements.weights

@@ -1,4 +1,4 @@
-"""Bodies of problems with known answers: particles on lattices and in shells, and their solver."""
+"""Bodies of problems with known answers: particles, walls of symmetry, solver and averages."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.boundaries import HalfSpace
 from phy124.gaussians import Gaussians, quaternions, spread_directions
 from phy124.materials import Material
 from phy124.mpm import Model, Solver, State
@@ -103,3 +104,43 @@ def make_solver(
     of_model = {name: options.pop(name) for name in MODEL_OPTIONS & options.keys()}
     model = Model.of(x, volume, materials, **of_model)
     return Solver(model, State.of(model, v, C), **options)
+
+
+FAR = 1e3
+"""Position of a plane so far away that all nodes are inside the wall [m]."""
+
+
+def sheet(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
+    """Return particles [P,3], m, of one layer of a lattice, in the plane y = corner.
+
+    Args:
+        counts: Particles along x and z [2].
+        spacing: Their distance [m].
+        corner: Lowest corner of the sheet [m].
+    """
+    x = lattice((counts[0], 1, counts[1]), spacing) * [1.0, 0.0, 1.0]
+    return np.asarray(x + np.asarray(corner), float)
+
+
+def plane() -> HalfSpace:
+    """Return a wall that contains everything: nothing moves along y, so a sheet is a whole body."""
+    return HalfSpace(point=(0, FAR, 0), normal=(0, 1.0, 0), contact="slip")
+
+
+def mirrors(*axes: int) -> list[HalfSpace]:
+    """Return planes of symmetry through the origin, normal to the axes, for a body beyond them."""
+    return [HalfSpace(normal=tuple(np.eye(3)[axis].tolist()), contact="slip") for axis in axes]
+
+
+def connected_end(solver: Solver) -> float:
+    """Return the end of the body along x [m]: the first gap wider than a cell."""
+    x = np.sort(solver.state.x.numpy()[:, 0].astype(float))
+    gaps = np.flatnonzero(np.diff(x) > solver.model.dx)
+    return float(x[gaps[0]] if len(gaps) else x[-1])
+
+
+def mean_along(solver: Solver, of: str, axis: Sequence[float]) -> float:
+    """Return the mass average of a vector of the state, `x` or `v`, along an axis."""
+    mass = solver.model.mass.numpy().astype(float)
+    values = getattr(solver.state, of).numpy().astype(float) @ np.array(axis, float)
+    return float(mass @ values / mass.sum())

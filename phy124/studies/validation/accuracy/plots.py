@@ -24,8 +24,8 @@ PathLike = str | os.PathLike[str]
 BLUE, GREY, ORANGE = "#2563a8", "#9aa3ad", "#c2571a"
 
 
-def dominated(rows: Sequence[Row]) -> set[str]:
-    """Names of the settings for which another one is better in both time and error."""
+def find_dominated(rows: Sequence[Row]) -> set[str]:
+    """Return the settings that another setting beats in both time and error, by name."""
     known = [row for row in rows if _error(row) is not None]
     return {
         row.name
@@ -48,12 +48,9 @@ def save_picture(report: Report, path: PathLike, *, title: str = "") -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
-        raise InputError(
-            "plots",
-            "PNG",
-            "this needs matplotlib, which is not installed.",
-            f"Run `{install_command('plots')}`; accuracy.html shows the same.",
-        ) from None
+        limit = "this needs matplotlib, which is not installed."
+        remedy = f"Run `{install_command('plots')}`; accuracy.html shows the same figures."
+        raise InputError("plots", "PNG", limit, remedy) from None
     figure = Figure(figsize=(9, 4), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
@@ -65,7 +62,7 @@ def save_picture(report: Report, path: PathLike, *, title: str = "") -> None:
 
 
 def _draw_errors(axes: Any, report: Report) -> None:
-    worse = dominated(report.rows)
+    worse = find_dominated(report.rows)
     known = [row for row in report.rows if _error(row) is not None]
     for row in known:
         colour = GREY if row.name in worse else BLUE if row.level else ORANGE
@@ -92,10 +89,15 @@ def _mark(axes: Any, row: Row, value: float, colour: str, report: Report) -> Non
     times = [math.log(other.seconds) for other in report.rows]
     late = math.log(row.seconds) > (min(times) + max(times)) / 2
     axes.plot(row.seconds, value, "o" if row.level else "s", color=colour)
+    offset, side = (-6 if late else 6, 5 if row.level else -12), "right" if late else "left"
     axes.annotate(
-        _label(row), (row.seconds, value), xytext=(-6 if late else 6, 5 if row.level else -12),
-        textcoords="offset points", fontsize=8, ha="right" if late else "left",
-    )  # fmt: skip
+        _label(row),
+        (row.seconds, value),
+        xytext=offset,
+        textcoords="offset points",
+        fontsize=8,
+        ha=side,
+    )
 
 
 def _label_axes(axes: Any, what: str) -> None:
@@ -112,7 +114,7 @@ def _label_axes(axes: Any, what: str) -> None:
 
 def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time") -> None:
     """Write the plot of errors as a web page that needs no network."""
-    worse = dominated(report.rows)
+    worse = find_dominated(report.rows)
     points = [
         {
             "name": _label(row),
@@ -129,10 +131,10 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
     ]
     # "</" would end the script element early.
     data = json.dumps(points).replace("</", "<\\/")
-    said = [*report.sentences, *(f"{n}: {s}" for n, s in report.promises.items())]
+    sentences = [*report.sentences, *(f"{n}: {s}" for n, s in report.promises.items())]
     page = PAGE.format(
         title=html.escape(title),
-        said="".join(f"<p>{html.escape(sentence)}</p>" for sentence in said),
+        sentences="".join(f"<p>{html.escape(sentence)}</p>" for sentence in sentences),
         data=data,
     )
     with replacing(path) as temporary:
@@ -140,7 +142,7 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
 
 
 def _label(row: Row) -> str:
-    """The name of a setting, with that of its preset if it has one."""
+    """Return the name of a setting, with the name of its preset if there is one."""
     preset = {accuracy.cells: name for name, accuracy in PRESETS.items()}.get(row.cells)
     return f"{row.name} ({preset})" if row.level and preset else row.name
 
@@ -161,7 +163,7 @@ svg {{ width: 100%; height: auto; }} text {{ fill: var(--ink); font-size: 13px; 
 line {{ stroke: var(--grid); }} circle {{ cursor: pointer; }}
 circle:focus {{ outline: 2px solid currentColor; }} #about {{ min-height: 3em; }}
 </style>
-<h1>{title}</h1>{said}
+<h1>{title}</h1>{sentences}
 <svg id="plot" viewBox="0 0 800 440" role="img"
   aria-label="error in per cent of the object's size over seconds, both logarithmic"></svg>
 <p id="about" aria-live="polite">Point at a setting, or reach it with the Tab key.</p>

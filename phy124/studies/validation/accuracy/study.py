@@ -91,13 +91,13 @@ class Report:
 
     rows: tuple[Row, ...]
     skipped: tuple[str, ...]
-    """Sentences about levels that were left out or torn, and why."""
+    """Sentences that say which levels were left out or torn, and why."""
     convergence: Convergence
     object_size: float
     """Longest side at rest [m]."""
     recommendation: str
     promises: dict[str, str]
-    """Preset -> whether its promise holds in this scene, in words."""
+    """Preset -> a sentence that says whether its promise holds in this scene."""
     until: float | None = None
     """Time up to which the errors hold [s], if the levels part later; None: the whole motion."""
     closest: float | None = None
@@ -107,9 +107,9 @@ class Report:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences about the result, each once."""
-        said = (*self.skipped, self._extent, self.convergence.why_not, self.recommendation)
-        return tuple(sentence for sentence in dict.fromkeys(said) if sentence)
+        """Sentences about the result, without repetition."""
+        sentences = (*self.skipped, self._extent, self.convergence.why_not, self.recommendation)
+        return tuple(sentence for sentence in dict.fromkeys(sentences) if sentence)
 
     @property
     def _extent(self) -> str:
@@ -127,7 +127,7 @@ class Report:
         return ""
 
     def data(self) -> dict[str, Any]:
-        """Plain data for accuracy.json; infinities become None."""
+        """Return plain data for accuracy.json; infinities become None."""
         return _plain(asdict(self))
 
 
@@ -145,12 +145,12 @@ class Study:
     Cancelled, or Stopped, which leaves this setting out."""
     thorough: bool = True
     """Also vary the other settings, forecast each and compare videos: about three times as long."""
-    told: Callable[[Row], None] = lambda row: None
-    """Called with each setting as soon as it is finished, before errors are known."""
+    on_row: Callable[[Row], None] = lambda row: None
+    """Called with the row of each finished setting, before errors are known."""
     keep: bool = False
     """Whether finished settings are evaluated when `progress` cancels or a later one fails."""
     ended: Exception | None = field(default=None, init=False)
-    """What ended it before all was done, if `keep` has kept the rest."""
+    """The exception that ended the study early, if `keep` has kept the finished settings."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
     _forecaster: Forecaster = field(init=False, repr=False)
 
@@ -181,22 +181,24 @@ class Study:
                 skipped.append(reason)
             if row:
                 rows.append(row)
-                self.told(row)
+                self.on_row(row)
         else:
             self.progress("study", len(plan), len(plan))
-        report = self._kept(rows, tuple(skipped))
+        report = self._conclude_or_keep(rows, tuple(skipped))
         return replace(report, interrupted=self.ended is not None)
 
-    def _kept(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
-        """The report of finished settings, without errors if they cannot be compared."""
+    def _conclude_or_keep(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
+        """Return the report of finished settings, without errors if they cannot be compared."""
         try:
-            return self._judged(rows, skipped)
+            return self._conclude(rows, skipped)
         except Exception as problem:
             if not (self.keep and rows):
                 raise
             self.ended = problem
             why = "the settings were not compared"
-            return self._unjudged(rows, (*skipped, f"{why}: {failure(problem)}"), why)
+            return self._conclude_without_errors(
+                rows, (*skipped, f"{why}: {failure(problem)}"), why
+            )
 
     def _still(self, number: int, count: int, stage: str = "study", *steps: int) -> None:
         """Report progress in the middle of a setting."""
@@ -205,7 +207,7 @@ class Study:
         self.progress("study", number, count)
 
     def _plan(self) -> Iterator[tuple[str, Scene]]:
-        """Every setting by name: the levels, then one thing varied at a time."""
+        """Yield every setting by name: the levels, then variations of a single option."""
         base = self.scene.resolution
         for cells in self.levels:
             yield f"D/{cells}", self._with(base.model_copy(update={"cells": cells}))
@@ -224,13 +226,13 @@ class Study:
         yield f"binding {binding} {here}", bound
 
     def _with(self, accuracy: Accuracy) -> Scene:
-        """The scene at another accuracy, with the checks on that show the energy lost."""
-        asked = {"balance": True, "energy": self._splits}
-        checks = self.scene.checks.model_copy(update=asked)
+        """Return the scene at another accuracy, with the checks that measure the energy lost."""
+        update = {"balance": True, "energy": self._splits}
+        checks = self.scene.checks.model_copy(update=update)
         return self.scene.model_copy(update={"accuracy": accuracy, "checks": checks})
 
     def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
-        """Run one setting; returns its row, and why there is none or why to doubt it."""
+        """Run a setting; return its row, and the reason if there is none or it is doubtful."""
         simulation = Simulation(
             prepare(
                 self.gaussians,
@@ -246,7 +248,7 @@ class Study:
                 f"{name} is skipped: {particles_per_axis:.1f} particles per cell and axis are "
                 f"fewer than {MIN_PARTICLES_PER_AXIS}, so a finer grid would be less accurate."
             )
-        predicted = self._predicted(simulation) if self.thorough else None
+        predicted = self._forecast(simulation) if self.thorough else None
         before = diagnose(simulation.solver)
         clip = simulation.run()
         if not clip.report["complete"]:
@@ -277,8 +279,8 @@ class Study:
             torn=torn,
         ), f"{name}: {torn}" if torn else ""
 
-    def _predicted(self, simulation: Simulation) -> float:
-        """The time of the scene as a user would run it, without the split of the energy lost."""
+    def _forecast(self, simulation: Simulation) -> float:
+        """Forecast the time of a user's run of the scene, which does not split the energy lost."""
         scene = simulation.scene
         if scene.checks.energy:
             checks = scene.checks.model_copy(update={"energy": False})
@@ -289,7 +291,7 @@ class Study:
         forecast = self._forecaster.of(simulation, filming=False, load=QUIET)
         return forecast.stages["simulate"] + forecast.stages["deform"]
 
-    def _judged(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
+    def _conclude(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
         """Add errors relative to the finest level and draw conclusions; torn levels are ignored."""
         levels = [row for row in rows if row.level and not row.torn]
         size = self.scene.object.size
@@ -298,14 +300,14 @@ class Study:
             why = (
                 "on every level the grid may tear the material" if torn else "no level could be run"
             )
-            return self._unjudged(rows, skipped, why)
+            return self._conclude_without_errors(rows, skipped, why)
         names = [row.name for row in levels]
         clips = [self.clips[name] for name in names]
         spacings = [1 / row.cells for row in levels]
         convergence, frames = longest_convergence(spacings, [clip.means for clip in clips], size)
         convergence = _without_torn(rows, convergence)
         known = dict(zip(names, convergence.errors, strict=False))
-        judged = tuple(self._compared(row, clips, convergence, known, frames) for row in rows)
+        judged = tuple(self._compare(row, clips, convergence, known, frames) for row in rows)
         finest = distances([clip.means for clip in clips[-2:]])
         times = clips[0].times
         until = float(times[frames - 1]) if frames < len(times) else None
@@ -320,26 +322,28 @@ class Study:
             closest=float(finest[0, 1]) / size if len(clips) > 1 else None,
         )
 
-    def _unjudged(self, rows: list[Row], skipped: tuple[str, ...], why: str) -> Report:
-        """The rows without errors, and why they have none."""
+    def _conclude_without_errors(
+        self, rows: list[Row], skipped: tuple[str, ...], why: str
+    ) -> Report:
+        """Return the report of rows without errors, and the reason."""
         none, size = Convergence(None, why_not=why), self.scene.object.size
         promises = kept_promises(self.scene, self._thickness, tuple(rows), none)
         return Report(tuple(rows), skipped, none, size, why, promises)
 
-    def _compared(
+    def _compare(
         self,
         row: Row,
         levels: list[Clip],
-        found: Convergence,
+        convergence: Convergence,
         known: dict[str, float],
         frames: int,
     ) -> Row:
-        """The row with its distance from the finest level and its error; a torn one unchanged.
+        """Add the distance from the finest level and the error to a row that is not torn.
 
         Args:
             row: The row.
             levels: Clips of the levels, from coarse to fine.
-            found: Their convergence.
+            convergence: Convergence of the levels.
             known: Errors of the levels by name.
             frames: Number of first frames that these errors hold for.
         """
@@ -354,7 +358,7 @@ class Study:
             apart = replace(apart, pixels=apart.pixels / shrink)
         start = slice(frames)
         each = [distances([clip.means[start], level.means[start]])[0, 1] / size for level in levels]
-        error = known.get(row.name, found.error_of(np.array(each)))
+        error = known.get(row.name, convergence.error_of(np.array(each)))
         if error is None:
             return replace(row, from_finest=apart)
         seen = apart.pixels / apart.relative if apart and apart.relative else None
@@ -363,7 +367,7 @@ class Study:
 
 
 def _can_split(scene: Scene) -> bool:
-    """Whether it can be told where the energy goes that a scene loses."""
+    """Whether the energy that a scene loses can be split by cause."""
     try:
         scene.replaced({"checks.balance": True, "checks.energy": True})
     except InputError:
@@ -372,25 +376,28 @@ def _can_split(scene: Scene) -> bool:
 
 
 def _lost_to(energy: dict[str, float] | None) -> dict[str, float] | None:
-    """Losses in a report's joules as fractions of the energy supplied."""
+    """Convert a report's losses from joules to fractions of the energy supplied."""
     if energy is None or not energy["turnover"] > 0:
         return None
     return {name: float(energy[name] / energy["turnover"]) for name in Loss._fields}
 
 
-def _without_torn(rows: list[Row], found: Convergence) -> Convergence:
-    """The convergence of the levels; if there are no errors because some are torn, it says so."""
+def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
+    """Add the torn levels to the reason why there are no errors, if there is one."""
     torn = ", ".join(row.name for row in rows if row.level and row.torn)
-    if not torn or not found.why_not:
-        return found
-    return replace(found, why_not=f"{found.why_not} ({torn} may be torn and do not count)")
+    if not torn or not convergence.why_not:
+        return convergence
+    return replace(
+        convergence, why_not=f"{convergence.why_not} ({torn} may be torn and do not count)"
+    )
 
 
 def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
-    """Error on a grid, from those of a study's levels.
+    """Return the error on a grid from the errors of a study's levels.
 
-    Between two levels it is that of the coarser one; beyond the finest it falls with the observed
-    order (clamped to `TRUSTED`), or not at all if there is none. None on grids coarser than all.
+    Between two levels, it is the error of the coarser level. Beyond the finest level, it decreases
+    with the observed order (clamped to `TRUSTED`), or is constant if no order was observed. Grids
+    coarser than all levels have no error (None).
 
     Args:
         cells: Cells of the grid.
@@ -406,53 +413,53 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
     return errors[nearest] * (nearest / cells) ** min(max(order, TRUSTED[0]), TRUSTED[1])
 
 
-def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
-    """A sentence: which level to choose, and what the next finer one would take."""
+def recommend(rows: tuple[Row, ...], convergence: Convergence) -> str:
+    """Recommend a level in a sentence, and compare it with the next finer one."""
     levels = [row for row in rows if row.level and not row.torn]
-    if found.error is None:
-        return f"No setting can be recommended by its error: {found.why_not}."
+    if convergence.error is None:
+        return f"No setting can be recommended by its error: {convergence.why_not}."
     good = [row for row in levels if row.error is not None and row.error <= GOOD]
     best = min(good or levels[-1:], key=lambda row: row.seconds)
-    said = f"Take {best.name}: {best.error or 0:.1%} of the object's size in {best.seconds:.1f} s"
+    advice = f"Take {best.name}: {best.error or 0:.1%} of the object's size in {best.seconds:.1f} s"
     finer = [row for row in levels if row.cells > best.cells]
     if not good:
-        return f"{said}; no level reached {GOOD:.0%}, which needs a finer grid."
+        return f"{advice}; no level reached {GOOD:.0%}, which needs a finer grid."
     if not finer:
-        return f"{said}; it is the finest that was tried."
+        return f"{advice}; it is the finest that was tried."
     ratio = finer[0].seconds / best.seconds
     better = f"{finer[0].error or 0:.1%}"
-    return f"{said}; {finer[0].name} would take {ratio:.1f} times as long for {better}."
+    return f"{advice}; {finer[0].name} would take {ratio:.1f} times as long for {better}."
 
 
 def kept_promises(
     scene: Scene,
     thickness: float | None,
     rows: tuple[Row, ...],
-    found: Convergence,
+    convergence: Convergence,
     until: float | None = None,
 ) -> dict[str, str]:
-    """For each preset whose level was run: whether the promised error holds here, in words.
+    """Say for each preset whether its promised error holds in this scene.
 
     Args:
         scene: The scene.
         thickness: Local thickness of its object relative to its size.
         rows: The settings that were run.
-        found: The convergence of the levels.
+        convergence: The convergence of the levels.
         until: Time up to which the errors hold [s]; None: the whole motion.
     """
-    said = {}
+    sentences = {}
     for name, accuracy in PRESETS.items():
         row = next((row for row in rows if row.level and row.cells == accuracy.cells), None)
         if row is None:
-            said[name] = "not tried"
+            sentences[name] = "not tried"
         elif row.torn:
-            said[name] = f"none: {torn([row.name])}"
-        elif found.error is None or row.error is None:
-            said[name] = f"cannot be judged: {found.why_not}"
+            sentences[name] = f"none: {torn([row.name])}"
+        elif convergence.error is None or row.error is None:
+            sentences[name] = f"cannot be judged: {convergence.why_not}"
         else:
             promised = promise(scene.model_copy(update={"accuracy": name}), thickness)
-            said[name] = kept(promised, row.error, until)
-    return said
+            sentences[name] = kept(promised, row.error, until)
+    return sentences
 
 
 def _particles_per_axis(simulation: Simulation) -> float:

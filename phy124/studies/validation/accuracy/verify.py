@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,9 +25,9 @@ class Verdict:
 
     problem: str
     quantity: str
-    """What `value` measures."""
+    """Quantity that `value` measures."""
     value: float
-    """Error at the finest level, or at the only one."""
+    """Error at the finest or only level."""
     limit: float
     """Largest value that passes."""
     levels: tuple[int, ...] = ()
@@ -35,7 +35,7 @@ class Verdict:
     order: float | None = None
     """Observed order of convergence; None if the solution is exact or no order was observed."""
     expected_order: Range | None = None
-    """Range in which the order must be; None if there is no order."""
+    """Range of valid orders; None if there is no order."""
     seconds: float = 0.0
     """CPU time used [s]."""
 
@@ -54,12 +54,8 @@ def verify(*, fine: bool = True) -> Iterator[Verdict]:
     for check in CHECKS:
         start = time.process_time()
         for verdict in check(fine):
-            yield _timed(verdict, time.process_time() - start)
+            yield replace(verdict, seconds=time.process_time() - start)
             start = time.process_time()
-
-
-def _timed(verdict: Verdict, seconds: float) -> Verdict:
-    return Verdict(**{**verdict.__dict__, "seconds": seconds})
 
 
 def free_fall(fine: bool) -> Iterator[Verdict]:
@@ -109,17 +105,28 @@ def bouncing_ball(fine: bool) -> Iterator[Verdict]:
     cells = (12, 18, 27) if fine else (8, 12, 16)
     runs = problems.bouncing_ball(cells)
     size = problems.Bounce().diameter
-    found = richardson([1 / n for n in cells], distances(runs) / size)
-    error = float("nan") if found.error is None else found.error
+    extrapolation = richardson([1 / n for n in cells], distances(runs) / size)
+    error = float("nan") if extrapolation.error is None else extrapolation.error
     limit = 0.02 if fine else 0.04
     yield Verdict(
-        "bouncing ball", "position error / size", error, limit, cells, found.order, (1.0, 2.0)
+        "bouncing ball",
+        "position error / size",
+        error,
+        limit,
+        cells,
+        extrapolation.order,
+        (1.0, 2.0),
     )
 
 
 CHECKS: tuple[Callable[[bool], Iterator[Verdict]], ...] = (
-    free_fall, rigid_spin, vibrating_bar, vortex, hydrostatic_column, bouncing_ball,
-)  # fmt: skip
+    free_fall,
+    rigid_spin,
+    vibrating_bar,
+    vortex,
+    hydrostatic_column,
+    bouncing_ball,
+)
 """All checks, in the order in which they are shown."""
 
 

@@ -1,18 +1,16 @@
 """Experiments from the literature, repeated by the solver: does it describe the world?
 
-`phy124 accuracy --verify` shows that the equations are solved; `phy124 validate` compares with what
-was measured, or proved, elsewhere. Each experiment has three grids, a band, and a control with a
-deliberate mistake, which must leave that band. docs/lab/experiments.md is made by it.
+`phy124 accuracy --verify` shows that the equations are solved; `phy124 validate` compares with
+published measurements and theories. Each experiment has three grids, a band, and a control with a
+deliberate mistake, which must leave that band. The command writes docs/lab/experiments.md.
 """
 
 from __future__ import annotations
 
 from phy124.errors import InputError
 from phy124.studies.validation.experiments import (
+    beam,
     dam_break,
-    elastica,
-    elastica_spline,
-    heavy_elastica,
     hertz,
     incline,
     middle_axis,
@@ -22,26 +20,32 @@ from phy124.studies.validation.experiments import (
     taylor_bar,
     terminal_speed,
 )
-from phy124.studies.validation.experiments.experiment import Experiment, Quantity
-from phy124.studies.validation.experiments.outcome import Found, Outcome
+from phy124.studies.validation.experiments.experiment import Estimate, Experiment, Outcome, Quantity
 
-EXPERIMENTS: tuple[Experiment, ...] = tuple(
-    module.EXPERIMENT
-    for module in (
-        elastica, elastica_spline, heavy_elastica, pressed_block, hertz, restitution, incline,
-        middle_axis, terminal_speed, taylor_bar, sand_column, dam_break,
-    )
-)  # fmt: skip
+EXPERIMENTS: tuple[Experiment, ...] = (
+    beam.ELASTICA,
+    beam.SPLINE_ELASTICA,
+    beam.HEAVY_ELASTICA,
+    pressed_block.EXPERIMENT,
+    hertz.EXPERIMENT,
+    restitution.EXPERIMENT,
+    incline.EXPERIMENT,
+    middle_axis.EXPERIMENT,
+    terminal_speed.EXPERIMENT,
+    taylor_bar.EXPERIMENT,
+    sand_column.EXPERIMENT,
+    dam_break.EXPERIMENT,
+)
 """All experiments, in the order in which they are shown."""
 
-__all__ = ["EXPERIMENTS", "Experiment", "Found", "Outcome", "Quantity", "named"]
+__all__ = ["EXPERIMENTS", "Estimate", "Experiment", "Outcome", "Quantity", "find_experiment"]
 
 
-def named(name: str) -> Experiment:
-    """The experiment of a name.
+def find_experiment(name: str) -> Experiment:
+    """Return the experiment with a name.
 
     Raises:
-        InputError: There is none.
+        InputError: There is no such experiment.
     """
     for experiment in EXPERIMENTS:
         if experiment.name == name:

@@ -1,4 +1,4 @@
-"""A column of water that is let go: Martin and Moyce 1952."""
+"""A column of water that is released: Martin and Moyce 1952."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from phy124.forces import Gravity
 from phy124.materials import Fluid
 from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE, GRAVITY
+from phy124.studies.validation.bodies import connected_end, mirrors, plane, sheet
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
-from phy124.studies.validation.experiments.symmetry import connected_end, mirrors, plane, sheet
 
 FRONTS = (1.2, 1.6, 2.0, 2.5, 3.0)
 """Times t sqrt(2 g / a) at which the front is measured."""
 HEIGHTS = (1.28, 2.0, 2.7)
-"""Times t sqrt(g / a) at which the height left at the wall is measured."""
+"""Times t sqrt(g / a) at which the height at the wall is measured."""
 SPEED = (2.0, 3.0)
-"""Times between which the front's mean speed is measured, which no late start changes."""
+"""Times between which the front's mean speed is measured, which a late start does not change."""
 FRONT_2_25 = (
     (0.832, 1.217), (1.219, 1.474), (1.997, 2.292), (2.547, 2.995), (3.345, 4.134), (4.034, 4.944),
 )  # fmt: skip
@@ -28,37 +28,37 @@ FRONT_2_25 = (
 FRONT_1_125 = (
     (0.849, 1.245), (1.212, 1.443), (1.602, 1.884), (2.283, 2.689), (2.950, 3.728), (3.598, 4.528),
 )  # fmt: skip
-"""The same of a column a = 1.125 inch wide (digitised by PySPH)."""
+"""Front / a by time, of a column a = 1.125 inch wide (digitised by PySPH)."""
 FRONT_TABLE = (
     (0.84, 1.22), (1.19, 1.44), (1.43, 1.67), (1.63, 1.89), (1.83, 2.11), (1.98, 2.33),
     (2.20, 2.56), (2.32, 2.78), (2.51, 3.00), (2.65, 3.22), (2.83, 3.44), (2.98, 3.67),
     (3.11, 3.89), (3.33, 4.11),
 )  # fmt: skip
-"""The same of table 2, as kept by Ocellaris."""
+"""Front / a by time, from table 2 (as kept by Ocellaris)."""
 HEIGHT_TABLE = (
     (0.56, 0.94), (0.77, 0.89), (0.93, 0.83), (1.08, 0.78), (1.28, 0.72), (1.46, 0.67),
     (1.66, 0.61), (1.84, 0.56), (2.00, 0.50), (2.21, 0.44), (2.45, 0.39), (2.70, 0.33),
     (3.06, 0.28), (3.44, 0.22),
 )  # fmt: skip
-"""Height at the wall / its first one, by t sqrt(g / a) (table 6, as kept by Ocellaris)."""
+"""Height at the wall / initial height, by t sqrt(g / a) (table 6, as kept by Ocellaris)."""
 READ = 0.02
-"""What a tabulated height may be off: the steps of the table are 0.05 to 0.06."""
+"""Largest error of a tabulated height: the steps of the table are 0.05 to 0.06."""
 WIDTH = 0.1
 """a, m."""
 WATER = Fluid(bulk_modulus=1e5, viscosity=1e-3)
-"""Its sound is ten times as fast as its front."""
+"""Its speed of sound is ten times that of the front."""
 PASTE = Fluid(bulk_modulus=1e5, viscosity=20.0)
-"""What the control lets go instead of water."""
+"""Material of the control."""
 
 
 def front_sets(time: float) -> NDArray[np.float64]:
-    """Front / a in the three sets at a time, between their points [3]."""
+    """Interpolate front / a in the three sets at a time [3]."""
     sets = (np.array(each) for each in (FRONT_2_25, FRONT_1_125, FRONT_TABLE))
     return np.array([np.interp(time, each[:, 0], each[:, 1]) for each in sets])
 
 
-def published() -> tuple[Quantity, ...]:
-    """Fronts, the front's speed, and heights."""
+def publish() -> tuple[Quantity, ...]:
+    """Return fronts, the front's speed, and heights."""
     fronts = [_spread(f"front at T = {time:g}", front_sets(time)) for time in FRONTS]
     speeds = (front_sets(SPEED[1]) - front_sets(SPEED[0])) / (SPEED[1] - SPEED[0])
     table = np.array(HEIGHT_TABLE)
@@ -77,19 +77,17 @@ def _spread(name: str, sets: NDArray[np.float64]) -> Quantity:
     return Quantity(name, float(sets.mean()), float(sets.min()), float(sets.max()))
 
 
-def released(cells: int, material: Fluid) -> Values:
-    """Fronts, speed and heights of a column twice as high as wide, in a smooth plane channel.
+def release(cells: int, material: Fluid) -> Values:
+    """Measure fronts, speed and heights of a column twice as high as wide, in a smooth channel.
 
     Args:
         cells: Cells across the column's width.
-        material: What it consists of.
+        material: Material of the column.
     """
     dx, unit = WIDTH / cells, math.sqrt(WIDTH / (2 * GRAVITY))
     x = sheet((2 * cells, 4 * cells), dx / 2)
-    model = Model.of(
-        x, np.full(len(x), dx**3 / 4), [material], dx=dx,
-        origin=(-FLOOR_NODE * dx, 0, -FLOOR_NODE * dx),
-    )  # fmt: skip
+    volume, origin = np.full(len(x), dx**3 / 4), (-FLOOR_NODE * dx, 0, -FLOOR_NODE * dx)
+    model = Model.of(x, volume, [material], dx=dx, origin=origin)
     walls = [Ground(friction=0.0), *mirrors(0), plane()]
     solver = Solver(model, forces=[Gravity()], boundaries=walls, threads=1)
     later = [math.sqrt(2) * time for time in HEIGHTS]
@@ -102,7 +100,7 @@ def released(cells: int, material: Fluid) -> Values:
 
 
 def _height(solver: Solver) -> float:
-    """Of the water at the wall [m]: the top of the first two cells, where particles still touch."""
+    """Height of the water at the wall [m]: of the connected particles in the first two cells."""
     x, dx = solver.state.x.numpy().astype(float), solver.model.dx
     z = np.sort(x[x[:, 0] < 2 * dx, 2])
     gaps = np.flatnonzero(np.diff(z) > dx)
@@ -110,13 +108,13 @@ def _height(solver: Solver) -> float:
 
 
 def run(cells: int) -> Values:
-    """What water does."""
-    return released(cells, WATER)
+    """Measure water."""
+    return release(cells, WATER)
 
 
 def control(cells: int) -> Values:
-    """What a paste does."""
-    return released(cells, PASTE)
+    """Measure a paste."""
+    return release(cells, PASTE)
 
 
 EXPERIMENT = Experiment(
@@ -128,7 +126,7 @@ EXPERIMENT = Experiment(
     "T = t √(2g/a), heights at T/√2; the front ends at the first gap wider than a cell.",
     band="fronts: between the lowest and highest of the three sets; heights: ±0.02, what the steps "
     "of the table leave open",
-    published=published,
+    published=publish,
     run=run,
     control=control,
     mistake="a paste of 20 Pa s instead of water",

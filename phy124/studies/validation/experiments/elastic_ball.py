@@ -1,9 +1,10 @@
-"""An elastic ball on a rigid smooth plate by finite elements: what Hertz leaves out.
+"""An elastic ball on a rigid smooth plate by finite elements, beyond the limits of Hertz's theory.
 
-Hertz's ball is a half-space near its contact, of small strain. This one is whole, and neo-Hookean
-as the particles are: a static, axisymmetric solution with linear quadrilaterals, finer towards the
-contact (Bonet and Wood 2008, chapter 9), and contact by an active set (Alart and Curnier 1991).
-It shares nothing with the material point method, so that it can judge it.
+Hertz treats the ball as a half-space of small strain near its contact. Here it is a whole,
+neo-Hookean ball like that of the particles: a static, axisymmetric solution with linear
+quadrilaterals, finer towards the contact (Bonet and Wood 2008, chapter 9), and contact by an active
+set (Alart and Curnier 1991). It shares no code with the material point method, so it can validate
+it.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-"""Of the reference square."""
+"""Corners of the reference square."""
 PAIRS = np.array([[0, 0, 1, 1, 2], [0, 1, 0, 1, 2]])
 """Components of F that do not vanish: rr, rz, zr, zz, and across the plane."""
 FINER = 3.5
-"""How much finer the elements are at the contact; 0 would be evenly."""
+"""Grading of the elements towards the contact; 0 would be a uniform mesh."""
 LARGEST_STEP = 0.02
-"""How far the plate moves at once, in radii."""
+"""Largest step of the plate, in radii."""
 DEPTHS = (0.01, 0.03, 0.05, 0.08, 0.11, 0.15)
-"""To which a law is fitted, in radii."""
+"""Depths to which a law is fitted, in radii."""
 
 
 @dataclass(frozen=True)
@@ -37,30 +38,30 @@ class Law:
     nu: float
     """Poisson's ratio."""
     terms: tuple[float, ...] = ()
-    """a, b ...; none: Hertz's law, which takes both bodies for half-spaces."""
+    """a, b ...; empty for Hertz's law, which treats both bodies as half-spaces."""
 
     def force(self, depth: float) -> float:
-        """Over E R^2, at a depth in radii."""
+        """Return the force over E R^2 at a depth in radii."""
         powers = (term * depth ** (k / 2) for k, term in enumerate((1.0, *self.terms)))
         return 4 / 3 / (1 - self.nu**2) * depth**1.5 * sum(powers)
 
     def slope(self, depth: float) -> float:
-        """Derivative of the force by the depth in radii."""
+        """Return the derivative of the force with respect to the depth in radii."""
         terms = enumerate((1.0, *self.terms), start=3)
         return 2 / 3 / (1 - self.nu**2) * sum(k * a * depth ** (k / 2 - 1) for k, a in terms)
 
 
 @cache
-def law(nu: float, *, whole: bool) -> Law:
-    """That of a neo-Hookean ball, fitted to finite elements up to a depth of 0.15 radii.
+def fit_law(nu: float, *, whole: bool) -> Law:
+    """Fit the law of a neo-Hookean ball to finite elements up to a depth of 0.15 radii.
 
     Args:
         nu: Poisson's ratio.
-        whole: On one plate, pushed by its inertia; else between two.
+        whole: True for a ball on a plate, pushed by its inertia; False for a ball between plates.
     """
     s = np.sqrt(DEPTHS)
     hertz = [Law(nu).force(depth) for depth in DEPTHS]
-    more = forces(DEPTHS, nu, whole=whole) / hertz - 1
+    more = plate_forces(DEPTHS, nu, whole=whole) / hertz - 1
     terms = np.linalg.lstsq(s[:, None] ** (1, 2, 3), more)[0]
     return Law(nu, tuple(terms.tolist()))
 
@@ -76,11 +77,11 @@ class Mesh:
     surface: NDArray[np.int64]
     """Nodes of the surface, from the contact on."""
     whole: bool
-    """Half a section, of a whole ball; else its upper half."""
+    """True for half a section of a whole ball, False for a quarter (the upper half of the ball)."""
 
 
-def mesh(fine: int, *, whole: bool) -> Mesh:
-    """Quadrilaterals between circles and rays, `fine` of them from the middle to the contact.
+def make_mesh(fine: int, *, whole: bool) -> Mesh:
+    """Divide the section into quadrilaterals between circles and rays.
 
     Args:
         fine: Elements along the radius.
@@ -100,30 +101,30 @@ def mesh(fine: int, *, whole: bool) -> Mesh:
 
 
 def _towards_zero(count: int) -> Array:
-    """Places from 0 to 1, closer together at 0."""
+    """Return positions from 0 to 1, closer together at 0."""
     return np.sinh(FINER * np.linspace(0, 1, count + 1)) / math.sinh(FINER)
 
 
 @dataclass(frozen=True)
 class Elements:
-    """What is summed over the points of integration (two by two in each element)."""
+    """Quantities at the points of integration (two by two in each element)."""
 
     gradient: Array
-    """Of displacements [M,8], gives the five components of F - 1 [M,4,5,8]."""
+    """Maps displacements [M,8] to the five components of F - 1 [M,4,5,8]."""
     volume: Array
-    """Around the axis [M,4]."""
+    """Volumes around the axis [M,4]."""
     dofs: NDArray[np.int64]
-    """Numbers of an element's displacements [M,8]."""
+    """Indices of an element's displacements [M,8]."""
     weights: Array
-    """Volume that belongs to each node [N]."""
+    """Volume of each node [N]."""
 
     @classmethod
-    def of(cls, mesh: Mesh) -> Elements:
-        """Those of a mesh."""
+    def of(cls, make_mesh: Mesh) -> Elements:
+        """Return the elements of a mesh."""
         at = CORNERS / math.sqrt(3)
         shape = np.prod(1 + at[:, None] * CORNERS, axis=-1) / 4
         slope = CORNERS * (1 + at[:, None] * CORNERS)[..., ::-1] / 4
-        corners = mesh.x[mesh.quads]
+        corners = make_mesh.x[make_mesh.quads]
         jacobian = np.einsum("qni,mnj->mqij", slope, corners)
         along = np.einsum("mqij,qnj->mqni", np.linalg.inv(jacobian), slope)
         r = corners[..., 0] @ shape.T
@@ -132,13 +133,13 @@ class Elements:
         gradient[:, :, 0:2, :, 0] = np.swapaxes(along, 2, 3)
         gradient[:, :, 2:4, :, 1] = np.swapaxes(along, 2, 3)
         gradient[:, :, 4, :, 0] = shape / r[..., None]
-        dofs = (2 * mesh.quads[..., None] + [0, 1]).reshape(-1, 8)
+        dofs = (2 * make_mesh.quads[..., None] + [0, 1]).reshape(-1, 8)
         shares = (volume @ shape).ravel()
-        weights = np.asarray(np.bincount(mesh.quads.ravel(), shares, len(mesh.x)), float)
+        weights = np.asarray(np.bincount(make_mesh.quads.ravel(), shares, len(make_mesh.x)), float)
         return cls(gradient.reshape(*r.shape, 5, 8), volume, dofs, weights)
 
     def forces(self, u: Array, mu: float, lam: float) -> tuple[Array, Array]:
-        """Forces [2N] that the displacements [2N] raise, and their derivatives [M,8,8]."""
+        """Return the internal forces [2N] of displacements [2N], and their derivatives [M,8,8]."""
         F = np.zeros((*self.volume.shape, 3, 3))
         i, j = PAIRS
         F[..., i, j] = np.einsum("mqcd,md->mqc", self.gradient, u[self.dofs])
@@ -149,65 +150,65 @@ class Elements:
         turned = inverse[..., j[:, None], i] * inverse[..., j, i[:, None]]
         rate = mu * np.eye(5) + (mu - lam * log_j)[..., None, None] * turned
         rate += lam * g[..., None] * g[..., None, :]
-        own = np.einsum("mq,mqcd,mqc->md", self.volume, self.gradient, stress)
+        nodal = np.einsum("mq,mqcd,mqc->md", self.volume, self.gradient, stress)
         weighed = self.volume[..., None, None] * (rate @ self.gradient)
         stiffness = np.einsum("mqcd,mqce->mde", self.gradient, weighed)
-        return np.asarray(np.bincount(self.dofs.ravel(), own.ravel(), len(u)), float), stiffness
+        return np.asarray(np.bincount(self.dofs.ravel(), nodal.ravel(), len(u)), float), stiffness
 
 
-def forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int = 16) -> Array:
-    """Force on the plate over E R^2, at each depth.
+def plate_forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int = 16) -> Array:
+    """Return the force on the plate over E R^2, at each depth.
 
     Args:
-        depths: How far the plate comes towards the middle of the ball, in radii, ascending: the
-            centre of mass of a whole ball that is pushed by its weight, or by its inertia; the
-            plane of symmetry of one between two plates.
+        depths: Approach of the plate to the middle of the ball, in radii, ascending. The middle is
+            the centre of mass of a whole ball, which is pushed by its weight or inertia, or the
+            plane of symmetry of a ball between two plates.
         nu: Poisson's ratio.
-        whole: Whether the ball is whole; else it is between two plates.
+        whole: True for a whole ball on a plate, False for a ball between two plates.
         fine: Elements along the radius.
 
     Raises:
-        RuntimeError: A solution is not found.
+        RuntimeError: The iteration does not converge.
     """
-    ball = mesh(fine, whole=whole)
+    ball = make_mesh(fine, whole=whole)
     lame = 0.5 / (1 + nu), nu / ((1 + nu) * (1 - 2 * nu))
     elements, u = Elements.of(ball), np.zeros(2 * len(ball.x) + 1)
-    found, force = [], 0.0
+    results, force = [], 0.0
     for last, to in itertools.pairwise((0.0, *depths)):
         steps = math.ceil((to - last) / LARGEST_STEP)
         for depth in np.linspace(last, to, steps + 1)[1:]:
-            u, force = _pressed(ball, elements, u, lame, float(depth))
-        found.append(force)
-    return np.array(found)
+            u, force = _press(ball, elements, u, lame, float(depth))
+        results.append(force)
+    return np.array(results)
 
 
-def _pressed(
-    mesh: Mesh, elements: Elements, u: Array, lame: tuple[float, float], depth: float
+def _press(
+    make_mesh: Mesh, elements: Elements, u: Array, lame: tuple[float, float], depth: float
 ) -> tuple[Array, float]:
-    """Displacements, and the body force that keeps the middle in place, at a depth; the force."""
+    """Return the displacements, with the body force that fixes the middle, and the force."""
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import spsolve
 
-    size, many = len(u), 2 * len(mesh.x)
-    axis, level = mesh.x[:, 0] == 0, (mesh.x[:, 1] == 0) & (not mesh.whole)
+    size, many = len(u), 2 * len(make_mesh.x)
+    axis, level = make_mesh.x[:, 0] == 0, (make_mesh.x[:, 1] == 0) & (not make_mesh.whole)
     fixed = np.zeros(size, bool)
-    fixed[0:many:2], fixed[1:many:2], fixed[many] = axis, level, not mesh.whole
+    fixed[0:many:2], fixed[1:many:2], fixed[many] = axis, level, not make_mesh.whole
     push = np.zeros(many)
     push[1::2] = elements.weights
     rows = np.repeat(elements.dofs, 8, axis=1).ravel(), np.tile(elements.dofs, 8).ravel()
     border = np.arange(many), np.full(many, many)
-    touch = 2 * mesh.surface + 1
+    touch = 2 * make_mesh.surface + 1
     for _ in range(60):
         inner, stiffness = elements.forces(u[:many], *lame)
         off = np.append(inner + u[many] * push, push @ u[:many])
-        height = mesh.x[mesh.surface, 1] + u[touch] - (1 - depth)
+        height = make_mesh.x[make_mesh.surface, 1] + u[touch] - (1 - depth)
         held = touch[height - off[touch] > 0]
         free = ~fixed
         free[held] = False
         force = -off[held].sum()
         miss = np.where(free, off, 0.0)
         change = np.zeros(size)
-        change[held] = 1 - depth - mesh.x[held // 2, 1] - u[held]
+        change[held] = 1 - depth - make_mesh.x[held // 2, 1] - u[held]
         if max(np.abs(miss).max(), np.abs(change).max()) < 1e-11:
             return u, float(force)
         values = np.concatenate([stiffness.ravel(), push, push])

@@ -1,9 +1,14 @@
-"""An experiment: what was measured or proved elsewhere, and how the solver repeats it."""
+"""An experiment: published values, how the solver repeats them, and the outcome on three grids."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from phy124.accuracy.convergence import richardson
 
 Values = tuple[float, ...]
 """One number per quantity; NaN where a control does not measure it."""
@@ -11,7 +16,7 @@ Values = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number, and the band in which the published ones lie."""
+    """A published number, and the band in which measurements lie."""
 
     name: str
     published: float
@@ -20,17 +25,17 @@ class Quantity:
     high: float
     """Highest value that the source allows."""
     at: float | None = None
-    """Where on the horizontal axis of a plot it belongs, if several make one curve."""
+    """Position on the horizontal axis of a plot, if the quantities make a curve."""
 
     @classmethod
     def within(cls, name: str, value: float, part: float, at: float | None = None) -> Quantity:
-        """A quantity that is known to a fraction `part` of itself.
+        """Return a quantity that is known to a fraction `part` of itself.
 
         Args:
-            name: What it is.
+            name: Name of the quantity.
             value: The published value.
             part: Half the width of its band, as a fraction of the value.
-            at: Its place on the horizontal axis of a plot.
+            at: Position on the horizontal axis of a plot.
         """
         half = abs(value) * part
         return cls(name, value, value - half, value + half, at)
@@ -38,36 +43,149 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A comparison with the world: one declaration drives the run, the table, the page and plot."""
+    """A comparison with published values: the declaration of runs, table, page and plot."""
 
     name: str
-    """As it is called on the command line."""
+    """Name on the command line."""
     title: str
     source: str
-    """Who published the values, or which theory gives them."""
+    """Publication or theory of the values."""
     measured: str
-    """What is done and measured, in a sentence or two."""
+    """Description of the setup and the measured quantities, in a sentence or two."""
     band: str
-    """Where the width of the band comes from."""
+    """Reason for the width of the band."""
     published: Callable[[], tuple[Quantity, ...]]
-    """The published values, in the order of those that `run` returns."""
+    """Returns the published values, in the order of `run`."""
     run: Callable[[int], Values]
-    """The measured values on a grid of so many cells."""
+    """Returns the measured values on a grid of N cells."""
     control: Callable[[int], Values]
-    """The same with a deliberate mistake, which must leave a band."""
+    """Returns the values with a deliberate mistake, which must leave a band."""
     mistake: str
-    """What is wrong in the control."""
+    """The mistake of the control."""
     grids: tuple[int, int, int]
     """Cells, from coarse to fine; the control runs on the coarsest."""
     across: str
-    """What the cells are counted across."""
+    """Length across which the cells are counted."""
     axis: str = ""
     """Label of the horizontal axis, if the quantities make a curve."""
     unit: str = ""
-    """Unit of all quantities, or what they are relative to."""
+    """Unit of all quantities, or their reference."""
     quick: bool = False
     """Whether `phy124 validate --quick` runs it."""
     seconds: float = 1.0
-    """About how long it takes, so that the longest start first."""
+    """Approximate duration [s]; the longest experiments start first."""
     reason: str = ""
-    """Why some values lie outside their bands; empty: none is known to."""
+    """Why some values lie outside their bands; empty if none does."""
+
+
+def find_root(function: Callable[[float], float], low: float, high: float) -> float:
+    """Find the zero of a function between two places at which its signs differ.
+
+    Args:
+        function: Function of one number.
+        low: Lower end.
+        high: Upper end.
+    """
+    from scipy.optimize import brentq
+
+    return float(brentq(function, low, high))  # pyright: ignore[reportArgumentType]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A quantity on three grids, and its extrapolation to a grid without error."""
+
+    quantity: Quantity
+    levels: Values
+    """The value on each grid, from coarse to fine."""
+    control: float
+    """The value with the deliberate mistake, on the coarsest grid; NaN if it was not measured."""
+    value: float
+    """Richardson's value, or the finest grid's if the grids do not converge."""
+    error: float
+    """Estimated error of `value`: its distance from the finest grid's value, plus the scatter."""
+    order: float | None
+    """Observed order; None if the grids agree or do not converge."""
+
+    @property
+    def deviation(self) -> float:
+        """Relative difference from the published value; absolute if the latter is zero."""
+        return (self.value - self.quantity.published) / (abs(self.quantity.published) or 1.0)
+
+    @property
+    def inside(self) -> bool:
+        """Whether the value is within its band, extended by the value's error."""
+        return self.quantity.low - self.error <= self.value <= self.quantity.high + self.error
+
+    @property
+    def by_its_error(self) -> bool:
+        """Whether the value is within the band only because of its error."""
+        return self.inside and not self.quantity.low <= self.value <= self.quantity.high
+
+    @property
+    def control_outside(self) -> bool:
+        """Whether the control is outside the band by more than the error of its grid."""
+        error = abs(self.levels[0] - self.value) + self.error
+        return not self.quantity.low - error <= self.control <= self.quantity.high + error
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The estimates of an experiment, or the reasons why it could not be run."""
+
+    experiment: Experiment
+    estimates: tuple[Estimate, ...] = ()
+    seconds: float = 0.0
+    """Processor time of all its runs [s]."""
+    failures: tuple[str, ...] = field(default=())
+    """Messages of failed runs."""
+
+    @property
+    def inside(self) -> int:
+        """Number of quantities within their bands."""
+        return sum(each.inside for each in self.estimates)
+
+    @property
+    def control_holds(self) -> bool:
+        """Whether the control leaves at least one band, so that the mistake is detected."""
+        return any(each.control_outside for each in self.estimates)
+
+    @property
+    def missed(self) -> tuple[Estimate, ...]:
+        """The quantities outside their bands."""
+        return tuple(each for each in self.estimates if not each.inside)
+
+    @property
+    def good(self) -> bool:
+        """Whether all runs succeeded, the control left a band, and misses have a known reason."""
+        explained = not self.missed or bool(self.experiment.reason)
+        return not self.failures and self.control_holds and explained
+
+    @property
+    def verdict(self) -> str:
+        """The result in a few words."""
+        if self.failures:
+            return "FAILED"
+        inside = f"{self.inside} of {len(self.estimates)} in the band"
+        return inside if self.control_holds else f"{inside}; the CONTROL is in it, too"
+
+
+def estimate(grids: Sequence[int], quantity: Quantity, levels: Values, control: float) -> Estimate:
+    """Extrapolate the values of a quantity on all grids.
+
+    Args:
+        grids: Cells, from coarse to fine.
+        quantity: The published quantity.
+        levels: The values on the grids.
+        control: The value with the deliberate mistake.
+    """
+    values = np.array(levels)
+    if not np.isfinite(values).all():
+        return Estimate(quantity, levels, control, math.nan, math.nan, None)
+    size = abs(quantity.published) or 1.0
+    apart = np.abs(values[:, None] - values) / size
+    limit = richardson([1 / n for n in grids], apart)
+    if limit.error is None:
+        return Estimate(quantity, levels, control, levels[-1], float(np.ptp(values)), None)
+    value = float(np.dot(limit.exact, values))
+    return Estimate(quantity, levels, control, value, limit.error * size, limit.order)

@@ -1,4 +1,4 @@
-"""A block on an incline: Coulomb's friction, along the grid and across it."""
+"""A block on an incline: Coulomb's friction, along the grid and oblique to it."""
 
 from __future__ import annotations
 
@@ -11,27 +11,25 @@ from phy124.forces import Gravity
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE, GRAVITY
-from phy124.studies.validation.bodies import lattice
+from phy124.studies.validation.bodies import lattice, mean_along
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
-from phy124.studies.validation.experiments.symmetry import mean_along
 
 CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
-"""Slope tan(angle) of the incline and coefficient of friction; the last block stays."""
+"""Slope tan(angle) of the incline and coefficient of friction; the last block does not slide."""
 SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
-"""Edge of the block [m], seconds for which it settles, and for which it slides."""
-
+"""Edge of the block [m], and the durations of settling and sliding [s]."""
 SAMPLES = 41
-"""Instants at which its place is taken; a parabola is fitted to them, so rocking averages out."""
+"""Instants to which a parabola is fitted, so that rocking averages out."""
 
 
 def acceleration(slope: float, friction: float) -> float:
-    """sin - mu cos, at least 0: in units of gravity."""
+    """Exact acceleration in units of gravity: sin - mu cos, at least 0."""
     angle = math.atan(slope)
     return max(0.0, math.sin(angle) - friction * math.cos(angle))
 
 
-def published() -> tuple[Quantity, ...]:
-    """Accelerations, once with gravity tilted and once with the wall tilted."""
+def publish() -> tuple[Quantity, ...]:
+    """Return accelerations, first with gravity tilted and then with the wall tilted."""
     return tuple(
         Quantity(f"tan θ = {slope:g}, μ = {mu:g}, {how}", exact, exact - 0.002, exact + 0.002)
         for how in ("along the grid", "across it")
@@ -40,8 +38,8 @@ def published() -> tuple[Quantity, ...]:
     )
 
 
-def slid(cells: int, slope: float, friction: float, *, across: bool) -> float:
-    """Acceleration along the incline, in units of gravity.
+def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
+    """Measure the acceleration along the incline, in units of gravity.
 
     Args:
         cells: Cells across the block.
@@ -69,23 +67,23 @@ def slid(cells: int, slope: float, friction: float, *, across: bool) -> float:
     return float(2 * np.polyfit(times, places, 2)[0] / GRAVITY)
 
 
-def measured(cells: int, more: float) -> Values:
-    """All accelerations; friction is `more` larger than it should be."""
+def measure(cells: int, more: float) -> Values:
+    """Measure all accelerations, with `more` added to the coefficient of friction."""
     return tuple(
-        slid(cells, slope, mu + more, across=across)
+        slide(cells, slope, mu + more, across=across)
         for across in (False, True)
         for slope, mu in CASES
     )
 
 
 def run(cells: int) -> Values:
-    """With the right friction."""
-    return measured(cells, 0.0)
+    """Measure with the right friction."""
+    return measure(cells, 0.0)
 
 
 def control(cells: int) -> Values:
-    """With a friction that is 0.05 too large."""
-    return measured(cells, 0.05)
+    """Measure with a friction that is 0.05 too large."""
+    return measure(cells, 0.05)
 
 
 EXPERIMENT = Experiment(
@@ -95,7 +93,7 @@ EXPERIMENT = Experiment(
     measured="Acceleration of a block in units of gravity; the incline lies along the grid "
     "(gravity is tilted) or across it (the wall is).",
     band="±0.002 g: the block still rocks",
-    published=published,
+    published=publish,
     run=run,
     control=control,
     mistake="friction is 0.05 too large",

@@ -14,35 +14,35 @@ from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 EDGES = (0.6, 0.4, 0.2)
-"""Of the body [m]; it spins about the second, whose moment of inertia lies in the middle."""
+"""Edges of the body [m]; the moment of inertia about the second is the middle one."""
 SPIN = (1.0, 6.0, 0.0)
-"""Angular velocity at the start [rad/s]."""
+"""Initial angular velocity [rad/s]."""
 DURATION = 4.0
-"""Of a run [s]."""
+"""Duration of a run [s]."""
 SAMPLES = 300
 
 
 def moments(edges: Sequence[float]) -> NDArray[np.float64]:
-    """Moments of inertia of a box of mass 12 about its middle axes [3]."""
+    """Return the moments of inertia [3] of a box of mass 12 about its centre."""
     squares = np.array(edges) ** 2
     return squares.sum() - squares
 
 
-def turnings(times: NDArray, spins: NDArray) -> Values:
-    """The first two instants at which the spin about the middle axis is zero [s].
+def find_turns(times: NDArray, spins: NDArray) -> Values:
+    """Return the first two instants at which the spin about the middle axis is zero [s].
 
     Args:
         times: Instants [T].
-        spins: Angular velocity about the body's middle axis then [T].
+        spins: Angular velocities about the body's middle axis [T].
     """
     after = np.flatnonzero(np.diff(np.sign(spins)) != 0)[:2]
     parts = spins[after] / (spins[after] - spins[after + 1])
-    found = times[after] + parts * (times[after + 1] - times[after])
-    return (*found.tolist(), *[float("nan")] * (2 - len(found)))
+    turns = times[after] + parts * (times[after + 1] - times[after])
+    return (*turns.tolist(), *[float("nan")] * (2 - len(turns)))
 
 
 def exact() -> Values:
-    """The same by Euler's equations, integrated numerically."""
+    """Integrate Euler's equations and return the first two turns [s]."""
     from scipy.integrate import solve_ivp
 
     a, b, c = moments(EDGES)
@@ -53,11 +53,11 @@ def exact() -> Values:
 
     times = np.linspace(0, DURATION, 20 * SAMPLES)
     w = solve_ivp(rates, (0, DURATION), SPIN, t_eval=times, rtol=1e-10, atol=1e-12).y
-    return turnings(times, w[1])
+    return find_turns(times, w[1])
 
 
-def published() -> tuple[Quantity, ...]:
-    """When it turns over, and that it keeps its energy and angular momentum."""
+def publish() -> tuple[Quantity, ...]:
+    """Return the times of the turns, and the conserved energy and angular momentum."""
     first, second = exact()
     return (
         Quantity.within("first turn [s]", first, 0.01),
@@ -67,12 +67,12 @@ def published() -> tuple[Quantity, ...]:
     )
 
 
-def tumbled(cells: int, edges: Sequence[float]) -> Values:
-    """Two turns, and what is kept of energy and angular momentum.
+def tumble(cells: int, edges: Sequence[float]) -> Values:
+    """Measure two turns, and the fractions of energy and angular momentum that are kept.
 
     Args:
         cells: Cells across the shortest edge.
-        edges: Of the body [m].
+        edges: Edges of the body [m].
     """
     dx = EDGES[2] / cells
     counts = [round(2 * edge / dx) for edge in edges]
@@ -87,15 +87,15 @@ def tumbled(cells: int, edges: Sequence[float]) -> Values:
     times, spins, energies = np.linspace(0, DURATION, SAMPLES + 1)[1:], [], []
     for time in times:
         solver.advance(float(time))
-        own, energy = _spin(solver)
-        spins.append(own[1])
+        spin, energy = _spin(solver)
+        spins.append(spin[1])
         energies.append(energy)
     kept = np.linalg.norm(angular_momentum(solver)) / np.linalg.norm(first)
-    return (*turnings(times, np.array(spins)), energies[-1] / energies[0], float(kept))
+    return (*find_turns(times, np.array(spins)), energies[-1] / energies[0], float(kept))
 
 
 def _spin(solver: Solver) -> tuple[NDArray[np.float64], float]:
-    """Angular velocity in the body's own axes [3], rad/s, and energy of the rigid motion [J]."""
+    """Return the angular velocity in the body's axes [3], rad/s, and its kinetic energy [J]."""
     x, v = (a.numpy().astype(float) for a in (solver.state.x, solver.state.v))
     x, v, rest = x - x.mean(axis=0), v - v.mean(axis=0), solver.model.rest
     u, _, vt = np.linalg.svd(x.T @ rest)
@@ -107,13 +107,13 @@ def _spin(solver: Solver) -> tuple[NDArray[np.float64], float]:
 
 
 def run(cells: int) -> Values:
-    """The right body."""
-    return tumbled(cells, EDGES)
+    """Measure the right body."""
+    return tumble(cells, EDGES)
 
 
 def control(cells: int) -> Values:
-    """A body whose middle edge is a quarter longer, which turns over at other times."""
-    return tumbled(cells, (EDGES[0], 1.25 * EDGES[1], EDGES[2]))
+    """Measure a body whose middle edge is a quarter longer, which turns over at other times."""
+    return tumble(cells, (EDGES[0], 1.25 * EDGES[1], EDGES[2]))
 
 
 EXPERIMENT = Experiment(
@@ -124,7 +124,7 @@ EXPERIMENT = Experiment(
     "turns over: when its spin about that axis is zero for the first and second time, and what 4 s "
     "leave of kinetic energy and angular momentum (with what APIC keeps in C).",
     band="±1 % in time; energy to 1 %, angular momentum to 0.01 %",
-    published=published,
+    published=publish,
     run=run,
     control=control,
     mistake="the middle edge is a quarter longer",

@@ -5,12 +5,111 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from phy124.errors import InputError
 from phy124.io.files import replacing
-from phy124.studies.validation.experiments.outcome import Found, Outcome
-from phy124.studies.validation.experiments.plots import save_plot
+from phy124.runtime.installation import install_command
+from phy124.studies.validation.experiments.experiment import Estimate, Outcome
+
+BLUE, GREY, ORANGE, GREEN = "#2563a8", "#9aa3ad", "#c2571a", "#2c8a4b"
+SHADES = ("#c9d8ea", "#8fb0d6", "#5a8bc2")
+"""Colours of the three grids, from coarse to fine."""
+
+
+def refuse_missing_plots() -> None:
+    """Refuse plots if they cannot be drawn.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    if find_spec("matplotlib") is None:
+        limit = "this needs matplotlib, which is not installed."
+        remedy = f"Run `{install_command('plots')}`, or leave --out and --docs out."
+        raise InputError("plots", "SVG", limit, remedy)
+
+
+def save_plot(outcome: Outcome, path: PathLike) -> None:
+    """Draw an experiment: a curve if its quantities have positions on an axis, otherwise rows.
+
+    Args:
+        outcome: Outcome of the experiment.
+        path: The SVG file.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    refuse_missing_plots()
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    curve = bool(outcome.experiment.axis)
+    height = 3.6 if curve else 1.2 + 0.42 * len(outcome.estimates)
+    figure = Figure(figsize=(7.5, height), layout="constrained")
+    FigureCanvasSVG(figure)
+    axes = figure.subplots()
+    (_draw_curve if curve else _draw_rows)(axes, outcome)
+    axes.legend(fontsize=8, frameon=False, loc="best")
+    # The same figures give the same file.
+    fixed: Any = {"svg.hashsalt": outcome.experiment.name}
+    with replacing(path) as temporary, matplotlib.rc_context(fixed):
+        figure.savefig(temporary, format="svg", metadata={"Date": None})
+
+
+def _draw_curve(axes: Any, outcome: Outcome) -> None:
+    """Draw the values over the quantities' positions."""
+    experiment, estimates = outcome.experiment, outcome.estimates
+    places = [each.quantity.at for each in estimates]
+    low, high = ([getattr(f.quantity, side) for f in estimates] for side in ("low", "high"))
+    axes.fill_between(places, low, high, color=GREEN, alpha=0.25, label="published", linewidth=0)
+    axes.plot(places, [f.quantity.published for f in estimates], color=GREEN, linewidth=1)
+    for k, cells in enumerate(experiment.grids):
+        values = [f.levels[k] for f in estimates]
+        axes.plot(places, values, "o", color=SHADES[k], markersize=4, label=f"{cells} cells")
+    values, errors = [f.value for f in estimates], [f.error for f in estimates]
+    axes.errorbar(
+        places, values, errors, fmt="D", color=BLUE, capsize=3, label="limit of the grids"
+    )
+    axes.plot(places, [f.control for f in estimates], "x", color=ORANGE, label=experiment.mistake)
+    axes.set(xlabel=experiment.axis, ylabel=experiment.unit)
+    axes.grid(alpha=0.3)
+
+
+def _draw_rows(axes: Any, outcome: Outcome) -> None:
+    """Draw a row per quantity, relative to the published value; near zero, the difference."""
+    experiment, estimates = outcome.experiment, outcome.estimates
+    rows = range(len(estimates))
+
+    def deviate(values: list[float]) -> list[float]:
+        return [
+            100 * (value - f.quantity.published) / (abs(f.quantity.published) or 1.0)
+            for value, f in zip(values, estimates, strict=True)
+        ]
+
+    low, high = (
+        deviate([getattr(f.quantity, side) for f in estimates]) for side in ("low", "high")
+    )
+    widths = [b - a for a, b in zip(low, high, strict=True)]
+    axes.barh(rows, widths, left=low, height=0.7, color=GREEN, alpha=0.25, label="published")
+    for k, cells in enumerate(experiment.grids):
+        values = deviate([f.levels[k] for f in estimates])
+        axes.plot(values, rows, "o", color=SHADES[k], markersize=4, label=f"{cells} cells")
+    errors = [100 * f.error / (abs(f.quantity.published) or 1.0) for f in estimates]
+    axes.errorbar(
+        deviate([f.value for f in estimates]), rows, xerr=errors, fmt="D", color=BLUE, capsize=3,
+        label="limit of the grids",
+    )  # fmt: skip
+    axes.plot(
+        deviate([f.control for f in estimates]), rows, "x", color=ORANGE, label=experiment.mistake
+    )
+    axes.set_yticks(rows, [f.quantity.name for f in estimates], fontsize=8)
+    axes.invert_yaxis()
+    axes.set(xlabel="off the published value [%]")
+    axes.grid(alpha=0.3, axis="x")
+
 
 PathLike = str | os.PathLike[str]
 HEAD = """# Against the world's experiments
@@ -20,27 +119,27 @@ HEAD = """# Against the world's experiments
 is typed in by hand. `phy124 accuracy --verify` shows that the equations are solved
 ([accuracy](accuracy.md)); this shows whether they describe the world.
 
-- **Three grids** each, and Richardson's value for a grid without error. Its estimated error is its
-  distance from the finest grid's value, and their scatter. Where grids do not converge, it is the
-  finest value and their spread.
-- **A band**: what sources or theory leave open. A value is in it give or take its own error; the
-  table says where it is so only by that error.
+- **Three grids** per experiment, and Richardson's value for a grid without error. Its estimated
+  error is its distance from the finest grid's value, plus the scatter. If the grids do not
+  converge, the value is the finest grid's, and the error is the spread.
+- **A band**: the range that sources or theory allow. A value counts as inside if its error reaches
+  the band; the table marks such values.
 - **A control** with a deliberate mistake, on the coarsest grid: it must leave the band of at least
   one quantity by more than that grid's error, otherwise the comparison would prove nothing.
-- **What misses its band** is said to, with the reason as far as it was found.
+- **Values outside their band** are marked, with the reason if it is known.
 """
 
 
 def summary(outcome: Outcome) -> str:
-    """One experiment in a line for a terminal."""
+    """Return a line about an experiment for a terminal."""
     name, verdict = outcome.experiment.name, outcome.verdict
     return f"{name:<16}{verdict:<22}{outcome.seconds:7.1f} s"
 
 
 def details(outcome: Outcome) -> list[str]:
-    """Its quantities and what there is to say about them, a line each."""
+    """Return the quantities with their notes, one per line."""
     rows = [f"    {failure}" for failure in outcome.failures]
-    for each in outcome.found:
+    for each in outcome.estimates:
         seen = "" if math.isnan(each.control) else _number(each.control)
         where = "in by error" if each.by_its_error else "in the band"
         rows.append(
@@ -54,7 +153,7 @@ def details(outcome: Outcome) -> list[str]:
 
 
 def data(outcome: Outcome) -> dict[str, Any]:
-    """The outcome as plain data."""
+    """Return the outcome as plain data."""
     return {
         "name": outcome.experiment.name,
         "verdict": outcome.verdict,
@@ -63,11 +162,11 @@ def data(outcome: Outcome) -> dict[str, Any]:
         "seconds": round(outcome.seconds, 2),
         "grids": list(outcome.experiment.grids),
         "failures": list(outcome.failures),
-        "quantities": [_row(each) for each in outcome.found],
+        "quantities": [_row(each) for each in outcome.estimates],
     }
 
 
-def _row(each: Found) -> dict[str, Any]:
+def _row(each: Estimate) -> dict[str, Any]:
     return {
         "name": each.quantity.name,
         "published": each.quantity.published,
@@ -87,10 +186,10 @@ def save_page(
     """Write the page and a plot per experiment.
 
     Args:
-        outcomes: What the experiments found.
+        outcomes: Outcomes of the experiments.
         page: The Markdown file.
         plots: Folder of the SVG files.
-        machine: What measured, in a sentence.
+        machine: A sentence about the computer.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -98,7 +197,7 @@ def save_page(
     plots, page = Path(plots), Path(page)
     plots.mkdir(parents=True, exist_ok=True)
     for outcome in outcomes:
-        if outcome.found:
+        if outcome.estimates:
             save_plot(outcome, plots / f"{outcome.experiment.name}.svg")
     link = os.path.relpath(plots, page.parent).replace(os.sep, "/")
     parts = [HEAD, _overview(outcomes), machine, *(_section(each, link) for each in outcomes)]
@@ -111,7 +210,7 @@ def _overview(outcomes: Sequence[Outcome]) -> str:
     rows = [
         [
             f"[{o.experiment.name}](#{_anchor(o.experiment.title)})",
-            o.verdict if o.failures else f"{o.inside} of {len(o.found)}",
+            o.verdict if o.failures else f"{o.inside} of {len(o.estimates)}",
             _worst(o),
             "leaves it" if o.control_holds else "**stays in it**",
             f"{o.seconds:.0f}",
@@ -122,7 +221,7 @@ def _overview(outcomes: Sequence[Outcome]) -> str:
 
 
 def _worst(outcome: Outcome) -> str:
-    """The quantity farthest from its published value among those outside their bands."""
+    """Describe the largest deviation outside a band."""
     if not outcome.missed:
         return ""
     worst = max(outcome.missed, key=lambda each: abs(each.deviation))
@@ -130,9 +229,9 @@ def _worst(outcome: Outcome) -> str:
 
 
 def _section(outcome: Outcome, link: str) -> str:
-    """Everything about one experiment."""
+    """Return the page's section about an experiment."""
     e = outcome.experiment
-    said = [
+    lines = [
         f"## {e.title}\n",
         f"{e.measured}\n",
         f"- Source: {e.source}.",
@@ -141,47 +240,48 @@ def _section(outcome: Outcome, link: str) -> str:
         f"- Cells across {e.across}: {', '.join(map(str, e.grids))}; {outcome.seconds:.0f} s.",
     ]
     if outcome.missed:
-        said.append(f"- **Outside:** {e.reason or 'the reason is not known.'}")
+        lines.append(f"- **Outside:** {e.reason or 'the reason is not known.'}")
     if outcome.failures:
-        return "\n".join([*said, *(f"- **Failed:** {each}" for each in outcome.failures), ""])
+        return "\n".join([*lines, *(f"- **Failed:** {each}" for each in outcome.failures), ""])
     unit = f" [{e.unit}]" if e.unit else ""
-    heads = [
-        f"quantity{unit}", "published", "band", *(f"{n} cells" for n in e.grids), "limit", "off",
-        "order", "", "control",
-    ]  # fmt: skip
-    table = _markdown(heads, [_cells(each) for each in outcome.found])
-    return "\n".join([*said, "", table, f"![{e.title}]({link}/{e.name}.svg)\n"])
+    grids = [f"{n} cells" for n in e.grids]
+    last = ["limit", "off", "order", "", "control"]
+    heads = [f"quantity{unit}", "published", "band", *grids, *last]
+    table = _markdown(heads, [_cells(each) for each in outcome.estimates])
+    return "\n".join([*lines, "", table, f"![{e.title}]({link}/{e.name}.svg)\n"])
 
 
-def _cells(each: Found) -> list[str]:
+def _cells(each: Estimate) -> list[str]:
     q, near_zero = each.quantity, each.quantity.published == 0
     seen = "" if math.isnan(each.control) else _number(each.control)
     return [
-        q.name, _number(q.published), f"{_number(q.low)} to {_number(q.high)}",
-        *map(_number, each.levels), f"{_number(each.value)} ± {_number(each.error)}",
+        q.name,
+        _number(q.published),
+        _band(each),
+        *map(_number, each.levels),
+        f"{_number(each.value)} ± {_number(each.error)}",
         "" if near_zero else f"{100 * each.deviation:+.1f} %",
         "" if each.order is None else f"{each.order:.1f}",
         ("in by its error" if each.by_its_error else "in") if each.inside else "**outside**",
         f"{seen}{' (leaves)' if each.control_outside else ''}",
-    ]  # fmt: skip
+    ]
 
 
-def _band(each: Found) -> str:
+def _band(each: Estimate) -> str:
     return f"{_number(each.quantity.low)} to {_number(each.quantity.high)}"
 
 
 def _number(value: float) -> str:
-    """A number with four digits, or the thousandths of what is about one."""
+    """Format a number with four digits, or four decimals if it is below 0.1."""
     return f"{value:.4g}" if abs(value) >= 0.1 else f"{value:.4f}"
 
 
 def _anchor(title: str) -> str:
-    """The anchor that Markdown gives to a heading."""
-    kept = (c for c in title.lower().replace(" ", "-") if c.isalnum() or c in "-_")
-    return "".join(kept)
+    """Return Markdown's anchor of a heading."""
+    return "".join(c for c in title.lower().replace(" ", "-") if c.isalnum() or c in "-_")
 
 
 def _markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown."""
+    """Return a table in Markdown."""
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join("| " + " | ".join(each) + " |" for each in lines) + "\n"

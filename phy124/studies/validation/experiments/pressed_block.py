@@ -11,21 +11,19 @@ from phy124.boundaries.motion import Path
 from phy124.materials import NeoHookean
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Model, Solver
-from phy124.studies.validation.bodies import lattice
-from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
-from phy124.studies.validation.experiments.roots import root
-from phy124.studies.validation.experiments.symmetry import mirrors
+from phy124.studies.validation.bodies import lattice, mirrors
+from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 E, NU, SIZE = 1e5, 0.3, 1.0
-"""Pa, and the edge of the block [m], an eighth of which is simulated."""
+"""Young's modulus [Pa], Poisson's ratio and edge of the block [m]; an eighth is simulated."""
 STRAIN = 0.01
-"""How far plates press, as a fraction of the block."""
+"""Strain that the plates impose."""
 PRESS, HOLD = 0.5, 1.0
-"""Seconds to press and to hold."""
+"""Durations of pressing and holding [s]."""
 
 
-def law(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
-    """Axial and lateral Cauchy stress over E of a neo-Hookean block with these stretches.
+def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
+    """Return axial and lateral Cauchy stress over E of a neo-Hookean block.
 
     Args:
         axial: Stretch along the axis.
@@ -38,38 +36,36 @@ def law(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
     return (mu * (axial**2 - 1) + bulk) / J, (mu * (lateral**2 - 1) + bulk) / J
 
 
-def published() -> tuple[Quantity, ...]:
-    """Poisson's ratio, and stress over strain with free sides, with held ones, from all sides."""
+def publish() -> tuple[Quantity, ...]:
+    """Return Poisson's ratio, and stress over strain with free, held and pressed sides."""
     axial = 1 - STRAIN
-    free = root(lambda lateral: law(axial, lateral)[1], 1.0, 1.02)
+    free = find_root(lambda lateral: stress(axial, lateral)[1], 1.0, 1.02)
     return tuple(
         Quantity.within(name, value, 0.005)
         for name, value in (
             ("Poisson's ratio", (free - 1) / STRAIN),
-            ("free sides: stress / E strain", -law(axial, free)[0] / STRAIN),
-            ("held sides: stress / E strain", -law(axial, 1.0)[0] / STRAIN),
-            ("from all sides: stress / E strain", -law(axial, axial)[0] / STRAIN),
+            ("free sides: stress / E strain", -stress(axial, free)[0] / STRAIN),
+            ("held sides: stress / E strain", -stress(axial, 1.0)[0] / STRAIN),
+            ("from all sides: stress / E strain", -stress(axial, axial)[0] / STRAIN),
         )
     )
 
 
-def pressed(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]:
-    """Stress over axial strain [Pa], and lateral over axial strain.
+def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]:
+    """Measure stress over axial strain [Pa], and lateral over axial strain.
 
     Args:
         cells: Cells across half the block.
         moving: Number of plates that press, along z, y and x.
-        fixed: Number of plates that stand still, along the next axes.
+        fixed: Number of plates at rest, along the next axes.
         nu: Poisson's ratio.
     """
     half, dx = SIZE / 2, SIZE / 2 / cells
     x = lattice((2 * cells,) * 3, dx / 2)
     plates = [_plate(axis, moves=n < moving) for n, axis in enumerate((2, 1, 0)[: moving + fixed])]
     wrenches = Wrenches()
-    model = Model.of(
-        x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=E, nu=nu, damping=200.0)], dx=dx,
-        origin=(-0.75 * dx,) * 3,
-    )  # fmt: skip
+    volume, rubber = np.full(len(x), (dx / 2) ** 3), NeoHookean(E=E, nu=nu, damping=200.0)
+    model = Model.of(x, volume, [rubber], dx=dx, origin=(-0.75 * dx,) * 3)
     walls = wrenches.wrap_walls([*plates, *mirrors(0, 1, 2)])
     solver = Solver(model, boundaries=walls, accumulators=[wrenches], threads=1)
     solver.advance(PRESS + HOLD / 2)
@@ -83,7 +79,7 @@ def pressed(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, floa
 
 
 def _plate(axis: int, *, moves: bool) -> HalfSpace:
-    """A smooth plate on the far side of the block along an axis."""
+    """Return a smooth plate on the far side of the block along an axis."""
     normal = -np.eye(3)[axis]
     low = tuple((STRAIN * SIZE / 2 * normal).tolist())
     path = Path(times=(0.0, PRESS), points=((0.0, 0.0, 0.0), low)) if moves else None
@@ -91,22 +87,22 @@ def _plate(axis: int, *, moves: bool) -> HalfSpace:
     return HalfSpace(point=point, normal=tuple(normal.tolist()), friction=0.0, motion=path)
 
 
-def measured(cells: int, nu: float) -> Values:
-    """Poisson's ratio, and the three stresses over E times the strain."""
-    free, ratio = pressed(cells, 1, 0, nu)
-    confined, _ = pressed(cells, 1, 2, nu)
-    bulk, _ = pressed(cells, 3, 0, nu)
+def measure(cells: int, nu: float) -> Values:
+    """Measure Poisson's ratio, and the three stresses over E times the strain."""
+    free, ratio = press(cells, 1, 0, nu)
+    confined, _ = press(cells, 1, 2, nu)
+    bulk, _ = press(cells, 3, 0, nu)
     return ratio, float(free / E), float(confined / E), float(bulk / E)
 
 
 def run(cells: int) -> Values:
-    """Of the right material."""
-    return measured(cells, NU)
+    """Measure the right material."""
+    return measure(cells, NU)
 
 
 def control(cells: int) -> Values:
-    """Of one with another Poisson's ratio."""
-    return measured(cells, NU + 0.03)
+    """Measure a material with another Poisson's ratio."""
+    return measure(cells, NU + 0.03)
 
 
 EXPERIMENT = Experiment(
@@ -117,7 +113,7 @@ EXPERIMENT = Experiment(
     measured="A block between smooth plates is pressed by 1 %: with free sides, with held sides, "
     "from all sides. Strains from the particles, forces from the impulses that a plate gives.",
     band="±0.5 %",
-    published=published,
+    published=publish,
     run=run,
     control=control,
     mistake=f"Poisson's ratio is {NU + 0.03:g} instead of {NU:g}",

@@ -1,4 +1,4 @@
-"""Runs experiments in processes side by side: each grid and each control is a run of its own."""
+"""Runs experiments in parallel processes: each grid and each control is a run of its own."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from typing import NamedTuple
 from phy124.progress import Progress
 from phy124.runtime.failures import failure
 from phy124.runtime.processes import as_done, processes
-from phy124.studies.validation.experiments import named
-from phy124.studies.validation.experiments.experiment import Experiment, Values
-from phy124.studies.validation.experiments.outcome import Outcome, found
+from phy124.studies.validation.experiments import find_experiment
+from phy124.studies.validation.experiments.experiment import Experiment, Outcome, Values, estimate
 
 
 class Run(NamedTuple):
-    """One simulation of an experiment; plain data, so that another process can do it."""
+    """A simulation of an experiment, as plain data for another process."""
 
     experiment: str
     cells: int
@@ -25,7 +24,7 @@ class Run(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What a run found."""
+    """The result of a run."""
 
     run: Run
     values: Values
@@ -35,75 +34,75 @@ class Measured(NamedTuple):
     failure: str = ""
 
 
-def runs(experiment: Experiment) -> list[Run]:
-    """Its runs, the longest first."""
+def list_runs(experiment: Experiment) -> list[Run]:
+    """Return the runs of an experiment, the longest first."""
     coarse, *_ = experiment.grids
     grids = [Run(experiment.name, cells, False) for cells in reversed(experiment.grids)]
     return [*grids, Run(experiment.name, coarse, True)]
 
 
-def measure(run: Run) -> Measured:
-    """Do one run; whatever goes wrong is told in words, so that it does not stop the others."""
-    experiment, before = named(run.experiment), time.process_time()
+def measure_run(run: Run) -> Measured:
+    """Do a run; an exception becomes a message, so that the other runs continue."""
+    experiment, before = find_experiment(run.experiment), time.process_time()
     try:
         values = (experiment.control if run.control else experiment.run)(run.cells)
     except Exception as error:
         what = "control" if run.control else f"{run.cells} cells"
-        said = f"{what}: {failure(error).sentence}"
-        return Measured(run, (), time.process_time() - before, said)
+        message = f"{what}: {failure(error).sentence}"
+        return Measured(run, (), time.process_time() - before, message)
     return Measured(run, values, time.process_time() - before)
 
 
-def outcomes(
+def run_all(
     experiments: Sequence[Experiment], *, jobs: int, progress: Progress
 ) -> Iterator[Outcome]:
-    """What each experiment found, as soon as its last run has ended.
+    """Run experiments and yield the outcome of each as soon as its last run has ended.
 
     Args:
-        experiments: Those to run.
-        jobs: Processes at once; 1: this process does all runs.
-        progress: Told how many runs have ended; may raise Cancelled.
+        experiments: The experiments to run.
+        jobs: Number of processes; 1: this process does all runs.
+        progress: Called with the number of finished runs; may raise Cancelled.
     """
     longest = sorted(experiments, key=lambda experiment: -experiment.seconds)
-    todo = [run for experiment in longest for run in runs(experiment)]
+    todo = [run for experiment in longest for run in list_runs(experiment)]
     ended: dict[str, list[Measured]] = {}
-    with closing(_measured(todo, jobs, progress)) as measured:
-        for number, one in enumerate(measured, start=1):
+    with closing(_run_all(todo, jobs, progress)) as measured:
+        for number, result in enumerate(measured, start=1):
             progress("validate", number, len(todo))
-            mine = ended.setdefault(one.run.experiment, [])
-            mine.append(one)
-            experiment = named(one.run.experiment)
-            if len(mine) == len(runs(experiment)):
-                yield outcome(experiment, mine)
+            results = ended.setdefault(result.run.experiment, [])
+            results.append(result)
+            experiment = find_experiment(result.run.experiment)
+            if len(results) == len(list_runs(experiment)):
+                yield conclude(experiment, results)
 
 
-def outcome(experiment: Experiment, measured: Sequence[Measured]) -> Outcome:
-    """What its runs say together.
+def conclude(experiment: Experiment, measured: Sequence[Measured]) -> Outcome:
+    """Return the combined conclusion of an experiment's runs.
 
     Args:
         experiment: The experiment.
-        measured: All its runs, in any order.
+        measured: The results of all its runs, in any order.
     """
-    seconds = sum(one.seconds for one in measured)
-    failures = tuple(one.failure for one in measured if one.failure)
+    seconds = sum(result.seconds for result in measured)
+    failures = tuple(result.failure for result in measured if result.failure)
     if failures:
         return Outcome(experiment, (), seconds, failures)
-    levels = {one.run.cells: one.values for one in measured if not one.run.control}
-    control = next(one.values for one in measured if one.run.control)
+    levels = {result.run.cells: result.values for result in measured if not result.run.control}
+    control = next(result.values for result in measured if result.run.control)
     each = tuple(
-        found(experiment.grids, quantity, tuple(levels[n][k] for n in experiment.grids), control[k])
+        estimate(
+            experiment.grids, quantity, tuple(levels[n][k] for n in experiment.grids), control[k]
+        )
         for k, quantity in enumerate(experiment.published())
     )
-    lost = tuple(f"{one.quantity.name}: not measured" for one in each if math.isnan(one.value))
+    lost = tuple(f"{e.quantity.name}: not measured" for e in each if math.isnan(e.value))
     return Outcome(experiment, each, seconds, lost)
 
 
-def _measured(
-    todo: Sequence[Run], jobs: int, progress: Progress
-) -> Generator[Measured, None, None]:
-    """The runs as they end; processes that are still at work afterwards are stopped."""
+def _run_all(todo: Sequence[Run], jobs: int, progress: Progress) -> Generator[Measured, None, None]:
+    """Yield the results as the runs end; processes that still work afterwards are stopped."""
     if jobs == 1:
-        yield from map(measure, todo)
+        yield from map(measure_run, todo)
         return
     ended: list[Run] = []
 
@@ -111,6 +110,6 @@ def _measured(
         progress("validate", len(ended), len(todo))
 
     with processes(jobs) as pool:
-        for run, one in as_done(pool, measure, todo, beat):
+        for run, result in as_done(pool, measure_run, todo, beat):
             ended.append(run)
-            yield one
+            yield result

@@ -1,4 +1,4 @@
-"""Columns of sand that are let go in a channel: Lube et al. and Lajeunesse et al. 2005."""
+"""Columns of sand that are released in a channel: Lube et al. and Lajeunesse et al. 2005."""
 
 from __future__ import annotations
 
@@ -11,60 +11,60 @@ from phy124.forces import Gravity
 from phy124.materials import Sand
 from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE, GRAVITY
+from phy124.studies.validation.bodies import connected_end, mirrors, plane, sheet
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
-from phy124.studies.validation.experiments.symmetry import connected_end, mirrors, plane, sheet
 
 ASPECTS = (0.5, 1.0, 2.0, 4.0, 8.0)
-"""Height over width at the start."""
+"""Initial height over width."""
 LUBE = (1.2, 1.9, 2.3)
 """Run-out l1 a below the aspect a0 and l2 a^(2/3) above it: (l1, l2, a0); sand, rice, sugar."""
 LAJEUNESSE = (1.8, 2.3, 3.0)
-"""The same of glass beads."""
+"""Run-out law of glass beads."""
 WIDTH = 0.1
-"""Of the column [m]."""
+"""Width of the column [m]."""
 SLOPE = 31.0
 """Angle of friction of the sand in a channel [degrees]."""
 STIFF = 300.0
-"""E over the weight of the column on its foot: it is compressed by a third of a per cent."""
+"""E over the pressure at the foot of the column, which compresses it by a third of a per cent."""
 DURATION = 6.0
-"""Of a run, in sqrt(H / g): the collapse itself takes about 3."""
+"""Duration of a run, in sqrt(H / g); the collapse takes about 3."""
 
 
 def plane_strain(angle: float) -> float:
-    """The `friction_angle` with which sand between two walls slides as a Mohr-Coulomb angle says.
+    """Convert a Mohr-Coulomb angle in plane strain to the `friction_angle` of `sand`.
 
-    Drucker and Prager's cone touches Mohr and Coulomb's pyramid where two stresses are equal. In a
-    plane the middle stress is the mean of the others, and sin(angle) = 2 sqrt(3) s / (3 - s) there.
+    The Drucker-Prager cone touches the Mohr-Coulomb pyramid where two stresses are equal. In plane
+    strain the middle stress is the mean of the others, and sin(angle) = 2 sqrt(3) s / (3 - s).
 
     Args:
-        angle: Of friction in plane strain [degrees].
+        angle: Angle of friction in plane strain [degrees].
     """
     sine = math.sin(math.radians(angle))
     return math.degrees(math.asin(3 * sine / (2 * math.sqrt(3) + sine)))
 
 
 def run_out(aspect: float, law: tuple[float, float, float]) -> float:
-    """How far a column runs in an experiment, in its widths.
+    """Return the run-out of a column in an experiment, in widths.
 
     Args:
         aspect: Height over width.
-        law: The two factors and the aspect between their regimes.
+        law: The two factors, and the aspect between their regimes.
     """
     linear, power, change = law
     return linear * aspect if aspect < change else power * aspect ** (2 / 3)
 
 
-def published() -> tuple[Quantity, ...]:
-    """Run-out between that of sand (Lube) and of glass beads (Lajeunesse)."""
-    found = []
+def publish() -> tuple[Quantity, ...]:
+    """Return run-outs between those of sand (Lube) and of glass beads (Lajeunesse)."""
+    quantities = []
     for aspect in ASPECTS:
         low, high = run_out(aspect, LUBE), run_out(aspect, LAJEUNESSE)
-        found.append(Quantity(f"H/L = {aspect:g}", low, 0.9 * low, high, aspect))
-    return tuple(found)
+        quantities.append(Quantity(f"H/L = {aspect:g}", low, 0.9 * low, high, aspect))
+    return tuple(quantities)
 
 
-def collapsed(cells: int, aspect: float, angle: float) -> float:
-    """Run-out of a column [widths].
+def collapse(cells: int, aspect: float, angle: float) -> float:
+    """Measure the run-out of a column, in widths.
 
     Args:
         cells: Cells across a square of its area.
@@ -75,10 +75,8 @@ def collapsed(cells: int, aspect: float, angle: float) -> float:
     dx = 2 * WIDTH / across
     x = sheet((across, round(across * aspect)), dx / 2)
     sand = Sand(friction_angle=angle, E=STIFF * 1600 * GRAVITY * height)
-    model = Model.of(
-        x, np.full(len(x), dx**3 / 4), [sand], dx=dx,
-        origin=(-FLOOR_NODE * dx, 0, -FLOOR_NODE * dx),
-    )  # fmt: skip
+    volume, origin = np.full(len(x), dx**3 / 4), (-FLOOR_NODE * dx, 0, -FLOOR_NODE * dx)
+    model = Model.of(x, volume, [sand], dx=dx, origin=origin)
     walls = [Ground(friction=math.tan(math.radians(SLOPE))), *mirrors(0), plane()]
     solver = Solver(model, forces=[Gravity()], boundaries=walls, threads=1)
     solver.advance(DURATION * math.sqrt(height / GRAVITY))
@@ -86,13 +84,13 @@ def collapsed(cells: int, aspect: float, angle: float) -> float:
 
 
 def run(cells: int) -> Values:
-    """Run-out of each column."""
-    return tuple(collapsed(cells, aspect, plane_strain(SLOPE)) for aspect in ASPECTS)
+    """Measure the run-out of each column."""
+    return tuple(collapse(cells, aspect, plane_strain(SLOPE)) for aspect in ASPECTS)
 
 
 def control(cells: int) -> Values:
-    """The same of sand that hardly slides, for the three lower columns."""
-    some = [collapsed(cells, aspect, 50.0) for aspect in ASPECTS[:3]]
+    """Measure the three lower columns with sand that hardly slides."""
+    some = [collapse(cells, aspect, 50.0) for aspect in ASPECTS[:3]]
     return (*some, *[math.nan] * (len(ASPECTS) - len(some)))
 
 
@@ -104,7 +102,7 @@ EXPERIMENT = Experiment(
     measured="How far the end of the heap comes to lie, in widths of the column, up to the first "
     "gap wider than a cell: 1.2 a to 1.8 a in low columns, 1.9 to 2.3 a^(2/3) in high ones.",
     band="from 0.9 of Lube's law to Lajeunesse's",
-    published=published,
+    published=publish,
     run=run,
     control=control,
     mistake="friction_angle = 50°, which in a channel is no angle of sand",

@@ -8,28 +8,27 @@ from phy124.boundaries import Ground
 from phy124.materials import Metal
 from phy124.mpm import Model, Solver, State
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE
-from phy124.studies.validation.bodies import lattice
+from phy124.studies.validation.bodies import lattice, mirrors
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
-from phy124.studies.validation.experiments.symmetry import mirrors
 
 LENGTH, RADIUS = 32.4e-3, 3.2e-3
-"""Of the bar, m."""
+"""Size of the bar [m]."""
 SPEED, DURATION = 227.0, 80e-6
-"""Of its flight [m/s] and of the impact [s]."""
+"""Speed before the impact [m/s], and duration of a run [s]."""
 COPPER = Metal(E=117e9, nu=0.35, density=8930, yield_stress=400e6, hardening=100e6)
 
 
-def published() -> tuple[Quantity, ...]:
-    """Final length and radius of the struck face, mm."""
+def publish() -> tuple[Quantity, ...]:
+    """Return the final length, and the radius of the struck face [mm]."""
     return (Quantity("length", 21.43, 21.42, 21.48), Quantity("radius", 7.22, 7.11, 7.24))
 
 
-def struck(cells: int, copper: Metal) -> Values:
-    """Length and radius of a quarter of the bar after the impact [mm].
+def strike(cells: int, copper: Metal) -> Values:
+    """Measure length and radius of a quarter of the bar after the impact [mm].
 
     Args:
-        cells: Cells across its radius.
-        copper: Its metal.
+        cells: Cells across the radius.
+        copper: Material of the bar.
     """
     dx = RADIUS / cells
     count = round(2 * LENGTH / dx)
@@ -43,7 +42,7 @@ def struck(cells: int, copper: Metal) -> Values:
     solver.advance(DURATION)
     end = solver.state.x.numpy().astype(float)
     F = solver.state.deformation.numpy().astype(float)
-    # A particle reaches as far as its own cube has been stretched.
+    # A particle extends over its deformed cube.
     half = dx / 4
     last = model.rest[:, 2] > LENGTH - 0.4 * dx
     length = end[last, 2].mean() + half
@@ -57,12 +56,12 @@ def struck(cells: int, copper: Metal) -> Values:
 
 def run(cells: int) -> Values:
     """The bar of copper."""
-    return struck(cells, COPPER)
+    return strike(cells, COPPER)
 
 
 def control(cells: int) -> Values:
-    """The same of a softer copper."""
-    return struck(cells, COPPER.model_copy(update={"yield_stress": 300e6}))
+    """Measure a softer copper."""
+    return strike(cells, COPPER.model_copy(update={"yield_stress": 300e6}))
 
 
 EXPERIMENT = Experiment(
@@ -73,7 +72,7 @@ EXPERIMENT = Experiment(
     measured="Length of the bar and radius of the face that struck, 80 µs after the impact, of a "
     "quarter of the bar between two planes of symmetry; no friction.",
     band="between the lowest and highest of the codes",
-    published=published,
+    published=publish,
     run=run,
     control=control,
     mistake="a yield stress of 300 MPa instead of 400",

@@ -10,9 +10,8 @@ from phy124.forces import Gravity, Wind
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import GRAVITY
-from phy124.studies.validation.bodies import lattice
+from phy124.studies.validation.bodies import lattice, mean_along
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
-from phy124.studies.validation.experiments.symmetry import mean_along
 
 RATE, STREAM = 5.0, 1.0
 """Of the drag [1/s], and speed of the stream upwards [m/s]."""
@@ -31,7 +30,7 @@ def way(time: float) -> float:
     return LIMIT / RATE * (time - 1 + math.exp(-time))
 
 
-def published() -> tuple[Quantity, ...]:
+def publish() -> tuple[Quantity, ...]:
     """Ways, and the speed at the end."""
     ways = [
         Quantity.within(f"way at t = {time:g} / rate [m]", way(time), 0.002, time) for time in TIMES
@@ -40,7 +39,7 @@ def published() -> tuple[Quantity, ...]:
     return (*ways, Quantity.within("speed at the end [m/s]", speed, 0.002, TIMES[-1]))
 
 
-def blown(cells: int, rate: float) -> Values:
+def blow(cells: int, rate: float) -> Values:
     """Ways upwards of a falling block [m], and its speed at the end [m/s].
 
     Args:
@@ -61,12 +60,12 @@ def blown(cells: int, rate: float) -> Values:
 
 def run(cells: int) -> Values:
     """In the right stream."""
-    return blown(cells, RATE)
+    return blow(cells, RATE)
 
 
 def control(cells: int) -> Values:
     """With a drag of another rate."""
-    return blown(cells, 1.1 * RATE)
+    return blow(cells, 1.1 * RATE)
 
 
 EXPERIMENT = Experiment(
@@ -76,7 +75,7 @@ EXPERIMENT = Experiment(
     measured="Way of a soft block that falls through a stream against it, upwards, and its speed "
     "at the end.",
     band="±0.2 %",
-    published=published,
+    published=publish,
     run=run,
     control=control,
     mistake="the rate is 10 % too large",

@@ -1,4 +1,4 @@
-"""Case 30: following the advice of an error message helps."""
+"""Case 30: the remedies of an error message help."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from phy124.studies.validation.stress.case import Check, Setting, at_least, at_m
 
 SMALL: dict[str, Any] = {
     "accuracy": {"cells": 6, "particles_per_axis": 2.0},
-    "time": {"frames": 4, "fps": 24.0}, "binding": "lattice",
-}  # fmt: skip
+    "time": {"frames": 4, "fps": 24.0},
+    "binding": "lattice",
+}
 LONG: dict[str, Any] = {"frames": 400, "fps": 24.0, "budget": 60.0}
 REFUSED: dict[str, dict[str, Any]] = {
     "stiff": {"material": {"law": "neo_hookean", "E": 1e12}, "time": LONG},
@@ -26,33 +27,33 @@ REFUSED: dict[str, dict[str, Any]] = {
 }
 """Scenes that would take longer than their time budget."""
 TOO_LONG = 2.5
-"""A multiple of the stable substep, which no scene can ask for: the run explodes."""
+"""Multiple of the stable substep with which a run explodes; scenes cannot set it."""
 
 
 def advice(setting: Setting) -> list[Check]:
-    """Every remedy of every stop and refusal, each applied by itself."""
+    """Apply every remedy of every stop and refusal by itself."""
     checks = []
     for name, changes in REFUSED.items():
         scene = Scene.from_data({**SMALL, **changes})
-        checks += list(_accepted(name, scene, setting))
-    checks += list(_lasts("explodes", _exploding(setting), setting))
-    checks += list(_hurries(_violent(setting), setting))
+        checks += list(_check_accepted(name, scene, setting))
+    checks += list(_check_stop("explodes", _make_exploding(setting), setting))
+    checks += list(_check_budget(_make_violent(setting), setting))
     return checks
 
 
-def _accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Scenes changed as a refusal advises are accepted."""
+def _check_accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
+    """Check that scenes with a refusal's remedy are accepted."""
     try:
         _run(scene, setting)
     except InputError as refusal:
         yield at_least(f"{name}: remedies given", len(refusal.remedies), 2)
         for remedy in refusal.remedies:
-            yield equal(f"{name}: {remedy.words} is accepted", _starts(scene, remedy, setting))
+            yield equal(f"{name}: {remedy.words} is accepted", _is_accepted(scene, remedy, setting))
         return
     yield equal(f"{name}: is refused", False)
 
 
-def _starts(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
+def _is_accepted(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
     try:
         _run(scene.replaced(remedy.changes), setting)
     except InputError:
@@ -60,8 +61,8 @@ def _starts(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
     return True
 
 
-def _lasts(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Scenes changed as a stop advises run to the end, or at least further."""
+def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
+    """Check that scenes with a stop's remedy run to the end, or at least further."""
     stopped = _run(scene, setting)
     stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
@@ -73,8 +74,8 @@ def _lasts(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
         yield equal(f"{name}: {remedy.words} helps", better)
 
 
-def _hurries(scene: Scene, setting: Setting) -> Iterator[Check]:
-    """A run out of time that follows the advice needs fewer substeps, or finishes."""
+def _check_budget(scene: Scene, setting: Setting) -> Iterator[Check]:
+    """Check that a remedy for a run over budget saves substeps, or lets it finish."""
     name, stopped = "outruns its time budget", _run(scene, setting)
     stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
@@ -102,17 +103,19 @@ def _run(scene: Scene, setting: Setting) -> Simulation:
     return Simulation(prepare(surface_of_ball(40), scene, RunContext(device=setting.device)))
 
 
-def _exploding(setting: Setting) -> Scene:
+def _make_exploding(setting: Setting) -> Scene:
     scene = Scene.from_data({**SMALL, "object": {"spin": [0.0, 0.0, 3.0]}, "forces": []})
     wrong = scene.resolution.model_copy(update={"cfl": TOO_LONG, "precision": setting.precision})
     return scene.model_copy(update={"accuracy": wrong})
 
 
-def _violent(setting: Setting) -> Scene:
-    """A scene whose forecast is based on its stiffness, but whose speed limits the substep."""
+def _make_violent(setting: Setting) -> Scene:
+    """Return a scene whose speed limits the substep, while its forecast assumes its stiffness."""
     accuracy = {**SMALL["accuracy"], "precision": setting.precision}
-    return Scene.from_data({
-        **SMALL, "accuracy": accuracy, "time": {"frames": 12, "fps": 24.0, "budget": 0.01},
-        "object": {"velocity": [0.0, 500.0, 0.0]}, "material": {"law": "neo_hookean", "E": 100.0},
-        "forces": [], "boundaries": [],
-    })  # fmt: skip
+    scene = {
+        "accuracy": accuracy,
+        "time": {"frames": 12, "fps": 24.0, "budget": 0.01},
+        "object": {"velocity": [0.0, 500.0, 0.0]},
+        "material": {"law": "neo_hookean", "E": 100.0},
+    }
+    return Scene.from_data({**SMALL, **scene, "forces": [], "boundaries": []})

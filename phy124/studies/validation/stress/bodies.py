@@ -1,4 +1,4 @@
-"""Bodies of the hard cases, and what is measured of them."""
+"""Bodies of the hard cases, and measurements of them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 Array = NDArray[np.float64]
 REORDERED = {"float32": 1e-5, "float64": 1e-12}
-"""Relative difference that another order of sums may make in these short runs."""
+"""Largest relative difference by another order of summation in these short runs."""
 DX = 0.125
 """Grid spacing of the bodies [m], a power of two."""
 JELLY = NeoHookean(E=1e4, nu=0.3)
@@ -28,7 +28,7 @@ JELLY = NeoHookean(E=1e4, nu=0.3)
 def body(
     x: Array, setting: Setting, material: Material = JELLY, *, size: float = 0.375, **options: Any
 ) -> Solver:
-    """A solver whose particles divide the volume of a cube evenly.
+    """Return a solver whose particles divide the volume of a cube evenly.
 
     Args:
         x: Positions [P,3], m.
@@ -42,14 +42,14 @@ def body(
 
 
 def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
-    """v [P,3] and C [P,3,3] of a rigid rotation about the centre; `omega` [3] in rad/s."""
+    """Return v [P,3] and C [P,3,3] of a rotation about the centre with `omega` [3], rad/s."""
     wx, wy, wz = omega
     C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]], float)
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
 
 
 def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
-    """v [P,3] and C [P,3,3] of a uniform stretching along x at `strain_rate` [1/s].
+    """Return v [P,3] and C [P,3,3] of a uniform stretching along x at `strain_rate` [1/s].
 
     The body contracts in y and z.
     """
@@ -58,7 +58,7 @@ def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
 
 
 def host(array: wp.array) -> Array:
-    """A copy in float64."""
+    """Copy an array to the host in float64."""
     return array.numpy().astype(np.float64)
 
 
@@ -68,7 +68,7 @@ def finite(solver: Solver) -> bool:
 
 
 def volume_ratios(solver: Solver) -> Array:
-    """det F [P], in double precision."""
+    """Return det F [P] in double precision."""
     return np.linalg.det(host(solver.state.F))
 
 
@@ -86,7 +86,7 @@ def assign(solver: Solver, name: str, values: Array) -> None:
 
 
 def stable_dt(solver: Solver) -> float:
-    """dx / sqrt(A / rho0) of the first material at rest: the limit of an isolated particle [s]."""
+    """Return the stability limit of an isolated particle at rest, dx / sqrt(A / rho0) [s]."""
     return solver.model.dx / solver.model.materials[0].wave_speed()
 
 
@@ -97,7 +97,7 @@ def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None
         solver: The solver to advance.
         count: Number of substeps.
         dt: Their length [s].
-        each: Called after each of them.
+        each: Called after each substep.
     """
     for k in range(count):
         solver.step(dt / 2 if k == 0 and solver.clock.last_dt == 0 else dt, dt)
@@ -107,17 +107,17 @@ def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None
 
 
 def relative(value: Array, reference: Array) -> float:
-    """Largest difference, as a fraction of the reference's largest entry."""
+    """Return the largest difference relative to the reference's largest entry."""
     return float(np.abs(value - reference).max() / max(np.abs(reference).max(), math.ulp(0.0)))
 
 
 def alike(what: str, value: Array, reference: Array, setting: Setting) -> Check:
-    """Equal bits on a CPU. A GPU adds to nodes in no fixed order, so there it is to rounding.
+    """Check for equal bits on a CPU, and for rounding on a GPU, whose order of sums varies.
 
     Args:
-        what: What is compared.
-        value: What was measured.
-        reference: What it should be.
+        what: Name of the quantity.
+        value: Measured values.
+        reference: Expected values.
         setting: Device and precision.
     """
     if setting.device == "cpu":
@@ -131,10 +131,10 @@ def _scalar(solver: Solver) -> type:
 
 
 class Meter:
-    """Energy and momenta of a run, read now and then.
+    """Reads energy and momenta of a run at intervals.
 
     Positions are half a substep ahead of velocities, so the kinetic energy at the time of the
-    elastic one is the mean of those before and after it.
+    elastic energy is the mean of the values before and after it.
     """
 
     def __init__(self, solver: Solver) -> None:
@@ -147,7 +147,7 @@ class Meter:
         self.moved = float((mass * np.abs(host(solver.state.v))).sum())
 
     def read(self, dt: float) -> float:
-        """Take one substep of length `dt` [s]; returns the energy before it / the first one."""
+        """Take a substep of length `dt` [s]; return the energy before it over the first energy."""
         before = diagnose(self.solver)
         steps(self.solver, 1, dt)
         after = diagnose(self.solver)

@@ -1,4 +1,4 @@
-"""A hard case: what is done, what must hold, and what is measured."""
+"""A hard case: its setting, its measurement, and the bounds that must hold."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Setting(NamedTuple):
     device: str = "cpu"
     precision: str = "float32"
     long: bool = False
-    """Whether it runs at full length: minutes instead of seconds."""
+    """Whether a case runs at full length: minutes instead of seconds."""
 
     @property
     def double(self) -> bool:
@@ -28,12 +28,12 @@ class Setting(NamedTuple):
         return {"device": self.device, "precision": self.precision}
 
     def __str__(self) -> str:
-        """For example "float32 on cpu"."""
+        """Return a text such as "float32 on cpu"."""
         return f"{self.precision} on {self.device}"
 
 
 class Check(NamedTuple):
-    """One bound and the measured value."""
+    """A bound and the measured value."""
 
     what: str
     measured: float
@@ -53,17 +53,17 @@ class Check(NamedTuple):
 
 
 class Case(NamedTuple):
-    """One hard case; `measure` runs it."""
+    """A hard case; `measure` runs it."""
 
     number: int
     name: str
     measure: Callable[[Setting], list[Check]]
     precise: bool = True
-    """Whether precision and device matter; otherwise it runs once."""
+    """Whether precision and device matter; otherwise the case runs once."""
 
 
 class Row(NamedTuple):
-    """A line of the table."""
+    """A row of the table."""
 
     case: str
     bound: str
@@ -90,17 +90,17 @@ def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
 
 
 def at_most(what: str, measured: SupportsFloat, limit: float) -> Check:
-    """A check that `measured` does not exceed `limit`."""
+    """Check that `measured` does not exceed `limit`."""
     return Check(what, float(measured), limit)
 
 
 def at_least(what: str, measured: SupportsFloat, limit: float) -> Check:
-    """A check that `measured` reaches `limit`."""
+    """Check that `measured` is at least `limit`."""
     return Check(what, float(measured), limit, at_least=True)
 
 
 def equal(what: str, holds: bool) -> Check:
-    """A check that is simply true or false."""
+    """Check a condition that is true or false."""
     return Check(what, float(holds), 1.0, at_least=True)
 
 

@@ -1,4 +1,4 @@
-"""Cases 1 to 5 and 25: what must be conserved, and bodies that must not drift."""
+"""Cases 1 to 5 and 23 to 25: conserved quantities, and shapes, over a long motion."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import numpy as np
 
 from phy124.boundaries import Ground
 from phy124.forces import Gravity
+from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.monitor.diagnostics import diagnose
+from phy124.mpm import Solver
+from phy124.simulation.deform import Deformer
 from phy124.studies.validation.bodies import block
 from phy124.studies.validation.stress.bodies import (
+    Array,
     Meter,
     alike,
     body,
@@ -19,11 +23,11 @@ from phy124.studies.validation.stress.bodies import (
     turning,
     vibrating,
 )
-from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
+from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
 
 
 def rest(setting: Setting) -> list[Check]:
-    """Without forces, a body does not move by a single bit."""
+    """A body without forces does not move by a single bit."""
     checks = []
     for law in (NeoHookean, FixedCorotated):
         s = body(block(), setting, law(E=1e4))
@@ -35,7 +39,7 @@ def rest(setting: Setting) -> list[Check]:
 
 
 def units(setting: Setting) -> list[Check]:
-    """The motion is the same in units that differ by powers of two: no absolute epsilon."""
+    """The motion is equal in units that differ by powers of two: no threshold is absolute."""
     paths = []
     for L, M, T in ((1.0, 1.0, 1.0), (2.0**-17, 2.0**-60, 2.0**-8)):
         x = block(middle=(0, 0, 0.25)) * L
@@ -72,7 +76,7 @@ def free_fall(setting: Setting) -> list[Check]:
 
 
 def spin(setting: Setting) -> list[Check]:
-    """A rigid rotation through eight turns."""
+    """A body rotates rigidly through eight turns."""
     x = block()
     s = body(x, setting, NeoHookean(E=1e5), **turning(x, (0, 0, 2 * np.pi)))
     start = diagnose(s)
@@ -86,7 +90,7 @@ def spin(setting: Setting) -> list[Check]:
 
 
 def endurance(setting: Setting) -> list[Check]:
-    """Many substeps near the limit: energy never grows, momenta are conserved."""
+    """In many substeps near the limit, energy never grows and momenta are conserved."""
     count = 100_000 if setting.long else 2000
     checks = []
     for fraction in (0.5, 0.9):
@@ -121,7 +125,7 @@ def _endure(setting: Setting, fraction: float, count: int) -> Meter:
 
 
 def slow_drift(setting: Setting) -> list[Check]:
-    """A drift so slow that rounding to float32 positions alone would stop it."""
+    """A body drifts so slowly that rounding of float32 positions could stop it."""
     x = block(2, 0.125, middle=(0.7, 0.7, 0.7))
     s = body(x, setting, size=0.125, v=np.tile([1e-3, 0, 0], (8, 1)))
     count = 100_000 if setting.long else 10_000
@@ -129,3 +133,73 @@ def slow_drift(setting: Setting) -> list[Check]:
     steps(s, count, 1e-5)
     way = (host(s.state.x) - before)[:, 0].mean()
     return [at_most("relative error of the way", abs(way / (count * 1e-8) - 1), 0.01)]
+
+
+FLAT = (0.01, 0.01, 1e-4)
+"""Scales of a flat Gaussian, 100:1 [m]."""
+APART = 0.05
+"""Relative difference of axes above which their directions are well defined."""
+
+
+def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver, Gaussians]:
+    """Return a body that spins and vibrates, and a Gaussian on each of its particles."""
+    x = block(4, 0.25)
+    spin, stretch = turning(x, (0.5, 1.0, 3.0)), vibrating(x, 1.0)
+    s = body(x, setting, size=0.25, **{name: spin[name] + stretch[name] for name in spin})
+    rng = np.random.default_rng(0)
+    quats = rng.normal(size=(len(x), 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    grey = np.full((len(x), 3), 0.5)
+    shapes = np.tile(scales, (len(x), 1))
+    return s, Gaussians.from_rgb(x, quats, shapes, np.ones(len(x)), grey)
+
+
+def covariances(setting: Setting) -> list[Check]:
+    """Sigma of flat Gaussians equals F Sigma0 F^T in double precision after a long motion."""
+    s, flat = _whirl(setting, FLAT)
+    carry = Deformer(flat, device=setting.device)
+    dt, error, minimum = 0.6 * stable_dt(s), 0.0, np.inf
+    for index in range(1, 11):
+        steps(s, 2000 if setting.long else 100, dt)
+        F = host(s.state.F)
+        rendered = carry(host(s.state.x), F, index=index, time=s.clock.time).gaussians
+        wanted = F @ flat.covariances() @ F.transpose(0, 2, 1)
+        size = np.linalg.norm(wanted, axis=(1, 2))
+        wrong = np.linalg.norm(rendered.covariances() - wanted, axis=(1, 2)) / size
+        error, minimum = max(error, float(wrong.max())), min(minimum, float(rendered.scales.min()))
+    return [
+        at_most("relative error of Sigma", error, 2e-5),
+        at_least("smallest standard deviation [m]", minimum, 1e-6),
+    ]
+
+
+def continuity(setting: Setting) -> list[Check]:
+    """Quaternions are continuous from frame to frame."""
+    s, gaussians = _whirl(setting, (0.01, 0.007, 0.003))
+    carry = Deformer(gaussians, device=setting.device)
+    last, minimum, jump = gaussians, 1.0, 0.0
+    for index in range(1, 301 if setting.long else 61):
+        s.advance(index / 30)
+        frame = carry(host(s.state.x), host(s.state.F), index=index, time=s.clock.time).gaussians
+        dots = (frame.quats.astype(np.float64) * last.quats).sum(axis=1)
+        minimum = min(minimum, float(dots.min()))
+        clear = _distinct(frame) & _distinct(last)
+        if clear.any():
+            jump = max(jump, float(_turn(frame, last)[clear].max()))
+        last = frame
+    return [
+        at_least("least q(t) . q(t + 1)", minimum, 0.0),
+        at_most("largest turn between frames where axes differ [degrees]", jump, 90.0),
+    ]
+
+
+def _distinct(gaussians: Gaussians) -> np.ndarray:
+    ordered = np.sort(gaussians.scales.astype(np.float64), axis=1)
+    return np.all(np.diff(ordered, axis=1) > APART * ordered[:, 1:], axis=1)
+
+
+def _turn(first: Gaussians, other: Gaussians) -> Array:
+    """Return the angles between orientations [N], degrees."""
+    a, b = rotation_matrices(first.quats), rotation_matrices(other.quats)
+    trace = np.einsum("nij,nij->n", a, b)
+    return np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1)))

@@ -1,4 +1,4 @@
-"""Cases 14 and 16 to 18: anything a file may contain, and places where an index could be wrong."""
+"""Cases 14 and 16 to 18: unusual contents of files, and positions below zero."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
 
 def quick(setting: Setting, **changes: object) -> Scene:
-    """A small scene of two frames in which something moves."""
+    """Return a small scene of two frames."""
     resolution = {"cells": 8, "precision": setting.precision}
     return Scene().replaced({"accuracy": resolution, "time.frames": 2, **changes})
 
@@ -50,7 +50,7 @@ def broken_numbers(setting: Setting) -> list[Check]:
 
 
 def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[Gaussians, int]:
-    """The Gaussians read from a file with bad values in some rows, and how many were dropped."""
+    """Read a file with bad values in some rows; return its Gaussians and the number dropped."""
     table = table.copy()
     for row, (name, value) in poisons.items():
         table[name][row] = value
@@ -59,9 +59,9 @@ def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[G
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "object.ply"
         path.write_bytes("\n".join(lines).encode() + table.tobytes())
-        found = read_ply(path)
-    kept, cleaning = clean(found.gaussians)
-    return kept, found.dropped + cleaning.dropped
+        content = read_ply(path)
+    kept, cleaning = clean(content.gaussians)
+    return kept, content.dropped + cleaning.dropped
 
 
 def _sound(gaussians: Gaussians) -> bool:
@@ -69,7 +69,7 @@ def _sound(gaussians: Gaussians) -> bool:
 
 
 def below_zero(setting: Setting) -> list[Check]:
-    """A body across the grid's origin moves like one far from it: floor, not truncation."""
+    """A body across the grid's origin moves like a body far from it: floor, not truncation."""
 
     def run(cells: int) -> Array:
         x = block(middle=(cells * DX - 0.05, cells * DX, cells * DX))
@@ -80,12 +80,14 @@ def below_zero(setting: Setting) -> list[Check]:
 
     usual = run(16)
     limit = 1e-12 if setting.double else 1e-5
-    return [at_most(f"moved by {n} cells: difference", relative(run(n), usual), limit)
-            for n in (0, -1, -64)]  # fmt: skip
+    return [
+        at_most(f"moved by {n} cells: difference", relative(run(n), usual), limit)
+        for n in (0, -1, -64)
+    ]
 
 
 def sizes(setting: Setting) -> list[Check]:
-    """Gaussians of a nanometre and of a kilometre, needles of 1:10,000, and flat ones, at rest."""
+    """Gaussians of a nanometre, a kilometre, needles of 1:10,000 and flat ones keep their size."""
     rng = np.random.default_rng(0)
     shapes = np.array([[1, 1, 1], [1, 1e-4, 1e-4], [1, 1, 1e-2], [1, 0.3, 1e-3]])
     error, minimum, finite = 0.0, math.inf, True
@@ -94,14 +96,14 @@ def sizes(setting: Setting) -> list[Check]:
         quats = rng.normal(size=(400, 4))
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
         grey = np.full((400, 3), 0.5)
-        given = Gaussians.from_rgb(rng.random((400, 3)), quats, scales, np.ones(400), grey)
-        carry = Deformer(given, device=setting.device)
+        gaussians = Gaussians.from_rgb(rng.random((400, 3)), quats, scales, np.ones(400), grey)
+        carry = Deformer(gaussians, device=setting.device)
         identity = np.tile(np.eye(3), (400, 1, 1))
-        found = carry(given.means, identity, index=0, time=0.0).gaussians
-        error = max(error, float(np.abs(found.scales / given.scales - 1).max()))
-        covariances = found.covariances()
+        rendered = carry(gaussians.means, identity, index=0, time=0.0).gaussians
+        error = max(error, float(np.abs(rendered.scales / gaussians.scales - 1).max()))
+        covariances = rendered.covariances()
         finite &= bool(np.isfinite(covariances).all())
-        minimum = min(minimum, float(found.scales.min()))
+        minimum = min(minimum, float(rendered.scales.min()))
     return [
         at_most("relative error of scales at F = I", error, 1e-5),
         equal("finite", finite),
@@ -110,7 +112,7 @@ def sizes(setting: Setting) -> list[Check]:
 
 
 def odd_gaussians(setting: Setting) -> list[Check]:
-    """Opacity 0 and 1, all in one point, a single one, no volume: the mass is right."""
+    """The mass is right for opacities 0 and 1, Gaussians in a single point, and one Gaussian."""
     whole = surface_of_ball()
     opacities = whole.opacities.copy()
     opacities[:50], opacities[50:100] = 0, 1

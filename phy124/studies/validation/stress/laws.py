@@ -1,4 +1,7 @@
-"""Cases 12, 21 and 22: the laws under deformations that no real material reaches; sand heaps."""
+"""Cases 12, 21 and 22: the laws under deformations that no real material reaches; sand heaps.
+
+Case 12 also covers the watchdog, which resets an impossible particle.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +14,20 @@ from phy124.boundaries import Container, Ground
 from phy124.forces import Gravity
 from phy124.kernels.arguments import types
 from phy124.kernels.diagnostics import make_probe
-from phy124.materials import LAWS, Hencky, Material, Rigid, Sand
+from phy124.materials import LAWS, Fluid, Hencky, Material, Metal, NeoHookean, Rigid, Sand
+from phy124.monitor.external_work import ExternalWork
+from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Solver
 from phy124.mpm.model import PRECISIONS
 from phy124.schema.region import Region
 from phy124.studies.validation.bodies import block, make_solver
-from phy124.studies.validation.stress.bodies import Array, body, host
-from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
+from phy124.studies.validation.stress.bodies import Array, assign, body, finite, host, volume_ratios
+from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
 
 MATERIALS: list[Material] = [kind() for kind in LAWS.by_name.values() if kind is not Rigid]
-"""One of each law on the device; a rigid body is a stiff neo-Hookean solid."""
+"""A material of each law; rigid solids are omitted, since they are stiff neo-Hookean solids."""
 IMPOSSIBLE = {
-    "turned inside out": np.diag([1, 1, -0.5]),
+    "inverted": np.diag([1, 1, -0.5]),
     "flat": np.diag([1, 1, 0.0]),
     "a line": np.diag([2, 0, 0.0]),
     "a point": np.zeros((3, 3)),
@@ -35,7 +40,7 @@ IMPOSSIBLE = {
 
 
 def probe(material: Material, F: Array, setting: Setting) -> tuple[Array, Array, Array]:
-    """Stress, modulus and projected F of a law for deformation gradients F [N,3,3].
+    """Evaluate stress, modulus and projected F of a law for deformation gradients F [N,3,3].
 
     Args:
         material: The material.
@@ -67,14 +72,14 @@ def every_deformation(setting: Setting) -> list[Check]:
     F = np.concatenate([np.stack(list(IMPOSSIBLE.values())), wild])
     checks = []
     for material in MATERIALS:
-        found = probe(material, F, setting)
-        finite = all(bool(np.isfinite(part).all()) for part in found)
+        result = probe(material, F, setting)
+        finite = all(bool(np.isfinite(part).all()) for part in result)
         checks.append(equal(f"{material.device_law.name}: finite", finite))
     return checks
 
 
 def sand(setting: Setting) -> list[Check]:
-    """Sand in the air, in a heap and under pressure."""
+    """Sand behaves in the air, in a heap and under pressure."""
     return [*thrown_sand(setting), *heap(setting), *friction_angle(setting)]
 
 
@@ -103,12 +108,12 @@ HEAP = 0.4
 
 
 def heap(setting: Setting) -> list[Check]:
-    """Cones five degrees steeper than the angle of friction stand, or slump until they do.
+    """Cones five degrees steeper than the angle of friction stand, or slump until they stand.
 
-    They may stand more steeply than that angle. The Drucker-Prager cone, fitted to triaxial
-    compression, lets an infinite slope stand up to tan = M / sqrt(3), M = 6 sin phi / (3 - sin
-    phi): 29.6 degrees for phi = 25 and 39.3 for 35. A heap that is 20 degrees too steep collapses
-    and, by inertia, ends flatter; with 1.4 times the friction it would stand.
+    They may be steeper than that angle: with the Drucker-Prager cone, fitted to triaxial
+    compression, an infinite slope is stable up to tan = M / sqrt(3), M = 6 sin phi / (3 - sin phi),
+    which is 29.6 degrees for phi = 25 and 39.3 for 35. A heap that is 20 degrees too steep
+    collapses and, by inertia, becomes flatter; it would be stable with 1.4 times the friction.
     """
     checks, cells = [], 20 if setting.long else 12
     for angle in (20.0, 25.0, 35.0) if setting.long else (25.0, 35.0):
@@ -116,12 +121,12 @@ def heap(setting: Setting) -> list[Check]:
         s.advance(0.8)
         earlier = host(s.state.x)
         s.advance(1.0)
-        # Places, not speeds: an elastic heap trembles long after it has stopped to flow.
+        # Positions, not speeds: an elastic heap vibrates long after it has stopped flowing.
         moved = float(np.quantile(np.linalg.norm(host(s.state.x) - earlier, axis=1), 0.99))
-        found = slope(s)
+        result = slope(s)
         checks += [
-            at_most(f"heap of {angle:g} degrees: flatter by [degrees]", angle - found, 3.0),
-            at_most("steeper than an endless slope by [degrees]", found - endless(angle), 1.0),
+            at_most(f"heap of {angle:g} degrees: flatter by [degrees]", angle - result, 3.0),
+            at_most("steeper than an endless slope by [degrees]", result - endless(angle), 1.0),
             at_most("99 % move in 0.2 s by less than / R", moved / HEAP, 0.003),
         ]
     s = cone(25.0, 45.0, cells, setting)
@@ -130,13 +135,13 @@ def heap(setting: Setting) -> list[Check]:
 
 
 def endless(angle: float) -> float:
-    """Angle of the steepest infinite slope of sand with an angle of friction [degrees]."""
+    """Return the angle of the steepest stable infinite slope for an angle of friction [degrees]."""
     sine = math.sin(math.radians(angle))
     return math.degrees(math.atan(6 * sine / (3 - sine) / math.sqrt(3)))
 
 
 def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver:
-    """A quarter of a cone of sand on a rough floor, between two smooth walls.
+    """Return a quarter of a cone of sand on a rough floor, between two smooth walls.
 
     Args:
         angle: Angle of friction [degrees].
@@ -150,17 +155,16 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
     x = np.stack(np.meshgrid(along, along, up, indexing="ij"), axis=-1).reshape(-1, 3)
     x = x[x[:, 2] < height * (1 - np.hypot(x[:, 0], x[:, 1]) / HEAP)]
     walls = [Container(inside=Region(lower=(0, 0, -1e9)), contact="slip"), Ground(contact="sticky")]
-    return make_solver(
-        x, np.full(len(x), (dx / 2) ** 3), [Sand(friction_angle=angle, E=3e5)], dx=dx,
-        boundaries=walls, forces=[Gravity()], origin=(0.25 * dx, 0.25 * dx, -0.75 * dx),
-        **setting.options,
-    )  # fmt: skip
+    volume, grains = np.full(len(x), (dx / 2) ** 3), [Sand(friction_angle=angle, E=3e5)]
+    origin = (0.25 * dx, 0.25 * dx, -0.75 * dx)
+    world = {"boundaries": walls, "forces": [Gravity()], "origin": origin, **setting.options}
+    return make_solver(x, volume, grains, dx=dx, **world)
 
 
 def slope(heap: Solver) -> float:
-    """Angle of the flank [degrees] of a cone that was built with radius `HEAP`.
+    """Measure the angle of the flank [degrees] of a cone with initial radius `HEAP`.
 
-    The surface is that of the three highest particles of each ring, without top and toe.
+    The surface is the mean of the three highest particles of each ring, without top and toe.
     """
     x = host(heap.state.x)
     r = np.hypot(x[:, 0], x[:, 1])
@@ -170,7 +174,7 @@ def slope(heap: Solver) -> float:
 
 
 def friction_angle(setting: Setting) -> list[Check]:
-    """In sand pressed from above until it yields, the stresses match the angle of friction."""
+    """The stresses in sand that yields under pressure match the angle of friction."""
     checks = []
     for angle in (20.0, 35.0, 50.0):
         sand = Sand(friction_angle=angle)
@@ -182,13 +186,13 @@ def friction_angle(setting: Setting) -> list[Check]:
             _, _, F = probe(sand, trial, setting)
         stress, _, _ = probe(sand, F, setting)
         across, along = -stress[0, 0, 0], -stress[0, 2, 2]
-        found = math.degrees(math.asin((along - across) / (along + across)))
-        checks.append(at_most(f"{angle:g} degrees: error [degrees]", abs(found - angle), 3.0))
+        result = math.degrees(math.asin((along - across) / (along + across)))
+        checks.append(at_most(f"{angle:g} degrees: error [degrees]", abs(result - angle), 3.0))
     return checks
 
 
 def series_strain(setting: Setting) -> list[Check]:
-    """Hencky stress without an SVD is that by NumPy's SVD, for strains up to 20 %."""
+    """Hencky stress without an SVD equals that by NumPy's SVD, for strains up to 20 %."""
     rng = np.random.default_rng(0)
     material, n = Hencky(E=1.0, nu=0.2), 2000
     U, V = (np.linalg.qr(rng.normal(size=(n, 3, 3)))[0] for _ in range(2))
@@ -202,3 +206,45 @@ def series_strain(setting: Setting) -> list[Check]:
     stress, _, _ = probe(material, F, setting)
     limit = 1e-10 if setting.double else 1e-4
     return [at_most("largest error / E", np.abs(stress - wanted).max(), limit)]
+
+
+FRAMES = (NeoHookean(E=1e4), Hencky(E=1e4), Metal(E=1e4), Sand(), Fluid(bulk_modulus=1e4))
+"""Materials of the bodies that contain an impossible particle."""
+
+
+def impossible(setting: Setting) -> list[Check]:
+    """Every law has a finite stress for every F; an impossible particle is reset and counted."""
+    checks = every_deformation(setting)
+    for material in FRAMES:
+        min_J, moved, sound = np.inf, 0.0, True
+        for F in IMPOSSIBLE.values():
+            result = _reset_particle(material, F, setting)
+            min_J, moved = min(min_J, result[0]), max(moved, result[1])
+            sound &= result[2]
+        name = material.device_law.name
+        checks += [
+            equal(f"{name}: finite and within its balance", sound),
+            at_least(f"{name}: smallest J after a frame", min_J, 1e-5),
+            at_most(f"{name}: largest displacement of a neighbour / size", moved, 0.5),
+        ]
+    return checks
+
+
+def _reset_particle(
+    material: Material, F: np.ndarray, setting: Setting
+) -> tuple[float, float, bool]:
+    """Return smallest J, largest displacement / size, and soundness of a body after a frame."""
+    x = block(4, 0.25)
+    external = ExternalWork()
+    s = body(x, setting, material, size=0.25, accumulators=[external])
+    deformations = host(s.state.F)
+    deformations[21] = F
+    assign(s, "F", deformations)
+    watch = Watchdog()
+    watch.bind(s, [external])
+    s.repair.begin(s.clock)
+    watch.before_attempt()
+    s.advance(1 / 24, after=watch.after_substep)
+    problem = watch.after_attempt()
+    way = np.abs(host(s.state.x) - x).max() / 0.25
+    return float(volume_ratios(s).min()), float(way), finite(s) and problem is None

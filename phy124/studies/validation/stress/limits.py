@@ -32,8 +32,8 @@ from phy124.studies.validation.stress.case import Check, Setting, at_least, at_m
 POISSON = (0.0, 0.3, 0.45, 0.49)
 
 
-def isolated(setting: Setting) -> list[Check]:
-    """One particle is stable at 0.95 dx / sqrt(A / rho), and soon NaN at 1.10 times it."""
+def check_isolated(setting: Setting) -> list[Check]:
+    """A single particle is stable at 0.95 dx / sqrt(A / rho), and soon NaN at 1.10 times that."""
     checks = []
     for nu in POISSON:
         points = np.array([[0.013, 0.021, 0.017]])
@@ -41,29 +41,29 @@ def isolated(setting: Setting) -> list[Check]:
     return checks
 
 
-def coincident(setting: Setting) -> list[Check]:
-    """A hundred particles in one point, at the limit and beyond."""
+def check_coincident(setting: Setting) -> list[Check]:
+    """A hundred particles in one point are stable at the limit, and not beyond."""
     points = np.tile([[0.013, 0.021, 0.017]], (100, 1))
     return _around_the_limit("100 in one point", points, 0.3, setting)
 
 
 def _around_the_limit(name: str, x: Array, nu: float, setting: Setting) -> list[Check]:
     count = 20_000 if setting.long else 2000
-    _, growth = disturbed(x, nu, 0.95, setting, count)
-    lasted, _ = disturbed(x, nu, 1.10, setting, count)
+    _, growth = disturb(x, nu, 0.95, setting, count)
+    lasted, _ = disturb(x, nu, 1.10, setting, count)
     return [
         at_most(f"{name}: growth at 0.95 in {count} substeps", growth, 1.05),
         at_most(f"{name}: substeps it lasts at 1.10", lasted, 100),
     ]
 
 
-def disturbed(
+def disturb(
     x: Array, nu: float, fraction: float, setting: Setting, count: int
 ) -> tuple[int, float]:
-    """Substeps for which a slightly disturbed body stays finite, and the growth of its strain.
+    """Return the substeps for which a disturbed body stays finite, and the growth of its strain.
 
-    All modes are excited, the volumetric one, which is the stiffest, most of all. The growth is
-    that from the first half of the substeps to the second.
+    All modes are excited, most of all the volumetric mode, which is the stiffest. The growth is
+    the ratio of the largest strains in the second and first half of the substeps.
 
     Args:
         x: Positions [P,3], m.
@@ -92,14 +92,14 @@ def disturbed(
 
 
 def _stiffness(material: NeoHookean) -> float:
-    """sqrt(A) at rest: sqrt(2 mu + 3 lambda), written out independently of the solver."""
+    """Return sqrt(A) at rest, sqrt(2 mu + 3 lambda), independently of the solver's code."""
     mu = material.E / (2 * (1 + material.nu))
     lam = material.E * material.nu / ((1 + material.nu) * (1 - 2 * material.nu))
     return math.sqrt(2 * mu + 3 * lam)
 
 
 def stiff(setting: Setting) -> list[Check]:
-    """For E from 1e2 to 1e13 the number of substeps is that of the formula, and nothing breaks."""
+    """For E from 1e2 to 1e13, the number of substeps follows the formula, and values are finite."""
     checks = []
     for E in (1e2, 1e7, 1e9, 1e12, 1e13):
         x = block(4, 0.25)
@@ -116,7 +116,7 @@ def stiff(setting: Setting) -> list[Check]:
 
 
 def poisson(setting: Setting) -> list[Check]:
-    """Nearly incompressible bodies run; impossible ratios are refused with a sentence."""
+    """Nearly incompressible bodies run; impossible ratios are rejected with an error message."""
     checks = []
     for nu in (0.0, 0.3, 0.49, 0.4999):
         x = block(4, 0.25)
@@ -130,11 +130,11 @@ def poisson(setting: Setting) -> list[Check]:
             at_least(f"nu {nu}: least J", meter.min_J, 0.5),
         ]
     for nu in (0.5, 0.6, -0.1, -0.99, math.nan):
-        checks.append(equal(f"nu {nu} is refused", _refused(nu)))
+        checks.append(equal(f"nu {nu} is refused", _is_refused(nu)))
     return checks
 
 
-def _refused(nu: float) -> bool:
+def _is_refused(nu: float) -> bool:
     try:
         NeoHookean(nu=nu)
     except ValidationError:
@@ -143,7 +143,7 @@ def _refused(nu: float) -> bool:
 
 
 def user_substep(setting: Setting) -> list[Check]:
-    """A user's substep beyond the limit is split; the result is that of the automatic substep."""
+    """A user's substep beyond the limit is split; the result equals that of automatic substeps."""
 
     def run(ceiling: float) -> tuple[Array, dict[str, int]]:
         x = block(middle=(0, 0, 0.2))
@@ -166,7 +166,7 @@ def user_substep(setting: Setting) -> list[Check]:
 
 
 class Stack(NamedTuple):
-    """What happened to two blocks, one on top of the other."""
+    """Extremes of two blocks, one on top of the other."""
 
     min_J: float
     max_J: float
@@ -174,7 +174,7 @@ class Stack(NamedTuple):
 
 
 def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
-    """A block on another that is `ratio` times lighter, after `until` [s]."""
+    """Simulate a block on another that is `ratio` times lighter, until a time [s]."""
     low, high = block(4, 0.25, (0, 0, 0.125)), block(4, 0.25, (0, 0, 0.375))
     x = np.concatenate([low, high])
     materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]
@@ -198,7 +198,7 @@ def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
 
 
 def mass_ratio(setting: Setting) -> list[Check]:
-    """A body on another that is 1, 100 and 10,000 times lighter."""
+    """A body rests on another that is 1, 100 and 10,000 times lighter."""
     checks = []
     for ratio in (1.0, 1e2, 1e4):
         stack = heavy_on_light(ratio, setting, 0.4 if setting.long else 0.02)

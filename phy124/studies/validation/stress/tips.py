@@ -1,4 +1,4 @@
-"""Case 33: what is thin or pointed stands on the floor as well."""
+"""Case 33: thin and pointed shapes stay above the floor."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most
 DEEPEST = 0.3
 """Largest depth of a Gaussian below the floor [cells]."""
 COUNT, SIZE = 12_000, 0.008
-"""Number of Gaussians that fill a shape at most, and their standard deviation [m]."""
+"""Largest number of Gaussians of a shape, and their standard deviation [m]."""
 Inside = Callable[[Array], NDArray[np.bool_]]
 
 
 def cone(x: Array) -> NDArray[np.bool_]:
-    """Of 25 degrees, on its tip."""
+    """Whether points are in a cone of 25 degrees on its tip."""
     return np.hypot(x[:, 0], x[:, 1]) < x[:, 2] * np.tan(np.radians(25))
 
 
 def needle(x: Array) -> NDArray[np.bool_]:
-    """Of 10 degrees, on its tip."""
+    """Whether points are in a cone of 10 degrees on its tip."""
     return np.hypot(x[:, 0], x[:, 1]) < x[:, 2] * np.tan(np.radians(10))
 
 
 def edge(x: Array) -> NDArray[np.bool_]:
-    """A roof of 45 degrees, on its ridge."""
+    """Whether points are in a roof of 45 degrees on its ridge."""
     return (np.abs(x[:, 0]) < x[:, 2]) & (x[:, 2] < 0.5) & (np.abs(x[:, 1]) < 0.4)
 
 
 def table(x: Array) -> NDArray[np.bool_]:
-    """A board on four legs, each a cell thick on 16 cells."""
+    """Whether points are in a board on four legs, each a cell thick on 16 cells."""
     across = np.abs(x[:, :2])
     leg = (np.abs(across - 0.33).max(axis=1) < 0.03) & (x[:, 2] < 0.6)
     return leg | ((across.max(axis=1) < 0.4) & (np.abs(x[:, 2] - 0.57) < 0.07))
 
 
 def hairs(x: Array) -> NDArray[np.bool_]:
-    """A ball with sixty hairs, one straight down, each 0.64 cells thick on 16 cells."""
+    """Whether points are in a ball with 61 hairs, each 0.64 cells thick on 16 cells."""
     ways = np.random.default_rng(1).normal(size=(60, 3))
     ways = np.vstack([(0, 0, -1), ways / np.linalg.norm(ways, axis=1, keepdims=True)])
     from_middle = x - (0, 0, 0.5)
@@ -60,7 +60,7 @@ SHAPES: tuple[Inside, ...] = (cone, needle, edge, table, hairs)
 
 
 def cloud(inside: Inside) -> Gaussians:
-    """A shape of about 1 m, filled with Gaussians."""
+    """Fill a shape of about 1 m with Gaussians."""
     x = np.random.default_rng(0).uniform((-0.6, -0.6, 0), (0.6, 0.6, 1.0), (100_000, 3))
     x = x[inside(x)][:COUNT]
     count, grey = len(x), np.full((len(x), 3), 0.5)
@@ -69,10 +69,10 @@ def cloud(inside: Inside) -> Gaussians:
 
 
 def depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> float:
-    """How far below the floor a Gaussian of a shape gets [cells].
+    """Return the largest depth of a shape's Gaussians below the floor [cells].
 
     Args:
-        inside: Which points [N,3] are inside the shape.
+        inside: Returns the mask of the points [N,3] inside the shape.
         lift: Height from which it is dropped [m].
         accuracy: Name of the scene's accuracy.
         setting: Device and precision.
@@ -89,10 +89,10 @@ def depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> float
 def tips(setting: Setting) -> list[Check]:
     """Tips, edges, legs and hairs of a soft body that stands or lands stay above the floor."""
     places = (0.0, 0.3) if setting.long else (0.1,)
-    return [
-        at_most(f"{inside.__name__} at {accuracy}, dropped from {lift:g} m [cells]",
-                depth(inside, lift, accuracy, setting), DEEPEST)
-        for accuracy in (("draft", "standard", "fine") if setting.long else ("draft",))
-        for lift in places
-        for inside in SHAPES
-    ]  # fmt: skip
+    checks = []
+    for accuracy in ("draft", "standard", "fine") if setting.long else ("draft",):
+        for lift in places:
+            for inside in SHAPES:
+                name = f"{inside.__name__} at {accuracy}, dropped from {lift:g} m [cells]"
+                checks.append(at_most(name, depth(inside, lift, accuracy, setting), DEEPEST))
+    return checks

@@ -1,4 +1,4 @@
-"""Cases 15 and 26 to 29: the grid, its window, order and orientation, threads, and the floor."""
+"""Cases 15, 26 to 29 and 31: the grid and its window, order, orientation, threads, and walls."""
 
 from __future__ import annotations
 
@@ -6,17 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from phy124.boundaries import Ground
+from phy124.boundaries import Boundary, Container, Ground, Press, Sphere
 from phy124.forces import Gravity
-from phy124.materials import NeoHookean
+from phy124.materials import Fluid, Material, NeoHookean, Sand, Snow
 from phy124.monitor.diagnostics import diagnose
+from phy124.mpm import Solver
+from phy124.schema.region import Region
 from phy124.studies.validation.bodies import block
 from phy124.studies.validation.stress.bodies import DX, Array, alike, body, finite, host, relative
 from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 
-def astray(setting: Setting) -> list[Check]:
-    """Particles a thousand kilometres away, or leaving at high speed, fly on and are counted."""
+def far_away(setting: Setting) -> list[Check]:
+    """Particles a thousand kilometres away, or very fast ones, fly freely and are counted."""
     x = block()
     far = np.array([[1e6, 0, 0], [0, -1e6, 0], [3e5, 2e5, 1e6]])
     x, v = np.concatenate([x, far]), np.zeros((len(x) + 3, 3))
@@ -36,7 +38,7 @@ def astray(setting: Setting) -> list[Check]:
     ]
 
 
-def permuted(setting: Setting) -> list[Check]:
+def permute(setting: Setting) -> list[Check]:
     """The order of the particles and the scene's orientation do not matter."""
     x = block(middle=(0, 0, 0.3))
     v = np.tile([0.5, 0.2, -2.0], (len(x), 1))
@@ -59,7 +61,7 @@ def permuted(setting: Setting) -> list[Check]:
 
 
 def window(setting: Setting) -> list[Check]:
-    """A window that follows the particles gives the result of one fixed grid around everything."""
+    """A window that follows the particles gives the result of a fixed grid around everything."""
     x = block()
     C = 1.0 * np.eye(3) + np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 0]])
     motion: dict[str, Any] = {
@@ -85,7 +87,7 @@ def window(setting: Setting) -> list[Check]:
 
 
 def repeats(setting: Setting) -> list[Check]:
-    """Repeated runs are equal for each number of threads; they agree with each other."""
+    """Repeated runs are equal for each number of threads, and agree between numbers of threads."""
     x = block(8, 0.5, middle=(0, 0, 0.4))
     v = np.random.default_rng(0).normal(size=x.shape)
 
@@ -95,40 +97,36 @@ def repeats(setting: Setting) -> list[Check]:
         s.advance(0.1)
         return host(s.state.x)
 
-    one = run(1)
-    checks = [alike("with one thread", run(1), one, setting)]
+    single = run(1)
+    checks = [alike("with one thread", run(1), single, setting)]
     if setting.device == "cpu":
         for threads, name in ((2, "two"), (5, "five")):
             several = run(threads)
             checks += [
                 equal(f"{name} threads: bitwise equal", np.array_equal(several, run(threads))),
-                at_most(f"{name} threads against one", relative(several, one), 1e-5),
+                at_most(f"{name} threads against one", relative(several, single), 1e-5),
             ]
     return checks
 
 
 def floor(setting: Setting) -> list[Check]:
-    """A body rests on its floor, does not sink in on landing, and slides where it may."""
+    """A body rests on its floor, does not penetrate it on landing, and slides without friction."""
     origin = (0, 0, -0.75 * DX)
-    resting = body(
-        block(8, 0.5, (0, 0, 0.29)), setting, NeoHookean(E=1e6), size=0.5, forces=[Gravity()],
-        boundaries=[Ground()], origin=origin,
-    )  # fmt: skip
+    world: dict[str, Any] = {"forces": [Gravity()], "boundaries": [Ground()], "origin": origin}
+    x = block(8, 0.5, (0, 0, 0.29))
+    resting = body(x, setting, NeoHookean(E=1e6), size=0.5, **world)
     for _ in range(40):
         resting.advance(resting.clock.time + 0.02)
         resting.state.v.zero_()
         resting.state.C.zero_()
     gap = host(resting.state.x)[:, 2].min() - 0.5 / 16
-    falling = body(
-        block(middle=(0, 0, 0.3)), setting, NeoHookean(E=1e5), v=np.tile([0, 0, -3.0], (216, 1)),
-        forces=[Gravity()], boundaries=[Ground()], origin=origin,
-    )  # fmt: skip
+    x, v = block(middle=(0, 0, 0.3)), np.tile([0, 0, -3.0], (216, 1))
+    falling = body(x, setting, NeoHookean(E=1e5), v=v, **world)
     lowest = []
     falling.advance(0.3, after=lambda: lowest.append(host(falling.state.x)[:, 2].min()))
-    sliding = body(
-        block(middle=(0, 0, 0.1875)), setting, v=np.tile([1.0, 0, 0], (216, 1)),
-        forces=[Gravity()], boundaries=[Ground(contact="slip")], origin=origin,
-    )  # fmt: skip
+    x, v = block(middle=(0, 0, 0.1875)), np.tile([1.0, 0, 0], (216, 1))
+    slippery = {**world, "boundaries": [Ground(contact="slip")]}
+    sliding = body(x, setting, v=v, **slippery)
     mass = sliding.model.mass.numpy().sum()
     sliding.advance(0.2)
     kept = diagnose(sliding).momentum[0]
@@ -136,4 +134,53 @@ def floor(setting: Setting) -> list[Check]:
         at_most("resting gap in cells", abs(gap) / DX, 0.2),
         at_most("deepest below the floor in cells", -min(lowest) / DX, 0.5),
         at_most("slip: tangential velocity lost", abs(kept / mass - 1), 1e-5),
+    ]
+
+
+SIZE = 0.5
+"""Side of the cube that collapses [m]."""
+BALL = Sphere(centre=(0.0, 0.0, 0.25), radius=0.25)
+PRESS = Press(depth=0.6, down=0.2)
+
+
+def flow(setting: Setting) -> list[Check]:
+    """Heaps, puddles and pressed material neither sink into a wall nor float above it."""
+    checks = []
+    for material in (Sand(E=2e5), Snow(), Fluid()):
+        heap = host(_drop(setting, material, 0.1, [Ground()]).state.x)[:, 2]
+        around = host(_drop(setting, material, 0.6, [Ground(), BALL]).state.x)
+        pressed = host(_drop(setting, material, 0.0, [Ground(), PRESS], 0.25).state.x)[:, 2]
+        outside = np.linalg.norm(around - BALL.centre, axis=1) - BALL.radius
+        for where, distance in (
+            ("the floor", heap),
+            ("a ball", outside),
+            ("the floor under a press", pressed),
+        ):
+            inside = -float(np.quantile(distance, 0.005)) / DX
+            checks.append(at_most(f"{material.law}: inside {where} [cells]", inside, 0.2))
+    return [*checks, *_pack(setting)]
+
+
+def _drop(
+    setting: Setting, material: Material, lift: float, walls: list[Boundary], time: float = 0.8
+) -> Solver:
+    """Release a cube of a material at the height `lift` [m], and advance by `time` [s]."""
+    x = block(8, SIZE, (0.0, 0.0, SIZE / 2 + lift))
+    origin = (0.0, 0.0, -0.75 * DX)
+    s = body(x, setting, material, size=SIZE, forces=[Gravity()], boundaries=walls, origin=origin)
+    s.advance(time)
+    return s
+
+
+def _pack(setting: Setting) -> list[Check]:
+    """Check that sand that falls into a bin of its width keeps its volume."""
+    side = Region(lower=(-SIZE / 2, -SIZE / 2, 0.0), upper=(SIZE / 2, SIZE / 2, 1e9))
+    stiff = Sand(E=1e7)
+    s = _drop(setting, stiff, 0.1, [Container(inside=side, friction=0.0)])
+    z: Array = host(s.state.x)[:, 2]
+    return [
+        at_most("sand in a bin: mass centre off [cells]", abs(z.mean() - SIZE / 2) / DX, 0.3),
+        at_most(
+            "sand in a bin: height off [cells]", abs(np.ptp(z) / SIZE - 7 / 8) * SIZE / DX, 0.3
+        ),
     ]
