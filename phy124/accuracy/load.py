@@ -22,7 +22,7 @@ ALONE = 0.93
 SECOND_THREAD = 1.5
 """Factor on the time of a simulation that cannot use a second thread for lack of a free core."""
 MINIMUM, MAXIMUM = 0.8, 1.5
-"""Range of the time of runs relative to forecasts on an idle machine (docs/lab/accuracy.md)."""
+"""Range of the time of runs relative to forecasts on an idle machine (docs/lab/forecasts.md)."""
 BUSY = 1.2
 """Factor by which the range is wider on a busy machine, since the load changes during a run."""
 FRESH = 10.0

@@ -2,7 +2,7 @@
 
 It shows how the stable substep shrinks as the material strains and moves, which a probe at rest
 cannot. The largest strain grows with the resolution, so the substeps in excess of those at rest are
-extrapolated as cells^1.8 (measured in docs/lab/accuracy.md). Numbers of substeps at rest, and
+extrapolated as cells^1.8 (measured in docs/lab/forecasts.md). Numbers of substeps at rest, and
 of substeps limited by speed, are proportional to the cells; that of substeps limited by
 `time.substep` is constant. Viscosity needs a minimum number per frame that is proportional to the
 square of the cells.

@@ -34,7 +34,7 @@ corner; less is beyond it, or a single particle."""
 ROUNDING = wp.constant(0.375)
 """Part of what the gaps of four neighbours have more than that of a node by which it may be open,
 where surfaces have met: 1/4 is what two splines see of a gap's curvature, more is fitted to balls
-(docs/lab/accuracy.md)."""
+(docs/lab/contact-force.md)."""
 STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
 """How soon a steeper slope counts alone, and how many times as much the squared slope of a body
 counts which never moves."""

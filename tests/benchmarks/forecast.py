@@ -1,6 +1,6 @@
 """Forecast against measured seconds: the preset scenes at every named accuracy, a line each.
 
-With `--docs` the table of docs/lab/accuracy.md is renewed. Run it when nothing else runs: a
+With `--docs` the table of docs/lab/forecasts.md is renewed. Run it when nothing else runs: a
 forecast cannot know what others will do. About four minutes; names of scenes do only these.
 """
 
@@ -64,7 +64,7 @@ def main(scenes: list[str], *, docs: bool) -> None:
     print(said)
     if docs:
         table = markdown(list(rows[0]), [list(row.values()) for row in rows])
-        renew(DOCS / "lab/accuracy.md", "forecast", f"{said}\n\n{table}")
+        renew(DOCS / "lab/forecasts.md", "forecast", f"{said}\n\n{table}")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 Forecasts and true times beside 0, 1, 2 and 4 busy loops: a new picture, another motion of a picture
 that is there, another camera, what was probed on the object itself, and kernels that must be
-compiled. With `--docs` the table of docs/lab/accuracy.md is renewed. It prints a line per run,
+compiled. With `--docs` the table of docs/lab/forecasts.md is renewed. It prints a line per run,
 asserts nothing, and takes a quarter of an hour on a busy machine; numbers of loops do only these,
 one round for each.
 """
@@ -166,7 +166,7 @@ def main(loops: list[int], *, docs: bool) -> None:
     print(summary(rows))
     if docs:
         table = markdown(list(rows[0]), [list(row.values()) for row in rows])
-        renew(DOCS / "lab/accuracy.md", "spans", f"{summary(rows)}\n\n{table}")
+        renew(DOCS / "lab/forecasts.md", "spans", f"{summary(rows)}\n\n{table}")
 
 
 if __name__ == "__main__":

@@ -53,9 +53,9 @@ def tabulate_expected_errors() -> str:
 
 def tabulate_forecasts() -> str:
     """Return how many forecasts were correct."""
-    heads, *rows = read_table("accuracy.md", "<!-- forecast -->")
+    heads, *rows = read_table("forecasts.md", "<!-- forecast -->")
     close = [0.9 <= float(row[heads.index("ratio")]) <= 1.1 for row in rows]
-    heads, *rows = read_table("accuracy.md", "<!-- spans -->")
+    heads, *rows = read_table("forecasts.md", "<!-- spans -->")
     within = [row[heads.index("within")] == "True" for row in rows]
     kinds = {
         "idle machine: actual time within 10 %": close,

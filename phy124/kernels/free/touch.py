@@ -22,7 +22,7 @@ THINNEST = wp.constant(0.015)
 side it is 0.021. With nodes farther away a light box creeps under its load."""
 ROUND = wp.constant(0.6)
 """How much of the `ROUNDING` between two bodies of particles there is at a solid, whose surface is
-not smeared: fitted to a ball on a box (docs/lab/accuracy.md)."""
+not smeared: fitted to a ball on a box (docs/lab/contact-force.md)."""
 STEEP = wp.constant(1e-4)
 """Slope of a box's volume [1/cell] below which the nearest face has the normal."""
 
