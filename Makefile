@@ -56,6 +56,7 @@ accuracy: .venv/test
 	$(BIN)/python tests/benchmarks/promises.py measure --minutes 300
 	$(BIN)/python tests/benchmarks/promises.py table
 	$(BIN)/python tests/benchmarks/accuracy.py --docs
+	$(BIN)/python tests/benchmarks/summaries.py
 
 docs: .venv/docs
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 docs out/docs

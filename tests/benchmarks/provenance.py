@@ -6,19 +6,23 @@
 import re
 import subprocess
 from collections import Counter
+from datetime import datetime, timezone
 from pathlib import Path
 
 from tables import DOCS, markdown
 
-PROGRAM = re.compile(r"tests/benchmarks/\w+(?:\.py)?|tests/test_\w+\.py|phy124 \w+|make [\w-]+")
+PROGRAM = re.compile(
+    r"`[^`\n]*?(tests/benchmarks/\w+(?:\.py)?|tests/test_\w+\.py|phy124 [a-z]+|make [a-z-]+)"
+)
 MACHINE = "2 cores of an AMD EPYC"
 HEAD = f"""# The lab
 
-What was measured, where, when and with which version. The [results](../results/accuracy.md) are short summaries of these pages.
-The machine of all tables is a virtual one with {MACHINE} and without a GPU, unless a page names another one.
+What was measured, where, when and with which version. The [results](../results/accuracy.md) are
+short summaries of these pages. The machine of all tables is a virtual one with {MACHINE} and
+without a GPU, unless a page names another one.
 
-*Commit* is the version of phy124 whose history contains the table's figures, and *date* is the day of that commit.
-`python tests/benchmarks/provenance.py` writes this page.
+*Commit* is the version of phy124 whose history contains the figures of a table, and *date* is the
+day of that commit. `python tests/benchmarks/provenance.py` writes this page.
 
 """
 
@@ -38,10 +42,13 @@ def read_commits(page: Path) -> list[tuple[str, str, str]]:
     return lines
 
 
+def make_anchor(heading: str) -> str:
+    """Return the anchor of a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")
+
+
 def list_tables(page: Path) -> list[list[str]]:
     """Return section, program, date and commit of each section that has a table."""
-    from datetime import datetime, timezone
-
     rows, title, section, text, cells = [], "", "", "", []
     for commit, stamp, line in [*read_commits(page), ("", "0", "# ")]:
         if line.startswith("#"):
@@ -49,8 +56,8 @@ def list_tables(page: Path) -> list[list[str]]:
                 (commit, stamp), _ = Counter(cells).most_common(1)[0]
                 found = PROGRAM.search(text) or PROGRAM.search(title)
                 day = datetime.fromtimestamp(int(stamp), timezone.utc).date()
-                link = f"[{section}]({page.name})"
-                rows.append([link, f"`{found[0]}`" if found else "", str(day), f"`{commit}`"])
+                link = f"[{section.replace('`', '')}]({page.name}#{make_anchor(section)})"
+                rows.append([link, f"`{found[1]}`" if found else "", str(day), f"`{commit}`"])
             section = line.lstrip("# ")
             text = ""
             cells = []

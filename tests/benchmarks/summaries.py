@@ -6,6 +6,8 @@
 import re
 from collections.abc import Callable, Iterator
 
+import matplotlib
+from matplotlib.figure import Figure
 from tables import DOCS, fill_block, markdown
 
 IMAGES = DOCS / "images/results"
@@ -159,8 +161,6 @@ def fill_page(page: str) -> str:
 
 def plot_validation() -> None:
     """Draw each measured value with its error, relative to its published range."""
-    from matplotlib.figure import Figure
-
     lines = (DOCS / "lab/experiments.md").read_text("utf-8").splitlines()
     names = [
         re.match(r"\[(.+?)\]", row[0])[1] for row in read_table("experiments.md", EXPERIMENTS)[1:]
@@ -190,13 +190,17 @@ def plot_validation() -> None:
         xlabel="deviation from the middle of the range, in half ranges",
     )
     axes.invert_yaxis()
-    figure.savefig(IMAGES / "validation.svg", metadata={"Date": None})
+    save(figure, "validation")
+
+
+def save(figure: Figure, name: str) -> None:
+    """Write a plot; equal plots are equal files."""
+    with matplotlib.rc_context({"svg.hashsalt": name}):
+        figure.savefig(IMAGES / f"{name}.svg", metadata={"Date": None})
 
 
 def plot_presets() -> None:
     """Draw the seconds of each preset."""
-    from matplotlib.figure import Figure
-
     rows = sorted(read_table("benchmarks.md", "## Presets")[1:], key=lambda row: float(row[3]))
     figure = Figure((7, 4), layout="constrained")
     axes = figure.subplots()
@@ -210,7 +214,7 @@ def plot_presets() -> None:
         xlabel="processor seconds of simulation and shapes",
     )
     axes.legend()
-    figure.savefig(IMAGES / "presets.svg", metadata={"Date": None})
+    save(figure, "presets")
 
 
 if __name__ == "__main__":
