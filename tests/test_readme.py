@@ -1,30 +1,48 @@
-"""What the README says is so: its code runs, its files exist, its presets are there."""
+"""The README is short, its program runs, and the files that README and CONTRIBUTING name exist."""
 
 import re
 from pathlib import Path
 
-from phy124.io.ply import write_ply
-from support.shapes import ball
+import pytest
 
 ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text()
+README = (ROOT / "README.md").read_text("utf-8")
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
 
 
-def test_the_python_example_runs(tmp_path, monkeypatch, capsys):
+def test_python_example_films_a_duck(tmp_path, monkeypatch, capsys):
     code = re.search(r"```python\n(.*?)```", README, re.S)
-    assert code
-    (tmp_path / "out/duck-press").mkdir(parents=True)
-    write_ply(tmp_path / "out/duck-press/gaussians.ply", ball(500))
+    assert code and len([line for line in code[1].splitlines() if line]) <= 8
+    (tmp_path / "demo").symlink_to(ROOT / "demo")
     monkeypatch.chdir(tmp_path)
-    quick = code[1].replace('Scene.named("press")', 'Scene.named("press").replaced(QUICK)')
-    exec(quick, {"QUICK": {"accuracy": {"cells": 8}, "time.frames": 2}})
-    printed = capsys.readouterr().out.strip().splitlines()
-    assert len(printed) == 2, "one line a frame, and nothing of Warp's"
+    quick = code[1].replace('{"view', '{"accuracy": {"cells": 8}, "time.frames": 2, "view')
+    exec(quick.replace('.png")', '.png", count=500)'), {})
+    assert len(capsys.readouterr().out.split()) == 2, "a height for each frame, nothing of Warp's"
+    assert Path("out/python/front.mp4").is_file()
 
 
-def test_every_file_it_names_exists():
-    table = README[README.index("## Where things are") :]
-    names = re.findall(r"`([^`]+)`", table)
-    assert len(names) > 30
-    for name in names:
-        assert (ROOT / name).exists() or (ROOT / "phy124" / name).exists(), name
+def test_readme_has_at_most_90_lines():
+    assert README.startswith("---\n")
+    page = README.split("---\n", 2)[2]
+    assert len(page.strip().splitlines()) <= 90
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/index.md"])
+def test_links_lead_to_files(page):
+    path = ROOT / page
+    links = re.findall(r"\]\((?!https?:)([^)#]+)", path.read_text("utf-8"))
+    assert [link for link in links if not (path.parent / link).exists()] == []
+
+
+def test_readme_links_the_main_pages():
+    for page in ("index", "start/index", "examples/index", "gallery"):
+        assert f"](docs/{page}.md" in README
+    for page in ("guide/extending", "guide/live", "results/accuracy", "reference/scene"):
+        assert f"](docs/{page}.md)" in README
+
+
+def test_files_in_the_map_of_the_code_exist():
+    table = CONTRIBUTING[CONTRIBUTING.index("## Where things are") :]
+    names = re.findall(r"`([^`]+/[^`]*|[^`]+\.py)`", table[: table.index("## A release")])
+    assert len(names) > 50
+    assert [name for name in names if not (ROOT / name).exists()] == []
