@@ -123,7 +123,7 @@ class Figures:
         self.seconds: dict[str, list[float]] = {way: [] for way in WAYS}
         self.told: dict[str, Counter[tuple[bool, bool]]] = {way: Counter() for way in METHOD}
         self.picked: dict[str, list[float]] = {}
-        self.halo: dict[str, list[float]] = {"as it is": [], "freed of it": []}
+        self.halo: dict[str, list[float]] = {"as it is": [], "background removed": []}
 
     def add(self, known: Known) -> None:
         """Cut a picture out in every way and compare."""
@@ -174,7 +174,13 @@ class Figures:
 
     def doubts(self) -> str:
         """How many right and wrong cut-outs are told."""
-        heads = ["method", "right, told", "right, not told", "wrong, told", "wrong, not told"]
+        heads = [
+            "method",
+            "correct, with warning",
+            "correct, without",
+            "wrong, with warning",
+            "wrong, without",
+        ]
         kinds = ((True, True), (True, False), (False, True), (False, False))
         return markdown(
             heads,

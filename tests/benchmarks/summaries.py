@@ -96,10 +96,10 @@ def tabulate_experiments(*, misses: bool = False) -> str:
 def tabulate_shapes() -> str:
     """Return the errors of `relief`: the mean, and the five worst solids."""
     *solids, mean = read_table("relief.md", "## Solids")[1:]
-    solids.sort(key=lambda row: float(row[4]))
+    solids.sort(key=lambda row: float(row[1]))
     rows = [[f"all {len(solids)}", *mean[1:]], *solids[:5]]
     heads = ["solid", "overlap of silhouettes", "overlap from the side", "volume / true volume"]
-    return markdown(heads, [[row[0], row[4], row[7], row[8]] for row in rows])
+    return markdown(heads, [[row[0], row[1], row[4], row[5]] for row in rows])
 
 
 def tabulate_cutouts() -> str:

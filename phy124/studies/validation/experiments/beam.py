@@ -33,13 +33,13 @@ PER_AXIS = 4
 """Particles per cell and axis. With 2, as in scenes, a beam that has moved through several cells is
 softer by another tenth."""
 TOO_SOFT = (
-    "Too soft by some per cent on every grid once it is bent through several cells; where its tip "
-    "moves through two (PL²/EI = 0.2) it is right. The stress balances the load, but F has lost "
-    "part of the bending: the affine fit that it follows is not the gradient of the motion. At "
-    "PL²/EI = 1 the positions are bent by 7, 13 and 29 % more than F says with 8, 4 and 2 "
-    "particles per cell and axis (2 cells across), and the drop is 1.9, 5.8 and 14 % too large. "
-    "With accuracy.gradient = spline, which takes the true gradient, these are 0, 1 and 9 %, and "
-    "the drop is off by -0.4, 0.8 and 7.3 %."
+    "Beams that bend over several cells are a few per cent too soft on every grid; with a tip "
+    "that moves by two cells (PL²/EI = 0.2) the drop is correct. The stress balances the load, "
+    "but F contains too little of the bending, because it follows an affine fit of the motion "
+    "instead of its gradient. At PL²/EI = 1, with 2 cells across and 8, 4 and 2 particles per "
+    "cell and axis, the bending of the positions exceeds that of F by 7, 13 and 29 %, and the "
+    "drop is 1.9, 5.8 and 14 % too large. With accuracy.gradient = spline the bending differs by "
+    "0, 1 and 9 %, and the drop by -0.4, 0.8 and 7.3 %."
 )
 REST = 1.6
 """Time for each load, in periods of the beam's first swing."""
@@ -211,10 +211,10 @@ SPLINE_ELASTICA = replace(
         measure_drops, loads=TIP_LOADS, bending=load_tip, stiffer=1.2, gradient="spline"
     ),
     seconds=150,
-    reason="A few cells make the beam a little too stiff, and few particles make it softer. With 8 "
-    "particles per cell and axis instead of 4 the first drop is 1.0, 0.7 and 0.5 % too small on 2, "
-    "3 and 4 cells: it converges. With 4 both errors hide each other, which Richardson's value "
-    "does not see.",
+    reason="Few cells make the beam slightly too stiff, few particles make it slightly too soft. "
+    "With 8 particles per cell and axis the first drop is 1.0, 0.7 and 0.5 % too small on 2, 3 "
+    "and 4 cells, so it converges. With 4 both errors cancel, which the extrapolation cannot "
+    "detect.",
 )
 HEAVY_ELASTICA = replace(
     ELASTICA,

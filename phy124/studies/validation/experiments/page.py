@@ -112,20 +112,20 @@ def _draw_rows(axes: Any, outcome: Outcome) -> None:
 
 
 PathLike = str | os.PathLike[str]
-HEAD = """# Against the world's experiments
+HEAD = """# Comparison with published experiments
 
 `phy124 validate` repeats experiments and theories of others with the solver that makes the clips
-(`phy124/studies/validation/experiments/`). `phy124 validate --docs` wrote this page; nothing
-is typed in by hand. `phy124 accuracy --verify` shows that the equations are solved
-([accuracy](accuracy.md)); this shows whether they describe the world.
+(`phy124/studies/validation/experiments/`), and `phy124 validate --docs` writes this page.
+`phy124 accuracy --verify` tests whether the equations are solved correctly
+([accuracy](accuracy.md)); this page tests whether they describe real materials.
 
 - **Three grids** per experiment, and Richardson's value for a grid without error. Its estimated
   error is its distance from the finest grid's value, plus the scatter. If the grids do not
   converge, the value is the finest grid's, and the error is the spread.
 - **A band**: the range that sources or theory allow. A value counts as inside if its error reaches
   the band; the table marks such values.
-- **A control** with a deliberate mistake, on the coarsest grid: it must leave the band of at least
-  one quantity by more than that grid's error, otherwise the comparison would prove nothing.
+- **A control** with a deliberate mistake, on the coarsest grid: at least one quantity must leave
+  its band by more than that grid's error. Otherwise the comparison would prove nothing.
 - **Values outside their band** are marked, with the reason if it is known.
 """
 
