@@ -1,6 +1,7 @@
 """Live runs: inputs act from the next frame on, are bounded, and become a scene."""
 
 import json
+import runpy
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from phy124.live import Live, RealTime, choose, held_rate
 from phy124.live.inputs import GrabRecord, Inputs
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from support.pages import ROOT, blocks
+from support.pages import ROOT
 
 GROUND = [{"kind": "ground"}, {"kind": "sphere", "centre": [0, 0.8, 0.2], "radius": 0.25}]
 
@@ -292,13 +293,12 @@ def test_the_finest_grid_that_keeps_up_is_told_from_one_trial(monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_example_of_the_page_runs_and_its_session_is_read(tmp_path, monkeypatch, capsys):
+def test_session_of_the_example_is_read(tmp_path, monkeypatch, capsys):
     (tmp_path / "demo").symlink_to(ROOT / "demo")
     monkeypatch.chdir(tmp_path)
-    page = ROOT / "docs/guide/live.md"
-    exec("\n".join(b.text for b in blocks() if b.page == page and b.words[0] == "python"), {})
+    runpy.run_path(str(ROOT / "docs/examples/12_live.py"))
     assert "real time" in capsys.readouterr().out
-    session = Scene.named("session.toml")
+    session = Scene.named("out/live/session.toml")
     assert session.time.frames == 49 and {f.kind for f in session.forces} >= {"grab", "wrench"}
 
 

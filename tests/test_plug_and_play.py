@@ -1,5 +1,6 @@
 """Plug and play, measured: the same scene moves the Gaussians of every generator alike."""
 
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from reference import formula
-from support.pages import blocks
+from support.pages import ROOT
 
 HALF = np.array([0.5, 0.3, 0.4])
 """Half sides of the box that every description below is of, m."""
@@ -138,12 +139,10 @@ class Nothing:
         return 0 * images.sum()
 
 
-def test_the_generator_of_the_documentation_runs(monkeypatch):
-    """docs/guide/extending-files.md: 15 lines are a generator, used by name and as an object."""
-    (code,) = (block.text for block in blocks() if "GENERATORS" in block.text)
-    assert 5 <= len([line for line in code.splitlines() if line.strip()]) <= 15
+def test_generator_of_the_docs_has_a_name(monkeypatch):
+    """docs/examples: used by name and as an object."""
     monkeypatch.setitem(GENERATORS, "ball", None)  # so that it is taken out again
-    exec(code, {})
+    runpy.run_path(str(ROOT / "docs/examples/20_generator.py"))
     made = make("ball")(np.zeros((4, 4, 4), np.uint8), seed=1, progress=lambda *told: None)
     assert isinstance(made, Gaussians)
     assert np.ptp(made.means, axis=0).max() == pytest.approx(1, abs=0.1)

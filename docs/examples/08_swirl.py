@@ -6,7 +6,7 @@ from typing import Any, Literal
 import warp as wp
 
 import phy124
-from phy124.forces import Force, Gravity
+from phy124.forces import Force
 from phy124.forces.base import stage
 from phy124.kernels.build import kernel
 from phy124.pipeline import static
@@ -16,7 +16,7 @@ from phy124.pipeline import static
 def make_swirl(real: Any):
     """Kernel: v += kick a (z x r), where z is up and r the position."""
 
-    @kernel(f"example_swirl_{real.__name__}", real)
+    @kernel(f"swirl_{real.__name__}", real)
     def swirl(chosen, slot, clock, values, x, v_out):
         p = chosen[wp.tid()]
         around = wp.vector(-x[p][1], x[p][0], real(0.0))
@@ -26,14 +26,14 @@ def make_swirl(real: Any):
 
 
 class Swirl(Force):
-    """Accelerates particles around the z axis, in proportion to their distance from it."""
+    """Acceleration about the z axis that grows with the distance from it."""
 
     kind: Literal["swirl"] = "swirl"
-    a: float = 30.0  # [m/s^2] at a distance of 1 m
+    strength: float = 20.0  # acceleration at 1 m from the axis [m/s^2]
 
     def attach(self, model, state, tracks):
         """Return the stage that launches the kernel in each substep."""
-        track, swirl = self.track((self.a, 0.0, 0.0)), make_swirl(model.real)
+        track, swirl = self.track((self.strength, 0.0, 0.0)), make_swirl(model.real)
         return stage(self, "swirl", swirl, track, [], model, state, tracks, read=[state.x])
 
 
@@ -41,7 +41,6 @@ if __name__ == "__main__":
     scene = phy124.Scene.named("drop").replaced(
         {"accuracy": "draft", "time.frames": 24, "view.views": ["front"], "view.stage": "studio"}
     )
-    scene = scene.model_copy(update={"forces": (Gravity(), Swirl(end=0.4))})
+    scene = scene.model_copy(update={"forces": (*scene.forces, Swirl(end=0.5))})
     cupcake = static("demo/examples/cupcake.png").gaussians
-    clip = phy124.Simulation(phy124.prepare(cupcake, scene)).run()
-    phy124.film(clip, scene.view, "out/swirl")
+    phy124.simulate(cupcake, scene, "out/swirl")  # films, clip and report
