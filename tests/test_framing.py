@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phy124.commands.options import ViewOptions
+from phy124.commands.options import SceneOptions, ViewOptions
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.pipeline.capture import capture
 from phy124.rendering.framing import cameras, departures, describe_framing
@@ -211,3 +211,50 @@ def test_real_objects_that_sway_fill_the_picture(real_objects, name):
     clip = Simulation(prepare(read.gaussians, read.scene)).run()
     low, high = extents(clip, scene.view)
     assert 0.85 < (high - low).max() < 1.02, "a few of its Gaussians may be outside"
+
+
+@pytest.mark.parametrize("side", ["front", "orbit"])
+@pytest.mark.parametrize("size", [(256, 256), (144, 256)])
+def test_camera_moves_out_as_two_objects_part(side, size):
+    """Both fill the picture at first, and neither leaves it."""
+    near = flight(np.linspace([0, 0, 0], [0, 3, 0], 24))
+    means = near.means.copy()
+    means[:, ::2, 1] = -means[:, ::2, 1] - 1.2
+    clip = replace(near, means=means, objects=("a", "b"))
+    chosen = view(size=size, fit=True, azimuths=[0], views=["front", "orbit"])
+    still = cameras(clip, chosen.model_copy(update={"follow": False}), side)
+    moving = cameras(clip, chosen, side)
+
+    def widths(cameras) -> np.ndarray:
+        return np.array(
+            [
+                np.ptp(camera.project(points)[0][:, 0])
+                for camera, points in zip(cameras, clip.means, strict=True)
+            ]
+        )
+
+    for camera, points in zip(moving, clip.means, strict=True):
+        pixels, _ = camera.project(points)
+        assert (pixels > 0).all() and (pixels < size).all()
+    assert widths(moving)[0] > 1.5 * widths(still)[0]
+    assert (widths(moving) >= 0.999 * widths(still)).all()
+    assert not departures(clip, chosen)
+    distances = np.array([math.dist(camera.eye, camera.target) for camera in moving])
+    assert np.abs(np.diff(distances)).max() < 0.1 * distances[0], "no jump"
+    assert cameras(replace(clip, objects=()), chosen, side)[0].eye == still[0].eye
+
+
+def test_commands_film_on_the_stage_unless_told_otherwise(tmp_path):
+    assert SceneOptions("drop").resolve().view.stage == "studio"
+    assert SceneOptions("drop", set=("view.stage=plain",)).resolve().view.stage == "plain"
+    assert SceneOptions("drop", view=ViewOptions(stage="plain")).resolve().view.stage == "plain"
+    (tmp_path / "plain.toml").write_text('view = {stage = "plain"}')
+    assert SceneOptions(str(tmp_path / "plain.toml")).resolve().view.stage == "plain"
+    clear = SceneOptions("drop", view=ViewOptions(format=("webp",), transparent=True))
+    assert clear.resolve().view.stage == "transparent"
+    assert Scene.named("drop").view.stage == "plain", "compared films have no stage"
+
+
+def test_elevation_is_an_option_of_commands_that_film():
+    assert SceneOptions("drop", view=ViewOptions(elevation=30)).resolve().view.elevation == 30
+    assert ViewOptions().changes() == {}

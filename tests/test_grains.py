@@ -1,9 +1,11 @@
 """Grains: where they are, what they look like, and that nothing of the motion depends on them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Gaussians, joined
 from phy124.materials import Fluid, NeoHookean, Sand
 from phy124.particles.grains import CLEARANCE, SIZE, add_grains, vary_brightness
 from phy124.particles.seeding import make_particles
@@ -111,3 +113,32 @@ def test_fluid_gaussians_become_balls_not_needles():
     assert round_[0] == pytest.approx(np.sqrt(longest.prod()), rel=1e-6)
     ratios = [np.divide(*drawn_out(s, True)[[0, 2]]) for s in np.linspace(1, 6, 40)]
     assert max(ratios) < 8, "and on the way it never becomes one"
+
+
+def test_tint_gives_the_substance_its_colour():
+    """Snow, grains too, is white with a third of the picture's contrast; none keeps its colours."""
+    body, rgb = ball(300), np.linspace([0.2, 0, 0], [0.9, 0.6, 0], 300)
+    body = Gaussians.from_rgb(body.means, body.quats, body.scales, body.opacities, rgb)
+    scene = Scene.named("snow").replaced({"accuracy": {"cells": 8}, "time.frames": 1})
+    rgb = Simulation(prepare(body, scene)).run().frame(0).gaussians.rgb
+    assert len(rgb) > 300
+    assert (np.ptp(rgb, axis=1) < 0.1).all() and rgb.mean() > 0.85
+    brightness = rgb[:300].mean(axis=1)
+    assert brightness[-20:].mean() > brightness[:20].mean() + 0.05
+    plain = scene.replaced({"material.tint": "none"})
+    kept = Simulation(prepare(body, plain)).run().frame(0).gaussians.rgb
+    assert np.corrcoef(kept[:300, 0], body.rgb[:, 0])[0, 1] > 0.9 and kept[:, 2].max() < 0.1
+    assert Scene.from_data(plain.data()).material.tint is None
+    moved = [Simulation(prepare(body, s)).run().means for s in (scene, plain)]
+    assert (moved[0] == moved[1]).all()
+
+
+def test_tint_is_of_one_material_of_several():
+    two = Scene.named("collide").replaced({"accuracy": {"cells": 8}, "time.frames": 1})
+    two = two.replaced({"objects.0.material.tint": [0, 0, 1]})
+    body = ball(200)
+    both = replace(joined([body, body]), object_id=np.repeat([0, 1], 200).astype(np.int32))
+    clip = Simulation(prepare(both, two)).run()
+    rgb = clip.frame(0).gaussians.rgb
+    assert (rgb[clip.object_id == 1][:, :2] < 0.01).all()
+    assert rgb[clip.object_id == 0][:, :2].max() > 0.1

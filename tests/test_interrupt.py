@@ -195,6 +195,7 @@ def test_the_same_command_with_resume_goes_on(tmp_path, capsys):
         "time.sleep": False,
         "view.size": 32,
         "view.views": ["front", "left"],
+        "view.stage": "studio",
     }
     scene = Scene.named("press").replaced(changes)
     cancel = cancelling(lambda stage, done: stage == "simulate" and done == 3)

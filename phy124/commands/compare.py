@@ -44,7 +44,11 @@ class Compare:
         paths = [path / "clip.safetensors" if path.is_dir() else path for path in (self.a, self.b)]
         a, b = (Clip.load(path) for path in paths)
         check_comparable(a, b)
-        view = Scene.of_clip(a.scene, str(paths[0])).replaced(self.view.changes()).view
+        view = (
+            Scene.of_clip(a.scene, str(paths[0]))
+            .replaced({"view.stage": "plain", **self.view.changes()})
+            .view
+        )
         out = self.out or paths[0].parent / f"compare-{_name(paths[1])}"
         device = pick_device(self.device)
         refuse_missing_encoder()

@@ -77,7 +77,12 @@ class Evaluate:
     def _videos(self, clip: Clip, progress: Progress) -> dict[str, np.ndarray]:
         """Pictures [T,S,S,3] from the paper's four sides."""
         view = Scene.of_clip(clip.scene, str(self.clip)).view
-        usual = {"size": (self.size, self.size), "elevation": self.elevation, "fit": False}
+        usual = {
+            "size": (self.size, self.size),
+            "elevation": self.elevation,
+            "fit": False,
+            "stage": "plain",
+        }
         view = view.model_copy(update=usual)
         device = pick_device(self.device)
         return {

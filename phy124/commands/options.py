@@ -51,6 +51,7 @@ class CameraOptions:
 
     views: Annotated[Listed, help_of(View, "views")] = None
     azimuth: Annotated[Listed, help_of(View, "azimuths")] = None
+    elevation: Annotated[float | None, help_of(View, "elevation")] = None
     cameras: Path | None = None
     """TOML file with [[view.cameras]] as in a scene; without --views only these are filmed."""
     size: Annotated[str | None, help_of(View, "size", example="512 or 1920x1080")] = None
@@ -63,6 +64,7 @@ class CameraOptions:
         chosen = {
             "view.views": _items(self.views),
             "view.azimuths": _items(self.azimuth),
+            "view.elevation": self.elevation,
             "view.cameras": self.cameras and cameras_in(self.cameras),
             "view.size": self.size,
             "view.follow": False if self.no_follow else self.follow or None,
@@ -138,7 +140,7 @@ class SceneOptions:
     """Print the report as JSON and nothing else."""
 
     def resolve(self) -> Scene:
-        """The scene with all changes; raises InputError."""
+        """The scene with all changes, by default on the stage studio; raises InputError."""
         chosen = {
             "accuracy": self.accuracy,
             "time.frames": self.frames,
@@ -149,6 +151,8 @@ class SceneOptions:
         changes = {path: value for path, value in chosen.items() if value is not None}
         changes = merge_changes({**changes, **self.view.changes()}, parse_changes(self.set))
         scene = Scene.named(self.scene)
+        if "stage" not in scene.view.model_fields_set and "view.transparent" not in changes:
+            changes.setdefault("view.stage", "studio")
         if self.fps is not None and changes.keys().isdisjoint(LENGTH):
             changes["time.seconds"] = scene.time.length
         return scene.replaced(changes)

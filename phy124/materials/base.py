@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from phy124.kernels.transfer import Law
+from phy124.schema.bounds import RGB
 from phy124.schema.section import Section
 
 FEW = 1.5
@@ -15,6 +16,12 @@ FEW = 1.5
 takes 1.7 times as long and has the same error (docs/lab/accuracy.md)."""
 FLOWING = 4.0
 """Longest axis of a Gaussian of plastic or fluid material, relative to its longest axis at rest."""
+
+
+SHADING = 0.3
+"""Fraction of the contrast in brightness that Gaussians keep under a tint."""
+Tint = Annotated[RGB | None, BeforeValidator(lambda tint: None if tint == "none" else tint)]
+"""A colour; absent or "none": the picture's colours."""
 
 
 class Material(Section):
@@ -47,6 +54,13 @@ class Material(Section):
     """A law with the same fields that stays sound in harder impacts."""
 
     density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
+
+    tint: Tint = Field(
+        default=None,
+        examples=["snow"],
+        description="Colour of the substance, as channels from 0 to 1 or a CSS name: the picture's "
+        f"colours keep {SHADING:.0%} of their contrast in brightness. none: the picture's colours.",
+    )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
         """Largest strain until which no particle becomes stiffer than `growth` times the stiffest.

@@ -25,6 +25,8 @@ CLEARANCE = 2.5
 NEAREST = 0.5
 """Smallest distance of a grain from a Gaussian, in distances of particles."""
 OPACITY = 0.95
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Weights of red, green and blue in the brightness (Rec. 709)."""
 IDENTITY = (1, 0, 0, 0)
 
 
@@ -91,6 +93,27 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
     brighter = (1 + amounts * noise.clip(-2, 2))[:, None]
     sh = gaussians.sh.copy()
     sh[:, 0] = ((0.5 + SH_C0 * sh[:, 0]) * brighter - 0.5) / SH_C0
+    return replace(gaussians, sh=sh)
+
+
+def tint(
+    gaussians: Gaussians, chosen: NDArray, colour: Sequence[float], shading: float
+) -> Gaussians:
+    """Give Gaussians the colour of their substance, with some of the picture's light and shade.
+
+    Args:
+        gaussians: N Gaussians.
+        chosen: Which of them are tinted [N] (mask).
+        colour: Red, green and blue, 0 to 1.
+        shading: Fraction of the contrast in brightness that they keep.
+    """
+    rgb = gaussians.rgb[chosen]
+    brightness = rgb @ LUMINANCE
+    relative = brightness / max(float(brightness.mean()), 1e-6) if len(rgb) else brightness
+    tinted = np.clip(np.outer(1 + shading * (relative - 1), colour), 0, 1)
+    sh = gaussians.sh.copy()
+    sh[chosen] = 0
+    sh[chosen, 0] = (tinted - 0.5) / SH_C0
     return replace(gaussians, sh=sh)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phy124.camera import FOV_Y, VIEWS, Camera
 from phy124.errors import InputError
 from phy124.io.clip import Clip
-from phy124.rendering.nearest import OUTSIDE, Sample, Values, place_nearest
+from phy124.rendering.nearest import OUTSIDE, Sample, Values, place_along, place_nearest
 from phy124.scene import View
 from phy124.scene.cameras import Poses
 
@@ -20,6 +20,10 @@ STEP = 0.1
 """Recommended distances are multiples of this, in object sizes."""
 LARGEST = 5.0
 """Largest extent of a motion that a still camera shows, in object sizes; beyond, it follows."""
+WINDOW = 0.3
+"""Time before and after a frame [s] that a camera shows that moves in and out."""
+NEARER = 1.1
+"""The camera moves in and out with several objects that are usually this many times as large."""
 FARTHEST = 100.0
 """Largest distance a view may have, in object sizes."""
 
@@ -28,7 +32,8 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
     """Return the camera of each frame from one side: fixed, circling, moving, or following.
 
     Unless its distance is set (`View.fits`), it stands as near as possible while showing the whole
-    motion, and it follows a motion that a still camera would show too small.
+    motion, and it follows a motion that a still camera would show too small. With several objects
+    it moves in and out.
     """
     camera, poses = view.camera(side), _poses(clip, view, side)
     if view.fits and not (camera is not None and camera.chosen):
@@ -61,6 +66,11 @@ def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
     middle = seen.middle + stand.shift if stand.distance <= farthest else (low + high) / 2
     radii = np.full(count, min(stand.distance, farthest))
     targets = np.broadcast_to(middle + path, (count, 3))
+    if view.follow is None and len(clip.objects) > 1 and not follow:
+        window = math.ceil(WINDOW * count / _length(clip))
+        nearer, shifts = place_along(seen, around, stand, window)
+        if np.median(nearer) * NEARER < radii[0]:
+            radii, targets = nearer, seen.middle + shifts
     if stand.zoom != 1:
         half = np.tan(np.radians(poses.fov) / 2) / stand.zoom
         poses = poses.replace(fov=np.degrees(2 * np.arctan(half)))
@@ -166,8 +176,8 @@ def _find_departure(clip: Clip, points: Values, view: View, side: str) -> Depart
     """Return the departure of points [T,S,3] from the pictures of a side, or None."""
     seen = cameras(clip, view, side)
     needed = _radii(points, seen)
-    radius = math.dist(seen[0].eye, seen[0].target)
-    outside = (needed > radius * (1 + 1e-9)).mean(axis=1)
+    radii = np.array([math.dist(camera.eye, camera.target) for camera in seen])
+    outside = (needed > radii[:, None] * (1 + 1e-9)).mean(axis=1)
     if not (outside > OUTSIDE).any():
         return None
     still = view.model_copy(update={"fit": False, "follow": bool(view.follow)})

@@ -145,6 +145,43 @@ def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) 
     return stand
 
 
+def place_along(
+    sample: Sample, cameras: list[Camera], still: Standing, window: int
+) -> tuple[Values, Values]:
+    """Place cameras that move in and out smoothly and show the object in every frame.
+
+    A camera that shows the frames around an instant shows each of them; so does any mean of such
+    cameras, since the places from which a point is in the picture are a convex set.
+
+    Args:
+        sample: The object in motion.
+        cameras: One for each frame; they give orientation, field of view and, if they turn during
+            the clip, target.
+        still: The nearest positions that show the whole motion, whose zoom and, if the cameras
+            turn, target are kept.
+        window: Number of frames before and after a frame that its camera shows as well.
+
+    Returns:
+        Distances from the targets [T], m, and displacements of the targets [T,3], m.
+    """
+    seen, halves = _Seen.by(sample, cameras), np.array(cameras[0].halves) / ROOM
+    if seen.turning:
+        seen = replace(seen, points=seen.points - (seen.axes @ still.shift)[..., None])
+    spans = [slice(max(t - window, 0), t + window + 1) for t in range(len(cameras))]
+    parts = [
+        replace(seen, points=seen.points[span], reach=seen.reach[span], axes=seen.axes[span])
+        for span in spans
+    ]
+    if seen.turning:
+        least = np.array([part._edges(halves / still.zoom).max() for part in parts])
+        stands = np.column_stack([least, np.tile(still.shift, (len(parts), 1))])
+    else:
+        places = [part.standing(halves, still.zoom) for part in parts]
+        stands = np.array([[place.distance, *place.shift] for place in places])
+    smooth = np.array([stands[span].mean(axis=0) for span in spans])
+    return smooth[:, 0], smooth[:, 1:]
+
+
 @dataclass(frozen=True)
 class _Seen:
     """A sample in camera axes."""

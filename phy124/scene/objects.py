@@ -14,8 +14,7 @@ from phy124.boundaries.base import Movable, vector
 from phy124.boundaries.motion import Free, OwnMotion, Path, Swing
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.scene.sections import FLOOR, Object, Part
-from phy124.scene.view import Background
-from phy124.schema.bounds import FileName, Name
+from phy124.schema.bounds import RGB, FileName, Name
 from phy124.schema.section import Section
 
 ShapeName = Literal["sphere", "box", "capsule"]
@@ -65,7 +64,7 @@ class SceneObject(Object):
         description="Sides of the shape along x, y and z relative to each other; the longest is "
         "`size` [m].",
     )
-    colour: Background = Field(
+    colour: RGB = Field(
         default=CREAM,
         description="Colour of the shape, or of a mesh without colours: red, green, blue from 0 to "
         "1, or CSS name.",

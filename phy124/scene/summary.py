@@ -44,7 +44,7 @@ def _describe_material(material: AnyMaterial) -> str:
     values = []
     for name, info in type(material).model_fields.items():
         unit = re.search(r"\[(.*)\]", info.description or "")
-        if name != "law":
+        if name not in ("law", "tint"):  # its motion, not its look
             value = format_number(getattr(material, name))
             values.append(f"{name} {value} {unit[1]}" if unit else f"{name} {value}")
     return f"{material.law} ({', '.join(values)})"

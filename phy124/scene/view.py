@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -16,7 +15,7 @@ from pydantic import (
 
 from phy124.camera import FOV_Y
 from phy124.scene.cameras import AnyCamera
-from phy124.schema.bounds import Colour, FileName
+from phy124.schema.bounds import RGB, FileName
 from phy124.schema.section import Section
 
 ViewName = Literal["front", "right", "back", "left", "orbit"]
@@ -24,26 +23,6 @@ Format = Literal["mp4", "webp", "gif", "png", "usd", "ply"]
 StageName = Literal["plain", "studio", "transparent"]
 Output = Literal["depth", "alpha", "normals", "flow", "velocity", "force"]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
-
-
-def _named_colour(value: Any) -> Any:
-    """Convert a CSS name or #rrggbb to channels; leave anything else to the validation."""
-    if not isinstance(value, str):
-        return value
-    from PIL import ImageColor
-
-    try:
-        return tuple(channel / 255 for channel in ImageColor.getrgb(value)[:3])
-    except ValueError:
-        close = difflib.get_close_matches(value, ImageColor.colormap, 1)
-        hint = (
-            f"did you mean {close[0]}?" if close else 'write "grey", "#808080" or [0.5, 0.5, 0.5]'
-        )
-        raise ValueError(f"this is not a CSS colour name; {hint}") from None
-
-
-Background = Annotated[tuple[Colour, Colour, Colour], BeforeValidator(_named_colour)]
-"""A colour as red, green and blue, 0 to 1."""
 
 
 def _width_and_height(size: Any) -> Any:
@@ -138,11 +117,11 @@ class View(Section):
         "shadow and the scene's boundaries; transparent: no background, for the formats webp, png "
         "and gif (in gif, pixels are opaque or fully transparent).",
     )
-    background: Background = Field(
+    background: RGB = Field(
         default=(1.0, 1.0, 1.0),
-        description="Background colour: red, green and blue from 0 to 1, or a CSS name.",
+        description="RGB colour: red, green and blue from 0 to 1, or a CSS name.",
     )
-    gradient: Background | None = Field(
+    gradient: RGB | None = Field(
         default=None,
         examples=["whitesmoke"],
         description="Colour at the bottom of a vertical gradient; absent: a uniform background.",

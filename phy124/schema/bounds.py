@@ -3,10 +3,11 @@
 They are wider than any scene needs, and narrow enough that no product of two numbers overflows.
 """
 
+import difflib
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 LONGEST = 1e5
 """Largest time [s]; a clip lasts at most 1e4 s."""
@@ -36,6 +37,26 @@ Instant = Annotated[float, Field(ge=0, le=LONGEST)]
 """A time since the start [s]."""
 Colour = Annotated[float, Field(ge=0, le=1)]
 """A channel of a colour."""
+
+
+def _named_colour(value: Any) -> Any:
+    """Convert a CSS name or #rrggbb to channels; leave anything else to the validation."""
+    if not isinstance(value, str):
+        return value
+    from PIL import ImageColor
+
+    try:
+        return tuple(channel / 255 for channel in ImageColor.getrgb(value)[:3])
+    except ValueError:
+        close = difflib.get_close_matches(value, ImageColor.colormap, 1)
+        hint = (
+            f"did you mean {close[0]}?" if close else 'write "grey", "#808080" or [0.5, 0.5, 0.5]'
+        )
+        raise ValueError(f"this is not a CSS colour name; {hint}") from None
+
+
+RGB = Annotated[tuple[Colour, Colour, Colour], BeforeValidator(_named_colour)]
+"""A colour as red, green and blue, 0 to 1."""
 
 
 def _check_text(text: str) -> str:

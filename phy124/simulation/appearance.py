@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.materials import AnyMaterial
-from phy124.materials.base import FLOWING
+from phy124.materials.base import FLOWING, SHADING
 from phy124.monitor.tearing import APART
 from phy124.particles import Particles
-from phy124.particles.grains import add_grains, vary_brightness
+from phy124.particles.grains import add_grains, tint, vary_brightness
 from phy124.scene import Scene
 from phy124.simulation.deform import of_gaussians
 
@@ -117,6 +117,10 @@ def appearance(
     shades = np.zeros(len(gaussians))
     if scene.grains:
         shades[moves] = np.array([section.shade for section in materials])[kinds]
+    for index in [k for k, section in enumerate(materials) if section.tint is not None]:
+        chosen = moves.copy()
+        chosen[moves] = kinds == index
+        gaussians = tint(gaussians, chosen, materials[index].tint, SHADING)
     return Appearance(
         vary_brightness(gaussians, shades, scene.seed) if shades.any() else gaussians,
         particles,
