@@ -117,10 +117,11 @@ def appearance(
     shades = np.zeros(len(gaussians))
     if scene.grains:
         shades[moves] = np.array([section.shade for section in materials])[kinds]
-    for index in [k for k, section in enumerate(materials) if section.tint is not None]:
-        chosen = moves.copy()
-        chosen[moves] = kinds == index
-        gaussians = tint(gaussians, chosen, materials[index].tint, SHADING)
+    for index, section in enumerate(materials):
+        if section.tint is not None:
+            chosen = moves.copy()
+            chosen[moves] = kinds == index
+            gaussians = tint(gaussians, chosen, section.tint, SHADING)
     return Appearance(
         vary_brightness(gaussians, shades, scene.seed) if shades.any() else gaussians,
         particles,
