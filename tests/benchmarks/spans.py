@@ -139,7 +139,7 @@ def summary(rows: list[dict[str, Any]]) -> str:
     said = []
     for name, some in (
         ("without loops", [row for row in rows if not row["loops"]]),
-        ("beside loops", [row for row in rows if row["loops"]]),
+        ("with loops", [row for row in rows if row["loops"]]),
         ("all", rows),
     ):
         if some:
