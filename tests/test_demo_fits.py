@@ -26,7 +26,7 @@ from phy124.io.video import write_mp4
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 from phy124.studies.fit import Fit
-from phy124.studies.fit.apart import Blind
+from phy124.studies.fit.interval import Blind
 from support.clips import falling
 from support.waiting import until
 

@@ -14,17 +14,23 @@ from phy124.io.ply import write_ply
 from phy124.progress import silent
 from phy124.scene import Scene
 from phy124.simulation.parts import WHOLE
-from phy124.studies.fit.apart import experiment, undetermined, unseen
 from phy124.studies.fit.budget import Budget, Outlook
-from phy124.studies.fit.declaration import Fit, found_in
+from phy124.studies.fit.declaration import Fit, parse_ranges
 from phy124.studies.fit.estimate import estimate
-from phy124.studies.fit.interval import bootstrap, extrapolated, shifted, unexplained
-from phy124.studies.fit.observation import Kind, at_times, refuse_outside
+from phy124.studies.fit.interval import (
+    bootstrap,
+    extrapolate,
+    find_undetermined,
+    find_unexplained,
+    find_unseen,
+    shift_values,
+    suggest_experiment,
+)
+from phy124.studies.fit.observation import Kind, Table, at_times, read_table, refuse_outside
 from phy124.studies.fit.points import Points
-from phy124.studies.fit.problem import Distance, jacobian
-from phy124.studies.fit.refine import refine
+from phy124.studies.fit.problem import Distance, differentiate
 from phy124.studies.fit.runs import Runs
-from phy124.studies.fit.table import Table, read_table
+from phy124.studies.fit.search import refine
 from phy124.studies.fit.target import Target
 from support.clips import falling
 from support.pages import PAGES, blocks
@@ -84,9 +90,9 @@ def covered(seeds):
     for seed in seeds:
         problem = Oscillator(seed, grids=(1_000_000,))
         distance = Distance(problem)
-        slopes = jacobian(problem, TRUTH, 0, 0.01)
+        slopes = differentiate(problem, TRUTH, 0, 0.01)
         found = refine(problem, distance, TRUTH + 0.02, slopes, 0)
-        weighted = distance.weighted(found.jacobian), distance.residual(found.predicted)
+        weighted = distance.weigh(found.jacobian), distance.residual(found.predicted)
         spread = bootstrap(*weighted, problem.groups, problem.kinds, seed)
         held += np.abs(found.place - TRUTH) <= spread.errors
     return held
@@ -118,13 +124,13 @@ def test_fit_of_stiffness_and_mass_is_refused():
 def test_what_nothing_depends_on_is_refused():
     names = ("material.E", "material.damping", "material.density", "boundaries.0.friction")
     problem = Oscillator(names=names, truth=np.full(4, 0.5))
-    with pytest.raises(InputError, match=r"friction: nothing that was measured .* slope"):
+    with pytest.raises(InputError, match=r"friction: no measurement .* slope"):
         estimate(problem)
 
 
 def test_a_vague_value_is_refused():
-    assert undetermined(("a", "b"), np.array([0.1, 0.2]), np.zeros(2), np.eye(2)) is None
-    blind = undetermined(("a", "b"), np.array([0.1, 0.7]), np.zeros(2), np.diag([0.01, 0.1]))
+    assert find_undetermined(("a", "b"), np.array([0.1, 0.2]), np.zeros(2), np.eye(2)) is None
+    blind = find_undetermined(("a", "b"), np.array([0.1, 0.7]), np.zeros(2), np.diag([0.01, 0.1]))
     assert blind.names == ("b",)
     assert "1.4 times the range" in str(blind.refusal())
 
@@ -132,15 +138,15 @@ def test_a_vague_value_is_refused():
 def test_misfits_on_two_grids_tell_the_error_of_the_finer_one():
     """m^2 = a^2 + (c h)^2: errors of the measurements cancel."""
     coarse, fine = (np.hypot([0.5, 2.0, 1.0], np.array([3.0, 0, 6]) / n) for n in (12, 16))
-    assert np.allclose(unexplained((12, 16), coarse, fine) * fine, [3 / 16, 0, 6 / 16])
-    assert unexplained((12, 16), [1.0], [1.1]) == 0
+    assert np.allclose(find_unexplained((12, 16), coarse, fine) * fine, [3 / 16, 0, 6 / 16])
+    assert find_unexplained((12, 16), [1.0], [1.1]) == 0
 
 
 def test_no_error_of_a_size_shifts_values_further():
     """By least squares; the error that looks most like the effect of a value shifts it so far."""
     random, kinds = np.random.default_rng(0), Oscillator().kinds
     slopes, groups = random.standard_normal((500, 2)) @ [[1, 0.6], [0, 1]], np.arange(500) // 25
-    reach = shifted(slopes, np.array([0.5]), groups, kinds)
+    reach = shift_values(slopes, np.array([0.5]), groups, kinds)
     solve = np.linalg.pinv(slopes)
     errors = np.concatenate([random.standard_normal((200, 500)), solve])
     errors *= 0.5 * np.sqrt(20) / np.linalg.norm(errors, axis=1, keepdims=True)
@@ -158,12 +164,12 @@ def test_the_error_of_the_grid_widens_an_interval(bent):
 
 
 def test_a_value_that_the_error_of_the_grid_hides_is_refused():
-    with pytest.raises(InputError, match=r"c: the error of the grid .* times the range.* To tell"):
+    with pytest.raises(InputError, match=r"c: the grid's error .* times the range.* To determine"):
         estimate(Oscillator(bent=20.0))
 
 
 def test_effects_in_different_directions_are_told_apart():
-    assert unseen(("a", "b"), np.array([[1.0, 0.5], [0, 1], [0, 0]]), 1.0) is None
+    assert find_unseen(("a", "b"), np.array([[1.0, 0.5], [0, 1], [0, 0]]), 1.0) is None
 
 
 @pytest.mark.parametrize(
@@ -177,21 +183,21 @@ def test_effects_in_different_directions_are_told_apart():
     ],
 )
 def test_an_experiment_is_named(names, words):
-    assert words in experiment(names)
+    assert words in suggest_experiment(names)
 
 
 def test_richardson_takes_the_first_power():
     places = [np.array([0.6]), np.array([0.55])]
-    assert np.allclose(extrapolated((16, 32), places, np.inf), [[0.5], [0.05]])
-    assert np.allclose(extrapolated((16, 32), places, 64), [[0.525], [0.025]])
-    assert extrapolated((16,), places[:1], 32)[1] == 0
+    assert np.allclose(extrapolate((16, 32), places, np.inf), [[0.5], [0.05]])
+    assert np.allclose(extrapolate((16, 32), places, 64), [[0.525], [0.025]])
+    assert extrapolate((16,), places[:1], 32)[1] == 0
 
 
 @pytest.mark.parametrize(
     ("text", "kind"), [("1e4..1e6", "log_uniform"), ("0.2..0.45", "uniform"), ("-1..1", "uniform")]
 )
 def test_ranges(text, kind):
-    declared = Fit.from_data({"target": "x", "find": found_in((f"material.E={text}",))})
+    declared = Fit.from_data({"target": "x", "find": parse_ranges((f"material.E={text}",))})
     assert list(declared.find["material.E"].model_dump()) == [kind]
 
 
@@ -213,7 +219,7 @@ def test_bad_declarations(data, words):
 @pytest.mark.parametrize("text", ["material.E", "=1..2"])
 def test_what_is_no_range_of_a_path(text):
     with pytest.raises(InputError, match="LEAST"):
-        found_in((text,))
+        parse_ranges((text,))
 
 
 @pytest.mark.parametrize(
@@ -254,7 +260,7 @@ def test_points_move_with_the_gaussians_near_them():
     places = np.array([[0.1, 0.2, 0.3], [0.9, 0.6, 0.7]])
     fallen = places[None] + (clip.means - rest)[:, :1]
     points = Points(tracked(fallen.reshape(-1, 3), clip.times.repeat(2), ["a", "b"] * 5), rest)
-    assert np.allclose(points.predicted(clip), points.measured, atol=1e-6)
+    assert np.allclose(points.predict(clip), points.measured, atol=1e-6)
 
 
 def test_pixels_move_with_the_gaussians_in_front():
@@ -265,12 +271,12 @@ def test_pixels_move_with_the_gaussians_in_front():
     table = Table(clip.times.repeat(3), np.array(["a", "b", "c"] * 5), seen.reshape(-1, 2), ("u",))
     points = Points(table, rest, [camera] * 5)
     assert np.all(rest[points.chosen[points.weights > 0.2], 0] == 1)
-    assert np.allclose(points.predicted(clip), points.measured, atol=0.15)
+    assert np.allclose(points.predict(clip), points.measured, atol=0.15)
 
 
 def test_points_off_the_object_or_late_are_refused():
     _, rest = falling()
-    with pytest.raises(InputError, match="away from it"):
+    with pytest.raises(InputError, match="away from the object"):
         Points(tracked(np.full((2, 3), 5.0), np.array([0, 0.1]), ["a", "a"]), rest)
     with pytest.raises(InputError, match="point b is not seen at the first instant"):
         Points(tracked(np.zeros((2, 3)), np.array([0, 0.1]), ["a", "b"]), rest)
@@ -287,7 +293,7 @@ def test_between_frames_a_spline_is_read():
 def test_a_budget_that_is_too_small_is_refused():
     outlook = Outlook((16, 24), (0.5, 2.0), 2, 2)
     outlook.refuse(600)
-    with pytest.raises(InputError, match=r"the least .* --seconds"):
+    with pytest.raises(InputError, match=r"takes at least .* --seconds"):
         outlook.refuse(10)
     clock = iter([0.0, 50.0, 50.0])
     budget = Budget(100, clock=lambda: next(clock))
@@ -299,8 +305,8 @@ def test_a_budget_that_is_too_small_is_refused():
     ("words", "sentence"),
     [
         (["points.csv", "--object", "o.ply"], "nothing is to be found"),
-        (["points.csv", "--find", "material.E=1..2"], "nothing says which object"),
-        (["gone.mp4", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "is not there"),
+        (["points.csv", "--find", "material.E=1..2"], "no object is given"),
+        (["gone.mp4", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "it is missing"),
         (["points.csv", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "until 9 s"),
     ],
 )

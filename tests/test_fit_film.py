@@ -7,11 +7,9 @@ from PIL import Image
 
 from phy124.camera import Camera
 from phy124.errors import InputError
-from phy124.studies.fit.aligning import _fitted, laid_on
 from phy124.studies.fit.declaration import Fit
-from phy124.studies.fit.page import figure, write_page
-from phy124.studies.fit.picture import ONLY_FITTED, ONLY_SEEN, Comparison
-from phy124.studies.fit.silhouettes import Silhouettes
+from phy124.studies.fit.page import ONLY_FITTED, ONLY_SEEN, Comparison, figure, write_page
+from phy124.studies.fit.silhouettes import Silhouettes, _fit_similarity, align_film
 from phy124.studies.fit.target import Target
 from phy124.studies.fit.video import read_film
 from support.clips import falling
@@ -103,7 +101,7 @@ def test_a_film_is_laid_on_the_object(tmp_path):
     shape[60:180, 80:160] = shape[60:100, 80:200] = True
     moved = np.array([[0.6, 0, 42.0], [0, 0.6, 19.7]])
     small = cv2.warpAffine(shape.astype(np.float32), moved, (320, 180)) > 0.5
-    matrix = _fitted(small, shape)
+    matrix = _fit_similarity(small, shape)
     assert matrix[0, 0] == pytest.approx(1 / 0.6, rel=0.01)
     assert np.allclose(matrix[:, 2], [-42.0 / 0.6, -19.7 / 0.6], atol=1)
 
@@ -112,13 +110,13 @@ def test_a_film_of_something_else_is_not_laid_on_it(tmp_path):
     clip, _ = falling()
     camera = Camera.orbit(0, 10, 4, 64, target=(0.5, 0.5, 0.5))
     whole = read_film(film_of(tmp_path / "film", [10, 20]))
-    film, laid = laid_on(whole, clip.frame(0).gaussians, camera)
+    film, laid = align_film(whole, clip.frame(0).gaussians, camera)
     assert film.masks.shape == (2, 256, 256) and laid.shared > 0.8
     moved = np.argwhere(film.masks[1]).mean(0) - np.argwhere(film.masks[0]).mean(0)
     assert moved[0] == pytest.approx(10 * laid.scale * 256 / 64, abs=1.0)
     thin = whole._replace(masks=whole.masks & (np.arange(64) < 22))
     with pytest.raises(InputError, match=r"share \d+% of their area"):
-        laid_on(thin, clip.frame(0).gaussians, camera)
+        align_film(thin, clip.frame(0).gaussians, camera)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +139,7 @@ def test_only_videos_are_laid_on_the_object(tmp_path):
 
 
 def test_films_that_show_nothing_are_refused(tmp_path):
-    with pytest.raises(InputError, match="picture 1 shows nothing"):
+    with pytest.raises(InputError, match="picture 1 shows no object"):
         read_film(film_of(tmp_path / "film", [10, None]))
     with pytest.raises(InputError, match="1 pictures"):
         read_film(film_of(tmp_path / "short", [10]))

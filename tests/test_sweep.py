@@ -18,22 +18,20 @@ from phy124.studies.sweep import (
     Item,
     Plan,
     Sweep,
-    expected,
-    in_turn,
+    cost,
+    forecast_sweep,
+    list_refused,
     manifest,
-    refused,
-    remaining,
+    on_ray,
     run,
     running,
 )
-from phy124.studies.sweep.archives import pack
-from phy124.studies.sweep.keys import key_of
+from phy124.studies.sweep.dataset import pack
+from phy124.studies.sweep.keys import Seen, key_of
 from phy124.studies.sweep.manifest import read_manifest
-from phy124.studies.sweep.needs import needs_of
-from phy124.studies.sweep.report import lines, write_page
-from phy124.studies.sweep.seen import Seen
+from phy124.studies.sweep.report import format_lines, write_page
 from phy124.studies.sweep.storage import Storage
-from phy124.studies.sweep.work import write_row
+from phy124.studies.sweep.work import needs_of, write_row
 from support.killing import clips_of
 from support.pages import ROOT, blocks
 from support.shapes import ball
@@ -169,12 +167,12 @@ def test_what_cannot_be_made_is_a_row_and_the_rest_goes_on(balls, tmp_path):
         "material.nu": [0.3, 0.7],
     }
     plan = Plan(declared(balls, pictures=list(sweep.pictures), set=axes))
-    assert [item.index for item, why in refused(plan)] == [1, 3]
+    assert [item.index for item, why in list_refused(plan)] == [1, 3]
     counts = run(plan, str(tmp_path / "out"), workers=0)
     assert counts.ended == {"done": 1, "refused": 3}
     rows = {row["index"]: row for row in read_manifest(Storage(str(tmp_path / "out")))}
     assert "material.nu = 0.7" in rows[1]["sentence"] and "broken.ply" in rows[2]["sentence"]
-    told = "\n".join(lines(Storage(str(tmp_path / "out"))))
+    told = "\n".join(format_lines(Storage(str(tmp_path / "out"))))
     assert "1 done, 3 refused" in told and "material.nu = 0.7" in told
 
 
@@ -199,14 +197,14 @@ def test_equal_clips_are_made_once(balls, tmp_path):
 
 
 def test_one_broken_clip_stops_no_other_and_is_tried_again(balls, tmp_path, monkeypatch):
-    whole, broken = in_turn.row_of, iter([OSError(5, "Input/output error"), RuntimeError("odd")])
+    whole, broken = on_ray.make_row, iter([OSError(5, "Input/output error"), RuntimeError("odd")])
 
     def sometimes(order, source, progress):
         if order.index in (1, 4) and (error := next(broken, None)):
             raise error
         return whole(order, source, progress)
 
-    monkeypatch.setattr(in_turn, "row_of", sometimes)
+    monkeypatch.setattr(on_ray, "make_row", sometimes)
     counts = run(Plan(declared(balls)), str(tmp_path), workers=0)
     assert counts.ended == {"done": 4, "failed": 2}
     rows = read_manifest(Storage(str(tmp_path)))
@@ -280,14 +278,14 @@ def test_tar_files_hold_clips_beside_their_rows(made):
 
 def test_the_report_has_a_picture_of_each_clip(made):
     storage = Storage(str(made))
-    told = "\n".join(lines(storage))
+    told = "\n".join(format_lines(storage))
     assert told.startswith("6 clips: 6 done") and "by material.E:" in told
     page = Path(write_page(storage)).read_text()
     assert page.count("<img") == 6 and "largest force on a wall" in page
 
 
 def test_the_cost_is_told_from_a_few_clips(balls):
-    told = expected(
+    told = forecast_sweep(
         Plan(
             declared(
                 balls, set={**declared(balls).model_dump(by_alias=True)["set"], "material.E": [1e4]}
@@ -344,15 +342,15 @@ def test_the_time_left_is_told_within_a_fifth(balls, workers):
     spread = {"first": 1e4, "last": 1e6, "count": 100, "spacing": "log"}
     axes = {"material.E": spread, "accuracy.cells": 24}
     plan = Plan(declared(balls, pictures=str(balls / "a.ply"), set=axes))
-    costs = [0.4 + 3 * remaining.load(plan.scene_of(item), films=False) for item in plan]
+    costs = [0.4 + 3 * cost.work_of(plan.scene_of(item), films=False) for item in plan]
     free, ends = [0.0] * workers, []
-    for index, cost in enumerate(costs):
-        heapq.heapreplace(free, end := free[0] + cost)
+    for index, seconds in enumerate(costs):
+        heapq.heapreplace(free, end := free[0] + seconds)
         ends.append((end, index))
     now = 0.0
-    told = remaining.Remaining(plan, range(100), clock=lambda: now)
+    told = cost.Remaining(plan, range(100), clock=lambda: now)
     for count, (now, index) in enumerate(sorted(ends), 1):
-        told.ended({"index": index, "written": now, "seconds": {"clip": costs[index]}})
+        told.note_finished({"index": index, "written": now, "seconds": {"clip": costs[index]}})
         if count in (25, 50, 75):
             left = max(free) - now
             assert told.left(100 - count) == pytest.approx(left, rel=0.2)

@@ -16,9 +16,8 @@ import pytest
 from phy124.io.ply import write_ply
 from phy124.studies.sweep import Dataset, Plan, Sweep, run
 from phy124.studies.sweep.manifest import read_manifest
-from phy124.studies.sweep.needs import Needs
 from phy124.studies.sweep.storage import Storage
-from phy124.studies.sweep.work import Order
+from phy124.studies.sweep.work import Needs, Order
 from support.killing import clips_of, killer, made
 from support.shapes import ball
 

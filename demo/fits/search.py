@@ -18,7 +18,7 @@ from phy124.runtime.isolated import Deadline, Unfinished
 from phy124.scene import Scene
 from phy124.scene.files import files_named
 from phy124.studies.fit import Fit, Outlook, fit
-from phy124.studies.fit.apart import Undecided
+from phy124.studies.fit.interval import Undecided
 from phy124.studies.fit.runs import FOLDER
 
 from ..studies import on_grid
@@ -133,7 +133,7 @@ def _searched(wanted: Fit, out: Path) -> dict[str, Any]:
         with replacing(out / PLAN) as temporary:
             temporary.write_text(json.dumps(expected.data()), "utf-8")
 
-    found = fit(wanted, out, told=plan).report
+    found = fit(wanted, out, on_forecast=plan).report
     # A visitor need not know where files of this server are.
     found |= {"target": "video", "declared": {**found["declared"], **_named(wanted)}}
     with replacing(out / REPORT) as temporary:

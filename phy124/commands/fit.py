@@ -16,7 +16,7 @@ from phy124.runtime.cores import cores
 from phy124.scene import parse_changes
 from phy124.studies.fit import Fit as Declared
 from phy124.studies.fit import Outlook, fit, forecast
-from phy124.studies.fit.declaration import found_in
+from phy124.studies.fit.declaration import parse_ranges
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Fit:
             try:
                 found = fit(
                     declared, out, workers=workers, progress=bars,
-                    told=lambda expected: self._tell(bars, expected),
+                    on_forecast=lambda expected: self._tell(bars, expected),
                 )  # fmt: skip
             except Cancelled:
                 return bars.status(f"the same command goes on; runs so far are in {out}")
@@ -89,7 +89,7 @@ class Fit:
             data["align"] = True
         if self.grids is not None:
             data["grids"] = [part for part in self.grids.split(",") if part.strip()]
-        for name, given in (("find", found_in(self.find)), ("set", parse_changes(self.set))):
+        for name, given in (("find", parse_ranges(self.find)), ("set", parse_changes(self.set))):
             if given:
                 data[name] = {**data.get(name, {}), **given}
         if not data.get("find"):

@@ -14,10 +14,10 @@ from phy124.commands.options import Device
 from phy124.errors import InputError
 from phy124.runtime.cores import cores
 from phy124.runtime.device import pick_device
-from phy124.studies.sweep import Counts, Plan, expected, refused, run
+from phy124.studies.sweep import Counts, Plan, forecast_sweep, list_refused, run
 from phy124.studies.sweep import Sweep as Declared
-from phy124.studies.sweep.archives import pack
-from phy124.studies.sweep.report import lines, write_page
+from phy124.studies.sweep.dataset import pack
+from phy124.studies.sweep.report import format_lines, write_page
 from phy124.studies.sweep.storage import Storage
 
 
@@ -80,15 +80,15 @@ class Sweep:
             limit = "report needs the folder of a sweep."
             raise InputError("folder", None, limit, "Write phy124 sweep report DIR.")
         storage = Storage(self.folder)
-        print("\n".join(lines(storage)))
+        print("\n".join(format_lines(storage)))
         print(write_page(storage))
         return 0
 
     def _foretell(self, plan: Plan, device: str) -> int:
         """Print what the sweep would take."""
         with Bars(quiet=self.json) as bars:
-            bad = list(refused(plan, bars))
-            told = expected(plan, device, bars)
+            bad = list(list_refused(plan, bars))
+            told = forecast_sweep(plan, device, bars)
         workers = self.workers or cores()
         if self.json:
             rows = [{"index": item.index, "sentence": why} for item, why in bad]

@@ -1,7 +1,7 @@
-"""Fitting: from what was seen of an object back to its material and its start.
+"""Fitting: finds an object's material and initial motion from observations of its motion.
 
-found = fit(Fit.from_data(Fit.from_toml("fit.toml")), Path("out/fit"))
-found.scene, found.report
+fitted = fit(Fit.from_data(Fit.from_toml("fit.toml")), Path("out/fit"))
+fitted.scene, fitted.report
 """
 
 from phy124.studies.fit.budget import Outlook

@@ -1,4 +1,4 @@
-"""Time: what a fit will take, told before it begins, and how much of it is left."""
+"""The time of a fit: its forecast before the first run, and the time left."""
 
 from __future__ import annotations
 
@@ -14,26 +14,25 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.scene import Scene
 from phy124.simulation.parts import WHOLE, Crop
-from phy124.studies.fit.refine import HALVES
-from phy124.studies.fit.search import generation, screening
+from phy124.studies.fit.search import HALVES, generation_size, log2_screened
 
 FEWEST = 6
-"""Generations without which a search is none."""
+"""Smallest useful number of generations of a search."""
 USUAL = 20
-"""Generations that most searches take."""
+"""Typical number of generations."""
 ROUNDS = 3
-"""Steps of refinement that most grids take."""
+"""Typical number of refinement steps per grid."""
 STARTING = 3.0
 """Time until worker processes are ready [s]."""
 
 
 @dataclass
 class Budget:
-    """A number of seconds, and what of it is spent."""
+    """A number of seconds, and the time spent."""
 
     seconds: float
     expected: int = 0
-    """Runs that are expected."""
+    """Forecast number of runs."""
     clock: Callable[[], float] = time.perf_counter
     _begun: float = field(init=False)
 
@@ -42,35 +41,35 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """Since it began [s]."""
+        """Time since the start [s]."""
         return self.clock() - self._begun
 
     def late(self, part: float) -> bool:
-        """Whether more than a part of it is spent."""
+        """Whether more than a fraction of the time is spent."""
         return self.spent > part * self.seconds
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a fit is expected to take."""
+    """The forecast of a fit's runs and time."""
 
     grids: tuple[int, ...]
     each: tuple[float, ...]
-    """Time of one run on each grid, one core [s]."""
+    """Time of a run on each grid, on one core [s]."""
     values: int
-    """How many are to be found."""
+    """Number of values to find."""
     workers: int
 
     def runs(self, generations: int = USUAL) -> list[int]:
-        """Runs on each grid, if the search has so many generations."""
+        """Return the number of runs on each grid for a number of generations."""
         steps, slopes = len(HALVES) * ROUNDS + 1, 2 * self.values
-        first = 2 ** screening(self.values) + generations * generation(self.values)
-        found = [first + 2 * slopes + 2 * steps] + [steps] * (len(self.grids) - 1)
-        found[-1] += slopes + steps
-        return found
+        first = 2 ** log2_screened(self.values) + generations * generation_size(self.values)
+        counts = [first + 2 * slopes + 2 * steps] + [steps] * (len(self.grids) - 1)
+        counts[-1] += slopes + steps
+        return counts
 
     def wall(self, generations: int) -> float:
-        """Time if all workers are always busy [s]."""
+        """Return the time if all workers are always busy [s]."""
         work = np.dot(self.runs(generations), self.each)
         return float(work) / self.workers + (STARTING if self.workers > 1 else 0.0)
 
@@ -78,44 +77,43 @@ class Outlook:
         """Refuse a budget that is too small.
 
         Raises:
-            InputError: It is.
+            InputError: The budget is below the smallest useful time.
         """
         least = self.wall(FEWEST)
         if seconds < least:
-            limit = f"the least that this fit takes is about {least:.0f} s ({self.sentence()})."
+            limit = f"this fit takes at least about {least:.0f} s ({self.sentence()})."
             remedy = f"Give --seconds {1.2 * self.wall(USUAL):.0f}."
             raise InputError("seconds", f"{seconds:g}", limit, remedy)
 
     def data(self) -> dict[str, Any]:
-        """Plain data for scripts."""
+        """Return plain data for scripts."""
         return {
             "grids": self.grids, "each": self.each, "runs": self.runs(),
             "workers": self.workers, "seconds": self.wall(USUAL), "least": self.wall(FEWEST),
         }  # fmt: skip
 
     def sentence(self) -> str:
-        """For people."""
-        runs, told = self.runs(), []
-        for cells, each, count in zip(self.grids, self.each, runs, strict=True):
-            told.append(f"{count} runs of {each:.2f} s on {cells} cells")
-        return f"about {', '.join(told)}, {self.workers} at once: {self.wall(USUAL):.0f} s"
+        """Describe the forecast in a sentence."""
+        rows = zip(self.runs(), self.each, self.grids, strict=True)
+        parts = [f"{count} runs of {each:.2f} s on {cells} cells" for count, each, cells in rows]
+        return f"about {', '.join(parts)}, {self.workers} at once: {self.wall(USUAL):.0f} s"
 
 
-def outlook(
+def make_outlook(
     gaussians: Gaussians, scenes: Sequence[Scene], values: int, workers: int, crop: Crop = WHOLE
 ) -> Outlook:
-    """What a fit is expected to take.
+    """Forecast the time of a fit.
 
     Args:
         gaussians: The object.
         scenes: The scene in the middle of the ranges, on each grid.
-        values: How many are to be found.
-        workers: Processes that run at once.
-        crop: Where the object is in its picture.
+        values: Number of values to find.
+        workers: Number of processes.
+        crop: Position of the object in its picture.
     """
     forecaster, each = Forecaster("cpu", threads=1), []
     for scene in scenes:
-        told = forecaster.forecast(gaussians, scene, crop=crop).stages
-        each.append(told["particles"] + told["simulate"] + told["deform"])
+        stages = forecaster.forecast(gaussians, scene, crop=crop).stages
+        each.append(stages["particles"] + stages["simulate"] + stages["deform"])
     grids = tuple(scene.resolution.cells for scene in scenes)
     return Outlook(grids, tuple(each), values, max(workers, 1))

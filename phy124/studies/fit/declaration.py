@@ -1,4 +1,4 @@
-"""A fit: what was seen, of which object in which scene, and what is to be found."""
+"""The declaration of a fit: observations, object, scene, and the values to find."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from phy124.schema.section import Section
 from phy124.studies.sweep.axes import LogUniform, Uniform
 
 DECADE = 10.0
-"""A range written as 1e4..1e6 is even in the logarithm if its ends differ by this factor."""
+"""A range such as 1e4..1e6 is sampled logarithmically if its ends differ by this factor."""
 
 
-def ranged(data: Any) -> Any:
-    """Plain data of a range: text such as 1e4..1e6, or a table as in a sweep.
+def parse_range(data: Any) -> Any:
+    """Convert a text such as 1e4..1e6 to plain data of a range; tables, as in a sweep, are kept.
 
     Raises:
-        ValueError: It is neither.
+        ValueError: The text is no range.
     """
     if not isinstance(data, str):
         return data
     try:
         low, high = (float(end) for end in data.split(".."))
     except ValueError:
-        raise ValueError("it is no range. Write 1e4..1e6, say.") from None
+        raise ValueError("it is no range. Write for example 1e4..1e6.") from None
     if not low < high:
         raise ValueError(f"{low:g} is not below {high:g}. Give the smaller one first.")
     log = low > 0 and high >= DECADE * low
@@ -36,7 +36,7 @@ def ranged(data: Any) -> Any:
 
 
 def _kind(data: Any) -> str:
-    """Which kind of range plain data is; what is neither is refused as the first."""
+    """Return the tag of a range's kind; invalid data gets the first tag, and is refused there."""
     log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
     return "log" if log else "even"
 
@@ -45,16 +45,16 @@ Range = Annotated[
     Annotated[
         Annotated[LogUniform, Tag("log")] | Annotated[Uniform, Tag("even")], Discriminator(_kind)
     ],
-    BeforeValidator(ranged),
+    BeforeValidator(parse_range),
 ]
 Cells = Annotated[int, Field(ge=4, le=256)]
 
 
 class Fit(Section):
-    """What is to be found, and from what."""
+    """The values to find, and the observations to find them from."""
 
     target: str = Field(
-        description="What was seen: a clip or its folder, a .csv file of tracked points, or a "
+        description="Observations: a clip or its folder, a .csv file of tracked points, or a "
         "video or folder of pictures."
     )
     object: str | None = Field(
@@ -78,18 +78,18 @@ class Fit(Section):
         description="A .csv file of the forces measured on walls: time, wall, fx, fy, fz.",
     )
     side: str = Field(
-        default="front", description="Where pixels and videos are seen from, as the view names it."
+        default="front", description="Side or camera of the view that saw pixels and videos."
     )
     fps: float | None = Field(
         default=None,
         gt=0,
         le=1000,
-        description="Pictures per second of a video or folder; absent: as the file says, else as "
+        description="Pictures per second of a video or folder; default: those of the file, else of "
         "the scene [1/s].",
     )
     align: bool = Field(
         default=False,
-        description="Lay a video's first picture on the object at rest, as its camera is unknown.",
+        description="Align a video's first picture with the object at rest (unknown camera).",
     )
     gaussians: int | None = Field(default=None, ge=1, description="Largest number of Gaussians.")
     grids: tuple[Cells, ...] = Field(
@@ -98,7 +98,7 @@ class Fit(Section):
         max_length=4,
         description="Cells across the object: searched on the first, refined on the others.",
     )
-    seconds: float = Field(default=300.0, ge=1, le=1e7, description="How long it may take [s].")
+    seconds: float = Field(default=300.0, ge=1, le=1e7, description="Largest duration [s].")
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="Seed of search and intervals.")
 
     @field_validator("grids")
@@ -113,7 +113,7 @@ class Fit(Section):
         """Validate plain data.
 
         Raises:
-            InputError: It is no fit; the message names field, value, limit and remedy.
+            InputError: The data is no fit; the message names field, value, limit and remedy.
         """
         try:
             return cls.model_validate(data)
@@ -122,27 +122,27 @@ class Fit(Section):
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> dict[str, Any]:
-        """The plain data of a file, which options may still change.
+        """Read the plain data of a file, which options may still change.
 
         Raises:
-            InputError: It is missing or is not TOML.
+            InputError: The file is missing or is not TOML.
         """
         return read_toml(path, "fit")
 
 
-def found_in(texts: tuple[str, ...]) -> dict[str, str]:
-    """Texts such as material.E=1e4..1e6 as a dict of paths and ranges.
+def parse_ranges(texts: tuple[str, ...]) -> dict[str, str]:
+    """Convert texts such as material.E=1e4..1e6 to a dict of paths and ranges.
 
     Raises:
-        InputError: One is no such text, or names a path twice.
+        InputError: A text has another form, or repeats a path.
     """
     ranges: dict[str, str] = {}
     for text in texts:
-        path, equals, given = (part.strip() for part in text.partition("="))
+        path, equals, text = (part.strip() for part in text.partition("="))
         if not (path and equals):
             limit = "it is not PATH=LEAST..LARGEST."
-            raise InputError("find", text, limit, "Write material.E=1e4..1e6, say.")
+            raise InputError("find", text, limit, "Write for example material.E=1e4..1e6.")
         if path in ranges:
             raise InputError("find", text, f"{path} is given twice.", "Give it once.")
-        ranges[path] = given
+        ranges[path] = text
     return ranges

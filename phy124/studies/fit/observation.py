@@ -1,41 +1,107 @@
-"""Observations: what was measured, and what a clip would have shown instead."""
+"""Observations: measurements from tables, and their prediction from a clip."""
 
 from __future__ import annotations
 
+import csv
+import os
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.errors import InputError
+from phy124.errors import InputError, suggest
 from phy124.io.clip import Clip
-from phy124.studies.fit.table import Values
+
+Values = NDArray[np.float64]
+
+
+class Table(NamedTuple):
+    """Measurements, a row each."""
+
+    times: Values
+    """Times [R], s."""
+    names: NDArray[np.str_]
+    """Names of points or walls [R]."""
+    values: Values
+    """[R,C]."""
+    columns: tuple[str, ...]
+    """Names of the values [C]."""
+
+
+def read_table(
+    path: str | os.PathLike[str], field: str, name: str, kinds: Sequence[tuple[str, ...]]
+) -> Table:
+    """Read a file of measurements.
+
+    Args:
+        path: The file.
+        field: The option that names the file.
+        name: The column with the name of a point or wall.
+        kinds: The possible sets of columns with values.
+
+    Raises:
+        InputError: The file cannot be read, lacks a column, has no rows, or a value is no number.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            lines = [line for line in csv.reader(file) if any(cell.strip() for cell in line)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        limit = f"it cannot be read ({getattr(error, 'strerror', None) or 'it is no text'})."
+        raise InputError(field, path, limit, "Give a .csv file.") from None
+    header = [cell.strip().lower() for cell in lines[0]] if lines else []
+    columns = next((kind for kind in kinds if set(kind) <= set(header)), None)
+    if columns is None or not {"time", name} <= set(header):
+        ways = " or ".join(",".join(("time", name, *kind)) for kind in kinds)
+        limit = f"its first line is {','.join(header)!r}."
+        raise InputError(field, path, limit, f"Begin it with {ways}.")
+    if len(lines) == 1:
+        raise InputError(field, path, "it has no rows.", "Give at least two instants.")
+    places = [header.index(column) for column in ("time", *columns)]
+    numbers = np.array([_numbers(path, field, i, line, places) for i, line in enumerate(lines[1:])])
+    names = np.array([line[header.index(name)].strip() for line in lines[1:]])
+    return Table(numbers[:, 0], names, numbers[:, 1:], columns)
+
+
+def _numbers(
+    path: object, field: str, index: int, line: list[str], places: list[int]
+) -> list[float]:
+    """Return the numbers of a row."""
+    try:
+        numbers = [float(line[place]) for place in places]
+    except (ValueError, IndexError):
+        numbers = [np.nan]
+    if not np.isfinite(numbers).all():
+        limit = f"row {index + 1} ({','.join(line)[:60]}) has values that are not finite numbers."
+        raise InputError(field, path, limit, "Leave out the rows in which a point was not seen.")
+    return numbers
+
 
 Groups = NDArray[np.int64]
 ROUNDED = 1e-3
-"""Times in files may be rounded by this much [s]."""
+"""Largest rounding of times in files [s]."""
 
 
 class Observation(Protocol):
     """Measurements of one kind."""
 
     name: str
-    """What they are, in the plural."""
+    """Name of the measurements, in the plural."""
     unit: str
     measured: Values
     """[M]."""
     groups: Groups
-    """Which of them err together, numbered from 0 [M]: those of one point, say."""
+    """Group of each measurement, from 0 [M]; errors in a group, such as a point, are correlated."""
     last: float
-    """When the last one was made [s]."""
+    """Time of the last measurement [s]."""
 
-    def predicted(self, clip: Clip) -> Values:
-        """The same of a clip [M]."""
+    def predict(self, clip: Clip) -> Values:
+        """Return the measurements of a clip [M]."""
         ...
 
 
 class Kind(NamedTuple):
-    """Where the measurements of one kind are among all."""
+    """Position of the measurements of a kind among all measurements."""
 
     name: str
     unit: str
@@ -43,7 +109,7 @@ class Kind(NamedTuple):
 
 
 class Observations:
-    """All that was measured, as one vector."""
+    """All measurements, as one vector."""
 
     def __init__(self, parts: list[Observation]) -> None:
         self.parts = parts
@@ -59,21 +125,21 @@ class Observations:
 
     @property
     def last(self) -> float:
-        """When the last measurement was made [s]."""
+        """Time of the last measurement [s]."""
         return max(part.last for part in self.parts)
 
-    def predicted(self, clip: Clip) -> Values:
-        """The same of a clip [M]."""
-        return np.concatenate([part.predicted(clip) for part in self.parts])
+    def predict(self, clip: Clip) -> Values:
+        """Return the measurements of a clip [M]."""
+        return np.concatenate([part.predict(clip) for part in self.parts])
 
 
 def at_times(times: Values, values: Values, wanted: Values) -> Values:
-    """Values [T,...] at other instants [R]: as they are where these are frames, else by a spline.
+    """Return values [T,...] at other instants [R]: unchanged if these are frames, else by a spline.
 
     Args:
         times: Instants of the values [T], s.
         values: The values.
-        wanted: The instants asked for [R], s.
+        wanted: The other instants [R], s.
     """
     nearest = np.abs(times[None] - wanted[:, None]).argmin(1)
     if np.allclose(times[nearest], wanted, atol=ROUNDED / 10):
@@ -84,16 +150,16 @@ def at_times(times: Values, values: Values, wanted: Values) -> Values:
 
 
 def refuse_outside(field: str, source: object, times: Values, length: float) -> None:
-    """Make sure that a scene lasts as long as what was measured.
+    """Refuse measurements before the beginning or after the end of a scene.
 
     Args:
-        field: The option that named the measurements.
-        source: Where they are.
-        times: When they were made [s].
-        length: When the scene's last frame is [s].
+        field: The option that names the measurements.
+        source: Their file.
+        times: Their times [s].
+        length: Time of the scene's last frame [s].
 
     Raises:
-        InputError: Some are before its beginning or after its end.
+        InputError: A measurement is outside.
     """
     if times.min() < -ROUNDED:
         limit = f"it begins at {times.min():.3g} s, before the scene, which begins at 0."
@@ -102,3 +168,35 @@ def refuse_outside(field: str, source: object, times: Values, length: float) -> 
         limit = f"it goes on until {times.max():.3g} s, and the scene's last frame is at "
         remedy = f"Add --set time.seconds={times.max() + 0.1:.3g}, or shorten it."
         raise InputError(field, source, f"{limit}{length:.3g} s.", remedy)
+
+
+class Forces:
+    """Forces on walls, each the mean since the previous frame."""
+
+    name, unit = "forces", "N"
+
+    def __init__(self, table: Table, walls: tuple[str, ...]) -> None:
+        """Find the walls.
+
+        Args:
+            table: Times, names of walls, and forces.
+            walls: Names of the walls of the scene.
+
+        Raises:
+            InputError: The scene has no wall with a name.
+        """
+        for name in table.names:
+            if name not in walls:
+                limit = "the scene has no wall of that name."
+                remedy = suggest(str(name), walls) if walls else "Give it a boundary."
+                raise InputError("forces", name, limit, remedy)
+        self._wall = np.array([walls.index(str(name)) for name in table.names])
+        self._times, self.last = table.times, float(table.times.max())
+        self.measured: Values = table.values.ravel()
+        self.groups: Groups = np.repeat(np.arange(len(table.times)), 3)
+
+    def predict(self, clip: Clip) -> Values:
+        """Return the forces of a clip."""
+        assert clip.wrenches is not None
+        instants, row = np.unique(self._times, return_inverse=True)
+        return at_times(clip.times, clip.wrenches[:, :, 0], instants)[row, self._wall].ravel()

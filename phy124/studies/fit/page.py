@@ -1,24 +1,37 @@
-"""The page of a fit: film and fitted scene picture by picture, and the curves of their distance.
+"""The comparison of film and fitted scene: as a page, a film, and a sheet of pictures.
 
-`figure` is shown by the web page, too, which serves the script and the style from phy124/io/viewer.
+The web page shows `figure`, too; it serves the script and the style from phy124/io/viewer.
 """
 
 from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from phy124.camera import Camera
+from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.io.html import VIEWER
-from phy124.studies.fit.report import table
+from phy124.io.video import write_mp4
+from phy124.rendering.render import Renderer, to_bytes
+from phy124.studies.fit.observation import Values
+from phy124.studies.fit.report import format_table
+from phy124.studies.fit.silhouettes import smaller
+from phy124.studies.fit.video import Film
 
 WIDTH, HEIGHT, TOP, BOTTOM, MARGIN = 300, 110, 6, 92, 6
 COLOURS = ("#d55e00", "#0072b2")
-"""Of the difference: only filmed, only fitted (phy124.studies.fit.picture)."""
+"""Colours of the difference: only filmed, only fitted (`ONLY_SEEN`, `ONLY_FITTED`)."""
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -37,12 +50,12 @@ Phy124Compare(document.querySelector('.compare'));</script>
 
 
 def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
-    """Write one HTML file with the film inside, which any browser shows without a network.
+    """Write an HTML file that contains the film, for any browser, without a network.
 
     Args:
         path: The file.
         report: The report of a fit to a film.
-        film: The MP4 of film and fitted scene side by side.
+        film: The MP4 of film, fitted scene and difference.
     """
     data = base64.b64encode(film.read_bytes()).decode()
     page = PAGE.format(
@@ -50,18 +63,18 @@ def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
         style=(VIEWER / "compare.css").read_text("utf-8"),
         script=(VIEWER / "compare.js").read_text("utf-8"),
         figure=figure(report, f"data:video/mp4;base64,{data}"),
-        table=escape(table(report)),
+        table=escape(format_table(report)),
     )
     with replacing(path) as temporary:
         temporary.write_text(page, "utf-8")
 
 
 def figure(report: dict[str, Any], film: str) -> str:
-    """The film with its slider, and the curves, as HTML; all of its text is escaped.
+    """Return the film with its slider, and the curves, as HTML with escaped text.
 
     Args:
         report: The report of a fit to a film.
-        film: Address of the MP4 of film and fitted scene side by side.
+        film: Address of the MP4 of film, fitted scene and difference.
     """
     shown = report["pictures"]
     times = " ".join(f"{time:g}" for time in shown["times"])
@@ -84,7 +97,7 @@ def figure(report: dict[str, Any], film: str) -> str:
 
 
 def distances(shown: dict[str, Any]) -> str:
-    """The curve of the distance in each picture, before and after the fit, as SVG."""
+    """Return the curve of the distance in each picture, before and after the fit, as SVG."""
     times = shown["times"]
     lines = {name: shown[name] for name in ("before", "fitted") if shown[name]}
     highest = max((max(line) for line in lines.values()), default=0.0) or 1.0
@@ -102,21 +115,21 @@ def distances(shown: dict[str, Any]) -> str:
 
 
 def trials(report: dict[str, Any], name: str) -> str:
-    """The curve of the distance over a value: all that were tried, and the interval, as SVG."""
-    tried = [one for one in report["tried"] if one["misfits"]]
+    """Return the distances over all tried numbers of a value, and its interval, as SVG."""
+    tried = [run for run in report["tried"] if run["misfits"]]
     log = "log_uniform" in report["declared"]["find"][name]
-    values = [float(one["values"][name]) for one in tried]
-    off = [float(one["misfits"][0]) for one in tried]
-    unit, found = next(iter(report["measured"].values()))["unit"], report["found"][name]
+    values = [float(run["values"][name]) for run in tried]
+    off = [float(run["misfits"][0]) for run in tried]
+    unit, fitted = next(iter(report["measured"].values()))["unit"], report["found"][name]
     x = _scale(values, MARGIN, WIDTH - MARGIN, log=log)
     y = _scale([0.0, *off], BOTTOM, TOP)
-    low, high = (min(max(x(end), MARGIN), WIDTH - MARGIN) for end in found["interval"])
+    low, high = (min(max(x(end), MARGIN), WIDTH - MARGIN) for end in fitted["interval"])
     band = f'<rect class="interval" x="{low:.1f}" y="{TOP}" height="{BOTTOM - TOP}" '
     band += f'width="{max(high - low, 1):.1f}"/>'
     dots = [
-        f'<circle class="dot{" finer" if one["level"] else ""}" r="2.5" '
+        f'<circle class="dot{" finer" if run["level"] else ""}" r="2.5" '
         f'cx="{x(value):.1f}" cy="{y(miss):.1f}"/>'
-        for one, value, miss in zip(tried, values, off, strict=True)
+        for run, value, miss in zip(tried, values, off, strict=True)
     ]
     label = f"Distance over {name}, up to {max(off):.3g} {unit}; blue: finer grids; band: 95 %"
     return _plot(label, [band, *dots], f"{min(values):.3g}", f"{max(values):.3g}")
@@ -139,8 +152,68 @@ def _point(x: float, y: float) -> str:
 def _scale(
     values: Sequence[float], start: float, end: float, *, log: bool = False
 ) -> Callable[[float], float]:
-    """A function from values to positions on an axis."""
+    """Return a function from values to positions on an axis."""
     turn = math.log if log else float
     low, high = turn(min(values)), turn(max(values))
     span = (high - low) or 1.0
     return lambda value: start + (end - start) * (turn(value) - low) / span
+
+
+ROWS = 8
+"""Largest number of rows of the sheet."""
+PICTURE_HEIGHT = 192
+"""Height of each picture [pixels]."""
+BOTH, ONLY_SEEN, ONLY_FITTED = (225, 225, 225), (213, 94, 0), (0, 114, 178)
+"""Colours of the difference, which colour-blind people can distinguish."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A film and the clip that was fitted to it, seen by the same camera."""
+
+    film: Film
+    times: Values
+    """Times of the film's pictures [T], s."""
+    clip: Clip
+    """The fitted scene."""
+    cameras: Sequence[Camera]
+    """Camera of each frame of the clip."""
+
+    def write_sheet(self, path: Path) -> None:
+        """Write a picture with a row per instant: target, fitted, and difference."""
+        count = len(self.times)
+        shown = np.unique(np.linspace(0, count - 1, min(ROWS, count)).round().astype(int))
+        Image.fromarray(np.concatenate([*self._rows(shown)])).save(path)
+
+    def write_film(self, path: Path, fps: float) -> None:
+        """Write an MP4 of all pictures: target, fitted, and difference side by side.
+
+        Args:
+            path: The file.
+            fps: Pictures per second.
+        """
+        write_mp4(path, self._rows(range(len(self.times))), fps=fps)
+
+    def _rows(self, shown: Iterable[int]) -> Iterator[NDArray[np.uint8]]:
+        """Yield target, fitted, and difference at some instants."""
+        draw = Renderer(device="cpu")
+        for number in shown:
+            frame = int(np.abs(self.clip.times - self.times[number]).argmin())
+            camera = self.cameras[frame]
+            size = (round(camera.width * PICTURE_HEIGHT / camera.height), PICTURE_HEIGHT)
+            seen = smaller(camera, size)
+            fitted = draw(self.clip.frame(frame).gaussians, seen, alpha=True)
+            target = cv2.resize(self.film.pictures[number], size, interpolation=cv2.INTER_AREA)
+            mask = self.film.masks[number].astype(np.float32)
+            covered = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
+            apart = difference(covered > 0.5, fitted[..., 3] > 0.5)
+            yield np.concatenate([target, to_bytes(fitted[..., :3]), apart], axis=1)
+
+
+def difference(seen: NDArray[np.bool_], fitted: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Colour the pixels of both masks, of the first only, and of the second only [H,W,3]."""
+    picture = np.full((*seen.shape, 3), 255, np.uint8)
+    picture[seen & fitted] = BOTH
+    picture[seen & ~fitted] = ONLY_SEEN
+    picture[fitted & ~seen] = ONLY_FITTED
+    return picture

@@ -1,4 +1,4 @@
-"""Tracked points: places of points of the object, in space or in pixels, at some instants."""
+"""Tracked points: positions of points of the object, in space or in pixels, over time."""
 
 from __future__ import annotations
 
@@ -10,34 +10,33 @@ from numpy.typing import NDArray
 from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.io.clip import Clip
-from phy124.studies.fit.observation import Groups, at_times
-from phy124.studies.fit.table import Table, Values
+from phy124.studies.fit.observation import Groups, Table, Values, at_times
 
 NEIGHBOURS = 4
-"""Gaussians that a point moves with."""
+"""Number of Gaussians that carry a point."""
 FAR = 0.2
-"""Farthest a point may be from the object, as a fraction of its size."""
+"""Largest distance of a point from the object, as a fraction of its size."""
 FEW = 8
-"""With fewer points than this, each instant of a point is taken to err by itself."""
+"""Number of points below which errors at different instants count as independent."""
 
 
 class Points:
     """Points that move with the Gaussians nearest to them at the start.
 
-    Where a point is within the object is known no better than its first place was measured, so each
-    track is compared after its mean was taken away.
+    A point's position within the object is only as accurate as its first measurement, so each
+    track's mean is subtracted before comparison.
     """
 
     def __init__(self, table: Table, rest: Values, cameras: Sequence[Camera] | None = None) -> None:
         """Attach the points to the object.
 
         Args:
-            table: Where they were: x, y, z in metres, or u, v in pixels.
-            rest: The object's Gaussians in the first frame [N,3], m.
-            cameras: What sees the pixels, for each frame; None for places in metres.
+            table: Positions: x, y, z in metres, or u, v in pixels.
+            rest: Centres of the object's Gaussians in the first frame [N,3], m.
+            cameras: Camera of each frame, for pixels; None for positions in metres.
 
         Raises:
-            InputError: A point is not seen in the first frame, or is not on the object.
+            InputError: A point is missing in the first frame, or is not on the object.
         """
         self.unit, self.cameras = "m" if cameras is None else "px", cameras
         self.name = "points" if cameras is None else "pixels"
@@ -53,8 +52,8 @@ class Points:
             np.arange(len(table.times)) if single else self._track, width
         )
 
-    def predicted(self, clip: Clip) -> Values:
-        """Where a clip has them."""
+    def predict(self, clip: Clip) -> Values:
+        """Return the positions in a clip."""
         means = clip.means[:, self.chosen.ravel()].astype(np.float64)
         shape = (len(means), *self.chosen.shape, 3)
         tracks = (means.reshape(shape) * self.weights[None, :, :, None]).sum(2)
@@ -65,20 +64,22 @@ class Points:
         return self._shape(at_times(clip.times, tracks, instants)[row, self._track])
 
     def _shape(self, values: Values) -> Values:
-        """Values [R,C] without the mean of each track, as a vector."""
+        """Subtract the mean of each track from values [R,C], and flatten them."""
         counts = np.bincount(self._track)[:, None]
         sums = np.stack([np.bincount(self._track, column) for column in values.T], axis=1)
         return (values - (sums / counts)[self._track]).ravel()
 
 
 def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
-    """The place of each point at the first instant [K,C]."""
+    """Return the position of each point at the first instant [K,C]."""
     start = np.flatnonzero(table.times <= table.times.min() + 1e-9)
     places = {int(track[row]): table.values[row] for row in start}
     missing = [name for number, name in enumerate(names) if number not in places]
     if missing:
         limit = f"point {missing[0]} is not seen at the first instant, {table.times.min():g} s."
-        raise InputError("target", f"{len(names)} points", limit, "Leave out what appears later.")
+        raise InputError(
+            "target", f"{len(names)} points", limit, "Leave out points that appear later."
+        )
     if len(np.unique(table.times)) < 2:
         limit = "there is only one instant."
         raise InputError("target", f"{len(names)} points", limit, "Give at least two.")
@@ -86,7 +87,7 @@ def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
 
 
 def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
-    """The Gaussians nearest to each point, and their weights [K,NEIGHBOURS]."""
+    """Return the Gaussians nearest to each point, and their weights [K,NEIGHBOURS]."""
     from scipy.spatial import KDTree
 
     count = min(NEIGHBOURS, len(rest))
@@ -99,7 +100,7 @@ def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
 
 
 def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64], Values]:
-    """The Gaussians in front where each pixel is, and their weights [K,NEIGHBOURS]."""
+    """Return the foremost Gaussians at each pixel, and their weights [K,NEIGHBOURS]."""
     from scipy.spatial import KDTree
 
     pixels, depth = camera.project(rest)
@@ -119,6 +120,8 @@ def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64
 def _refuse_far(distance: Values, of_what: str) -> None:
     worst = int(distance.argmax())
     if distance[worst] > FAR:
-        limit = f"a point is {distance[worst]:.2g} {of_what} away from it at the first instant."
+        limit = (
+            f"a point is {distance[worst]:.2g} {of_what} away from the object at the first instant."
+        )
         remedy = "Give metres of the scene (z up, the object over the origin), or pixels of --side."
         raise InputError("target", f"{len(distance)} points", limit, remedy)

@@ -1,4 +1,4 @@
-"""What is searched: places in the unit cube, one side per value, and what each would show."""
+"""The search space: places in the unit cube, an axis per value, and their predictions."""
 
 from __future__ import annotations
 
@@ -8,24 +8,23 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.studies.fit.observation import Groups, Kind
-from phy124.studies.fit.table import Values
+from phy124.studies.fit.observation import Groups, Kind, Values
 
 Places = Sequence[Values]
 """Points of the unit cube [P] each."""
 
 
 class Problem(Protocol):
-    """What can be asked about a fit; runs of a scene are one, a formula is another."""
+    """Measurements and their predictions, by runs of a scene or by a formula."""
 
     measured: Values
     """[M]."""
     groups: Groups
-    """Which measurements err together [M]."""
+    """Group of each measurement [M]; errors in a group are correlated."""
 
     @property
     def names(self) -> Sequence[str]:
-        """What is to be found [P]."""
+        """Names of the values to find [P]."""
         ...
 
     @property
@@ -39,25 +38,25 @@ class Problem(Protocol):
         ...
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """What would be measured at each place, on the grid of a level; None: the run failed."""
+        """Predict the measurements at each place on a level's grid; None: the run failed."""
         ...
 
     def late(self, part: float) -> bool:
-        """Whether more than a part of the time is spent."""
+        """Whether more than a fraction of the time is spent."""
         ...
 
 
 class Distance:
-    """Differences of prediction and measurement, each kind in units of its own scale.
+    """Differences of prediction and measurement, each kind in units of its scale.
 
-    A group of measurements that err together counts once, however many they are.
+    A group of correlated measurements has the weight of one measurement.
     """
 
     def __init__(self, problem: Problem, scales: Sequence[float] | None = None) -> None:
-        """Choose the scales; None: the spread of the measurements themselves."""
+        """Set the scales; None: the root mean square of the measurements."""
         self.measured, self.kinds = problem.measured, tuple(problem.kinds)
-        own = [float(np.sqrt(np.mean(self.measured[kind.place] ** 2))) for kind in self.kinds]
-        self.scales = tuple(scales or [scale or 1.0 for scale in own])
+        spreads = [float(np.sqrt(np.mean(self.measured[kind.place] ** 2))) for kind in self.kinds]
+        self.scales = tuple(scales or [spread or 1.0 for spread in spreads])
         self._weights = np.empty(len(self.measured))
         for kind, scale in zip(self.kinds, self.scales, strict=True):
             groups = problem.groups[kind.place]
@@ -65,33 +64,33 @@ class Distance:
             self._weights[kind.place] = np.sqrt(count / len(groups)) / scale
 
     def residual(self, predicted: Values) -> Values:
-        """Weighted differences [M]."""
+        """Return weighted differences [M]."""
         return self._weights * (predicted - self.measured)
 
-    def weighted(self, jacobian: Values) -> Values:
-        """A Jacobian [M,P] in the same units."""
+    def weigh(self, jacobian: Values) -> Values:
+        """Return a Jacobian [M,P] in the units of `residual`."""
         return self._weights[:, None] * jacobian
 
     def cost(self, predicted: Values | None) -> float:
-        """Half the sum of squares; very large for a run that failed."""
+        """Return half the sum of squares; very large for a failed run."""
         if predicted is None:
             return 1e12
         return 0.5 * float(np.sum(self.residual(predicted) ** 2))
 
     def misfits(self, predicted: Values) -> list[float]:
-        """Root mean square difference of each kind, in its unit."""
+        """Return the root mean square difference of each kind, in its unit."""
         apart = predicted - self.measured
         return [float(np.sqrt(np.mean(apart[kind.place] ** 2))) for kind in self.kinds]
 
 
-def jacobian(problem: Problem, place: Values, level: int, step: float) -> NDArray | None:
-    """Derivatives of the prediction by the place [M,P], by central differences.
+def differentiate(problem: Problem, place: Values, level: int, step: float) -> NDArray | None:
+    """Differentiate the prediction by the place [M,P], by central differences.
 
     Args:
-        problem: What predicts.
-        place: Where.
-        level: On which grid.
-        step: Half the distance of two places, as a part of the range.
+        problem: The problem.
+        place: The place.
+        level: Index of the grid.
+        step: Half the distance of two places, as a fraction of the range.
 
     Returns:
         None if a run failed.
@@ -99,7 +98,7 @@ def jacobian(problem: Problem, place: Values, level: int, step: float) -> NDArra
     centre = np.clip(place, step, 1 - step)
     sides = [centre + sign * step * axis for axis in np.eye(len(place)) for sign in (1, -1)]
     seen = problem.predict(sides, level)
-    good = [one for one in seen if one is not None]
+    good = [prediction for prediction in seen if prediction is not None]
     if len(good) < len(seen):
         return None
     return np.stack([(a - b) / (2 * step) for a, b in zip(good[::2], good[1::2], strict=True)], 1)

@@ -1,4 +1,4 @@
-"""One fit from its declaration to its files."""
+"""Runs a fit, from its declaration to its files."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from phy124.io.files import staging, write_whole
 from phy124.io.video import refuse_missing_encoder
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
-from phy124.studies.fit.budget import Budget, Outlook, outlook
+from phy124.studies.fit.budget import Budget, Outlook, make_outlook
 from phy124.studies.fit.declaration import Fit
 from phy124.studies.fit.estimate import Estimate, estimate
-from phy124.studies.fit.page import write_page
-from phy124.studies.fit.picture import Comparison
-from phy124.studies.fit.report import pictures, report_of, table
+from phy124.studies.fit.page import Comparison, write_page
+from phy124.studies.fit.report import format_table, make_report, report_pictures
 from phy124.studies.fit.runs import Runs
 from phy124.studies.fit.target import Target
 from phy124.studies.fit.video import Film
@@ -31,16 +30,16 @@ SHEET, FILM, PAGE = "comparison.png", "comparison.mp4", "comparison.html"
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit has found, and where it is."""
+    """The result of a fit, and its files."""
 
     scene: Scene
-    """The scene with the values found for its own grid."""
+    """The scene with the values fitted for its grid."""
     report: dict[str, Any]
     files: tuple[Path, ...]
 
     def table(self) -> str:
-        """For people."""
-        return table(self.report)
+        """Format the report as a table."""
+        return format_table(self.report)
 
 
 def fit(
@@ -48,20 +47,20 @@ def fit(
     out: Path,
     *,
     workers: int = 0,
-    told: Callable[[Outlook], object] = lambda outlook: None,
+    on_forecast: Callable[[Outlook], object] = lambda forecast: None,
     progress: Progress = silent,
 ) -> Fitted:
-    """Find the values; the same call goes on where it was stopped.
+    """Find the values; a repeated call continues an interrupted fit.
 
     Args:
-        declared: What to find, and from what.
-        out: Folder of the results; runs are kept in it.
-        workers: Processes; 0: this one.
-        told: Called with what it will take, before the first run.
-        progress: Called with ("fit", runs made, runs that are expected); may raise Cancelled.
+        declared: The declaration.
+        out: Folder of the results, which also keeps the runs.
+        workers: Number of processes; 0: this process.
+        on_forecast: Called with the forecast before the first run.
+        progress: Called with ("fit", runs made, runs expected); may raise Cancelled.
 
     Raises:
-        InputError: Something cannot be used, cannot be told apart, or takes longer than it may.
+        InputError: An input is invalid, a value cannot be determined, or the time is too short.
     """
     target = Target(declared)
     if target.film is not None:
@@ -70,18 +69,18 @@ def fit(
     runs = Runs(target, out, budget, progress)
     expected = _outlook(runs, target, workers)
     expected.refuse(declared.seconds)
-    told(expected)
+    on_forecast(expected)
     budget.expected = sum(expected.runs())
     with runs.workers(workers):
-        found = estimate(runs, seed=declared.seed)
-    return _written(target, runs, budget, found, out)
+        estimated = estimate(runs, seed=declared.seed)
+    return _write(target, runs, budget, estimated, out)
 
 
 def forecast(declared: Fit, *, workers: int = 0) -> Outlook:
-    """What a fit will take; makes no run of it.
+    """Forecast the time of a fit, without a run.
 
     Raises:
-        InputError: Something cannot be used.
+        InputError: An input is invalid.
     """
     target = Target(declared)
     return _outlook(Runs(target, Path(), Budget(declared.seconds)), target, workers)
@@ -90,20 +89,20 @@ def forecast(declared: Fit, *, workers: int = 0) -> Outlook:
 def _outlook(runs: Runs, target: Target, workers: int) -> Outlook:
     middle = np.full(len(runs.names), 0.5)
     scenes = [runs.scene_at(middle, level) for level in range(len(runs.grids))]
-    return outlook(target.gaussians, scenes, len(runs.names), workers, target.crop)
+    return make_outlook(target.gaussians, scenes, len(runs.names), workers, target.crop)
 
 
-def _written(target: Target, runs: Runs, budget: Budget, found: Estimate, out: Path) -> Fitted:
-    """Play the scene that was found, and write it, the report and the comparison."""
-    values = runs.values(found.on(target.scene.resolution.cells)[0])
+def _write(target: Target, runs: Runs, budget: Budget, estimated: Estimate, out: Path) -> Fitted:
+    """Run the fitted scene, and write it, the report and the comparison."""
+    values = runs.values(estimated.on(target.scene.resolution.cells)[0])
     scene = target.scene.replaced(values)
     clip = runs.player.clip(target.played.replaced(values).data())
-    report = report_of(target, runs, found, clip, seconds=budget.spent)
+    report = make_report(target, runs, estimated, clip, seconds=budget.spent)
     with staging(out, keeps=True) as folder:
         write_whole(folder / SCENE, scene.to_toml())
         _write_report(folder, report)
         if target.film is not None:
-            report["pictures"] = pictures(target, runs, clip)
+            report["pictures"] = report_pictures(target, runs, clip)
             _write_report(folder, report)
             _compare(target, target.film, clip, report, folder)
         names = sorted(path.name for path in folder.iterdir())
@@ -115,7 +114,7 @@ def _write_report(folder: Path, report: dict[str, Any]) -> None:
 
 
 def _compare(target: Target, film: Film, clip: Clip, report: dict[str, Any], folder: Path) -> None:
-    """Write film and fitted scene side by side: some instants, all as a film, and a page."""
+    """Write the comparison of film and fitted scene: a sheet of instants, a film, and a page."""
     both = Comparison(film, target.times_of(film), clip, target.seen_by())
     both.write_sheet(folder / SHEET)
     both.write_film(folder / FILM, report["pictures"]["fps"])

@@ -1,4 +1,4 @@
-"""Runs of a scene with other values, in several processes; each is kept and made only once."""
+"""Runs of a scene with other values, in several processes; each run is stored and made once."""
 
 from __future__ import annotations
 
@@ -26,14 +26,13 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.parts import Crop
 from phy124.studies.fit.budget import Budget
 from phy124.studies.fit.declaration import Fit
-from phy124.studies.fit.observation import Observations
+from phy124.studies.fit.observation import Observations, Values
 from phy124.studies.fit.problem import Distance, Places
-from phy124.studies.fit.table import Values
 from phy124.studies.fit.target import Target
 from phy124.studies.sweep.keys import code
 
 FOLDER = "runs"
-"""Where predictions are kept."""
+"""Folder of the stored predictions."""
 DIGITS = 6
 """Significant digits of a value in a scene."""
 
@@ -42,10 +41,10 @@ Played = tuple[Values | None, float]
 
 
 class Tried(NamedTuple):
-    """A place that was tried, and how far off it was."""
+    """A place that was tried, and its misfit."""
 
     level: int
-    """Which grid."""
+    """Index of the grid."""
     values: dict[str, float]
     misfits: list[float] | None
     """Root mean square difference of each kind; None if the run stopped early."""
@@ -53,21 +52,21 @@ class Tried(NamedTuple):
 
 @dataclass(frozen=True)
 class Player:
-    """Plays a scene and says what would have been measured."""
+    """Simulates a scene and predicts the measurements."""
 
     gaussians: Gaussians
     crop: Crop
     observations: Observations
 
     def __call__(self, scene: dict[str, Any]) -> Played:
-        """Play a scene, given as plain data."""
+        """Predict the measurements of a scene in plain data; also return the time [s]."""
         begun = time.process_time()
         clip = self.clip(scene)
-        found = self.observations.predicted(clip) if clip.report["complete"] else None
-        return found, time.process_time() - begun
+        predicted = self.observations.predict(clip) if clip.report["complete"] else None
+        return predicted, time.process_time() - begun
 
     def clip(self, scene: dict[str, Any]) -> Clip:
-        """Play a scene, given as plain data, on one thread, so that equal ones give equal clips."""
+        """Simulate a scene in plain data, on one thread, so that equal scenes give equal clips."""
         run = Simulation(
             prepare(self.gaussians, Scene.from_data(scene), RunContext(threads=1), crop=self.crop)
         )
@@ -80,16 +79,16 @@ class Runs:
     def __init__(
         self, target: Target, folder: Path, budget: Budget, progress: Progress = silent
     ) -> None:
-        """Prepare; no run is made yet.
+        """Prepare the runs.
 
         Args:
-            target: What was measured, and on what.
-            folder: Where predictions are kept.
-            budget: How long all may take.
-            progress: Called with ("fit", runs made, runs that are expected); may raise Cancelled.
+            target: The measurements, and their object and scene.
+            folder: Folder of the stored predictions.
+            budget: The time of the fit.
+            progress: Called with ("fit", runs made, runs expected); may raise Cancelled.
 
         Raises:
-            InputError: A path does not exist in the scene, or a range leaves its bounds.
+            InputError: A path does not exist in the scene, or a range exceeds its bounds.
         """
         declared, seen = target.declared, target.observations
         self.names, self._ranges = tuple(declared.find), tuple(declared.find.values())
@@ -98,50 +97,49 @@ class Runs:
         self.scene, self._budget, self._progress = target.played, budget, progress
         self.player = Player(target.gaussians, target.crop, seen)
         self.made, self.kept, self.seconds = [0] * len(self.grids), 0, 0.0
-        """Runs made on each grid, those an earlier fit had left, and their processor time [s]."""
+        """Runs made on each grid, runs reused from an earlier fit, and processor time [s]."""
         self.tried: list[Tried] = []
-        """All places so far, in their order."""
+        """All places that were tried, in order."""
         self._folder, self._play = folder / FOLDER, self._alone
         for end in (0.0, 1.0):
             self.scene_at(np.full(len(self.names), end), 0)
         self._known = _digest(self.player, target.declared)
 
     def values(self, place: Values) -> dict[str, float]:
-        """The values at a place of the unit cube."""
+        """Return the values at a place of the unit cube."""
         pairs = zip(self.names, self._ranges, place, strict=True)
-        return {name: float(f"{axis.drawn(float(part)):.{DIGITS}g}") for name, axis, part in pairs}
+        return {name: float(f"{axis.draw(float(part)):.{DIGITS}g}") for name, axis, part in pairs}
 
     def scene_at(self, place: Values, level: int) -> Scene:
-        """The scene with the values at a place, on the grid of a level."""
+        """Return the scene with the values at a place, on the grid of a level."""
         return self.scene.replaced({**self.values(place), "accuracy.cells": self.grids[level]})
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """What would be measured at each place; None where the run stops early."""
+        """Predict the measurements at each place; None if the run stops early."""
         scenes = [self.scene_at(place, level).data() for place in places]
         files = [self._folder / f"{self._key(scene)}.npy" for scene in scenes]
         missing = {f: s for f, s in zip(files, scenes, strict=True) if not f.is_file()}
         self.kept += len(files) - len(missing)
-        for file, (found, seconds) in self._play(missing):
+        for file, (predicted, seconds) in self._play(missing):
             self.made[level] += 1
             self.seconds += seconds
             file.parent.mkdir(parents=True, exist_ok=True)
             with replacing(file) as temporary, open(temporary, "wb") as out:
-                np.save(out, np.empty(0) if found is None else found.astype(np.float32))
-        kept = [np.load(file).astype(np.float64) for file in files]
-        seen = [one if len(one) else None for one in kept]
-        off = Distance(self).misfits
-        for place, one in zip(places, seen, strict=True):
-            found = None if one is None else off(one)
-            self.tried.append(Tried(level, self.values(place), found))
-        return seen
+                np.save(out, np.empty(0) if predicted is None else predicted.astype(np.float32))
+        stored = [np.load(file).astype(np.float64) for file in files]
+        predictions = [values if len(values) else None for values in stored]
+        for place, values in zip(places, predictions, strict=True):
+            misfits = None if values is None else Distance(self).misfits(values)
+            self.tried.append(Tried(level, self.values(place), misfits))
+        return predictions
 
     def late(self, part: float) -> bool:
-        """Whether more than a part of the time is spent."""
+        """Whether more than a fraction of the time is spent."""
         return self._budget.late(part)
 
     @contextmanager
     def workers(self, count: int) -> Iterator[None]:
-        """Within this context, runs are made by so many processes; 0 and 1: by this one."""
+        """Make runs in N processes within this context; 0 and 1: in this process."""
         if count < 2:
             yield
             return
@@ -174,7 +172,7 @@ class Runs:
 
 
 def _digest(player: Player, declared: Fit) -> str:
-    """A digest of all that a prediction depends on besides the scene."""
+    """Return a digest of everything besides the scene that a prediction depends on."""
     seen = player.gaussians
     arrays = (seen.means, seen.quats, seen.scales, player.observations.measured)
     whole = hashlib.sha256(code().encode())
@@ -185,5 +183,5 @@ def _digest(player: Player, declared: Fit) -> str:
 
 
 def _play(player: Player, kept: tuple[Path, dict[str, Any]]) -> Played:
-    """A run for a worker: the scene that belongs to a file."""
+    """Simulate the scene of a pair of file and scene, in a worker."""
     return player(kept[1])

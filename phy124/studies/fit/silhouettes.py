@@ -1,40 +1,47 @@
-"""Silhouettes: how much of each pixel the object covers, seen by a known camera."""
+"""Silhouettes: the coverage of each pixel by the object, and the alignment of films.
+
+If a film's camera is unknown, its first picture is aligned with the scene's view of the object at
+rest by a similarity (a scale and a shift), which then holds for all pictures.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from phy124.camera import Camera
 from phy124.errors import InputError
+from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
-from phy124.studies.fit.observation import Groups, at_times
-from phy124.studies.fit.table import Values
-from phy124.studies.fit.video import Film, shrunk
+from phy124.studies.fit.observation import Groups, Values, at_times
+from phy124.studies.fit.video import SIDE, Film, shrunk
 
 LONGEST = 64
-"""Longest side of the compared pictures [pixels]: a cell of a draft grid is about 2."""
+"""Longest side of the compared pictures [pixels]; a cell of a draft grid has about 2."""
 BLUR = 1.0
-"""Standard deviation by which silhouettes are blurred, so that edges that miss attract [pixels]."""
+"""Standard deviation of the blur of silhouettes, so that distant edges have a gradient [pixels]."""
 BLOCK = 16
-"""Width of the blocks of pixels that are taken to err together."""
+"""Width of blocks of pixels with correlated errors."""
 
 
 class Silhouettes:
-    """What a camera sees of the object, as coverage."""
+    """The object as seen by a camera, as coverage of pixels."""
 
     name, unit = "silhouettes", "of a pixel"
 
     def __init__(self, film: Film, times: Values, cameras: Sequence[Camera]) -> None:
-        """Make the film small.
+        """Reduce the film's resolution.
 
         Args:
-            film: What was filmed.
-            times: When [T], s.
-            cameras: What sees the object, for each frame of the scene.
+            film: The film.
+            times: Times of its pictures [T], s.
+            cameras: Camera of each frame of the scene.
 
         Raises:
             InputError: The film has another aspect ratio than the camera.
@@ -48,40 +55,130 @@ class Silhouettes:
             raise InputError("target", f"{len(times)} pictures", asked, remedy)
         part = LONGEST / max(width, height)
         self._size = (max(round(width * part), 1), max(round(height * part), 1))
-        self._cameras = [smaller(one, self._size) for one in cameras]
+        self._cameras = [smaller(each, self._size) for each in cameras]
         self._times, self.last = times, float(times.max())
         covered = shrunk(film.masks, self._size)
-        self.measured = _blurred(covered).ravel()
+        self.measured = _blur(covered).ravel()
         self.groups: Groups = _blocks(covered.shape)
 
-    def predicted(self, clip: Clip) -> Values:
-        """Those of a clip."""
+    def predict(self, clip: Clip) -> Values:
+        """Return the silhouettes of a clip."""
         from phy124.rendering.render import Renderer
 
         draw = Renderer(device="cpu", filter="mip")
         seen = zip(clip.surface.frames(), self._cameras, strict=False)
         alphas = [draw(frame.gaussians, camera, alpha=True)[..., 3] for frame, camera in seen]
-        return _blurred(at_times(clip.times, np.stack(alphas).astype(float), self._times)).ravel()
+        return _blur(at_times(clip.times, np.stack(alphas).astype(float), self._times)).ravel()
 
     def apart(self, predicted: Values) -> Values:
-        """Root mean square difference in each picture [T], of a pixel."""
+        """Return the root mean square difference in each picture [T], in pixels."""
         squares = (predicted - self.measured) ** 2
         return np.sqrt(squares.reshape(len(self._times), -1).mean(1))
 
 
 def smaller(camera: Camera, size: tuple[int, int]) -> Camera:
-    """The same camera with fewer pixels."""
+    """Return the camera with fewer pixels."""
     part = size[0] / camera.width
     shift = (camera.shift[0] * part, camera.shift[1] * part)
     return replace(camera, width=size[0], height=size[1], shift=shift)
 
 
-def _blurred(covered: Values) -> Values:
+def _blur(covered: Values) -> Values:
     return scipy.ndimage.gaussian_filter(covered, (0, BLUR, BLUR))
 
 
 def _blocks(shape: tuple[int, ...]) -> Groups:
-    """Numbers of blocks of pixels, anew in each picture [T*h*w]."""
+    """Return the block of each pixel, different in each picture [T*h*w]."""
     t, h, w = np.indices(shape)
     across, down = -(-shape[2] // BLOCK), -(-shape[1] // BLOCK)
     return ((t * down + h // BLOCK) * across + w // BLOCK).ravel()
+
+
+ALIGN_BLUR = 2.0
+"""Standard deviation of the blur of outlines during alignment [pixels]."""
+STEP, LONGEST_STEP, SETTLED, ROUNDS = 0.5, 8.0, 0.01, 20
+"""Half the distance of differences, longest step, and last step [pixels]; number of steps."""
+LEAST = 0.6
+"""Smallest intersection over union of two outlines; below, it is another object or side."""
+
+
+class Laid(NamedTuple):
+    """The alignment of a film with the camera's view."""
+
+    scale: float
+    """Magnification of its pictures."""
+    shift: tuple[float, float]
+    """Position of their upper left corner, right and down [fractions of the camera's height]."""
+    shared: float
+    """Area in both outlines over the area in either."""
+
+
+def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, Laid]:
+    """Transform a film to the camera's view.
+
+    Args:
+        film: The film; its first picture shows the object at rest.
+        gaussians: The object at rest.
+        camera: The camera of the scene.
+
+    Raises:
+        InputError: The outlines cannot be aligned.
+    """
+    from phy124.rendering.render import Renderer
+
+    part = SIDE / max(camera.width, camera.height)
+    size = (round(camera.width * part), round(camera.height * part))
+    drawn = Renderer(device="cpu", filter="mip")(gaussians, smaller(camera, size), alpha=True)
+    wanted = drawn[..., 3] > 0.5
+    matrix = _fit_similarity(film.masks[0], wanted)
+    masks = np.stack([_warp(mask.astype(np.float32), matrix, size) > 0.5 for mask in film.masks])
+    shared = float(np.sum(masks[0] & wanted) / max(np.sum(masks[0] | wanted), 1))
+    if shared < LEAST:
+        limit = f"its first outline and the object's at rest share {shared:.0%} of their area."
+        remedy = "Film the object at rest first, from the side that is named."
+        raise InputError("align", True, limit, remedy)
+    pictures = np.stack(
+        [_warp(picture, matrix, size, cv2.BORDER_REPLICATE) for picture in film.pictures]
+    )
+    shift = (float(matrix[0, 2] / size[1]), float(matrix[1, 2] / size[1]))
+    scale = float(matrix[0, 0] * film.masks.shape[1] / size[1])
+    return Film(masks, pictures, film.fps), Laid(scale, shift, shared)
+
+
+def _fit_similarity(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Values:
+    """Return the similarity [2,3] from a mask to another: by moments, then Gauss-Newton steps."""
+    size, masks = wanted.shape[::-1], (mask, wanted)
+    areas = [max(int(outline.sum()), 1) for outline in masks]
+    middles = [np.argwhere(m).mean(0)[::-1] if m.any() else np.zeros(2) for m in masks]
+    # All parameters are pixels at the outline: a scale moves it in proportion to its radius.
+    start, radius = float(np.sqrt(areas[1] / areas[0])), float(np.sqrt(areas[1] / np.pi))
+    solid, place = mask.astype(np.float32), np.zeros(3)
+    goal = _blur_outline(wanted.astype(np.float32))
+
+    def matrix(place: Values) -> Values:
+        scale = start * np.exp(place[0] / radius)
+        shift = middles[1] - scale * middles[0] + place[1:]
+        return np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
+
+    def apart(place: Values) -> Values:
+        return np.asarray(_blur_outline(_warp(solid, matrix(place), size)) - goal, float).ravel()
+
+    for _ in range(ROUNDS):
+        sides = [(apart(place + STEP * axis) - apart(place - STEP * axis)) for axis in np.eye(3)]
+        slopes = np.stack(sides, 1) / (2 * STEP)
+        step = -np.linalg.lstsq(slopes, apart(place), rcond=None)[0]
+        place = place + np.clip(step, -LONGEST_STEP, LONGEST_STEP)
+        if np.abs(step).max() < SETTLED:
+            break
+    return matrix(place)
+
+
+def _warp(
+    picture: NDArray, matrix: Values, size: tuple[int, ...], border: int = cv2.BORDER_CONSTANT
+) -> NDArray:
+    """Transform a picture to another picture of a size (width, height)."""
+    return cv2.warpAffine(picture, matrix, size, flags=cv2.INTER_LINEAR, borderMode=border)
+
+
+def _blur_outline(mask: NDArray) -> NDArray:
+    return cv2.GaussianBlur(mask, (0, 0), ALIGN_BLUR)

@@ -1,4 +1,4 @@
-"""The target: what was seen, brought together with the object and the scene."""
+"""The target of a fit: the measurements, together with the object and the scene."""
 
 from __future__ import annotations
 
@@ -21,44 +21,49 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.simulation.parts import WHOLE, Crop
-from phy124.studies.fit.aligning import Laid, laid_on
 from phy124.studies.fit.declaration import Fit
-from phy124.studies.fit.forces import Forces
-from phy124.studies.fit.observation import ROUNDED, Observation, Observations, refuse_outside
+from phy124.studies.fit.observation import (
+    ROUNDED,
+    Forces,
+    Observation,
+    Observations,
+    Table,
+    read_table,
+    refuse_outside,
+)
 from phy124.studies.fit.points import Points
-from phy124.studies.fit.silhouettes import Silhouettes
-from phy124.studies.fit.table import Table, read_table
+from phy124.studies.fit.silhouettes import Laid, Silhouettes, align_film
 from phy124.studies.fit.video import FILMS, Film, read_film
 
 TRACKED = 256
-"""Gaussians of a clip that are taken as tracked points."""
+"""Number of a clip's Gaussians that serve as tracked points."""
 PLACE_COLUMNS = (("x", "y", "z"), ("u", "v"))
 FORCE_COLUMNS = (("fx", "fy", "fz"),)
 
 
 class Target:
-    """The object, the scene without what is to be found, and what was measured."""
+    """The object, the scene with the known values, and the measurements."""
 
     def __init__(self, declared: Fit) -> None:
-        """Read everything.
+        """Read all inputs.
 
         Raises:
-            InputError: Something cannot be read, or does not fit together.
+            InputError: An input cannot be read, or they contradict each other.
         """
         self.declared = declared
         path = Path(declared.target)
         clip = _clip_of(path)
         self.film: Film | None = None
         self.laid: Laid | None = None
-        """How the film was laid on what the camera sees, if it was."""
+        """Alignment of the film with the camera's view, if requested."""
         kinds = {".csv": "table", **dict.fromkeys(FILMS, "film")}
         kind = "clip" if clip else "film" if path.is_dir() else kinds.get(path.suffix.lower())
         if kind is None or not path.exists():
-            limit = "it is no clip, .csv file, video or folder, or is not there."
+            limit = "it is missing, or no clip, .csv file, video or folder."
             raise InputError("target", path, limit, "Give one of these.")
         if declared.align and kind != "film":
             raise InputError("align", True, "the target is no video.", "Leave it out.")
-        self.scene, self.gaussians, self.crop = _given(declared, clip)
+        self.scene, self.gaussians, self.crop = _read_object(declared, clip)
         table = read_table(path, "target", "id", PLACE_COLUMNS) if kind == "table" else None
         if kind == "film":
             self.film = read_film(path)
@@ -75,13 +80,13 @@ class Target:
 
     @property
     def played(self) -> Scene:
-        """The scene as long as it must be played to be compared."""
+        """The scene, shortened to the time of the last measurement."""
         timing = self.scene.time
         frames = int(np.ceil((self.observations.last - ROUNDED) * timing.fps)) + 1
         return self.scene.replaced({"time.frames": min(frames, timing.frames), "grains": False})
 
     def seen_by(self) -> list[Camera]:
-        """The camera of each frame.
+        """Return the camera of each frame.
 
         Raises:
             InputError: The view has no such side.
@@ -104,27 +109,27 @@ class Target:
         return cameras(still, chosen.model_copy(update={"fit": False}), self.declared.side)
 
     def times_of(self, film: Film) -> np.ndarray:
-        """When the pictures of a film were taken [T], s."""
+        """Return the times of a film's pictures [T], s."""
         return np.arange(len(film.masks)) * self.scene.view.speed / self.rate_of(film)
 
     def rate_of(self, film: Film) -> float:
-        """Pictures of a film per second, as it is shown."""
+        """Return the number of pictures per second at which a film is shown."""
         return self.declared.fps or film.fps or self.scene.time.fps
 
     def _seen(self, clip: Clip | None, table: Table | None) -> Observation:
-        """What was seen of the object."""
+        """Return the observations of the object's motion."""
         rest = self.rest.means[0].astype(np.float64)
         if self.film is not None:
             if self.declared.align:
                 first = self.rest.frame(0).gaussians
-                self.film, self.laid = laid_on(self.film, first, self.seen_by()[0])
+                self.film, self.laid = align_film(self.film, first, self.seen_by()[0])
             return Silhouettes(self.film, self.times_of(self.film), self.seen_by())
         table = _tracks(clip) if clip is not None else table
         assert table is not None
         return Points(table, rest, self.seen_by() if "u" in table.columns else None)
 
     def _forces(self, clip: Clip | None) -> Table | None:
-        """The forces that were measured, if any."""
+        """Read the measured forces, if there are any."""
         if self.declared.forces is not None:
             return read_table(self.declared.forces, "forces", "wall", FORCE_COLUMNS)
         if clip is None or clip.wrenches is None or not clip.walls:
@@ -136,13 +141,13 @@ class Target:
         )
 
     def _end(self, clip: Clip | None, table: Table | None, forces: Table | None) -> None:
-        """Refuse what was measured when the scene is not played."""
+        """Refuse measurements outside the time of the scene."""
         length = (self.scene.time.frames - 1) / self.scene.time.fps
         tables = {"target": table, "forces": forces}
         sources = {"target": self.declared.target, "forces": self.declared.forces}
-        for field, found in tables.items():
-            if found is not None:
-                refuse_outside(field, sources[field], found.times, length)
+        for field, rows in tables.items():
+            if rows is not None:
+                refuse_outside(field, sources[field], rows.times, length)
         if clip is not None:
             refuse_outside("target", self.declared.target, clip.times, length)
         if self.film is not None:
@@ -150,27 +155,27 @@ class Target:
 
 
 def _clip_of(path: Path) -> Clip | None:
-    """The clip at a path, if there is one."""
+    """Load the clip at a path, if there is one."""
     inside = path / "clip.safetensors"
     if inside.is_file():
         return Clip.load(inside)
     return Clip.load(path) if path.suffix == ".safetensors" else None
 
 
-def _given(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Crop]:
-    """Scene, object, and where that is in its picture."""
+def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Crop]:
+    """Return the scene, the object, and its position in its picture."""
     changes = {**declared.set}
     source = clip if declared.object is None else _clip_of(Path(declared.object))
-    told = clip or source
-    if told is not None and declared.scene is None:
-        scene = Scene.from_data(told.scene, declared.target).replaced(changes)
+    with_scene = clip or source
+    if with_scene is not None and declared.scene is None:
+        scene = Scene.from_data(with_scene.scene, declared.target).replaced(changes)
     else:
         scene = Scene.named(declared.scene or "press").replaced(changes)
     if source is not None:
         gaussians = source.surface.frame(0).gaussians
         return scene, thin(gaussians, declared.gaussians, seed=scene.seed), WHOLE
     if declared.object is None:
-        limit = "nothing says which object was seen."
+        limit = "no object is given."
         raise InputError("object", None, limit, "Give its picture or file of Gaussians.")
     options: dict[str, Any] = {"count": declared.gaussians}
     path = os.fspath(declared.object)
@@ -179,9 +184,9 @@ def _given(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Crop]:
 
 
 def _tracks(clip: Clip) -> Table:
-    """Some Gaussians of a clip, as if they had been tracked."""
-    surface, own = clip.surface, np.flatnonzero(clip.surface.object_mask)
-    chosen = own[np.linspace(0, len(own) - 1, min(TRACKED, len(own))).astype(int)]
+    """Return the tracks of some of a clip's Gaussians."""
+    surface, object_ = clip.surface, np.flatnonzero(clip.surface.object_mask)
+    chosen = object_[np.linspace(0, len(object_) - 1, min(TRACKED, len(object_))).astype(int)]
     count = len(clip)
     times = np.repeat(np.asarray(clip.times, float), len(chosen))
     names = np.tile(chosen.astype(str), count)

@@ -1,4 +1,4 @@
-"""Videos as masks: where the object is in each picture of a film or of a folder."""
+"""Films: the pictures of a video or folder, and the mask of the object in each picture."""
 
 from __future__ import annotations
 
@@ -15,44 +15,43 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.imaging.decoding import turn_upright
-from phy124.studies.fit.table import Values
+from phy124.studies.fit.observation import Values
 
 FILMS = (".mp4", ".webm", ".mov", ".mkv", ".avi", ".gif", ".webp")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 DIFFERS = 20.0
-"""Distance of a colour from the background's from which it is the object's, of 442."""
+"""Smallest distance of an object's colour from the background's, of at most 442."""
 MOST = 2000
 """Largest number of pictures."""
 SIDE = 256
-"""Longest side of the pictures as they are kept [pixels]: several times what is compared, and 2,000
-of them take 400 MB."""
+"""Longest side of the pictures in memory [pixels]; 2,000 of them take 400 MB."""
 LONGEST = 600
-"""Longest time in which a video is read [s]."""
+"""Longest time for reading a video [s]."""
 FIRST = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
-"""What stands in the fifth byte of MP4 and MOV."""
+"""Bytes 5 to 8 of MP4 and MOV files."""
 SAFE = ("-protocol_whitelist", "file,pipe", "-format_whitelist", "mov,matroska,avi")
-"""A playlist, which could name other files and addresses, is no video here."""
+"""Options that exclude playlists, which could name other files and addresses."""
 PPM = re.compile(rb"P6\s(\d+)\s(\d+)\s255\s")
-"""What each picture of a stream of PPM files begins with."""
+"""Header of each picture of a stream of PPM files."""
 FPS = re.compile(rb"Video: .* ([\d.]+) fps")
 
 
 class Film(NamedTuple):
-    """Where the object is in each picture."""
+    """Pictures and the object's mask in each of them."""
 
     masks: NDArray[np.bool_]
     """[T,H,W]."""
     pictures: NDArray[np.uint8]
     """[T,H,W,3]."""
     fps: float | None
-    """Pictures per second, if the file says so."""
+    """Pictures per second, if the file states them."""
 
 
 def read_film(path: Path) -> Film:
     """Read a video, or a folder of pictures in the order of their names.
 
     Raises:
-        InputError: It cannot be read, its pictures differ in size, or one shows nothing.
+        InputError: It cannot be read, its pictures differ in size, or a picture shows no object.
     """
     drawn, fps = (list(_folder(path)), None) if path.is_dir() else _frames(path)
     if len(drawn) < 2:
@@ -63,17 +62,18 @@ def read_film(path: Path) -> Film:
     masks = np.stack([_mask(picture) for picture in drawn])
     empty = np.flatnonzero(~masks.any(axis=(1, 2)))
     if len(empty):
-        limit = f"picture {empty[0]} shows nothing before its background."
-        remedy = "Film before one plain colour, or give a folder of PNG files with transparency."
+        limit = f"picture {empty[0]} shows no object in front of its background."
+        remedy = "Film in front of a plain colour, or give a folder of PNG files with transparency."
         raise InputError("target", path, limit, remedy)
     return Film(masks, np.stack([_on_white(picture) for picture in drawn]), fps)
 
 
 def _frames(path: Path) -> tuple[list[NDArray], float | None]:
-    """The pictures of a video, and how many there are per second."""
+    """Return the pictures of a video, and their number per second."""
     if path.suffix.lower() in (".gif", ".webp"):
-        return _animated(path)
-    _refuse_other(path)
+        return _read_animation(path)
+    if not is_film(path):
+        raise _unreadable(path)
     import imageio_ffmpeg
 
     program = imageio_ffmpeg.get_ffmpeg_exe()
@@ -81,21 +81,21 @@ def _frames(path: Path) -> tuple[list[NDArray], float | None]:
     fitting = f"scale=w='min({SIDE},iw)':h='min({SIDE},ih)':force_original_aspect_ratio=decrease"
     command += ["-vf", fitting, "-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
     try:
-        # Without an output file it says what is in the video, and complains.
-        told = subprocess.run(
+        # Without an output file, ffmpeg describes the video and fails.
+        description = subprocess.run(
             [program, *SAFE, "-i", str(path)], check=False, capture_output=True, timeout=LONGEST
         )
         made = subprocess.run(command, capture_output=True, check=True, timeout=LONGEST)
     except (OSError, RuntimeError, subprocess.SubprocessError):
         raise _unreadable(path) from None
-    found = list(_pictures(made.stdout))
-    _refuse_endless(path, len(found))
-    fps = FPS.search(told.stderr)
-    return found, float(fps[1]) if fps else None
+    pictures = list(_pictures(made.stdout))
+    _refuse_endless(path, len(pictures))
+    fps = FPS.search(description.stderr)
+    return pictures, float(fps[1]) if fps else None
 
 
 def _pictures(stream: bytes) -> Iterator[NDArray]:
-    """The pictures of a stream of PPM files."""
+    """Yield the pictures of a stream of PPM files."""
     place = 0
     while match := PPM.match(stream, place):
         width, height = int(match[1]), int(match[2])
@@ -104,7 +104,7 @@ def _pictures(stream: bytes) -> Iterator[NDArray]:
         yield flat.reshape(height, width, 3)
 
 
-def _animated(path: Path) -> tuple[list[NDArray], float | None]:
+def _read_animation(path: Path) -> tuple[list[NDArray], float | None]:
     from PIL import ImageSequence
 
     try:
@@ -113,26 +113,21 @@ def _animated(path: Path) -> tuple[list[NDArray], float | None]:
                 frame.info.get("duration", 0) / 1000 for frame in ImageSequence.Iterator(file)
             ]
             _refuse_endless(path, len(seconds))
-            found = [_small(f) for f in ImageSequence.Iterator(file)]
+            pictures = [_shrink(frame) for frame in ImageSequence.Iterator(file)]
     except InputError:
         raise
     except Exception:  # Pillow raises many types.
         raise _unreadable(path) from None
-    return found, len(seconds) / sum(seconds) if sum(seconds) else None
+    return pictures, len(seconds) / sum(seconds) if sum(seconds) else None
 
 
 def is_film(path: Path) -> bool:
-    """Whether a file begins as a video or an animated picture does, whatever its name is."""
+    """Whether a file has the first bytes of a video or animation, regardless of its name."""
     with open(path, "rb") as file:
         head = file.read(12)
     within = (head[:4], head[8:12])
     inside = within in ((b"RIFF", b"AVI "), (b"RIFF", b"WEBP"))
     return inside or head[4:8] in FIRST or head[:4] in (b"\x1a\x45\xdf\xa3", b"GIF8")
-
-
-def _refuse_other(path: Path) -> None:
-    if not is_film(path):
-        raise _unreadable(path)
 
 
 def _unreadable(path: Path) -> InputError:
@@ -146,18 +141,18 @@ def _folder(path: Path) -> Iterator[NDArray]:
         try:
             with Image.open(file) as image:
                 image.load()
-                picture = _small(turn_upright(image))
+                picture = _shrink(turn_upright(image))
         except Exception:  # Pillow raises many types.
             limit = "it is no picture that can be read."
             raise InputError("target", file, limit, "Leave it out.") from None
         yield picture
 
 
-def _small(image: Image.Image) -> NDArray[np.uint8]:
-    """A picture with transparency, no larger than pictures are kept."""
-    kept = image.convert("RGBA")
-    kept.thumbnail((SIDE, SIDE), reducing_gap=None)
-    return np.asarray(kept)
+def _shrink(image: Image.Image) -> NDArray[np.uint8]:
+    """Convert a picture to RGBA with a longest side of at most `SIDE`."""
+    small = image.convert("RGBA")
+    small.thumbnail((SIDE, SIDE), reducing_gap=None)
+    return np.asarray(small)
 
 
 def _refuse_endless(path: Path, count: int) -> None:
@@ -166,7 +161,7 @@ def _refuse_endless(path: Path, count: int) -> None:
 
 
 def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Where the object is: by transparency if there is any, else by the colour of the border."""
+    """Return the object's mask: by transparency if there is any, else by the border's colour."""
     if picture.shape[2] == 4 and picture[..., 3].min() < 255:
         return picture[..., 3] > 127
     colour = picture[..., :3].astype(np.float32)
@@ -178,7 +173,7 @@ def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _on_white(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The picture without transparency."""
+    """Draw a picture on white."""
     if picture.shape[2] == 3:
         return picture
     part = picture[..., 3:].astype(np.float32) / 255
@@ -186,6 +181,6 @@ def _on_white(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def shrunk(masks: NDArray[np.bool_], size: tuple[int, int]) -> Values:
-    """Fraction of each pixel of smaller pictures that is covered [T,h,w]; `size` is (w, h)."""
+    """Return the coverage of each pixel at a smaller `size` (w, h) [T,h,w]."""
     small = [cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA) for m in masks]
     return np.stack(small).astype(np.float64)

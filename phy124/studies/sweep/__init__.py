@@ -1,11 +1,11 @@
-"""Sweeps: many pictures, generators and values of a scene, made by all workers there are.
+"""Sweeps: clips of many pictures, generators and values of a scene, made by parallel workers.
 
 plan = Plan(Sweep.from_toml("sweep.toml"))
 run(plan, "out/sweep")
 for row, clip in Dataset("out/sweep"): ...
 """
 
-from phy124.studies.sweep.cost import Expected, expected, refused
+from phy124.studies.sweep.cost import Expected, forecast_sweep, list_refused
 from phy124.studies.sweep.dataset import Dataset, Sample
 from phy124.studies.sweep.declaration import Sweep
 from phy124.studies.sweep.plan import Item, Plan
@@ -19,7 +19,7 @@ __all__ = [
     "Plan",
     "Sample",
     "Sweep",
-    "expected",
-    "refused",
+    "forecast_sweep",
+    "list_refused",
     "run",
 ]

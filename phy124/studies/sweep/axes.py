@@ -14,7 +14,7 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Counted(Section, ABC):
-    """Values that can be numbered."""
+    """An axis with a finite number of values."""
 
     @property
     @abstractmethod
@@ -25,8 +25,8 @@ class Counted(Section, ABC):
     def value(self, index: int) -> Any:
         """One of the values, counted from 0."""
 
-    def drawn(self, u: float) -> Any:
-        """The value at a place between 0 and 1, each as likely as the others."""
+    def draw(self, u: float) -> Any:
+        """Return the value at a place between 0 and 1; all values are equally likely."""
         return self.value(min(int(u * self.count), self.count - 1))
 
 
@@ -51,7 +51,9 @@ class Range(Counted):
     first: Number = Field(description="The first value.")
     last: Number = Field(description="The last value.")
     count_: int = Field(alias="count", ge=1, le=1_000_000, description="How many values.")
-    spacing: Literal["linear", "log"] = Field(default="linear", description="Even in what.")
+    spacing: Literal["linear", "log"] = Field(
+        default="linear", description="Linear or logarithmic spacing."
+    )
 
     @model_validator(mode="after")
     def _positive(self) -> Range:
@@ -67,7 +69,7 @@ class Range(Counted):
     def value(self, index: int) -> float:
         """One of the values, counted from 0."""
         part = index / (self.count - 1) if self.count > 1 else 0.0
-        return between(self.first, self.last, part, log=self.spacing == "log")
+        return interpolate(self.first, self.last, part, log=self.spacing == "log")
 
 
 class Uniform(Section):
@@ -76,13 +78,13 @@ class Uniform(Section):
     uniform: tuple[Number, Number] = Field(description="Least and largest value.")
 
     @model_validator(mode="after")
-    def _ordered(self) -> Uniform:
-        _refuse_backwards(self.uniform)
+    def _check_order(self) -> Uniform:
+        _refuse_descending(self.uniform)
         return self
 
-    def drawn(self, u: float) -> float:
+    def draw(self, u: float) -> float:
         """The value at a place between 0 and 1."""
-        return between(*self.uniform, u)
+        return interpolate(*self.uniform, u)
 
 
 class LogUniform(Section):
@@ -91,15 +93,15 @@ class LogUniform(Section):
     log_uniform: tuple[Number, Number] = Field(description="Least and largest value, above 0.")
 
     @model_validator(mode="after")
-    def _ordered(self) -> LogUniform:
-        _refuse_backwards(self.log_uniform)
+    def _check_order(self) -> LogUniform:
+        _refuse_descending(self.log_uniform)
         if self.log_uniform[0] <= 0:
             raise ValueError("a logarithm needs numbers above 0. Use uniform.")
         return self
 
-    def drawn(self, u: float) -> float:
+    def draw(self, u: float) -> float:
         """The value at a place between 0 and 1."""
-        return between(*self.log_uniform, u, log=True)
+        return interpolate(*self.log_uniform, u, log=True)
 
 
 class Choice(Section):
@@ -117,7 +119,7 @@ class Choice(Section):
             raise ValueError(f"{limit} Give one weight per value.")
         return self
 
-    def drawn(self, u: float) -> Any:
+    def draw(self, u: float) -> Any:
         """The value at a place between 0 and 1."""
         weights = self.weights or (1.0,) * len(self.choice)
         rest = u * sum(weights)
@@ -132,25 +134,25 @@ NAMED = {
     "values": "Listed", "first": "Range", "uniform": "Uniform", "log_uniform": "LogUniform",
     "choice": "Choice",
 }  # fmt: skip
-"""Key by which a kind is known -> kind."""
+"""Key that identifies a kind of axis -> kind."""
 
 
 def _kind(data: Any) -> str:
-    """Which kind plain data is."""
+    """Return the kind of plain data."""
     if isinstance(data, Section):
         return type(data).__name__
     return next(kind for key, kind in NAMED.items() if key in data)
 
 
-def listed(data: Any) -> Any:
-    """Plain data of an axis: a list is its values, anything but a table is its only value."""
+def parse_axis(data: Any) -> Any:
+    """Convert plain data to that of an axis: a list is its values, a scalar its only value."""
     if isinstance(data, Section):
         return data
-    found = data if isinstance(data, dict) else {"values": [data]}
-    found = {"values": data} if isinstance(data, (list, tuple)) else found
-    if not found.keys() & NAMED or found.get("values") == []:
+    axis = data if isinstance(data, dict) else {"values": [data]}
+    axis = {"values": data} if isinstance(data, (list, tuple)) else axis
+    if not axis.keys() & NAMED or axis.get("values") == []:
         raise ValueError(f"it has no values. Give one of {', '.join(sorted(NAMED))}.")
-    return found
+    return axis
 
 
 Axis = Annotated[
@@ -163,14 +165,14 @@ Axis = Annotated[
 ]
 
 
-def between(first: float, last: float, part: float, *, log: bool = False) -> float:
-    """The number at a part of the way from one to another, which are met exactly.
+def interpolate(first: float, last: float, part: float, *, log: bool = False) -> float:
+    """Interpolate between two numbers; the ends are exact.
 
     Args:
-        first: At part 0.
-        last: At part 1.
+        first: Value at part 0.
+        last: Value at part 1.
         part: Between 0 and 1.
-        log: Whether the way is even in the logarithm; both ends are above 0 then.
+        log: Whether to interpolate the logarithms; both ends must be above 0.
     """
     if part <= 0:
         return first
@@ -181,6 +183,6 @@ def between(first: float, last: float, part: float, *, log: bool = False) -> flo
     return first + part * (last - first)
 
 
-def _refuse_backwards(ends: Sequence[float]) -> None:
+def _refuse_descending(ends: Sequence[float]) -> None:
     if ends[0] > ends[1]:
         raise ValueError(f"{ends[0]:g} is above {ends[1]:g}. Give the smaller one first.")

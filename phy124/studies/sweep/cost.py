@@ -1,44 +1,47 @@
-"""What a sweep will cost, told from a few of its clips before any is made."""
+"""The cost of a sweep: a forecast from a few of its clips, and the time left while it runs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from phy124.accuracy.forecast import Forecaster
+from phy124.budget.cost import USUAL, Work
 from phy124.errors import InputError
 from phy124.progress import Progress, silent
 from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
+from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.sweep.plan import Item, Plan
-from phy124.studies.sweep.work import static_of
+from phy124.studies.sweep.work import Row, make_static
 
 TRIED = 8
-"""Clips that are looked at."""
+"""Number of clips that are forecast."""
 NUMBERS = 10
-"""Numbers of a Gaussian per frame in a clip: place, orientation, scale."""
+"""Numbers per Gaussian and frame of a clip: position, orientation, scale."""
 
 
 class Expected(NamedTuple):
-    """What a sweep will take."""
+    """The forecast of a sweep."""
 
     clips: int
     tried: int
-    """From so many of them it is told."""
+    """Number of clips that were forecast."""
     seconds: tuple[float, float]
-    """Processor time of one clip [s]: its mean, and the standard error of that."""
+    """Processor time per clip [s]: mean, and standard error of the mean."""
     bytes: float
-    """Of one clip."""
+    """Size per clip."""
 
     def wall(self, workers: int) -> float:
-        """Time until all are made [s], if all workers are always busy."""
+        """Return the time of the sweep if all workers are always busy [s]."""
         return self.seconds[0] * self.clips / workers
 
     def sentence(self, workers: int) -> str:
-        """For people."""
+        """Describe the forecast in a sentence."""
         mean, error = self.seconds
         hours = mean * self.clips / 3600
         return (
@@ -48,8 +51,8 @@ class Expected(NamedTuple):
         )
 
 
-def refused(plan: Plan, progress: Progress = silent) -> Iterator[tuple[Item, str]]:
-    """The clips that cannot be made, and why."""
+def list_refused(plan: Plan, progress: Progress = silent) -> Iterator[tuple[Item, str]]:
+    """Yield the clips that cannot be made, and the reason."""
     for item in plan:
         try:
             plan.scene_of(item)
@@ -58,18 +61,18 @@ def refused(plan: Plan, progress: Progress = silent) -> Iterator[tuple[Item, str
         progress("plan", item.index + 1, len(plan))
 
 
-def expected(plan: Plan, device: str = "cpu", progress: Progress = silent) -> Expected:
-    """What a sweep will take, from forecasts of a few of its clips.
+def forecast_sweep(plan: Plan, device: str = "cpu", progress: Progress = silent) -> Expected:
+    """Forecast a sweep from a few of its clips.
 
     Raises:
-        InputError: None of those can be made.
+        InputError: None of these clips can be made.
     """
     chosen = np.linspace(0, len(plan) - 1, min(TRIED, len(plan))).round().astype(int)
     seconds, sizes, why = [], [], None
     forecaster = Forecaster(device, threads=1)
     for count, index in enumerate(chosen.tolist()):
         try:
-            spent, size = _one(plan, plan.item(index), forecaster, device)
+            spent, size = _forecast_clip(plan, plan.item(index), forecaster, device)
         except InputError as error:
             why = error
             continue
@@ -83,10 +86,12 @@ def expected(plan: Plan, device: str = "cpu", progress: Progress = silent) -> Ex
     return Expected(len(plan), len(seconds), (mean, error), float(np.mean(sizes)))
 
 
-def _one(plan: Plan, item: Item, forecaster: Forecaster, device: str) -> tuple[float, float]:
-    """Seconds and bytes of one clip."""
+def _forecast_clip(
+    plan: Plan, item: Item, forecaster: Forecaster, device: str
+) -> tuple[float, float]:
+    """Forecast the seconds and bytes of a clip."""
     watch = Stopwatch()
-    made = static_of(
+    made = make_static(
         item.picture, item.generator, plan.scene_of(item), count=plan.sweep.gaussians,
         stand_in=True, device=device, watch=watch,
     )  # fmt: skip
@@ -98,11 +103,97 @@ def _one(plan: Plan, item: Item, forecaster: Forecaster, device: str) -> tuple[f
             crop=made.crop,
         )
     )
-    told = forecaster.of(run, filming=plan.sweep.films)
-    own = watch.seconds.get("generate", 0.0) + watch.seconds.get("image", 0.0)
+    forecast = forecaster.of(run, filming=plan.sweep.films)
+    making = watch.seconds.get("generate", 0.0) + watch.seconds.get("image", 0.0)
     if made.effort is not None:
-        own += made.effort.seconds
-    # Clips of one source share its Gaussians.
-    own *= plan.sources / len(plan)
+        making += made.effort.seconds
+    making *= plan.sources / len(plan)  # clips of a source share its Gaussians
     size = made.scene.time.frames * len(run.setup.shown) * NUMBERS * 4.0
-    return told.seconds + watch.seconds["particles"] + own, size
+    return forecast.seconds + watch.seconds["particles"] + making, size
+
+
+SAMPLED = 256
+"""Number of evenly chosen clips that represent all."""
+ORIGIN = 1e-3
+"""Weight, per clip, of the assumption that zero work takes zero time."""
+FEWEST = 3
+"""Number of finished clips before the time left is estimated."""
+
+
+class Remaining:
+    """Estimates the time left of a run from the work of its clips and the speed so far."""
+
+    def __init__(
+        self, plan: Plan, numbers: Sequence[int], clock: Callable[[], float] = time.time
+    ) -> None:
+        """Compute the work of some of the clips.
+
+        Args:
+            plan: The sweep.
+            numbers: Indices of the clips of this run.
+            clock: Returns the time [s], as in the rows.
+        """
+        self._plan, self._numbers, self._clock = plan, numbers, clock
+        self._start: float | None = None
+        self._last = -1
+        self._moments = np.zeros(5)
+        """Sums over the clips made: 1, work, seconds, work squared, work times seconds."""
+        places = np.linspace(0, len(numbers) - 1, min(SAMPLED, len(numbers))).astype(int)
+        self._sample = [(numbers[place], self._work_of(numbers[place])) for place in places]
+
+    def note_finished(self, row: Row) -> None:
+        """Record a finished clip."""
+        if "seconds" not in row:
+            return
+        seconds = row["seconds"]["clip"]
+        if self._start is None:
+            self._start = row["written"] - seconds
+        self._last = max(self._last, row["index"])
+        work = self._work_of(row["index"])
+        self._moments += (1.0, work, seconds, work**2, work * seconds)
+
+    def left(self, clips: int) -> float | None:
+        """Return the time for a number of further clips [s]; None while it is unknown."""
+        count, work, seconds = self._moments[:3]
+        if self._start is None or count < FEWEST:
+            return None
+        fixed, per_work = fit_line(self._moments)
+        spent = self._clock() - self._start
+        # When a worker finishes a clip, each other worker has made half of its clip on average.
+        others = max(0.0, seconds / spent - 1.0)
+        made = (fixed * count + per_work * work) * (1.0 + others / 2 / count)
+        ahead = [work for index, work in self._sample if index > self._last]
+        mean = float(np.mean(ahead or [work for _, work in self._sample]))
+        return clips * (fixed + per_work * mean) * spent / made
+
+    def _work_of(self, index: int) -> float:
+        """Return the cost of a clip on a typical machine [s]; 0 if it is refused."""
+        try:
+            scene = self._plan.scene_of(self._plan.item(index))
+            return work_of(scene, films=self._plan.sweep.films)
+        except InputError:
+            return 0.0
+
+
+def work_of(scene: Scene, *, films: bool) -> float:
+    """Return the cost of a scene's clip on a typical machine [s], without its Gaussians."""
+    costs = USUAL["cpu"].seconds(Work.of(scene))
+    stages = ("simulate", "deform", "film") if films else ("simulate", "deform")
+    return sum(costs[stage] for stage in stages)
+
+
+def fit_line(moments: np.ndarray) -> tuple[float, float]:
+    """Fit a line of seconds over work, with non-negative intercept and slope.
+
+    Least squares with a small weight on a line through zero: equal clips determine only the ratio
+    of seconds and work.
+
+    Args:
+        moments: Sums of 1, work, seconds, work squared, work times seconds.
+    """
+    count, work, seconds, squared, both = moments.tolist()
+    normal = [[(1 + ORIGIN) * count, work], [work, squared]]
+    fixed, slope = np.linalg.solve(normal, [seconds, both]).tolist()
+    if slope < 0:
+        return seconds / count, 0.0
+    return (fixed, slope) if fixed >= 0 else (0.0, seconds / work)

@@ -1,10 +1,13 @@
-"""The clips of a sweep from Python, and from torch, whose DataLoader takes it as it is."""
+"""The clips of a sweep: for Python and torch's DataLoader, and as tar files for WebDataset."""
 
 from __future__ import annotations
 
+import io
+import json
+import tarfile
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,23 +18,23 @@ from phy124.studies.sweep.work import Row
 
 
 class Sample(NamedTuple):
-    """One clip and what the manifest says of it."""
+    """A clip and its row of the manifest."""
 
     row: Row
     clip: Clip
 
 
 class Dataset:
-    """All complete clips of a sweep, by number; `len` and `[...]` are all that torch asks for."""
+    """All complete clips of a sweep, by index; torch needs only `len` and `[...]`."""
 
     def __init__(self, folder: str) -> None:
         """Read the manifest.
 
         Args:
-            folder: The `out` of a sweep: a folder, or an address that fsspec knows.
+            folder: The `out` of a sweep: a folder, or an address of fsspec.
 
         Raises:
-            InputError: It holds no results of a sweep.
+            InputError: It contains no results of a sweep.
         """
         self._storage = Storage(folder)
         self.rows = [row for row in read_manifest(self._storage) if row["status"] == "done"]
@@ -47,7 +50,7 @@ class Dataset:
         return (self[number] for number in range(len(self)))
 
     def _clip(self, row: Row) -> Clip:
-        """A clip; one of another machine is fetched, and in memory."""
+        """Load a clip; from another machine, it is fetched and read into memory."""
         name = f"{row['folder']}/clip.safetensors"
         if self._storage.here is not None:
             return Clip.load(self._storage.here / name)
@@ -59,3 +62,37 @@ class Dataset:
                 if isinstance(value, np.ndarray)
             }
         return replace(clip, **arrays)
+
+
+NAME = "archives/{:06d}.tar"
+"""Name of a tar file by its number."""
+
+
+def pack(storage: Storage, per_file: int) -> int:
+    """Write tar files of `per_file` clips each, in the order of their indices; return their number.
+
+    Each clip consists of KEY.clip.safetensors and KEY.json, its row.
+    """
+    rows = [row for row in read_manifest(storage) if row["status"] == "done"]
+    groups = [rows[start : start + per_file] for start in range(0, len(rows), per_file)]
+    for number, group in enumerate(groups):
+        storage.write(NAME.format(number), _pack(storage, group))
+    return len(groups)
+
+
+def _pack(storage: Storage, rows: list[dict[str, Any]]) -> bytes:
+    """Return the bytes of a tar file; equal clips give equal bytes."""
+    written = io.BytesIO()
+    with tarfile.open(fileobj=written, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        for row in rows:
+            # Columns that differ from run to run are left out.
+            constant = {k: v for k, v in row.items() if not k.startswith(("seconds.", "written"))}
+            clip = storage.read(f"{row['folder']}/clip.safetensors")
+            for ending, content in (
+                ("clip.safetensors", clip),
+                ("json", json.dumps(constant, sort_keys=True).encode()),
+            ):
+                entry = tarfile.TarInfo(f"{row['key']}.{ending}")
+                entry.size = len(content)
+                tar.addfile(entry, io.BytesIO(content))
+    return written.getvalue()

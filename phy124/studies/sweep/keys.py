@@ -1,13 +1,15 @@
-"""Keys: a digest of everything that determines a clip, so that equal work is done once."""
+"""Keys: digests of everything that determines a clip, so that equal work is done once."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 import phy124
@@ -16,23 +18,23 @@ from phy124.scene import Scene
 from phy124.scene.files import files_named
 from phy124.studies.sweep.declaration import Sweep
 from phy124.studies.sweep.plan import Item
-from phy124.studies.sweep.storage import fetched, stamp
+from phy124.studies.sweep.storage import fetch, stamp
 from phy124.weights.store import KNOWN, find
 
 DIGITS = 24
-"""Hexadecimal digits of a key: two of 1e9 clips share one with a probability of 6e-12."""
+"""Hexadecimal digits of a key: two of 1e9 clips have an equal key with probability 6e-12."""
 CUT_OUT = ("u2net", "u2netp")
 """Weights that may cut out a picture."""
 
 
 def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
-    """The key of a clip: picture, files, scene, generator, weights, and this code.
+    """Return the key of a clip: of picture, files, scene, generator, weights, and this code.
 
     Raises:
         InputError: The picture cannot be read.
     """
     files = {name: digest(str(path)) for name, path in files_named(scene)}
-    told: dict[str, Any] = {
+    inputs: dict[str, Any] = {
         "picture": digest(item.picture),
         "generator": item.generator if needs_image(item.generator) else digest(item.generator),
         "weights": weights_of(item.generator),
@@ -42,50 +44,85 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
         "films": sweep.films,
         "code": code(),
     }
-    return _digits(told)
+    return _digest_of(inputs)
 
 
-def key_asked(picture: str, generator: str, changes: dict[str, Any]) -> str:
-    """A key of what a sweep asks for, even if no clip can be made of it."""
-    return _digits([picture, generator, changes])
+def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str:
+    """Return a key of a request, even if no clip can be made of it."""
+    return _digest_of([picture, generator, changes])
 
 
-def _digits(told: Any) -> str:
-    text = json.dumps(told, sort_keys=True)
+def _digest_of(data: Any) -> str:
+    text = json.dumps(data, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
 
 
 def digest(address: str) -> str:
-    """Digest of a file's content; read once, unless it has changed since.
+    """Return the digest of a file's content, which is read once unless the file changes.
 
     Raises:
-        InputError: It cannot be read.
+        InputError: The file cannot be read.
     """
     return _digest(address, stamp(address))
 
 
 @lru_cache(maxsize=4096)
 def _digest(address: str, stamp: object) -> str:
-    del stamp  # what is remembered is forgotten with it
-    with fetched(address) as path:
+    del stamp  # a new stamp invalidates the cache
+    with fetch(address) as path:
         return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @lru_cache(maxsize=64)
 def weights_of(generator: str) -> dict[str, str]:
-    """Digests of the trained weights that a generator and its cut-out find on this machine."""
+    """Return digests of the weights of a generator and its cut-out on this machine."""
     if not needs_image(generator):
         return {}
     names = [*CUT_OUT, *WEIGHTS.get(generator, ())]
-    found = {file.path: find(file) for name in names for file in KNOWN[name]}
-    return {name: digest(str(path)) for name, path in found.items() if path is not None}
+    paths = {file.path: find(file) for name in names for file in KNOWN[name]}
+    return {name: digest(str(path)) for name, path in paths.items() if path is not None}
 
 
 @lru_cache(maxsize=1)
 def code() -> str:
-    """Digest of this package's modules and the version of Warp."""
+    """Return the digest of this package's modules and the version of Warp."""
     root = Path(phy124.__file__).parent
     whole = hashlib.sha256(str(wp.config.version).encode())
     for path in sorted(root.rglob("*.py")):
         whole.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return whole.hexdigest()
+
+
+HEXADECIMAL = 16
+"""Digits of a key that are stored: two of 1e6 keys share them with probability 3e-8."""
+RECENT = 4096
+"""Largest number of keys in the unsorted set."""
+
+
+class Seen:
+    """A set of hexadecimal keys in eight bytes each, for sweeps of millions of clips."""
+
+    def __init__(self, keys: Iterable[str] = ()) -> None:
+        self._sorted = np.empty(0, np.uint64)
+        self._recent: set[int] = set()
+        for key in keys:
+            self.add(key)
+
+    def add(self, key: str) -> None:
+        """Add a key."""
+        self._recent.add(_leading_digits(key))
+        if len(self._recent) >= RECENT:
+            recent = np.fromiter(self._recent, np.uint64, len(self._recent))
+            self._sorted = np.union1d(self._sorted, recent)
+            self._recent.clear()
+
+    def __contains__(self, key: str) -> bool:
+        number = _leading_digits(key)
+        if number in self._recent:
+            return True
+        place = np.searchsorted(self._sorted, np.uint64(number))
+        return bool(place < len(self._sorted) and self._sorted[place] == number)
+
+
+def _leading_digits(key: str) -> int:
+    return int(key[:HEXADECIMAL], 16)

@@ -1,6 +1,6 @@
-"""The manifest: a row per clip, one small file each while a sweep runs, then one Parquet table.
+"""The manifest: a row per clip, as a small file each while a sweep runs, then as a Parquet table.
 
-The table is put together from columns, as a row of Python takes ten times as much memory.
+The table is assembled from columns, since rows in Python take ten times as much memory.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ import numpy as np
 
 from phy124.errors import InputError
 from phy124.runtime.installation import install_command
-from phy124.studies.sweep.seen import Seen
+from phy124.studies.sweep.keys import Seen
 from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import FAILED, Row
 
 MANIFEST = "manifest.parquet"
 """Name of the table."""
 BATCH = 2048
-"""Rows that are read as Python's before they become columns."""
+"""Number of rows that are read at once before they become columns."""
 FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
-"""Where the rows are: by the first digit of their keys, so that no listing is the whole."""
+"""Folders of the rows, by the first digit of their keys, so that listings are short."""
 
 
 def keys_in(storage: Storage) -> Iterator[str]:
-    """Keys of the clips that need not be made again; the names of their rows tell."""
+    """Yield the keys of the clips that need not be made again, from the names of their rows."""
     return (_key(name) for name in _names(storage) if not name.endswith(FAILED))
 
 
 def sweep_rows(storage: Storage) -> None:
-    """Remove the half-written files that killed processes left beside rows and manifest."""
+    """Remove the half-written files of killed processes from the folders of rows and manifest."""
     for folder in ("", *FOLDERS):
         storage.sweep(folder)
 
 
 def refuse_missing_tables() -> None:
-    """Make sure that the manifest can be written.
+    """Refuse a sweep if its manifest cannot be written.
 
     Raises:
         InputError: pyarrow is not installed.
@@ -49,7 +49,7 @@ def refuse_missing_tables() -> None:
 
 
 def flat(row: Row) -> Row:
-    """A row as columns: what was set and the seconds of each stage have a column each."""
+    """Flatten a row: each value that was set, and each stage's seconds, becomes a column."""
     plain = {key: value for key, value in row.items() if key not in ("set", "seconds")}
     set_ = {f"set.{path}": _cell(value) for path, value in row.get("set", {}).items()}
     seconds = {f"seconds.{stage}": value for stage, value in row.get("seconds", {}).items()}
@@ -57,9 +57,9 @@ def flat(row: Row) -> Row:
 
 
 def write_manifest(storage: Storage) -> int:
-    """Write the table of all clips there are, in the order of their numbers; returns how many.
+    """Write the table of all clips in the order of their indices; return their number.
 
-    Of a clip that was made again, by another version or from a mended picture, the last row counts.
+    The last row counts for a clip that was made again by another version or from another picture.
     """
     arrow, parquet = _arrow()
     tables = list(_tables(storage, arrow))
@@ -74,24 +74,24 @@ def write_manifest(storage: Storage) -> int:
 
 
 def read_manifest(storage: Storage) -> list[Row]:
-    """The rows of the table.
+    """Read the rows of the table.
 
     Raises:
-        InputError: There is none.
+        InputError: There is no table.
     """
     table = _read(storage)
     if table is None:
-        limit = "it holds no results of a sweep."
+        limit = "it contains no results of a sweep."
         raise InputError("folder", storage.address, limit, "Give the --out of a sweep.")
     return table.to_pylist()
 
 
 def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
-    """All rows, some at a time: those that count are taken from the table that is there."""
+    """Yield all rows in batches; valid rows of the existing table are reused."""
     known = Seen()
     if (table := _read(storage)) is not None:
         there, rows = Seen(keys_in(storage)), table.select(["key", "status"]).to_pylist()
-        # What failed may have been made since.
+        # A clip that failed may have been made since.
         table = table.filter([r["status"] != "failed" and r["key"] in there for r in rows])
         known = Seen(table["key"].to_pylist())
         yield table
@@ -102,23 +102,21 @@ def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
 
 
 def _alike(tables: list[Any], arrow: Any) -> list[Any]:
-    """The tables with a column as text in all of them if it is in one and not in another."""
+    """Convert columns to text in all tables if they are text in some of them."""
     kinds: dict[str, set[bool]] = {}
     for field in (field for table in tables for field in table.schema):
         if field.type != arrow.null():
             kinds.setdefault(field.name, set()).add(field.type == arrow.string())
-    mixed = {name for name, found in kinds.items() if len(found) > 1}
-    return [
-        table.cast(arrow.schema(
-            field.with_type(arrow.string()) if field.name in mixed else field
-            for field in table.schema
-        ))
-        for table in tables
-    ]  # fmt: skip
+    mixed = {name for name, is_text in kinds.items() if len(is_text) > 1}
+
+    def convert(field: Any) -> Any:
+        return field.with_type(arrow.string()) if field.name in mixed else field
+
+    return [table.cast(arrow.schema(map(convert, table.schema))) for table in tables]
 
 
 def _last(table: Any) -> Any:
-    """Places of the last row of each clip that was asked for, in the order of their numbers."""
+    """Return the indices of each requested clip's last row, in the order of the clips."""
     asked = table["asked"].to_numpy().astype("S")
     order = np.lexsort((table["written"].to_numpy(), asked))
     newest = np.append(asked[order][1:] != asked[order][:-1], True)
@@ -127,17 +125,17 @@ def _last(table: Any) -> Any:
 
 
 def _names(storage: Storage) -> Iterator[str]:
-    """Names of all rows."""
+    """Yield the names of all rows."""
     return (name for folder in FOLDERS for name in storage.names(folder))
 
 
 def _key(name: str) -> str:
-    """The key of the clip that a row is of."""
+    """Return the key of a row's clip."""
     return PurePosixPath(name).name.partition(".")[0]
 
 
 def _read(storage: Storage) -> Any:
-    """The table; None if there is none."""
+    """Read the table; None if there is none."""
     _, parquet = _arrow()
     try:
         return parquet.read_table(io.BytesIO(storage.read(MANIFEST)))
@@ -146,12 +144,12 @@ def _read(storage: Storage) -> Any:
 
 
 def _cell(value: object) -> object:
-    """A value as a table can hold it: vectors and sections as JSON."""
+    """Convert vectors and sections to JSON."""
     return json.dumps(value) if isinstance(value, (list, tuple, dict)) else value
 
 
 def _column(values: list[object]) -> list[object]:
-    """One column, all of one type: text if its values differ in kind."""
+    """Convert a column to a single type: to text if its values differ in type."""
     kinds = {type(value) for value in values if value is not None}
     if len(kinds) <= 1:
         return values
@@ -160,10 +158,10 @@ def _column(values: list[object]) -> list[object]:
 
 
 def _arrow() -> tuple[Any, Any]:
-    """pyarrow and its Parquet.
+    """Import pyarrow and its Parquet.
 
     Raises:
-        InputError: It is not installed.
+        InputError: pyarrow is not installed.
     """
     try:
         import pyarrow

@@ -1,8 +1,7 @@
-"""Makes clips on the workers of Ray, on this machine or on a cluster.
+"""Makes clips in this process, or on the workers of Ray on this machine or a cluster.
 
-Ray keeps what workers share, gives a task to another worker when one dies, and makes what was lost
-with a node again. The driver hands out a few tasks per worker at a time, so its memory does not
-grow with the sweep.
+Ray stores shared data, repeats the tasks of workers that die, and recomputes data lost with a node.
+The driver submits a few tasks per worker at a time, so its memory does not grow with the sweep.
 """
 
 from __future__ import annotations
@@ -12,20 +11,28 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from phy124.errors import InputError
+from phy124.errors import Cancelled, InputError
 from phy124.runtime.cores import cores
 from phy124.runtime.failures import failure
 from phy124.runtime.installation import install_command
-from phy124.studies.sweep.work import Order, Row, failed, made, row_of, stops_all
+from phy124.studies.sweep.work import (
+    Made,
+    Order,
+    Row,
+    make_gaussians,
+    make_row,
+    stops_all,
+    write_failed,
+)
 
 RETRIES = 10
-"""How often a task is given to another worker, if workers die over it."""
+"""Number of times that a task is repeated if its workers die."""
 AHEAD = 3
-"""Tasks per worker that wait or run."""
+"""Number of submitted tasks per worker."""
 BEAT = 0.2
-"""Time between two looks at whether the work is to be stopped [s]."""
+"""Time between two checks for cancellation [s]."""
 SHARED = 64
-"""Sources whose Gaussians are kept for further clips."""
+"""Number of sources whose Gaussians are stored for further clips."""
 
 
 def on_ray(
@@ -35,13 +42,13 @@ def on_ray(
     address: str | None = None,
     workers: int | None = None,
 ) -> Iterator[Row]:
-    """The rows of the orders, each as soon as its clip is made.
+    """Make clips on Ray; yield each row as soon as its clip is made.
 
     Args:
-        orders: What to make; read no further than workers can take.
-        beat: Called often meanwhile; may raise Cancelled.
-        address: Of a cluster; None: workers on this machine.
-        workers: How many of them, without an address; None: one per core.
+        orders: The clips, which are read as workers become free.
+        beat: Called often; may raise Cancelled.
+        address: Address of a cluster; None: workers on this machine.
+        workers: Number of workers on this machine; None: one per core.
 
     Raises:
         InputError: Ray is not installed, no cluster answers, or it lacks GPUs.
@@ -56,20 +63,20 @@ def on_ray(
 
 
 class _Tasks:
-    """The tasks that wait or run."""
+    """The submitted tasks."""
 
     def __init__(self, ray: Any, beat: Callable[[], None]) -> None:
         self.ray, self.beat = ray, beat
-        self.make = ray.remote(num_cpus=1, max_retries=RETRIES)(made)
-        self.move = ray.remote(num_cpus=1, max_retries=RETRIES)(row_of)
+        self.make = ray.remote(num_cpus=1, max_retries=RETRIES)(make_gaussians)
+        self.move = ray.remote(num_cpus=1, max_retries=RETRIES)(make_row)
         self.sources: OrderedDict[Any, Any] = OrderedDict()
         self.waiting: dict[Any, Order] = {}
 
     def rows(self, orders: Iterable[Order]) -> Iterator[Row]:
-        """Keep so many waiting that no worker is idle."""
+        """Submit tasks so that no worker is idle, and yield their rows."""
         try:
             for order in orders:
-                move = self.move.options(**self._reserved(order))
+                move = self.move.options(**self._reserve(order))
                 self.waiting[move.remote(order, self._source(order))] = order
                 if len(self.waiting) >= self._most():
                     yield self._next()
@@ -80,11 +87,11 @@ class _Tasks:
                 self.ray.cancel(task, force=True)
 
     def _most(self) -> int:
-        """How many may wait; a cluster may have grown or shrunk."""
+        """Return the largest number of submitted tasks; a cluster may grow or shrink."""
         return AHEAD * max(1, int(self.ray.cluster_resources().get("CPU", 1)))
 
-    def _reserved(self, order: Order) -> dict[str, float]:
-        """What the task of an order reserves; no more memory than a node has, or it would wait."""
+    def _reserve(self, order: Order) -> dict[str, float]:
+        """Return the resources of a task; at most a node's memory, or it would wait forever."""
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         if order.needs.gpus and not any(node.get("GPU") for node in nodes):
             limit = "no node of the cluster has a GPU."
@@ -93,17 +100,17 @@ class _Tasks:
         return {"memory": int(min(order.needs.memory, most)), "num_gpus": order.needs.gpus}
 
     def _source(self, order: Order) -> Any:
-        """The task that makes the Gaussians of an order, shared with others."""
+        """Return the task that makes the Gaussians of an order, shared by clips of its source."""
         key = order.source
         if key not in self.sources:
-            self.sources[key] = self.make.options(**self._reserved(order)).remote(order)
+            self.sources[key] = self.make.options(**self._reserve(order)).remote(order)
             while len(self.sources) > SHARED:
                 self.sources.popitem(last=False)
         self.sources.move_to_end(key)
         return self.sources[key]
 
     def _next(self) -> Row:
-        """Wait for one of them."""
+        """Wait for a task and return its row."""
         done: list[Any] = []
         while not done:
             self.beat()
@@ -114,16 +121,16 @@ class _Tasks:
         except self.ray.exceptions.RayTaskError as error:
             if stops_all(error.cause):
                 raise error.cause from None
-            return failed(order, failure(error.cause).sentence)
+            return write_failed(order, failure(error.cause).sentence)
         except self.ray.exceptions.RayError as error:
-            return failed(order, f"workers died over it {RETRIES + 1} times: {error}")
+            return write_failed(order, f"its workers died {RETRIES + 1} times: {error}")
 
 
 def _ray(address: str | None, workers: int | None) -> Any:
-    """Ray, connected.
+    """Connect to Ray.
 
     Raises:
-        InputError: It is not installed, or no cluster answers.
+        InputError: Ray is not installed, or no cluster answers.
     """
     try:
         import ray
@@ -146,11 +153,40 @@ def _ray(address: str | None, workers: int | None) -> Any:
 
 
 def _mute(ray: Any) -> None:
-    """Leave what Ray says of workers that die to its logs (/tmp/ray/session_latest/logs).
+    """Stop Ray from printing messages about dead workers, which are in its logs, too.
 
-    It prints that on standard output, whatever `log_to_driver` is, where our JSON may be. Other
-    versions of Ray than those that have this switch go on as they are.
+    It prints them on standard output regardless of `log_to_driver`, where our JSON may be. Versions
+    of Ray without this switch are left unchanged.
     """
     worker: Any = getattr(getattr(ray, "_private", None), "worker", None)
     if hasattr(worker, "_worker_logs_enabled"):
         worker._worker_logs_enabled = False
+
+
+def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Row]:
+    """Make clips one after the other in this process; yield each row as soon as it is made.
+
+    Args:
+        orders: The clips.
+        beat: Called often; may raise Cancelled.
+
+    Raises:
+        OSError: No space is left.
+        Cancelled: `beat` raised it.
+    """
+
+    def progress(stage: str, done: int, total: int) -> None:
+        del stage, done, total
+        beat()
+
+    last: tuple[object, Made] | None = None
+    for order in orders:
+        try:
+            if last is None or last[0] != order.source:
+                last = order.source, make_gaussians(order)
+            yield make_row(order, last[1], progress)
+        except Exception as error:
+            # A failed clip does not stop the others.
+            if isinstance(error, Cancelled) or stops_all(error):
+                raise
+            yield write_failed(order, failure(error).sentence)

@@ -1,4 +1,4 @@
-"""The plan of a sweep: which clip is which, told from its number alone, so none is kept."""
+"""The plan of a sweep: computes a clip's settings from its index, so that none are stored."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from phy124.errors import InputError
 from phy124.scene import Scene
 from phy124.studies.sweep.axes import Axis, Counted, Listed
 from phy124.studies.sweep.declaration import Sweep
-from phy124.studies.sweep.storage import matching
+from phy124.studies.sweep.storage import list_matching
 
 BLOCK = 1024
-"""Samples that are drawn at once, a power of two."""
+"""Number of samples that are computed at once, a power of two."""
 MOST = 100_000_000
 """Largest number of clips of one sweep."""
 FEWEST_BITS = 30
-"""Sobol's sequence is drawn to so many binary digits."""
+"""Binary digits of Sobol's sequence."""
 
 
 @dataclass(frozen=True)
 class Item:
-    """One clip to be made."""
+    """A clip to be made."""
 
     index: int
     picture: str
@@ -37,19 +37,19 @@ class Item:
 
 
 class Plan:
-    """All clips of a sweep, by their number."""
+    """All clips of a sweep, by their index."""
 
     def __init__(self, sweep: Sweep) -> None:
         """Find the pictures and read the scene.
 
         Raises:
-            InputError: There is no such picture or scene, no such field of it, too many clips, or
-                a distribution without a number of samples.
+            InputError: A picture, the scene or a field of it does not exist, there are too many
+                clips, or a distribution has no number of samples.
         """
         self.sweep = sweep
-        # The manifest tells the largest force on a wall.
+        # The manifest contains the largest force on a wall.
         self.scene = Scene.named(sweep.scene).model_copy(update={"wrenches": True})
-        pictures = [path for given in sweep.pictures for path in matching(given)]
+        pictures = [path for pattern in sweep.pictures for path in list_matching(pattern)]
         self.axes: dict[str, Axis] = {
             "picture": Listed(values=tuple(dict.fromkeys(pictures))),
             "generator": Listed(values=sweep.generators),
@@ -68,7 +68,7 @@ class Plan:
 
     @property
     def sources(self) -> int:
-        """In how many ways Gaussians are made, at most: clips of one way share them."""
+        """Largest number of different sources; clips of a source share its Gaussians."""
         shared = ("picture", "generator", "seed")
         axes = [self.axes[name] for name in shared if name in self.axes]
         counts = [axis.count if isinstance(axis, Counted) else len(self) for axis in axes]
@@ -78,44 +78,44 @@ class Plan:
         return (self.item(index) for index in range(len(self)))
 
     def item(self, index: int) -> Item:
-        """The clip of a number; the last axis changes fastest."""
+        """Return the clip with a given index; the last axis varies fastest."""
         if self.sweep.samples is None:
             places = np.unravel_index(index, [axis.count for axis in self._counted])
             pairs = zip(self._counted, places, strict=True)
             values: list[Any] = [axis.value(int(place)) for axis, place in pairs]
         else:
             drawn = zip(self.axes.values(), self._point(index), strict=True)
-            values = [axis.drawn(float(u)) for axis, u in drawn]
+            values = [axis.draw(float(u)) for axis, u in drawn]
         picture, generator, *others = values
         return Item(index, picture, generator, dict(zip(self.sweep.set, others, strict=True)))
 
     def scene_of(self, item: Item) -> Scene:
-        """The scene of a clip.
+        """Return the scene of a clip.
 
         Raises:
-            InputError: Its values cannot be used.
+            InputError: Its values are invalid.
         """
         return self.scene.replaced(item.changes)
 
     def share(self, part: int, parts: int) -> range:
-        """Numbers of the clips that one of several machines makes, counted from 1."""
+        """Return the indices of the clips of part 1, 2, ... of several machines."""
         return range(part - 1, len(self), parts)
 
     def _refuse_endless(self) -> None:
-        """Raise InputError for a distribution if all combinations are asked for."""
+        """Refuse a distribution if all combinations are requested."""
         for name, axis in self.axes.items():
             if self.sweep.samples is None and not isinstance(axis, Counted):
-                limit = "it is to be drawn, and all combinations are asked for."
+                limit = "a distribution has no finite number of combinations."
                 remedy = "Set samples, or give a list or a range."
                 raise InputError(f"set.{name}", axis, limit, remedy)
 
     @cached_property
     def _shift(self) -> NDArray[np.float64]:
-        """Moves all samples by the same vector, which keeps them as even as they are."""
+        """Shift of all samples, which keeps them evenly distributed."""
         return np.random.default_rng(self.sweep.seed).random(len(self.axes))
 
     def _point(self, index: int) -> NDArray[np.float64]:
-        """A sample in the unit cube: Sobol's sequence, shifted by the seed."""
+        """Return a sample in the unit cube: Sobol's sequence, shifted by the seed."""
         number, place = divmod(index, BLOCK)
         if self._block[0] != number:
             from scipy.stats.qmc import Sobol

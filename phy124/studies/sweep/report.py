@@ -17,9 +17,9 @@ from phy124.studies.sweep.work import Row
 PAGE = "report.html"
 """Name of the page."""
 SHOWN = 600
-"""Clips that are shown as pictures, evenly chosen if there are more."""
+"""Largest number of clips shown as pictures, chosen evenly."""
 BARS = 12
-"""Bars of a distribution."""
+"""Number of bars of a distribution."""
 MEASURES = (
     ("seconds.clip", "seconds of one core per clip"),
     ("largest_force", "largest force on a wall [N]"),
@@ -40,31 +40,31 @@ figcaption { font-size: 11px; overflow-wrap: anywhere; }
 """
 
 
-def lines(storage: Storage) -> list[str]:
-    """The table for the terminal.
+def format_lines(storage: Storage) -> list[str]:
+    """Format the table for the terminal.
 
     Raises:
         InputError: There are no results.
     """
     rows = read_manifest(storage)
     done = [row for row in rows if row["status"] == "done"]
-    found = [f"{len(rows)} clips: {_counted(rows)}"]
+    lines = [f"{len(rows)} clips: {_count(rows)}"]
     for name, words in MEASURES:
         values = _values(done, name)
         if len(values):
             low, mid, high = np.percentile(values, [5, 50, 95])
-            found.append(f"  {words:<42} median {mid:.4g}, 5 to 95 %: {low:.4g} to {high:.4g}")
+            lines.append(f"  {words:<42} median {mid:.4g}, 5 to 95 %: {low:.4g} to {high:.4g}")
     for name, groups in _by_axis(done):
-        found.append(f"  by {name}:")
+        lines.append(f"  by {name}:")
         for value, group in groups.items():
             cost = np.mean(_values(group, "seconds.clip"))
-            found.append(f"    {value:<40.40} {len(group):6} clips, {cost:.3g} s each")
-    found += [f"  {count} x {why}" for why, count in _reasons(rows).most_common(10)]
-    return found
+            lines.append(f"    {value:<40.40} {len(group):6} clips, {cost:.3g} s each")
+    lines += [f"  {count} x {why}" for why, count in _reasons(rows).most_common(10)]
+    return lines
 
 
 def write_page(storage: Storage) -> str:
-    """Write the page; returns its address.
+    """Write the page; return its address.
 
     Raises:
         InputError: There are no results.
@@ -72,7 +72,7 @@ def write_page(storage: Storage) -> str:
     rows = read_manifest(storage)
     done = [row for row in rows if row["status"] == "done"]
     parts = [
-        f"<h1>{len(rows)} clips</h1><p>{html.escape(_counted(rows))}</p>",
+        f"<h1>{len(rows)} clips</h1><p>{html.escape(_count(rows))}</p>",
         *(_distribution(words, _values(done, name)) for name, words in MEASURES),
         *(_table(name, groups) for name, groups in _by_axis(done)),
         _refusals(_reasons(rows)),
@@ -87,23 +87,23 @@ def write_page(storage: Storage) -> str:
     return storage.place(PAGE)
 
 
-def _counted(rows: Iterable[Row]) -> str:
+def _count(rows: Iterable[Row]) -> str:
     counts = Counter(row["status"] for row in rows)
     return ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
 
 
 def _values(rows: Iterable[Row], name: str) -> Any:
-    """The numbers of a column that are there."""
+    """Return the numbers of a column, without missing ones."""
     return np.array([row[name] for row in rows if row.get(name) is not None], dtype=float)
 
 
 def _by_axis(rows: list[Row]) -> Iterator[tuple[str, dict[str, list[Row]]]]:
-    """For each axis of few values, its clips by their value."""
+    """Group the clips by value, for each axis with 2 to 20 values."""
     columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
     for name in ("picture", "generator", *columns):
         groups: defaultdict[str, list[Row]] = defaultdict(list)
         for row in rows:
-            groups[_said(row.get(name))].append(row)
+            groups[_format(row.get(name))].append(row)
         if 1 < len(groups) <= 20:
             yield name.removeprefix("set."), dict(groups)
 
@@ -113,7 +113,7 @@ def _reasons(rows: Iterable[Row]) -> Counter[str]:
 
 
 def _distribution(words: str, values: Any) -> str:
-    """Bars of how often which value occurs."""
+    """Return a histogram of values as HTML."""
     if not len(values):
         return ""
     counts, edges = np.histogram(values, BARS)
@@ -146,15 +146,15 @@ def _refusals(reasons: Counter[str]) -> str:
 
 
 def _sheet(storage: Storage, rows: list[Row]) -> str:
-    """Pictures of the clips, each with what tells it from the others."""
+    """Return pictures of the clips with the values in which they differ, as HTML."""
     chosen = rows if len(rows) <= SHOWN else [rows[i * len(rows) // SHOWN] for i in range(SHOWN)]
     columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
     differ = [name for name in columns if len({str(row.get(name)) for row in rows}) > 1]
     figures = []
     for row in chosen:
         picture = base64.b64encode(storage.read(f"{row['folder']}/thumbnail.webp")).decode()
-        told = [f"{name.removeprefix('set.')} {_said(row.get(name))}" for name in differ]
-        words = html.escape(", ".join([f"{row['index']}", *told]))
+        values = [f"{name.removeprefix('set.')} {_format(row.get(name))}" for name in differ]
+        words = html.escape(", ".join([f"{row['index']}", *values]))
         figures.append(
             f'<figure><img loading="lazy" alt="clip {row["index"]}" '
             f'src="data:image/webp;base64,{picture}"><figcaption>{words}</figcaption></figure>'
@@ -162,6 +162,6 @@ def _sheet(storage: Storage, rows: list[Row]) -> str:
     return f'<h2>The clips</h2><div class="sheet">{"".join(figures)}</div>'
 
 
-def _said(value: object) -> str:
-    """A value as people write it."""
+def _format(value: object) -> str:
+    """Format a value with at most six digits."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""Runs a sweep: skips what is there, hands out the rest, and leaves a manifest."""
+"""Runs a sweep: skips clips that exist, makes the others, and writes the manifest."""
 
 from __future__ import annotations
 
@@ -11,34 +11,31 @@ from functools import partial
 from phy124.errors import InputError
 from phy124.progress import Progress, silent
 from phy124.rendering.film import refuse_missing_writers
-from phy124.studies.sweep.in_turn import in_turn
-from phy124.studies.sweep.keys import key_asked, key_of
+from phy124.studies.sweep.cost import Remaining
+from phy124.studies.sweep.keys import Seen, key_of, key_of_request
 from phy124.studies.sweep.manifest import keys_in, refuse_missing_tables, sweep_rows, write_manifest
-from phy124.studies.sweep.needs import memory_of_gpu, needs_of
-from phy124.studies.sweep.on_ray import on_ray
+from phy124.studies.sweep.on_ray import in_turn, on_ray
 from phy124.studies.sweep.plan import Item, Plan
-from phy124.studies.sweep.remaining import Remaining
-from phy124.studies.sweep.seen import Seen
 from phy124.studies.sweep.storage import Storage
-from phy124.studies.sweep.work import Order, stops_all, write_row
+from phy124.studies.sweep.work import Order, memory_of_gpu, needs_of, stops_all, write_row
 
 FULL = "no space is left at {}. Free some; the same command goes on, and nothing made is lost"
 
 
 @dataclass
 class Counts:
-    """How many clips ended how."""
+    """Number of clips by status."""
 
     here: int = 0
-    """Those that an earlier run has left, or an equal clip of this one."""
+    """Clips of an earlier run, or equal to another clip of this run."""
     ended: Counter[str] = field(default_factory=Counter)
-    """Status -> how many of this run."""
+    """Status -> number of clips of this run."""
     left: float | None = None
-    """Time until all are made [s], as far as it can be told."""
+    """Time until all clips are made [s]; None while it is unknown."""
 
     @property
     def clips(self) -> int:
-        """How many are there."""
+        """Number of finished clips."""
         return self.here + sum(self.ended.values())
 
 
@@ -53,21 +50,21 @@ def run(
     progress: Progress = silent,
     counts: Counts | None = None,
 ) -> Counts:
-    """Make the clips of a sweep that are not there yet.
+    """Make the clips of a sweep that do not exist yet.
 
     Args:
-        plan: Which they are.
-        out: Folder, or address of one, of the results.
+        plan: The clips.
+        out: Folder of the results, or its address.
         ray: Address of a cluster; None: this machine.
-        workers: Processes on this machine; None: one per core; 0: this one.
-        shard: The part that is made and the number of parts, counted from 1.
+        workers: Processes on this machine; None: one per core; 0: this process.
+        shard: The part to make, from 1, and the number of parts.
         device: Warp device of the workers.
         progress: Called with ("clips", ended, all); may raise Cancelled.
-        counts: Kept up to date meanwhile, and returned.
+        counts: Updated during the run, and returned.
 
     Raises:
-        InputError: The folder cannot be used, Ray is not there, or the shard does not exist.
-        OSError: No space is left; what is made stays, and frames of the clips that were not.
+        InputError: The folder is unusable, Ray is missing, or the shard does not exist.
+        OSError: No space is left; finished clips and frames are kept.
     """
     part, parts = shard
     if not 1 <= part <= parts:
@@ -90,12 +87,12 @@ def run(
     try:
         for row in engine(orders, beat=beat):
             counts.ended[row["status"]] += 1
-            remaining.ended(row)
+            remaining.note_finished(row)
             counts.left = remaining.left(len(numbers) - counts.clips)
             beat()
         write_manifest(storage)
     except BaseException as error:
-        with suppress(OSError):  # the rows are there: the next run makes it
+        with suppress(OSError):  # the next run writes it from the rows
             write_manifest(storage)
         if isinstance(error, OSError) and stops_all(error):
             raise OSError(error.errno, FULL.format(out)) from error
@@ -106,7 +103,7 @@ def run(
 def _orders(
     plan: Plan, numbers: Iterable[int], storage: Storage, counts: Counts, device: str
 ) -> Iterator[Order]:
-    """What is left to be made; what cannot be made gets its row here."""
+    """Yield the clips to make; write the rows of those that cannot be made."""
     done, gpu_memory = Seen(keys_in(storage)), memory_of_gpu(device)
     for index in numbers:
         item = plan.item(index)
@@ -124,14 +121,22 @@ def _orders(
         if sweep.films:
             refuse_missing_writers(scene.view)
         yield Order(
-            key, index, item.picture, item.generator, item.changes, scene.data(),
-            sweep.gaussians, sweep.films, storage.address,
-            needs_of(scene, sweep.gaussians, gpu_memory), device,
-        )  # fmt: skip
+            key=key,
+            index=index,
+            picture=item.picture,
+            generator=item.generator,
+            changes=item.changes,
+            scene=scene.data(),
+            gaussians=sweep.gaussians,
+            films=sweep.films,
+            out=storage.address,
+            needs=needs_of(scene, sweep.gaussians, gpu_memory),
+            device=device,
+        )
 
 
 def _refuse(storage: Storage, counts: Counts, item: Item, sentence: str) -> None:
-    """The row of a clip that cannot be made, and so has no other key."""
-    key = key_asked(item.picture, item.generator, item.changes)
+    """Write the row of a clip that cannot be made; its key is that of the request."""
+    key = key_of_request(item.picture, item.generator, item.changes)
     write_row(storage, key, item, {"status": "refused", "sentence": sentence})
     counts.ended["refused"] += 1

@@ -1,4 +1,4 @@
-"""Where a sweep's results are: a folder here, or anything that fsspec can address as one."""
+"""The storage of a sweep's results: a local folder, or a folder at an address of fsspec."""
 
 from __future__ import annotations
 
@@ -16,44 +16,44 @@ from phy124.runtime.installation import install_command
 
 
 class Filling(NamedTuple):
-    """Files on their way into a storage."""
+    """A local folder whose files are moved to a storage."""
 
     place: Path
     """The folder to fill."""
     store: Callable[[], int]
-    """Moves what is there by now to the storage; returns its bytes."""
+    """Moves the files of the folder to the storage; returns their size [bytes]."""
 
 
 class Storage:
-    """Files by their names below one folder; a file appears whole or not at all."""
+    """Files by their names below a folder; a file appears whole or not at all."""
 
     def __init__(self, address: str) -> None:
         """Find the folder, which need not exist yet.
 
         Raises:
-            InputError: No installed package knows such an address.
+            InputError: No installed package supports such an address.
         """
         self.address = str(address).rstrip("/") or "/"
-        self._files, self._root = _opened(self.address)
+        self._files, self._root = _open(self.address)
 
     @property
     def here(self) -> Path | None:
-        """The folder, if it is one of this machine."""
+        """The folder, if it is on this machine."""
         return Path(self._root) if "file" in _names(self._files) else None
 
     def place(self, name: str) -> str:
-        """The address of a file, for people and other programs."""
+        """Return the address of a file."""
         return f"{self.address}/{name}"
 
     def names(self, folder: str) -> list[str]:
-        """Names of all files below a folder, in order."""
+        """Return the names of all files below a folder, in order."""
         self._files.invalidate_cache()
         start = len(self._root) + 1
-        found = self._files.find(f"{self._root}/{folder}")
-        return sorted(path[start:] for path in found if not Path(path).name.startswith("."))
+        paths = self._files.find(f"{self._root}/{folder}")
+        return sorted(path[start:] for path in paths if not Path(path).name.startswith("."))
 
     def read(self, name: str) -> bytes:
-        """The content of a file.
+        """Read the content of a file.
 
         Raises:
             FileNotFoundError: There is no such file.
@@ -72,7 +72,7 @@ class Storage:
 
     @contextmanager
     def filling(self, folder: str) -> Iterator[Filling]:
-        """A place on this machine for the files of a folder, which may be stored in parts."""
+        """Provide a local folder for the files of a folder, which may be stored in parts."""
         if self.here is not None:
             with staging(self.here / folder) as place:
                 yield Filling(place, partial(_deliver, place))
@@ -82,7 +82,7 @@ class Storage:
             yield Filling(place, partial(self._copy, folder, place))
 
     def _copy(self, folder: str, source: Path) -> int:
-        """Move the files of a folder of this machine to the storage; returns their bytes."""
+        """Move the files of a local folder to the storage; return their size [bytes]."""
         size = 0
         for path in sorted(path for path in source.rglob("*") if path.is_file()):
             content = path.read_bytes()
@@ -92,32 +92,32 @@ class Storage:
         return size
 
     def sweep(self, folder: str) -> None:
-        """Remove the half-written files that killed processes left in a folder of this machine."""
+        """Remove the half-written files of killed processes from a local folder."""
         if self.here is not None:
             sweep_parts(self.here / folder)
 
     @contextmanager
     def local(self, name: str) -> Iterator[Path]:
-        """A file as one of this machine; removed afterwards if it had to be fetched."""
-        with fetched(self.place(name)) as path:
+        """Provide a file as a local file; a fetched copy is removed afterwards."""
+        with fetch(self.place(name)) as path:
             yield path
 
 
 def _deliver(place: Path) -> int:
-    """Move files to their folder on this machine; returns their bytes."""
+    """Move files to their local folder; return their size [bytes]."""
     size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
     deliver(place)
     return size
 
 
 @contextmanager
-def fetched(address: str) -> Iterator[Path]:
-    """A file that may be elsewhere as one of this machine, for as long as it is needed.
+def fetch(address: str) -> Iterator[Path]:
+    """Provide a file as a local file; a fetched copy is removed afterwards.
 
     Raises:
-        InputError: It cannot be fetched.
+        InputError: The file cannot be fetched.
     """
-    files, path = _opened(address)
+    files, path = _open(address)
     if "file" in _names(files):
         yield Path(address if "://" not in address else path)
         return
@@ -132,35 +132,35 @@ def fetched(address: str) -> Iterator[Path]:
 
 
 def stamp(address: str) -> object:
-    """What changes when a file does, as far as its file system tells."""
-    files, path = _opened(address)
+    """Return a value that changes when a file changes, if the file system provides it."""
+    files, path = _open(address)
     try:
         return files.ukey(path)
     except (OSError, NotImplementedError):
         return None
 
 
-def matching(pattern: str) -> list[str]:
-    """Addresses of the files that a path or pattern means, in order.
+def list_matching(pattern: str) -> list[str]:
+    """Return the addresses of the files that match a path or pattern, in order.
 
     Raises:
-        InputError: There is none.
+        InputError: There is no such file.
     """
-    files, path = _opened(pattern)
+    files, path = _open(pattern)
     try:
-        found = sorted(str(one) for one in files.glob(path) if not files.isdir(one))
+        matches = sorted(str(match) for match in files.glob(path) if not files.isdir(match))
     except OSError as error:
         limit = f"its folder cannot be read ({error})."
         raise InputError("pictures", pattern, limit, "Check the address and its keys.") from error
-    if not found:
+    if not matches:
         raise InputError("pictures", pattern, "there is no such file.", "Give paths or a pattern.")
     if "file" not in _names(files):
-        return [files.unstrip_protocol(one) for one in found]
-    return [os.path.relpath(one) if not os.path.isabs(pattern) else one for one in found]
+        return [*map(files.unstrip_protocol, matches)]
+    return matches if os.path.isabs(pattern) else [*map(os.path.relpath, matches)]
 
 
-def _opened(address: str) -> tuple[Any, str]:
-    """The file system of an address, and the path in it."""
+def _open(address: str) -> tuple[Any, str]:
+    """Return the file system of an address, and the path in it."""
     import fsspec
     from fsspec.core import url_to_fs
 
@@ -175,6 +175,6 @@ def _opened(address: str) -> tuple[Any, str]:
 
 
 def _names(files: Any) -> tuple[str, ...]:
-    """Names of a file system's protocol."""
-    found = files.protocol
-    return (found,) if isinstance(found, str) else tuple(found)
+    """Return the names of a file system's protocol."""
+    names = files.protocol
+    return (names,) if isinstance(names, str) else tuple(names)

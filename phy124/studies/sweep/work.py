@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from PIL import Image
 
 from phy124.accuracy.promises import promise
+from phy124.budget.cost import GAUSSIANS, count_nodes, count_particles, estimate_memory
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
 from phy124.generators import needs_image
@@ -27,15 +28,65 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Interrupted, Simulation, prepare
 from phy124.simulation.parts import Crop
-from phy124.studies.sweep.keys import key_asked
-from phy124.studies.sweep.needs import Needs
+from phy124.studies.sweep.keys import key_of_request
 from phy124.studies.sweep.plan import Item
-from phy124.studies.sweep.storage import Filling, Storage, fetched
+from phy124.studies.sweep.storage import Filling, Storage, fetch
+
+PROCESS = 4e8
+"""Memory of a worker before it has a clip [bytes]: Python, NumPy, Warp and its kernels."""
+CONTEXT = 6e8
+"""Memory of CUDA on the GPU per process [bytes]."""
+UNSURE = 2.0
+"""Safety factor, since the fraction of its cube that an object fills is unknown."""
+STEP = 1 << 28
+"""Memory is reserved in multiples of this, so that similar tasks reserve equal amounts [bytes]."""
+SHARERS = 8
+"""Largest number of tasks per GPU; more would wait for each other."""
+
+
+class Needs(NamedTuple):
+    """Resources that are reserved for a task."""
+
+    memory: int
+    """Bytes."""
+    gpus: float
+    """Fraction of a GPU."""
+
+
+def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> Needs:
+    """Estimate the resources for a scene's clip, before its Gaussians exist.
+
+    Args:
+        scene: The scene.
+        gaussians: Largest number of Gaussians, if it is limited.
+        gpu_memory: Memory of a GPU [bytes]; None: the work is for CPUs.
+    """
+    count = min(gaussians or GAUSSIANS, GAUSSIANS)
+    particles, nodes = count_particles(scene, count), count_nodes(scene)
+    memory, state = estimate_memory(scene, count, particles, nodes, scene.time.frames)
+    steps = -(-(PROCESS + UNSURE * memory) // STEP)
+    return Needs(int(steps) * STEP, 0.0 if gpu_memory is None else _part(state, gpu_memory))
+
+
+def memory_of_gpu(device: str) -> float | None:
+    """Return the memory of a device [bytes], assumed for all nodes; None for a CPU."""
+    if device == "cpu":
+        return None
+    import warp as wp
+
+    return float(wp.get_device(device).total_memory)
+
+
+def _part(state: float, gpu_memory: float) -> float:
+    """Return 1 / (number of tasks that fit on a GPU)."""
+    fit = int(gpu_memory // (CONTEXT + UNSURE * state))
+    return 1.0 / max(1, min(SHARERS, fit))
+
 
 Row = dict[str, Any]
-"""What the manifest says of a clip."""
+"""The manifest's data of a clip."""
 FAILED = ".failed.json"
-"""Ending of the row of a clip that the next run tries again; any other row is final."""
+"""Ending of the row of a failed clip, which the next run repeats; other rows are final."""
 THUMBNAIL = 96
 """Size of the picture of a clip in the report [pixels]."""
 
@@ -60,38 +111,35 @@ class Order:
 
     @property
     def read(self) -> bool:
-        """Whether its Gaussians depend on the scene: they are read from a file, or some of them are
-        further objects.
-        """
+        """Whether its Gaussians depend on the scene: by files, or by further objects."""
         of_files = not (needs_image(self.picture) and needs_image(self.generator))
         return of_files or bool(self.scene.get("objects"))
 
     @property
     def source(self) -> tuple[Any, ...]:
-        """What its Gaussians depend on; clips of one source share them."""
-        # A file is read as its scene says.
-        own = self.key if self.read else self.scene.get("seed", 0)
-        return self.picture, self.generator, self.gaussians, self.device, own
+        """Everything that its Gaussians depend on; clips of a source share them."""
+        scene = self.key if self.read else self.scene.get("seed", 0)
+        return self.picture, self.generator, self.gaussians, self.device, scene
 
 
 class Made(NamedTuple):
-    """The Gaussians of a picture, or why there are none."""
+    """The Gaussians of a picture, or the reason why there are none."""
 
     gaussians: Gaussians | None
     crop: Crop | None
     scene: dict[str, Any] | None
-    """The scene that fits them, if it differs from the one asked for."""
+    """The scene for these Gaussians, if it differs from the requested one."""
     seconds: float
     refusal: str | None = None
 
 
-def made(order: Order) -> Made:
-    """The Gaussians for a clip, and for all of the same source."""
+def make_gaussians(order: Order) -> Made:
+    """Make the Gaussians of a clip, for all clips of its source."""
     start()
     begun = time.perf_counter()
     scene = Scene.from_data(order.scene)
     try:
-        found = static_of(
+        static_object = make_static(
             order.picture,
             order.generator,
             scene if order.read else Scene(seed=scene.seed),
@@ -100,87 +148,93 @@ def made(order: Order) -> Made:
         )
     except InputError as error:
         return Made(None, None, None, time.perf_counter() - begun, str(error))
-    fitted = found.scene.data() if order.read else None
-    return Made(found.gaussians, found.crop, fitted, time.perf_counter() - begun)
+    scene_data = static_object.scene.data() if order.read else None
+    seconds = time.perf_counter() - begun
+    return Made(static_object.gaussians, static_object.crop, scene_data, seconds)
 
 
-def static_of(address: str, generator: str, scene: Scene, **options: Any) -> Static:
-    """The Gaussians of a picture; those of a file of Gaussians are read, whatever the generator.
+def make_static(address: str, generator: str, scene: Scene, **options: Any) -> Static:
+    """Make the Gaussians of a picture, or read those of a file.
 
     Args:
-        address: Of the picture or file.
-        generator: What makes them, if it is a picture.
-        scene: What will happen to them.
-        **options: Those of `static`.
+        address: Address of the picture or file.
+        generator: Generator for a picture.
+        scene: The scene.
+        **options: Options of `static`.
 
     Raises:
-        InputError: The picture or the options cannot be used.
+        InputError: The picture or an option is unusable.
     """
-    with fetched(address) as picture:
+    with fetch(address) as picture:
         chosen = generator if needs_image(address) else str(picture)
         return static(picture, scene, generator=chosen, **options)
 
 
-def row_of(order: Order, source: Made, progress: Progress = silent) -> Row:
+def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
     """Make a clip, store it, and write its row.
 
     Raises:
-        OSError: The machine cannot, for instance because a disk is full.
-        Cancelled: `progress` raised it; on this machine, the next run goes on with the clip.
+        OSError: The machine fails, for instance since a disk is full.
+        Cancelled: `progress` raised it; on this machine, the next run continues the clip.
     """
     start()
     storage, watch = Storage(order.out), Stopwatch()
     try:
-        found = _result(order, source, storage, watch, progress)
+        result = _make_clip(order, source, storage, watch, progress)
     except InputError as error:
-        found = {"status": "refused", "sentence": str(error)}
+        result = {"status": "refused", "sentence": str(error)}
     seconds = {"generate": source.seconds, **watch.seconds, "clip": watch.total}
-    return write_row(storage, order.key, order, {**found, "seconds": seconds})
+    return write_row(storage, order.key, order, {**result, "seconds": seconds})
 
 
-def write_row(storage: Storage, key: str, clip: Item | Order, found: Row) -> Row:
-    """Write the row of a clip, which counts as made from now on; returns it.
+def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
+    """Write the row of a clip, which counts as made from now on; return it.
 
     Args:
         storage: The sweep's folder.
         key: The clip's key.
-        clip: Which it is.
-        found: What became of it.
+        clip: The clip.
+        result: Its status and measurements.
     """
     row = {
-        "key": key, "asked": key_asked(clip.picture, clip.generator, clip.changes),
-        "index": clip.index, "picture": clip.picture, "generator": clip.generator,
-        "set": clip.changes, "written": time.time(), **found,
-    }  # fmt: skip
+        "key": key,
+        "asked": key_of_request(clip.picture, clip.generator, clip.changes),
+        "index": clip.index,
+        "picture": clip.picture,
+        "generator": clip.generator,
+        "set": clip.changes,
+        "written": time.time(),
+        **result,
+    }
     ending = FAILED if row["status"] == "failed" else ".json"
     storage.write(f"rows/{key[0]}/{key}{ending}", json.dumps(row).encode())
     return row
 
 
-def failed(order: Order, sentence: str) -> Row:
-    """Write the row of a clip that could not be made, which the next run tries again."""
-    told = sentence.strip().splitlines()[:1] or ["no reason given"]
-    found = {"status": "failed", "sentence": told[0]}
-    return write_row(Storage(order.out), order.key, order, found)
+def write_failed(order: Order, sentence: str) -> Row:
+    """Write the row of a clip that could not be made, which the next run repeats."""
+    first, *_ = sentence.strip().splitlines() or ["no reason given"]
+    result = {"status": "failed", "sentence": first}
+    return write_row(Storage(order.out), order.key, order, result)
 
 
 def stops_all(error: BaseException) -> bool:
-    """Whether no other clip can be stored either: there is no space left."""
+    """Whether no other clip can be stored either, since no space is left."""
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
-def _result(
+def _make_clip(
     order: Order, source: Made, storage: Storage, watch: Stopwatch, progress: Progress
 ) -> Row:
-    """Simulate, film and store one clip."""
+    """Simulate, film and store a clip."""
     if source.gaussians is None or source.crop is None:
         return {"status": "refused", "sentence": source.refusal}
     scene = Scene.from_data(source.scene or order.scene)
     folder = f"clips/{order.key[:2]}/{order.key}"
     with storage.filling(folder) as filling:
-        clip, recording = _moved(order, source, scene, storage, folder, watch, progress)
+        clip, recording = _simulate(order, source, scene, storage, folder, watch, progress)
         try:
-            report, size = _stored(clip, scene, order, filling, watch, progress)
+            report, size = _store(clip, scene, order, filling, watch, progress)
         except BaseException:
             recording.leave()
             raise
@@ -197,7 +251,7 @@ def _result(
     }
 
 
-def _moved(
+def _simulate(
     order: Order,
     source: Made,
     scene: Scene,
@@ -206,15 +260,15 @@ def _moved(
     watch: Stopwatch,
     progress: Progress,
 ) -> tuple[Clip, Recording]:
-    """Simulate one clip, from where a killed run left it.
+    """Simulate a clip, continuing a killed run.
 
     Args:
-        order: Which clip.
+        order: The clip.
         source: Its Gaussians.
-        scene: What happens to them.
+        scene: Its scene.
         storage: The sweep's folder.
-        folder: Where the clip will be in it.
-        watch: Where the durations of the stages are recorded.
+        folder: Name of the clip's folder in it.
+        watch: Records the durations of the stages.
         progress: Called with (stage, done, total); may raise Cancelled.
     """
     assert source.gaussians is not None and source.crop is not None
@@ -231,32 +285,27 @@ def _moved(
         raise
 
 
-def _stored(
-    clip: Clip,
-    scene: Scene,
-    order: Order,
-    filling: Filling,
-    watch: Stopwatch,
-    progress: Progress,
+def _store(
+    clip: Clip, scene: Scene, order: Order, filling: Filling, watch: Stopwatch, progress: Progress
 ) -> tuple[dict[str, Any], int]:
-    """Store a clip, then its films; returns its report and the bytes of all.
+    """Store a clip, then its films; return its report and the size of all files [bytes].
 
     Args:
         clip: The clip.
         scene: Its scene.
-        order: What is asked for.
-        filling: Where it is stored.
-        watch: Where the durations of the stages are recorded.
+        order: The requested clip.
+        filling: Its folder.
+        watch: Records the durations of the stages.
         progress: Called with (stage, done, total); may raise Cancelled.
     """
-    # Times differ from run to run, and equal orders shall give equal files.
+    # Durations differ from run to run, but equal orders must give equal files.
     report = {k: v for k, v in clip.report.items() if k != "substep_stages"}
     report |= framed(clip, scene.view) if order.films else {}
     here = filling.place
     with watch.stage("store"):
         clip.with_report(report).save(here / "clip.safetensors")
         write_json(here / "report.json", report)
-        size = filling.store()  # it stays if filming fails
+        size = filling.store()  # the clip is kept if filming fails
     with watch.stage("film"):
         if order.films:
             film(clip, scene.view, here, device=order.device, threads=1, progress=progress)
@@ -266,7 +315,7 @@ def _stored(
 
 
 def _numbers(report: dict[str, Any]) -> Row:
-    """What the manifest says of a report."""
+    """Return the manifest's columns of a report."""
     walls = report.get("walls") or {}
     forces = [wall["largest_force"] for wall in walls.values()]
     return {
@@ -281,7 +330,7 @@ def _numbers(report: dict[str, Any]) -> Row:
 
 
 def thumbnail(clip: Clip, scene: Scene) -> bytes:
-    """A small picture of the middle of a clip, as WebP."""
+    """Return a small picture of the middle frame of a clip, as WebP."""
     view = scene.view.model_copy(update={"size": (THUMBNAIL, THUMBNAIL)})
     middle = len(clip) // 2
     camera = cameras(clip, view, "front")[middle]
