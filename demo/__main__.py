@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import platform
 import sys
 import threading
 from argparse import ArgumentParser
@@ -15,24 +17,27 @@ from phy124.runtime.failures import Kind, failure
 from phy124.runtime.installation import install_command
 from phy124.runtime.streams import steady_streams
 
-from .heap import share_heap
 from .settings import PREFIX, Settings
+
+M_ARENA_MAX = -8
+"""From glibc's malloc.h."""
+CHOSEN = "MALLOC_ARENA_MAX"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Serve the page until interrupted; returns the exit status."""
-    chosen = asked_for(arguments)
+    chosen = read_options(arguments)
     with steady_streams():
         try:
             refuse_narrow()
             serve(Settings.from_environment({**os.environ, **chosen}))
-        except SystemExit:  # the server ends by itself
+        except SystemExit:
             raise
         except BaseException as problem:
-            found = failure(problem)
-            if found.kind is not Kind.STOPPED:
-                print(f"phy124-demo: {found.sentence}", file=sys.stderr)
-            return found.status
+            ending = failure(problem)
+            if ending.kind is not Kind.STOPPED:
+                print(f"phy124-demo: {ending.sentence}", file=sys.stderr)
+            return ending.status
     return 0
 
 
@@ -46,12 +51,12 @@ def serve(settings: Settings) -> None:
         limit = "The page needs the package gradio, which is not installed."
         raise InputError("page", "gradio", limit, f"Run `{install_command('demo')}`.")
     share_heap()
-    from .folder import own_folder
+    from .folder import lock_folder
     from .server import check_address, end_on_signals, launch, prepare
 
     check_address(settings)
     end_on_signals()
-    with own_folder(settings.folder) as root:
+    with lock_folder(settings.folder) as root:
         prepare(settings, root)
         from .ui import STYLE, build, open_studio, theme
 
@@ -60,8 +65,8 @@ def serve(settings: Settings) -> None:
         launch(build(studio), studio, theme=theme(), head=STYLE)
 
 
-def asked_for(arguments: Sequence[str] | None) -> dict[str, str]:
-    """The options of the command line as environment variables: --port 80 is PHY124_PORT=80."""
+def read_options(arguments: Sequence[str] | None) -> dict[str, str]:
+    """Read the command line's options as environment variables: --port 80 is PHY124_PORT=80."""
     parser = ArgumentParser(
         prog="phy124-demo",
         usage="%(prog)s [--port 7860] [--max-frames 72] ...",
@@ -70,14 +75,24 @@ def asked_for(arguments: Sequence[str] | None) -> dict[str, str]:
     for name, field in Settings.model_fields.items():
         variable = PREFIX + name.upper()
         default = "none" if field.default == "" else field.default
-        told = f"{field.description} Default: {default}. {variable}"
-        parser.add_argument(f"--{name.replace('_', '-')}", dest=variable, metavar="", help=told)
+        text = f"{field.description} Default: {default}. {variable}"
+        parser.add_argument(f"--{name.replace('_', '-')}", dest=variable, metavar="", help=text)
     typed = list(sys.argv[1:] if arguments is None else arguments)
     if typed[-1:] == ["--"]:  # Nothing follows the end of the options.
         typed.pop()
-    given = vars(parser.parse_args(typed))
-    return {variable: value for variable, value in given.items() if value is not None}
+    options = vars(parser.parse_args(typed))
+    return {variable: value for variable, value in options.items() if value is not None}
 
 
 if __name__ == "__main__":
     sys.exit(main())
+
+
+def share_heap() -> None:
+    """Let all threads share one heap, so that the server's memory stays flat.
+
+    By default glibc opens up to eight heaps per core, and rarely returns their memory. Call this
+    before the first thread starts, since open heaps stay. It respects MALLOC_ARENA_MAX.
+    """
+    if platform.libc_ver()[0] == "glibc" and CHOSEN not in os.environ:
+        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)

@@ -1,4 +1,4 @@
-"""Bodies of requests: how large they may be, and how much structure they may have."""
+"""Limits the size of request bodies, and the number and depth of their JSON values."""
 
 from __future__ import annotations
 
@@ -11,57 +11,56 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 DRAIN = 1 << 28
-"""Largest part of a refused request that is read before the connection is closed [bytes]."""
+"""Number of bytes of a refused request that are read before the connection is closed."""
 VALUES, DEEPEST = 50_000, 40
 """Largest number of values in the JSON of one request, and how deep they may be nested."""
 HELD, SMALL = 128_000_000, 64_000
-"""Memory for bodies that have not arrived whole yet; those that are small are received all the
-same [bytes]."""
+"""Memory for incomplete bodies, and the size of a body that is received even beyond it [bytes]."""
 ODD = "This request cannot be read: it has too many values, or too many within each other."
 
 
 class BodyLimit:
-    """Refuses requests that are too large, whatever size they declare, and JSON that takes long.
+    """Refuses bodies that are too large, whatever size they declare, and JSON with too many values.
 
-    Gradio reads JSON in the thread that answers everybody: a second for three million numbers.
+    Gradio parses JSON in its main thread: three million numbers block all visitors for a second.
     """
 
     def __init__(
         self, app: ASGIApp, uploads: str, most: tuple[int, str], other: tuple[int, str]
     ) -> None:
-        """Stand in front of an application.
+        """Wrap an application.
 
         Args:
             app: The application.
-            uploads: The address of uploads, which are files and no JSON.
-            most: Largest upload [bytes], and what is said to larger ones.
-            other: The same for all other requests.
+            uploads: URL of uploads, which are files, not JSON.
+            most: Largest upload [bytes], and the message for larger ones.
+            other: Size and message for all other requests.
         """
         self.app, self.uploads, self.most, self.other = app, uploads, most, other
         self._held = 0
-        """Size of all bodies that have not arrived whole yet [bytes]."""
+        """Size of all incomplete bodies [bytes]."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer 413 or 400, or pass the request on."""
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
         upload = scope["path"] == self.uploads
-        most, said = self.most if upload else self.other
+        most, message = self.most if upload else self.other
         length = dict(scope["headers"]).get(b"content-length", b"0")
         if not length.isdigit() or int(length) > most:
-            await _drained(receive)
-            return await _too_large(said)(scope, receive, send)
+            await _drain(receive)
+            return await _too_large(message)(scope, receive, send)
         if upload or scope["method"] in ("GET", "HEAD"):
-            return await self.app(scope, _counted(receive, most), send)
-        body = await self._whole(_counted(receive, most))
+            return await self.app(scope, _limit(receive, most), send)
+        body = await self._whole(_limit(receive, most))
         if body is None:
-            return await _too_large(said)(scope, receive, send)
+            return await _too_large(message)(scope, receive, send)
         if not is_plain(body):
             return await PlainTextResponse(ODD, 400)(scope, receive, send)
-        await self.app(scope, _again(body, receive), send)
+        await self.app(scope, _replay(body, receive), send)
 
     async def _whole(self, receive: Receive) -> bytes | None:
-        """The body of a request; None if it is too large, or does not arrive whole."""
+        """Read the body of a request; None if it is too large or incomplete."""
         body, more = bytearray(), True
         try:
             while more:
@@ -84,7 +83,7 @@ def is_plain(body: bytes) -> bool:
     Commas and brackets inside texts are counted, too.
     """
     marks = sum(body.count(mark) for mark in (b",", b"[", b"{"))
-    # A zero byte is of another encoding, in which quotes would be missed.
+    # A zero byte indicates UTF-16 or UTF-32, in which quotes would be missed.
     if marks > VALUES or body.count(b'"') > 4 * VALUES or b"\0" in body:
         return False
     unescaped = body.replace(b"\\\\", b"").replace(b'\\"', b"")
@@ -97,8 +96,8 @@ def is_plain(body: bytes) -> bool:
     return True
 
 
-def _counted(receive: Receive, most: int) -> Receive:
-    """What is received, up to so many bytes; to the application more is a lost connection."""
+def _limit(receive: Receive, most: int) -> Receive:
+    """Limit the bytes received; beyond the limit, the application sees a lost connection."""
     read = 0
 
     async def counted() -> Message:
@@ -110,8 +109,8 @@ def _counted(receive: Receive, most: int) -> Receive:
     return counted
 
 
-def _again(body: bytes, receive: Receive) -> Receive:
-    """A body that was read already, and then what follows it."""
+def _replay(body: bytes, receive: Receive) -> Receive:
+    """Replay a body that was already read, then continue receiving."""
     unread = True
 
     async def again() -> Message:
@@ -128,8 +127,8 @@ def _too_large(said: str) -> PlainTextResponse:
     return PlainTextResponse(said, 413, {"connection": "close"})
 
 
-async def _drained(receive: Receive) -> None:
-    """Read and discard a body: a client that is still sending would not read an answer."""
+async def _drain(receive: Receive) -> None:
+    """Read and discard a body, since a client that is still sending does not read an answer."""
     read, more = 0, True
     while more and read < DRAIN:
         message = await receive()

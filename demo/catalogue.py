@@ -1,7 +1,7 @@
-"""What the page offers: presets, controls and limits, all taken from the scene's declaration.
+"""The page's presets, controls and limits, all derived from the scene's declaration.
 
-The editor in the page (static/scene.js) builds its cards, sliders and forms from `catalogue`. New
-laws, forces and boundaries appear there without further work, registered ones included.
+The page's editor (static/scene.js) builds its cards, sliders and forms from `catalogue`, so new
+laws, forces and boundaries appear in it automatically, including plug-ins.
 """
 
 from __future__ import annotations
@@ -18,33 +18,40 @@ from phy124.materials import Elastic
 from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
 from phy124.scene.files import files_named
 
-from .gaussian_files import SMALLER
-from .known import options as known_options
+from .extras import options as known_options
 from .pictures import check_picture
 from .room import is_plain_file
 from .settings import Settings
-from .substances import chips
+from .source import SMALLER
 
 FOLDER = Path(__file__).parent
-FIRST = (
-    "press", "drop", "bounce", "jelly", "sand", "snow", "water", "foam", "metal", "wind", "sway",
-    "spin", "push_right",
-)  # fmt: skip
+FIRST = "press drop bounce jelly sand snow water foam metal wind sway spin push_right"
 """Presets shown first; all others follow in alphabetical order."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Forces that the direction pad sets -> the field that it sets."""
+"""Forces that the direction pad sets -> the field it sets."""
 LONGEST, LONGER = 20_000, 200
-"""Length of a scene as text, and how much longer it may be for each frame of a run, since a hand
-may have drawn the object elsewhere in each."""
+"""Largest length of a scene as text [characters], and its increase per frame, since a saved live
+run has a hand position in each frame."""
 LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
 """Fields of a scene that are lists, and the largest number of parts."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
 """Densities of familiar materials [kg/m^3]."""
+SUBSTANCES: dict[str, dict[str, Any]] = {
+    "jelly": {"law": "neo_hookean", "E": 2e4, "nu": 0.35, "density": 1000, "damping": 50},
+    "rubber": {"law": "neo_hookean", "E": 4e5, "nu": 0.4, "density": 1100, "damping": 100},
+    "wood": {"law": "rigid", "E": 1e10, "density": 600, "strain": 0.02},
+    "snow": {"law": "snow"},
+    "sand": {"law": "sand"},
+    "water": {"law": "fluid", "viscosity": 0.5},
+    "metal": {"law": "metal", "E": 1e6, "yield_stress": 2e4, "density": 2700},
+}
+"""Everyday name -> material. The metal is soft, since real metal of a toy's size hardly deforms."""
+PREVIEWS = Path(__file__).parent / "previews"
 
 
 def catalogue(settings: Settings) -> dict[str, Any]:
     """Everything the scene editor needs, as plain data."""
-    names = [n for n in FIRST if n in preset_names()]
+    names = [n for n in FIRST.split() if n in preset_names()]
     names += [n for n in preset_names() if n not in names]
     return {
         "schema": _schema(),
@@ -71,9 +78,7 @@ def catalogue(settings: Settings) -> dict[str, Any]:
 
 
 def _schema() -> dict[str, Any]:
-    """The JSON schema of a scene without what the page decides: which files to make, and that its
-    slider counts frames.
-    """
+    """The JSON schema of a scene, without the fields that the page sets itself."""
     schema = Scene.model_json_schema()
     fields = {"View": ("formats", "outputs", "output_format"), "Timing": ("seconds",)}
     for section, names in fields.items():
@@ -86,35 +91,31 @@ def _schema() -> dict[str, Any]:
 
 def _card(name: str) -> dict[str, Any]:
     scene = Scene.named(name)
+    if scene.view.stage == "plain":
+        scene = scene.replaced({"view.stage": "studio"})
     picture = FOLDER / "previews" / f"{name}.webp"
     return {
         "name": name,
         "title": name.replace("_", " ").capitalize(),
         "text": scene.description,
         "picture": f"previews/{picture.name}" if picture.exists() else None,
-        "scene": json.loads(_staged(scene).model_dump_json()),
+        "scene": json.loads(scene.model_dump_json()),
     }
 
 
-def _staged(scene: Scene) -> Scene:
-    """A preset on the stage, unless it says otherwise itself."""
-    return scene.replaced({"view.stage": "studio"}) if scene.view.stage == "plain" else scene
-
-
 def _anchors() -> dict[str, float]:
-    """Named stiffnesses [Pa], read from the description of the field E."""
+    """Named stiffnesses [Pa], parsed from the description of the field E."""
     text = Elastic.model_fields["E"].description or ""
     return {name: float(value) for name, value in re.findall(r"(\w+) (\d\.?\d*e\d+)", text)}
 
 
 def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scene:
-    """The scene a visitor chose, within the page's limits.
+    """Validate a visitor's scene within the page's limits.
 
     Args:
         data: The scene as plain data.
         settings: The page's limits.
-        uploads: Folder of the visitor's pictures. A field that names a file may name one of these
-            and nothing else on this machine.
+        uploads: Folder of the visitor's pictures; the scene may name no other files.
 
     Raises:
         InputError: It is not a scene, it is too large for the page, or it names another file.
@@ -132,10 +133,10 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
 
 
 def check_length(field: str, data: Any, settings: Settings) -> None:
-    """Check that plain data is no longer, as text, than a scene may be.
+    """Check the length of plain data as text.
 
     Args:
-        field: What an error calls it.
+        field: Its name in error messages.
         data: The data.
         settings: The page's limits.
 
@@ -149,34 +150,33 @@ def check_length(field: str, data: Any, settings: Settings) -> None:
 
 
 def _check_counts(data: dict[str, Any], settings: Settings) -> None:
-    """Count what a scene lists before anything is made of it; raises InputError."""
+    """Check the lengths of a scene's lists before it is validated; raises InputError."""
     counts = {name: len(data[name]) for name in LISTS if isinstance(data.get(name), list)}
     pushes = counts.get("forces", 0) + counts.get("boundaries", 0)
-    check_most({
-        "forces and boundaries": (pushes, settings.max_forces),
-        "objects": (1 + counts.get("objects", 0), settings.max_objects),
-        "parts": (counts.get("parts", 0), PARTS),
-        "pairs": (counts.get("pairs", 0), settings.max_objects**2),
-    })  # fmt: skip
+    check_most(
+        {
+            "forces and boundaries": (pushes, settings.max_forces),
+            "objects": (1 + counts.get("objects", 0), settings.max_objects),
+            "parts": (counts.get("parts", 0), PARTS),
+            "pairs": (counts.get("pairs", 0), settings.max_objects**2),
+        }
+    )
 
 
 def _refuse_makers(scene: Scene) -> None:
-    """Make sure that further objects are made of pictures, or are plain shapes.
-
-    Raises:
-        InputError: One names a generator, or a file of Gaussians or triangles, which would not be
-            read apart.
+    """Refuse further objects from a generator or file, which would not be read in a process of
+    its own; raises InputError.
     """
-    for index, one in enumerate(scene.objects):
+    for index, source in enumerate(scene.objects):
         for name in ("file", "mesh", "generator"):
-            if getattr(one, name) is not None:
+            if getattr(source, name) is not None:
                 limit = "Here further objects are made of pictures, or are plain shapes."
                 field = f"objects.{index}.{name}"
                 raise InputError(field, "given", limit, "Leave it out, or give a picture.")
 
 
 def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | None) -> None:
-    # The path is compared as text, since other places must not even be examined.
+    # The path is compared as text: paths outside the folder must not even be examined.
     if uploads is None or str(path) != str(uploads / path.name) or not is_plain_file(path):
         limit = "Here a scene may name no file except a picture that you have sent."
         raise InputError(field, "a file", limit, "Leave it out, or choose a picture for it.")
@@ -189,22 +189,22 @@ def check_limits(scene: Scene, settings: Settings) -> None:
     Raises:
         InputError: It is larger than the page allows.
     """
-    check_most({
-        "frames": (scene.time.frames, settings.max_frames),
-        "cells": (scene.resolution.cells, settings.max_cells),
-        "size": (max(scene.view.size), settings.max_pixels),
-        "objects": (len(scene.names), settings.max_objects),
-        "views": (len(scene.view.sides), settings.max_views),
-        "particles": (count_particles(scene), settings.max_particles),
-        "forces and boundaries": (
-            len(scene.forces) + len(scene.boundaries),
-            settings.max_forces,
-        ),
-    })  # fmt: skip
+    pushes = len(scene.forces) + len(scene.boundaries)
+    check_most(
+        {
+            "frames": (scene.time.frames, settings.max_frames),
+            "cells": (scene.resolution.cells, settings.max_cells),
+            "size": (max(scene.view.size), settings.max_pixels),
+            "objects": (len(scene.names), settings.max_objects),
+            "views": (len(scene.view.sides), settings.max_views),
+            "particles": (count_particles(scene), settings.max_particles),
+            "forces and boundaries": (pushes, settings.max_forces),
+        }
+    )
 
 
 def check_most(limits: dict[str, tuple[int, int]]) -> None:
-    """Check numbers, each with the most that the page allows.
+    """Check numbers against the largest that the page allows.
 
     Raises:
         InputError: One of them is larger.
@@ -217,7 +217,7 @@ def check_most(limits: dict[str, tuple[int, int]]) -> None:
 
 
 def check_time(seconds: float, settings: Settings) -> None:
-    """Check that a run of so many seconds could end in time on an idle machine.
+    """Check that a run of `seconds` on an idle machine is within the time limit.
 
     Raises:
         InputError: It could not.
@@ -230,3 +230,22 @@ def check_time(seconds: float, settings: Settings) -> None:
             f"{settings.max_seconds:.0f} s here.",
             "Choose draft accuracy, a softer material, or fewer frames.",
         )
+
+
+def chips() -> list[dict[str, Any]]:
+    """The name, the material with all its values, and a preview of each substance."""
+    from pydantic import TypeAdapter
+
+    from phy124.materials import AnyMaterial
+
+    read = TypeAdapter(AnyMaterial).validate_python
+    return [
+        {
+            "name": name,
+            "title": name.capitalize(),
+            "material": read(values).model_dump(mode="json", exclude_none=True),
+            "picture": f"previews/{path.name}" if path.exists() else None,
+        }
+        for name, values in SUBSTANCES.items()
+        for path in [PREVIEWS / f"material_{name}.webp"]
+    ]

@@ -1,4 +1,4 @@
-"""Connections: their number, and how long one may keep the page waiting."""
+"""Limits the number of connections, and how long each may keep the page waiting."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEAD, BODY, STALLED = 20.0, 120.0, 60.0
-"""Longest time for the head of a request, for its body, and until some of an answer is read [s]."""
+"""Longest time for a request's head, for its body, and for a stalled answer [s]."""
 FILES = 16_384
 """Number of files and connections that the page may have open, if the system allows it."""
 
@@ -25,10 +25,9 @@ def allow_connections() -> int:
 
 
 class Patient(H11Protocol):
-    """A connection that is closed if a request does not arrive in time, however slowly it trickles,
-    or if nothing of an answer is read for long.
+    """A connection that is closed if a request does not arrive in time or an answer is not read.
 
-    If there are too many connections, the one that has been waited for longest is closed.
+    If there are too many connections, the one that is due first is closed.
     """
 
     clock: TimerHandle | None = None
@@ -47,17 +46,17 @@ class Patient(H11Protocol):
             self._make_room()
 
     def data_received(self, data: bytes) -> None:
-        """Process what has arrived, and set the time for what is missing."""
+        """Process the data, and restart the clock for the missing part."""
         super().data_received(data)
         self._watch()
 
     def pause_writing(self) -> None:
-        """Set a time: more of an answer waits to be read than is kept for a connection."""
+        """Start a clock: the client is not reading the answer."""
         super().pause_writing()
         self.stalled = self.loop.call_later(STALLED, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """Go on: something was read."""
+        """Stop that clock: the client is reading again."""
         self._read()
         super().resume_writing()
 
@@ -84,7 +83,7 @@ class Patient(H11Protocol):
             self.clock = self.loop.call_later(seconds, self.transport.close)
 
     def _make_room(self) -> None:
-        """Close the connection that has been waited for longest; if there is none, this one."""
+        """Close the connection that is due first, or this one if none is due."""
         waiting = [each for each in self.connections if isinstance(each, Patient)]
         slowest = min(waiting, key=lambda each: (_due(each), each is not self), default=self)
         slowest._stop()
@@ -98,6 +97,6 @@ class Patient(H11Protocol):
 
 
 def _due(connection: Patient) -> float:
-    """When a connection will have been waited for too long; of one that is answered, never."""
+    """Time at which a connection is due to be closed; infinite while it is being answered."""
     clocks = (connection.clock, connection.stalled, connection.timeout_keep_alive_task)
     return min((clock.when() for clock in clocks if clock), default=math.inf)

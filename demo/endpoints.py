@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, get_args
 
 import gradio as gr
 from gradio.components import Component
+from pydantic import BaseModel, ConfigDict
 
 from phy124.errors import InputError
 from phy124.generators.depth_map import DepthMap
@@ -18,25 +21,66 @@ from phy124.schema.section import Section
 
 from .catalogue import check_length
 from .exports import EXPORTS, check_size, export
-from .fits import Asked
+from .extras import AXES
+from .fits import FitOptions
+from .guard import address_of, visitor_of
 from .handlers import Handler
-from .identity import address_of, visitor_of
 from .jobs import Studio
-from .known import AXES
-from .line import Job
+from .line import Job, api_message
 from .photo import film, photo, refusal
-from .pictures import check_picture
-from .sentences import complaint
-from .source import Source
-from .strokes import place_of
+from .pictures import check_picture, read_place
 from .studies import read_study
 from .visitors import Visitor
 from .work import BEAT, Done
 
 VIEWS = list(get_args(ViewName))
 OTHERS = ("second", "third", "fourth")
-"""What the pictures of further objects are called."""
+"""Names of the pictures of further objects."""
+EXTRAS = ("depth", "near", "side", "facing", "back", "thickness", "highlights", *AXES, "compose")
+"""Arguments that are optional inputs besides the front picture."""
 NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
+
+
+class MeasureRequest(BaseModel):
+    """Arguments of /measure; each is checked where it is used, so that refusals name it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    image: Any
+    preset: Any
+    accuracy: Any
+    frames: Any = None
+    changes: Any = None
+    pick: Any = None
+    depth: Any = None
+    near: Any = "white"
+    side: Any = None
+    facing: Any = "left"
+    back: Any = None
+    thickness: Any = None
+    highlights: Any = "keep"
+    up: Any = None
+    front: Any = None
+    second: Any = None
+    third: Any = None
+    fourth: Any = None
+
+    @property
+    def extras(self) -> dict[str, Any]:
+        """Optional inputs besides the front picture, by option."""
+        return self.model_dump(include=set(EXTRAS))
+
+    @property
+    def others(self) -> list[Any]:
+        """Pictures of the further objects."""
+        return [path for path in (self.second, self.third, self.fourth) if path]
+
+
+class GenerateRequest(MeasureRequest):
+    """Arguments of /generate."""
+
+    formats: Any = None
+    compose: Any = False
 
 
 def endpoints(studio: Studio) -> None:
@@ -45,7 +89,7 @@ def endpoints(studio: Studio) -> None:
         picture = photo(studio, label="image")
         preset = _unread(gr.Dropdown(preset_names(), value="press", label="preset"))
         accuracy = _unread(gr.Radio(list(PRESETS), value="standard", label="accuracy"))
-        # Without a number the preset says it.
+        # Without a number the preset decides.
         frames = _unread(gr.Number(None, label="frames", precision=0, minimum=1))
         changes = gr.JSON({}, label="changes")
         pick = gr.JSON([], label="pick")  # None would make it a required argument
@@ -57,7 +101,8 @@ def endpoints(studio: Studio) -> None:
         highlights = _choice(OtherViews, "highlights")
         up, front = (_unread(gr.Textbox(None, label=option)) for option in AXES)
         compose = _unread(gr.Checkbox(False, label="compose"))
-        known = [depth, near, side, facing, back, thickness, highlights, up, front]
+        scene = [picture, preset, accuracy, frames, changes]
+        extras = [pick, depth, near, side, facing, back, thickness, highlights, up, front]
         others = [photo(studio, label=name) for name in OTHERS]
         views = _unread(gr.CheckboxGroup(VIEWS, label="views"))
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
@@ -68,202 +113,196 @@ def endpoints(studio: Studio) -> None:
         files, report = gr.File(file_count="multiple", label="files"), gr.JSON(label="report")
         # Each of these only follows a job, which waits for its turn in our own queue.
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
-        gr.Button().click(
-            _generate(studio),
-            [picture, preset, accuracy, frames, changes, formats, pick, *known, compose, *others],
-            [run, files, report], api_name="generate", **shared,
-        )  # fmt: skip
-        gr.Button().click(
-            _render(studio), [run, views, size, elevation, speed, compose], [files, report],
-            api_name="render", **shared,
-        )  # fmt: skip
+
+        inputs = [*scene, formats, *extras, compose, *others]
+        handle = _unpack(_generate(studio), GenerateRequest, inputs)
+        gr.Button().click(handle, inputs, [run, files, report], api_name="generate", **shared)
+        inputs = [run, views, size, elevation, speed, compose]
+        gr.Button().click(_render(studio), inputs, [files, report], api_name="render", **shared)
         gr.Button().click(_evaluate, run, report, api_name="evaluate")
-        error, said = gr.Number(label="error"), gr.Textbox(label="sentence")
-        gr.Button().click(
-            _measure(studio), [picture, preset, accuracy, frames, changes, pick, *known, *others],
-            [error, said, gr.JSON(label="levels")], api_name="measure", **shared,
-        )  # fmt: skip
-        told = [_declared(Asked, option) for option in Asked.model_fields]
-        gr.Button().click(
-            _fit(studio), [run, film(label="video"), *told], [files, report], api_name="fit",
-            **shared,
-        )  # fmt: skip
+        inputs = [*scene, *extras, *others]
+        error, sentence = gr.Number(label="error"), gr.Textbox(label="sentence")
+        outputs = [error, sentence, gr.JSON(label="levels")]
+        handle = _unpack(_measure(studio), MeasureRequest, inputs)
+        gr.Button().click(handle, inputs, outputs, api_name="measure", **shared)
+        options = [_component(FitOptions, option) for option in FitOptions.model_fields]
+        inputs = [run, film(label="video"), *options]
+        gr.Button().click(_fit(studio), inputs, [files, report], api_name="fit", **shared)
+
+
+def _unpack(
+    run: Callable[[gr.Request, Any], Iterator[Any]],
+    model: type[BaseModel],
+    components: Sequence[Component],
+) -> Handler:
+    """Return a handler that packs its arguments into a model.
+
+    Gradio reads names and defaults of the endpoint's arguments from the handler's signature.
+    """
+    names = [str(component.label) for component in components]
+
+    def handle(request: gr.Request, *values: Any) -> Iterator[Any]:
+        yield from run(request, model(**dict(zip(names, values, strict=True))))
+
+    kind, required = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.empty
+    parameters = [inspect.Parameter("request", kind, annotation=gr.Request)]
+    for name in names:
+        field = model.model_fields[name]
+        default = required if field.is_required() else field.default
+        parameters.append(inspect.Parameter(name, kind, default=default))
+    handle.__signature__ = inspect.Signature(parameters)  # pyright: ignore
+    handle.__doc__ = run.__doc__
+    return handle
 
 
 def _unread(component: Component) -> Any:
-    """A component that hands its value over as it came: our own checks name the argument."""
+    """Let a component pass its value on unchanged: our own checks name the argument."""
     component.preprocess = lambda payload: payload
     return component
 
 
 def _choice(section: type[Section], option: str) -> Any:
-    """A component for an option that is one of a few words."""
-    declared = section.model_fields[option]
-    words = list(get_args(declared.annotation))
-    return _unread(gr.Radio(words, value=declared.default, label=option))
+    """Make a component for an option with a few choices."""
+    field = section.model_fields[option]
+    words = list(get_args(field.annotation))
+    return _unread(gr.Radio(words, value=field.default, label=option))
 
 
-def _declared(section: type[Section], option: str) -> Any:
-    """A component for an option: a few words, or a number."""
+def _component(section: type[Section], option: str) -> Any:
+    """Make a component for an option: a few choices, or a number."""
     field = section.model_fields[option]
     if get_args(field.annotation):
         return _choice(section, option)
     return _unread(gr.Number(field.default, label=option))
 
 
-def _generate(studio: Studio) -> Handler:
-    def generate(
-        image: str | None, preset: str, accuracy: str, request: gr.Request,
-        frames: int | None = None, changes: Any = None, formats: Any = None, pick: Any = None,
-        depth: str | None = None, near: str = "white",
-        side: str | None = None, facing: str = "left", back: str | None = None,
-        thickness: float | None = None, highlights: str = "keep", up: str | None = None,
-        front: str | None = None, compose: bool = False, second: str | None = None,
-        third: str | None = None, fourth: str | None = None,
-    ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
+def _generate(studio: Studio) -> Callable[[gr.Request, GenerateRequest], Iterator[Any]]:
+    def generate(request: gr.Request, asked: GenerateRequest) -> Iterator[tuple[Any, ...]]:
         """Turn a picture or a file of Gaussians into a moving object: its files and its report."""
-        name = _arrived(studio, request)
-        kinds = _chosen("formats", formats or [], list(EXPORTS))
-        told = {
-            "depth": depth, "near": near, "side": side, "facing": facing, "back": back,
-            "thickness": thickness, "highlights": highlights, "up": up, "front": front,
-            "compose": compose,
-        }  # fmt: skip
-        more = [second, third, fourth]
-        scene, cutting = _cut(
-            studio, name, [image, *more], preset, accuracy, frames, changes, pick, told
-        )
+        name = _admit(studio, request)
+        kinds = _check_choices("formats", asked.formats or [], list(EXPORTS))
+        scene, cutting = _cut_out(studio, name, asked)
         visitor, data = studio.visitors.get(name), scene.data()
-        _check_room(kinds, scene, studio)
-        for _ in _followed(cutting, visitor, "image"):
+        gaussians = len(scene.names) * studio.settings.gaussians
+        with _refusing():
+            check_size(kinds, scene.time.frames, gaussians, studio.visitors.room.each)
+        for _ in _follow(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
         source = cutting.progress.result
-        job = _begun(studio.run, name, source, data, told)
-        for _ in _followed(job, visitor, "run"):
+        with _refusing():
+            job = studio.run(name, source, data, asked.extras)
+        for _ in _follow(job, visitor, "run"):
             yield (gr.skip(),) * 3
         done = job.progress.result
-        try:
-            made = [str(path) for path in export(kinds, done, visitor, studio.visitors)]
-        except InputError as error:
-            raise refusal(complaint(error)) from None
-        yield (done, source, data, told), _paths(done) + made, done.report
+        with _refusing():
+            exports = [str(path) for path in export(kinds, done, visitor, studio.visitors)]
+        yield (done, source, data, asked.extras), _paths(done) + exports, done.report
 
     return generate
 
 
-def _measure(studio: Studio) -> Handler:
-    def measure(
-        image: str | None, preset: str, accuracy: str, request: gr.Request,
-        frames: int | None = None, changes: Any = None, pick: Any = None,
-        depth: str | None = None, near: str = "white",
-        side: str | None = None, facing: str = "left", back: str | None = None,
-        thickness: float | None = None, highlights: str = "keep", up: str | None = None,
-        front: str | None = None, second: str | None = None,
-        third: str | None = None, fourth: str | None = None,
-    ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
+def _measure(studio: Studio) -> Callable[[gr.Request, MeasureRequest], Iterator[Any]]:
+    def measure(request: gr.Request, asked: MeasureRequest) -> Iterator[tuple[Any, ...]]:
         """Measure the error of a scene as a fraction of its size, and the seconds of each grid."""
-        name = _arrived(studio, request)
-        told = {
-            "depth": depth, "near": near, "side": side, "facing": facing, "back": back,
-            "thickness": thickness, "highlights": highlights, "up": up, "front": front,
-        }  # fmt: skip
-        more = [second, third, fourth]
-        scene, cutting = _cut(
-            studio, name, [image, *more], preset, accuracy, frames, changes, pick, told
-        )
+        name = _admit(studio, request)
+        scene, cutting = _cut_out(studio, name, asked)
         visitor = studio.visitors.get(name)
-        for _ in _followed(cutting, visitor, "image"):
+        for _ in _follow(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
-        job = _begun(studio.measure, name, cutting.progress.result, scene.data(), told)
-        for _ in _followed(job, visitor, "measure"):
+        with _refusing():
+            job = studio.measure(name, cutting.progress.result, scene.data(), asked.extras)
+        for _ in _follow(job, visitor, "measure"):
             yield (gr.skip(),) * 3
         study = read_study(job.progress.result.study)
         if study is None:
             raise refusal("measure: The result is no longer stored. Call /measure again.")
-        said = study.promise(scene.resolution.cells)
-        yield said.error, said.sentence, study.rows()
+        promise = study.promise(scene.resolution.cells)
+        yield promise.error, promise.sentence, study.rows()
 
     return measure
 
 
-def _arrived(studio: Studio, request: gr.Request) -> str:
-    """The name of the visitor who asks, who is known from now on; raises gr.Error if it is full."""
-    name = visitor_of(request)
+@contextmanager
+def _refusing() -> Iterator[None]:
+    """Turn an InputError into a gr.Error for the program."""
     try:
-        studio.visitors.get(name, address_of(request))
+        yield
     except InputError as error:
-        raise refusal(complaint(error)) from None
+        raise refusal(api_message(error)) from None
+
+
+def _admit(studio: Studio, request: gr.Request) -> str:
+    """Register the visitor of a request; raises gr.Error if the page is full."""
+    name = visitor_of(request)
+    with _refusing():
+        studio.visitors.get(name, address_of(request))
     return name
 
 
-def _cut(
-    studio: Studio, name: str, images: list[str | None], preset: str, accuracy: str,
-    frames: int | None, changes: Any, pick: Any, told: dict[str, Any],
-) -> tuple[Scene, Job]:  # fmt: skip
-    """The scene that a program asks for, and the job that opens its picture or file."""
-    # A name of no preset could be that of a file.
-    _chosen("preset", [preset], preset_names())
-    _chosen("accuracy", [accuracy], list(PRESETS))
-    try:
-        changed = _changes(changes)
-        check_length("changes", changed, studio.settings)
-        own = frames is None or "time.seconds" in changed
-        length = {} if own else {"time.frames": frames}
-        scene = Scene.named(preset).replaced({"accuracy": accuracy, **length, **changed})
-        studio.known(name, told)
-        first, *others = images
-        scene = _with_pictures(studio, name, scene, [one for one in others if one])
-        return scene, studio.take(name, first, place_of(pick))
-    except InputError as error:
-        raise refusal(complaint(error)) from None
+def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, Job]:
+    """Build the scene of a request, and start the job that opens its picture or file."""
+    # An unknown preset could be the name of a file.
+    _check_choices("preset", [asked.preset], preset_names())
+    _check_choices("accuracy", [asked.accuracy], list(PRESETS))
+    with _refusing():
+        changes = {} if asked.changes is None else asked.changes
+        if not isinstance(changes, dict):
+            limit = "They must be an object of values by dotted path."
+            remedy = 'Give {"material.E": 20000}, for example.'
+            raise InputError("changes", type(changes).__name__, limit, remedy)
+        check_length("changes", changes, studio.settings)
+        from_preset = asked.frames is None or "time.seconds" in changes
+        length = {} if from_preset else {"time.frames": asked.frames}
+        scene = Scene.named(asked.preset)
+        scene = scene.replaced({"accuracy": asked.accuracy, **length, **changes})
+        studio.check_extras(name, asked.extras)
+        scene = _with_pictures(studio, name, scene, asked.others)
+        return scene, studio.take(name, asked.image, read_place(asked.pick))
 
 
 def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> Scene:
-    """The scene, in which objects that wait for a picture have those that a program has sent."""
+    """Give the pictures that a program sent to the scene's objects that wait for one."""
     check_sources(scene, sent)
-    waiting = [index for index, one in enumerate(scene.objects) if one.waits]
+    waiting = [index for index, object in enumerate(scene.objects) if object.waits]
     changes = {}
-    for index, one in zip(waiting, sent, strict=False):
-        path = studio.visitors.own(name, one)
+    for index, upload in zip(waiting, sent, strict=False):
+        path = studio.visitors.find_upload(name, upload)
         field = f"objects.{index}.picture"
         check_picture(path, studio.settings, field)
         changes[field] = str(path)
     return scene.replaced(changes)
 
 
-def _chosen(field: str, given: Any, known: list[str]) -> list[str]:
-    """What was chosen of what there is; raises gr.Error if it is anything else."""
-    unknown = [given] if not isinstance(given, list) else [x for x in given if x not in known]
-    if unknown:
-        raise refusal(f"{field}: There is no {shorten(unknown[0])}. Give {' or '.join(known)}.")
-    return given
-
-
-def _changes(given: Any) -> dict[str, Any]:
-    if given is None or isinstance(given, dict):
-        return given or {}
-    raise InputError(
-        "changes", type(given).__name__, "They must be an object of values by dotted path.",
-        'Give {"material.E": 20000}, for example.',
-    )  # fmt: skip
+def _check_choices(field: str, values: Any, choices: list[str]) -> list[str]:
+    """Return the values if all are among the choices; else raise gr.Error."""
+    wrong = [v for v in values if v not in choices] if isinstance(values, list) else [values]
+    if wrong:
+        raise refusal(f"{field}: There is no {shorten(wrong[0])}. Give {' or '.join(choices)}.")
+    return values
 
 
 def _render(studio: Studio) -> Handler:
     def render(
-        run: Any, views: list[str], size: int, elevation: float, request: gr.Request,
-        speed: float | None = None, compose: bool = False,
-    ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
+        run: Any,
+        views: list[str],
+        size: int,
+        elevation: float,
+        request: gr.Request,
+        speed: float | None = None,
+        compose: bool = False,
+    ) -> Iterator[tuple[Any, ...]]:
         """Film this session's last run again; nothing is simulated."""
         if run is None:
             raise refusal(NOTHING_YET)
-        _, source, data, told = run
+        _, source, data, extras = run
         name = visitor_of(request)
         view = {**data["view"], "size": size, "elevation": elevation}
-        view["views"] = _chosen("views", views or [], VIEWS) or data["view"]["views"]
+        view["views"] = _check_choices("views", views or [], VIEWS) or data["view"]["views"]
         view |= {} if speed is None else {"speed": speed, "fps": None}
-        told = {**told, "compose": compose}
-        job = _begun(studio.run, name, source, {**data, "view": view}, told)
-        for _ in _followed(job, studio.visitors.get(name), "run"):
+        with _refusing():
+            extras = {**extras, "compose": compose}
+            job = studio.run(name, source, {**data, "view": view}, extras)
+        for _ in _follow(job, studio.visitors.get(name), "run"):
             yield gr.skip(), gr.skip()
         yield _paths(job.progress.result), job.progress.result.report
 
@@ -277,39 +316,19 @@ def _fit(studio: Studio) -> Handler:
         """Find the softness of this session's last run from a video: its files and its report."""
         if run is None:
             raise refusal(NOTHING_YET)
-        name, told = visitor_of(request), {"seconds": seconds, "side": side, "speed": speed}
-        try:
-            job = studio.fits.begin(name, run[0], video, told)
-        except InputError as error:
-            raise refusal(complaint(error)) from None
-        for _ in _followed(job, studio.visitors.get(name), "fit"):
+        name, options = visitor_of(request), {"seconds": seconds, "side": side, "speed": speed}
+        with _refusing():
+            job = studio.fits.begin(name, run[0], video, options)
+        for _ in _follow(job, studio.visitors.get(name), "fit"):
             yield gr.skip(), gr.skip()
-        found = job.progress.result
-        yield [str(path) for path in found.files], found.report
+        result = job.progress.result
+        yield [str(path) for path in result.files], result.report
 
     return fit
 
 
-def _check_room(kinds: list[str], scene: Scene, studio: Studio) -> None:
-    """Raise gr.Error if the formats will not fit into one visitor's room."""
-    gaussians = len(scene.names) * studio.settings.gaussians
-    try:
-        check_size(kinds, scene.time.frames, gaussians, studio.visitors.room.each)
-    except InputError as error:
-        raise refusal(complaint(error)) from None
-
-
-def _begun(
-    begin: Callable[..., Job], name: str, source: Source, data: dict[str, Any], told: dict[str, Any]
-) -> Job:
-    try:
-        return begin(name, source, data, told)
-    except InputError as error:
-        raise refusal(complaint(error)) from None
-
-
-def _followed(job: Job, visitor: Visitor, field: str) -> Iterator[None]:
-    """Wait for a job; it is cancelled if the program disconnects; raises gr.Error if it fails."""
+def _follow(job: Job, visitor: Visitor, field: str) -> Iterator[None]:
+    """Wait for a job; cancel it if the program disconnects; raise gr.Error if it fails."""
     try:
         while not job.wait(BEAT):
             visitor.touch()
@@ -332,7 +351,7 @@ def _evaluate(run: Any) -> dict[str, Any]:
 
 
 def _paths(done: Done) -> list[str]:
-    wanted = [*done.films.iterdir(), *done.clip.iterdir()]
-    # Both folders have a report; the one beside the films is complete.
-    chosen = {path.name: str(path) for path in reversed(wanted) if path.name != "clip.pack"}
+    files = [*done.films.iterdir(), *done.clip.iterdir()]
+    # Both folders have a report; the report in the folder of films is complete.
+    chosen = {path.name: str(path) for path in reversed(files) if path.name != "clip.pack"}
     return [chosen[name] for name in sorted(chosen)]

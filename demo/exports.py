@@ -1,4 +1,4 @@
-"""Formats that are made on demand."""
+"""Makes further formats of a finished run on demand."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from .work import Done
 BRIDGE = __name__.partition("demo")[0] + "bridge"
 """Name of the bridge's package: `bridge` in a checkout, `phy124_bridge` if installed."""
 TOGETHER = threading.BoundedSemaphore(2)
-"""Held by those that make a format: each takes seconds of a core."""
+"""Limits the formats made at the same time: each takes seconds of a core."""
 TAIL = 60.0
-"""Longest time that the bridge may take [s]."""
+"""Longest time for the bridge [s]."""
 
 
 def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitors) -> list[Path]:
-    """The files of some of `EXPORTS` for a finished run, made if they are not there yet.
+    """Return the files of a finished run in some of the `EXPORTS`; make those that are missing.
 
     Args:
         kinds: Names of the formats.
         done: The run.
-        visitor: Whose it is; older files of theirs are removed if they take the room.
-        visitors: Who else needs room.
+        visitor: The run's visitor, whose older files are removed if storage is short.
+        visitors: All visitors.
 
     Raises:
-        InputError: There is no such format, it cannot be made, or there is no room for it.
+        InputError: The format does not exist, cannot be made, or exceeds the storage.
     """
     for kind in kinds:
         if kind not in EXPORTS or not EXPORTS[kind].available():
@@ -97,7 +97,7 @@ class Export:
     """Bytes per Gaussian and frame, about."""
 
     def about(self, frames: int, gaussians: int) -> int:
-        """About how many bytes the file of so many frames and Gaussians will have."""
+        """Estimate the size of the file [bytes]."""
         return self.empty + round((self.still + self.moving * frames) * gaussians)
 
 
@@ -115,12 +115,12 @@ def _ply(done: Done, path: Path) -> None:
 
 
 def _mcap(done: Done, path: Path) -> None:
-    """Uses the bridge's command line, since page and bridge do not import each other."""
+    """Record with the bridge's command line, since page and bridge do not import each other."""
     clip = (done.clip / "clip.safetensors").resolve()
     command = [sys.executable, "-m", BRIDGE, "record", str(clip), str(path.resolve())]
-    beside = Path(__file__).parents[1]
+    root = Path(__file__).parents[1]
     try:
-        subprocess.run(command, cwd=beside, check=True, timeout=TAIL, capture_output=True)
+        subprocess.run(command, cwd=root, check=True, timeout=TAIL, capture_output=True)
     except (subprocess.SubprocessError, OSError) as error:
         raise InputError(
             "format", "mcap", "The bridge could not write it.", "Use clip.safetensors instead."
@@ -131,8 +131,8 @@ def _bridge() -> bool:
     return all(find_spec(name) is not None for name in (BRIDGE, "mcap"))
 
 
-def _written(format: Format, done: Done, path: Path) -> None:
-    """The whole clip where a file holds motion, else its first frame."""
+def _write_format(format: Format, done: Done, path: Path) -> None:
+    """Write the clip if the format holds motion, else its first frame."""
     clip = Clip.load(done.clip / "clip.safetensors")
     if format.write_clip is not None:
         format.write_clip(path, clip)
@@ -140,14 +140,14 @@ def _written(format: Format, done: Done, path: Path) -> None:
         format.write(path, clip.frame(0).gaussians)
 
 
-def _of(format: Format) -> Export:
-    """The declaration of a format as an offer."""
+def _export_of(format: Format) -> Export:
+    """The export that a format declares."""
     moves = format.write_clip is not None
     return Export(
         f"{format.title}, {'moving' if moves else 'at rest'}",
         f"Opens in {format.opens_in}",
         f"phy124-{format.name}{format.suffix}",
-        partial(_written, format),
+        partial(_write_format, format),
         lambda: format.installed,
         still=0.0 if moves else format.bytes_each,
         moving=format.bytes_each if moves else 0.0,
@@ -156,16 +156,22 @@ def _of(format: Format) -> Export:
 
 EXPORTS = {
     "html": Export(
-        "Player, one file", "Opens in any browser, offline", "player.html", _html,
-        empty=1_310_000, still=28.0, moving=8.0,
+        label="Player, one file",
+        hint="Opens in any browser, offline",
+        file="player.html",
+        write=_html,
+        empty=1_310_000,
+        still=28.0,
+        moving=8.0,
     ),
     "ply": Export(
-        "PLY sequence", "Opens in SuperSplat, brush, Unity", "phy124-ply.zip", _ply,
+        label="PLY sequence",
+        hint="Opens in SuperSplat, brush, Unity",
+        file="phy124-ply.zip",
+        write=_ply,
         moving=FORMATS["ply"].bytes_each,
     ),
-    "mcap": Export(
-        "MCAP", "Opens in Foxglove, ROS 2", "phy124.mcap", _mcap, _bridge, moving=60.0
-    ),
-    # The Gaussians at rest are among the files as a PLY already.
-    **{name: _of(format) for name, format in written_formats().items() if name != "ply"},
-}  # fmt: skip
+    "mcap": Export("MCAP", "Opens in Foxglove, ROS 2", "phy124.mcap", _mcap, _bridge, moving=60.0),
+    # A PLY of the Gaussians at rest is among a run's files.
+    **{name: _export_of(format) for name, format in written_formats().items() if name != "ply"},
+}

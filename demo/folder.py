@@ -1,7 +1,7 @@
 """The folder that holds visitors' files while the page runs.
 
-It is removed when the page ends. If a page was killed, the next one removes its folder on starting:
-a lock, which ends with its process, shows which folders are still in use.
+It is removed when the page ends. The folder of a killed page is removed when the next page starts:
+a lock, which ends with its process, shows which folders are in use.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ LOCK = "lock"
 
 
 @contextmanager
-def own_folder(wanted: str = "") -> Iterator[Path]:
-    """A folder for this page, emptied at first and removed at the end.
+def lock_folder(wanted: str = "") -> Iterator[Path]:
+    """Lock a folder for this page, empty it, and remove it at the end.
 
     Args:
-        wanted: The folder; empty: a new one in the system's temporary folder.
+        wanted: The folder; if empty, a new folder for temporary files.
 
     Raises:
         InputError: Another page uses it, or it holds other files.
@@ -35,13 +35,17 @@ def own_folder(wanted: str = "") -> Iterator[Path]:
     root = Path(os.path.expanduser(wanted) or tempfile.mkdtemp(prefix=PREFIX)).absolute()
     root.mkdir(parents=True, exist_ok=True)
     strangers = [] if (root / LOCK).exists() else sorted(path.name for path in root.iterdir())
-    lock = _locked(root)
+    lock = _lock(root)
     if lock is None:
         raise InputError(
             "PHY124_FOLDER", root, "another page uses this folder.", "Choose another one."
         )
     try:
-        _refuse(root, strangers)
+        if strangers:
+            (root / LOCK).unlink(missing_ok=True)
+            limit = f"it holds other files, such as {strangers[0]}."
+            remedy = "Give an empty folder, since the page deletes everything in it."
+            raise InputError("PHY124_FOLDER", root, limit, remedy)
         _empty(root)
         try:
             yield root
@@ -58,14 +62,14 @@ def _sweep(folder: Path) -> None:
     for left in folder.glob(f"{PREFIX}*"):
         if left.is_symlink() or not left.is_dir() or left.stat().st_uid != os.getuid():
             continue
-        lock = _locked(left)
+        lock = _lock(left)
         if lock is not None:
             shutil.rmtree(left, ignore_errors=True)
             os.close(lock)
 
 
-def _locked(folder: Path) -> int | None:
-    """The lock of a folder, or None if another process holds it."""
+def _lock(folder: Path) -> int | None:
+    """Lock a folder; returns None if another process holds the lock."""
     try:
         lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except OSError:
@@ -76,16 +80,6 @@ def _locked(folder: Path) -> int | None:
         os.close(lock)
         return None
     return lock
-
-
-def _refuse(root: Path, strangers: list[str]) -> None:
-    """Refuse a folder that holds files of somebody else, which must not be deleted."""
-    if strangers:
-        (root / LOCK).unlink(missing_ok=True)
-        raise InputError(
-            "PHY124_FOLDER", root, f"it holds other files, such as {strangers[0]}.",
-            "Give an empty folder, since the page deletes everything in it.",
-        )  # fmt: skip
 
 
 def _empty(root: Path) -> None:

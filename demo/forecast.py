@@ -1,7 +1,7 @@
-"""How long a run will take and what error is promised, told before it starts.
+"""Forecasts the time of a run and states its promised error, before it starts.
 
-phy124/budget/cost.py says how much work a run is; demo/rates.py learns what a particle and substep,
-a drawn pixel and so on cost on this machine.
+phy124/budget/cost.py computes the work of a run; demo/rates.py learns the cost per particle and
+substep, per drawn pixel and so on, on this machine.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time to set up one grid of a study and to compare its motion, relative to that of `rest`."""
+"""Time to set up a study's grid and to compare its motion, relative to the rate `rest`."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run is expected to take, and the error it promises."""
+    """The expected time of a run, and its promised error."""
 
     seconds: float
     substeps: int
     particles: int
     promise: Promise
-    """The error that was measured for such scenes, or why none is promised."""
+    """The error measured for such scenes, or why none is promised."""
     caveat: str | None = None
-    """Why the seconds are uncertain."""
+    """Why the time is uncertain."""
     load: Load = QUIET
-    """How busy other programs keep this machine."""
+    """Load of this machine by other programs."""
     measured: bool = False
-    """Whether it comes from a probe of this object."""
+    """Whether it was measured by a probe of this object."""
     thickness: float | None = None
     """Local thickness of the object relative to its size, if it was probed."""
     compiling: float = 0.0
-    """The part of the seconds in which kernels are compiled, which is done once."""
+    """Time to compile kernels, once [s]."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -58,13 +58,13 @@ class Estimate:
     @property
     def sentence(self) -> str:
         """The estimate in words, for the visitor."""
-        beside = " while this machine is busy" if self.load.busy else ""
-        text = f"About {format_span(self.span)}{beside}: {self.substeps:,} substeps of "
+        busy = " while this machine is busy" if self.load.busy else ""
+        text = f"About {format_span(self.span)}{busy}: {self.substeps:,} substeps of "
         text += f"{round(self.particles, -3):,} particles. {self.promise.brief}"
         if self.load.busy:
             slower = f"{self.load.simulation:.1f} times as long"
-            text += f" Other work on this machine makes the motion take {slower} at present;"
-            text += " what ends or starts meanwhile is not predicted."
+            text += f" Other programs on this machine make the motion take {slower} at present;"
+            text += " changes of this load are not predicted."
         if self.compiling > 0:
             text += f" The first run of this kind compiles for about {duration(self.compiling)}."
         return f"{text} {self.caveat}" if self.caveat else text
@@ -95,7 +95,7 @@ class Estimator:
         composed: float = 0.0,
         compiling: float = 0.0,
     ) -> Estimate:
-        """The forecast of a run.
+        """Forecast a run.
 
         Args:
             scene: The scene.
@@ -103,7 +103,7 @@ class Estimator:
             generated: Whether the Gaussians exist already.
             simulated: Whether the clip exists already.
             filmed: Whether the films exist already.
-            pictures: Number of pictures of which Gaussians are made.
+            pictures: Number of pictures that are turned into Gaussians.
             composed: Pixels drawn for the film in the photograph.
             compiling: Time until the kernels are compiled if nothing else runs [s].
         """
@@ -111,15 +111,17 @@ class Estimator:
         work = replace(work, pixels=work.pixels + composed)
         costs = self.rates.seconds(work) | {"rest": self.rates.rest, "compile": compiling}
         costs["generate"] *= pictures
-        done = {
-            "generate": generated or simulated, "simulate": simulated, "deform": simulated,
-            "compile": simulated, "film": filmed, "rest": filmed,
-        }  # fmt: skip
+        done = dict.fromkeys(("simulate", "deform", "compile"), simulated)
+        done |= {"generate": generated or simulated, "film": filmed, "rest": filmed}
         seconds = {name: cost * load.of(name) for name, cost in costs.items() if not done[name]}
         return Estimate(
-            sum(seconds.values()), round(work.substeps), count_particles(scene, gaussians),
-            promise(scene, None), load=load, compiling=seconds.get("compile", 0.0),
-        )  # fmt: skip
+            sum(seconds.values()),
+            round(work.substeps),
+            count_particles(scene, gaussians),
+            promise(scene, None),
+            load=load,
+            compiling=seconds.get("compile", 0.0),
+        )
 
     def study(
         self,
@@ -130,7 +132,7 @@ class Estimator:
         generated: bool = False,
         compiling: float = 0.0,
     ) -> float:
-        """Time to measure a scene's error on some grids [s].
+        """Forecast the time to measure a scene's error on some grids [s].
 
         Args:
             scene: The scene.
@@ -146,10 +148,9 @@ class Estimator:
         return simulate * load.simulation + (deform + rest + generate) * load.thread
 
     def load(self) -> Load:
-        """The load by other programs on this machine, measured again every few seconds.
+        """Return the load by other programs on this machine, measured every few seconds.
 
-        While a run of this page is in progress it cannot be told from others, so the last
-        measurement is used.
+        During a run of this page the last measurement is used, since the load would include it.
         """
         return self.meter.latest if self._occupied() else self.meter.load()
 
@@ -158,23 +159,23 @@ class Estimator:
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
-        """A run done now, with its times as they would be without other programs."""
+        """Run now; returns its times corrected for the load by other programs."""
         before = self.meter.measure()
         report, scene = run()
         return _alone(report, before.mean(self.meter.measure())), scene
 
     def learn(self, report: dict[str, Any], scene: Scene, before: Load) -> None:
-        """Correct the rates by a run just finished, which had the load `before`."""
+        """Correct the rates by a run that just finished and had the load `before` at its start."""
         self.learned.learn(_alone(report, before.mean(self.meter.measure())), scene)
 
     def minimum(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
-        """Time of a run [s] if this machine is as fast as it has ever been."""
+        """Time of a run at this machine's fastest rates so far [s]."""
         return sum(self.learned.minimum.seconds(Work.of(scene, gaussians)).values())
 
     def min_study(
         self, scene: Scene, levels: Sequence[int], *, gaussians: int = GAUSSIANS
     ) -> float:
-        """Time to measure a scene's error on these grids [s] if this machine is at its fastest."""
+        """Time to measure a scene's error on these grids, at this machine's fastest rates [s]."""
         works = [Work.of(on_grid(scene, n), gaussians) for n in levels]
         return sum(self.learned.minimum.seconds(work)["simulate"] for work in works)
 
@@ -192,21 +193,21 @@ class Estimator:
         Args:
             scene: The scene.
             gaussians: Number of Gaussians.
-            thickness: Local thickness of the object relative to its size, if it is known.
-            seconds: Time measured for the scene's own accuracy [s], if it was.
-            study: The errors measured on this scene, if they were.
+            thickness: Local thickness of the object relative to its size, if known.
+            seconds: Time measured for the scene's own accuracy [s], if any.
+            study: The errors measured on this scene, if any.
         """
         scale = 1.0 if seconds is None else seconds / self(scene, gaussians=gaussians).seconds
-        found = []
+        stops = []
         for name in PRESETS:
             other = scene.model_copy(update={"accuracy": name})
             took = scale * self(other, gaussians=gaussians).seconds
-            found.append(Stop.of(other, took, promise_of(other, thickness, study)))
-        return found
+            stops.append(Stop.of(other, took, promise_of(other, thickness, study)))
+        return stops
 
 
 def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
-    """The report with its times as they would be without the load."""
+    """Divide the times of a report by the load."""
     stages = [
         {**stage, "seconds": stage["seconds"] / load.of(stage["name"])}
         for stage in report["stages"]
@@ -214,8 +215,8 @@ def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
     return {**report, "stages": stages}
 
 
-def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Estimate:
-    """The forecast of `phy124.accuracy`, from a probe of this object; takes half a second.
+def probe_estimate(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Estimate:
+    """Forecast a run by a probe of this object (`phy124.accuracy`), which takes half a second.
 
     Args:
         gaussians: The object.
@@ -223,12 +224,17 @@ def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Es
         device: Warp device.
         rest: Time of all other stages [s].
     """
-    found = Forecaster(device).forecast(gaussians, scene)
-    seconds = found.seconds + rest
+    probe = Forecaster(device).forecast(gaussians, scene)
     return Estimate(
-        seconds, found.substeps, found.particles, promise(scene, found.thickness), found.caveat,
-        found.load, measured=True, thickness=found.thickness,
-    )  # fmt: skip
+        probe.seconds + rest,
+        probe.substeps,
+        probe.particles,
+        promise(scene, probe.thickness),
+        probe.caveat,
+        probe.load,
+        measured=True,
+        thickness=probe.thickness,
+    )
 
 
 def promise_of(
@@ -237,13 +243,13 @@ def promise_of(
     study: Measurement | None,
     report: Mapping[str, Any] | None = None,
 ) -> Promise:
-    """The error that may be promised for a scene.
+    """Return the error that may be promised for a scene.
 
     Args:
         scene: The scene.
-        thickness: Local thickness of the object relative to its size, if it is known.
-        study: The errors measured on this scene; None: those measured on such scenes are used.
-        report: The report of its run, which may rule a promise out.
+        thickness: Local thickness of the object relative to its size, if known.
+        study: The errors measured on this scene; None: errors measured on similar scenes.
+        report: The report of its run, which may rule out a promise.
     """
     if study is None or why_broken(report or {}):
         return promise(scene, thickness, report)
@@ -251,7 +257,7 @@ def promise_of(
 
 
 def stops_table(stops: list[Stop], chosen: object) -> str:
-    """Time and error of each stop of the accuracy slider, as an HTML table."""
+    """Format time and error of each named accuracy as an HTML table."""
     mark = {chosen: " class=chosen"}
     rows = [
         f"<tr{mark.get(stop.name, '')}><td>{escape(stop.name.capitalize())}</td>"

@@ -1,4 +1,4 @@
-"""Protection of the page: whose requests are answered, and headers of responses."""
+"""Protects the page: who a request is from, which requests are answered, and response headers."""
 
 from __future__ import annotations
 
@@ -11,20 +11,19 @@ from typing import TYPE_CHECKING
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 
-from .identity import COOKIE, new_name
-
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from typing import Any
 
 FETCHES = re.compile(r"/gradio_api/(?:file=|proxy=)(?:https?:|ftp:|//)", re.IGNORECASE)
-"""Addresses at which Gradio would fetch something from elsewhere."""
+"""URLs at which Gradio would fetch something from another site."""
 CLOSED = re.compile(
     r"/gradio_api/(?:dev|deep_link|stream|component_server|process_recording|vibe|undo-vibe|runs"
     r"|run-history|profiling|login_check)\b|/monitoring\b"
 )
-"""Addresses of Gradio that the page does not need, among them streams that never end."""
+"""URLs of Gradio that the page does not need, among them endless streams."""
 FORWARDED = ("x-forwarded-host", "x-gradio-server")
-"""Headers by which a proxy says how the page is called."""
+"""Headers in which a proxy gives the page's host name."""
 POLICY = (
     # Gradio makes functions of the panels' scripts; a script injected into the page does not run.
     "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
@@ -34,22 +33,26 @@ POLICY = (
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
 """Policy for everything except the page itself, in case it is opened as a page."""
+COOKIE = "phy124"
+NAME = re.compile(r"[A-Za-z0-9_-]{32}")
+NETWORK = 64
+"""Length of the IPv6 prefix of one subscriber [bits]."""
 
 
 class Doorkeeper:
-    """Refuses requests under other host names, those that would fetch from other sites, those for
-    what the page does not need, and those by which another site's page would do something here.
+    """Refuses requests with other host names, requests that would fetch from other sites, URLs that
+    the page does not need, and cross-site requests.
     """
 
     def __init__(
         self, app: ASGIApp, hosts: frozenset[str], origins: frozenset[str] = frozenset()
     ) -> None:
-        """Stand in front of an application.
+        """Wrap an application.
 
         Args:
             app: The application.
-            hosts: Names it answers to.
-            origins: Those of them that a proxy may replace by another one.
+            hosts: Host names it answers to.
+            origins: Host names that a proxy may replace by another name.
         """
         self.app, self.hosts, self.origins = app, hosts, origins
 
@@ -67,7 +70,7 @@ class Doorkeeper:
         await self.app(scope, receive, send)
 
     def _from_own_page(self, headers: Headers) -> bool:
-        """Whether a page of this server or a program asks: browsers say whose page it is."""
+        """Whether the request comes from this page or from a program, by its origin headers."""
         host, origin = headers.get("host", ""), headers.get("origin")
         if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
             return False
@@ -78,10 +81,10 @@ class Doorkeeper:
         place = origin.lower().partition("://")[2]
         return _without_port(place) in self.origins or _usual(place) == _usual(host.lower())
 
-    def _is_called_so(self, headers: Headers) -> bool:
-        """Whether the page has the names by which a request calls it.
+    def _has_own_host(self, headers: Headers) -> bool:
+        """Whether the request's host names, including those from proxies, are this page's.
 
-        Gradio writes those of proxies into the page, so that an address is not enough.
+        Gradio writes the proxies' names into the page, so they are checked, too.
         """
         host = headers.get("host", "").lower()
         said = ",".join(headers.get(name, "") for name in FORWARDED).lower()
@@ -92,7 +95,7 @@ class Doorkeeper:
 
     def _refusal(self, scope: Scope) -> PlainTextResponse | None:
         headers = Headers(scope=scope)
-        if not self._is_called_so(headers):
+        if not self._has_own_host(headers):
             return PlainTextResponse("This page has another host name (PHY124_HOSTS).", 421)
         if FETCHES.search(scope["path"]):
             return PlainTextResponse("This page fetches nothing from elsewhere.", 403)
@@ -108,19 +111,19 @@ def _without_port(place: str) -> str:
 
 
 def _usual(place: str) -> str:
-    """A host without the port that browsers leave out."""
+    """Remove the default port, which browsers omit."""
     return re.sub(r":(80|443)$", "", place)
 
 
-def listed(more: str, space: str = "") -> frozenset[str]:
-    """Names with commas between them."""
+def split_names(more: str, space: str = "") -> frozenset[str]:
+    """Split comma-separated names."""
     return frozenset(filter(None, (name.strip().lower() for name in f"{more},{space}".split(","))))
 
 
 def own_names(more: str, space: str = "") -> frozenset[str]:
     """Host names the page answers to, besides IP addresses."""
     here = socket.gethostname().lower()
-    return frozenset({"localhost", here, f"{here}.local"}) | listed(more, space)
+    return frozenset({"localhost", here, f"{here}.local"}) | split_names(more, space)
 
 
 def is_own_name(host: str, names: frozenset[str]) -> bool:
@@ -139,7 +142,7 @@ def is_own_name(host: str, names: frozenset[str]) -> bool:
 
 
 class Headed:
-    """Adds the headers that a public page should have, and gives each visitor a name."""
+    """Adds the security headers of a public page, and names each visitor by a cookie."""
 
     def __init__(self, app: ASGIApp, embedded: bool = False) -> None:
         self.app = app
@@ -155,7 +158,7 @@ class Headed:
 
 
 class _Answer:
-    """A response that is being sent; a page is held back until it is complete."""
+    """A response that is being sent; a page is buffered until it is complete."""
 
     def __init__(self, rules: Headed, scope: Scope, send: Send) -> None:
         self.rules, self.scope, self.send = rules, scope, send
@@ -192,7 +195,39 @@ class _Answer:
         headers["cache-control"] = "no-store"
         headers["content-security-policy"] = POLICY.format(nonce=nonce, frames=self.rules.frames)
         if COOKIE.encode() + b"=" not in dict(self.scope["headers"]).get(b"cookie", b""):
-            name = f"{COOKIE}={new_name()}; Path=/; HttpOnly; {self.rules.manner}"
+            name = f"{COOKIE}={make_name()}; Path=/; HttpOnly; {self.rules.manner}"
             headers.append("set-cookie", name)
         await self.send(self.page)
         await self.send({"type": "http.response.body", "body": body})
+
+
+def make_name() -> str:
+    """Make a name that cannot be guessed."""
+    return secrets.token_urlsafe(24)
+
+
+def cookie_of(request: Any) -> str | None:
+    """The visitor's name in a request's cookie, if it is well formed."""
+    cookies = getattr(request, "cookies", None) or {}
+    name = cookies.get(COOKIE) if hasattr(cookies, "get") else getattr(cookies, COOKIE, None)
+    return f"cookie {name}" if isinstance(name, str) and NAME.fullmatch(name) else None
+
+
+def visitor_of(request: Any) -> str:
+    """The visitor's name: from the cookie, else the session, else new."""
+    session = getattr(request, "session_hash", None)
+    return cookie_of(request) or f"session {session or make_name()}"
+
+
+def address_of(request: Any) -> str:
+    """The IP address of a request, for limits; for IPv6, the subscriber's network."""
+    host = getattr(getattr(request, "client", None), "host", None) or ""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host
+    if address.version == 4:
+        return host
+    if address.ipv4_mapped is not None:
+        return str(address.ipv4_mapped)
+    return str(ipaddress.ip_network((int(address) >> (128 - NETWORK) << (128 - NETWORK), NETWORK)))

@@ -1,8 +1,7 @@
-"""The work behind the page's buttons: jobs that survive a lost connection, and their limits.
+"""Jobs behind the page's buttons, which survive a lost connection, and their limits.
 
-Nothing here depends on the layout. Everything that takes long is a job in a queue (demo.line).
-There is one queue for the device and one for cutting out pictures, so that neither waits for the
-other.
+This module does not depend on the layout. Everything slow is a job in a queue (demo.line): one
+queue is for the device, and one for cutting out pictures.
 """
 
 from __future__ import annotations
@@ -26,18 +25,14 @@ from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
 from .catalogue import check_limits, check_time, scene_of
-from .events import close_now
+from .extras import ExtraInputs, extras_of
 from .fits import Fits
-from .forecast import Estimate, Estimator, measured, promise_of
-from .gaussian_files import check_file, opened
-from .known import Known, known_of
-from .line import Job, Line, guarded
-from .ordering import count_of, order_of
-from .pictures import check_picture, cut_by, cut_once, viewable
-from .progress import MEASURING, READING, STAGES
+from .forecast import Estimate, Estimator, probe_estimate, promise_of
+from .line import Job, Line, run_guarded
+from .pictures import Stroke, check_picture, cut_by, cut_once, viewable
+from .progress import MEASURING, READING, STAGES, close_now
 from .settings import Settings
-from .source import Cutout, Source, is_there, missing
-from .strokes import Stroke
+from .source import Cutout, Source, check_file, is_there, missing, open_gaussians
 from .studies import Measurement, grids, on_grid, read_study
 from .touch import Table
 from .visitors import Visitor, Visitors, key
@@ -47,12 +42,13 @@ from .work import (
     Order,
     bytes_to_write,
     gaussians_of,
-    made_already,
     made_by,
     made_gaussians,
+    stages_done,
     steps,
     study_file,
 )
+from .work.order import count_of, order_of
 
 CUTTERS = 2
 """Number of pictures that are cut out at the same time."""
@@ -60,7 +56,7 @@ CUTTERS = 2
 
 @dataclass
 class Studio:
-    """Everything that visitors share: limits, folders, forecasts, queues."""
+    """The state shared by all visitors: limits, folders, forecasts, queues."""
 
     settings: Settings
     visitors: Visitors
@@ -68,7 +64,7 @@ class Studio:
     work: Callable[[Order], Iterator[Any]] = steps
     """The function that runs an order; on ZeroGPU it is wrapped by `spaces.GPU`."""
     searches: deque[float] = field(default_factory=lambda: deque(maxlen=5))
-    """Seconds that the last searches for an object took."""
+    """Durations of the last searches for an object [s]."""
     warm: threading.Event = field(default_factory=threading.Event)
     """Set once all kernels are loaded."""
 
@@ -82,16 +78,17 @@ class Studio:
     @property
     def busy(self) -> bool:
         """Whether a job is running."""
-        return DEVICE.locked() or any(one.running for one in (self.runs, self.cuts, self.fits.line))
+        lines = (self.runs, self.cuts, self.fits.line)
+        return DEVICE.locked() or any(line.running for line in lines)
 
     @property
     def forks(self) -> bool:
-        """Whether jobs run in a forked process, so that Warp must not be started in this one."""
+        """Whether jobs run in a forked process; then Warp must not start in this process."""
         return self.work is not steps
 
     @property
     def search_seconds(self) -> float | None:
-        """How long it takes to find an object; None before it was ever measured."""
+        """Median duration of a search for an object [s]; None before the first."""
         return median(self.searches) if self.searches else None
 
     def take(self, name: str, sent: Any, pick: Point | None = None) -> Job:
@@ -99,50 +96,51 @@ class Studio:
 
         Args:
             name: The visitor's name.
-            sent: The path of the upload, as the request gives it.
-            pick: A place on the object that is meant, if a picture has several.
+            sent: The path of the upload in the request.
+            pick: A point on the object, if the picture has several.
 
         Raises:
             InputError: It is not an upload of this visitor, or the queue is full.
         """
         upload = self._upload(name, sent)
         if not is_file_of_gaussians(upload):
-            return self.cut(name, sent, pick=pick)
+            return self.cut_out(name, sent, pick=pick)
         if pick is not None:
-            limit = "A file of Gaussians holds one object only."
+            limit = "A file of Gaussians contains only one object."
             raise InputError("pick", pick, limit, "Leave it out.")
-        return self._read(self.visitors.get(name), upload)
-
-    def _upload(self, name: str, sent: Any) -> Path:
-        """The visitor's own upload that a request names; raises InputError."""
-        if not sent:
-            raise missing(None)
-        return self.visitors.own(name, sent)
-
-    def _read(self, visitor: Visitor, upload: Path) -> Job:
-        """Start to read a file of Gaussians."""
         check_file(upload, self.settings)
+        visitor = self.visitors.get(name)
 
         def work(job: Job) -> None:
             deadline = Deadline(self.settings.max_cut_seconds, job.check)
             out = visitor.folder / "objects" / upload.stem
-            job.end("done", result=opened(upload, out, self.settings.gaussians, deadline))
+            job.end("done", result=open_gaussians(upload, out, self.settings.gaussians, deadline))
 
         job = Job("read", visitor.new_stop_file(), subject=str(upload))
         return self._submit(visitor, job, self.cuts, work)
 
-    def cut(
-        self, name: str, picture: Any, strokes: Sequence[Stroke] = (), pick: Point | None = None,
+    def _upload(self, name: str, sent: Any) -> Path:
+        """Return the visitor's upload that a request names; raises InputError."""
+        if not sent:
+            raise missing(None)
+        return self.visitors.find_upload(name, sent)
+
+    def cut_out(
+        self,
+        name: str,
+        picture: Any,
+        strokes: Sequence[Stroke] = (),
+        pick: Point | None = None,
         kind: str = "cut",
-    ) -> Job:  # fmt: skip
+    ) -> Job:
         """Start to cut the object out of an uploaded picture.
 
         Args:
             name: The visitor's name.
-            picture: The path of the upload, as the request gives it.
+            picture: The path of the upload in the request.
             strokes: Brush strokes that correct the cut-out.
-            pick: A place on the object that is meant, if there are several.
-            kind: "cut", or "view" if it is not the picture that the object is made of.
+            pick: A point on the object, if the picture has several.
+            kind: "cut" for the front picture, "view" for any other.
 
         Raises:
             InputError: It is not an upload of this visitor, or the queue is full.
@@ -160,7 +158,7 @@ class Studio:
                 path, doubts, searched = cut_once(visitor, shown, strokes, pick, deadline)
             except InputError as error:
                 if error.field == "image":
-                    job.subject = ""  # it cannot be opened, so that there is nothing to show
+                    job.subject = ""  # it cannot be opened, so it cannot be shown
                 raise
             if searched:
                 self.searches.append(time.monotonic() - start)
@@ -169,205 +167,213 @@ class Studio:
         job = Job(kind, visitor.new_stop_file(), subject=str(upload))
         return self._submit(visitor, job, self.cuts, work)
 
-    def forecast(self, name: str, source: Source | None, data: Any, told: Any = None) -> str:
-        """The forecast of a run in words.
+    def forecast(self, name: str, source: Source | None, data: Any, extras: Any = None) -> str:
+        """Forecast a run, in words.
 
         Args:
             name: The visitor's name.
-            source: What the object is made of, if it is there.
+            source: The object's source, if it still exists.
             data: The scene as plain data.
-            told: What else is known of the object, by option (`demo.known`).
+            extras: Optional inputs besides the front picture, by option.
 
         Raises:
             InputError: The run would be refused.
         """
-        scene = self._scene(self.visitors.known(name), data)
+        scene = self._scene(self.visitors.find(name), data)
         self._check_time(source, scene)
-        ready = self._ready(name, source, scene, told)
+        ready = self._ready(name, source, scene, extras)
         count, compiling = self.count(source), self._compiling(scene)
         estimate = self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
-        return self._said(estimate, name, source, scene, told)
+        return self._describe(estimate, name, source, scene, extras)
 
-    def refine(self, name: str, source: Source | None, data: Any, told: Any = None) -> str | None:
-        """The forecast by a probe; None unless the Gaussians exist and the device is free.
+    def refine(self, name: str, source: Source | None, data: Any, extras: Any = None) -> str | None:
+        """Forecast a run by a probe; None unless the Gaussians exist and the device is free.
 
         Args:
             name: The visitor's name.
-            source: What the object is made of, if it is there.
+            source: The object's source, if it still exists.
             data: The scene as plain data.
-            told: What else is known of the object, by option.
+            extras: Optional inputs besides the front picture, by option.
 
         Raises:
             InputError: The run would be refused.
         """
-        visitor = self.visitors.known(name)
+        visitor = self.visitors.find(name)
         if self.forks or visitor is None or source is None or not is_there(source):
             return None
         if not DEVICE.acquire(blocking=False):
             return None
         try:
             scene = self._scene(visitor, data)
-            order = self.order((visitor, source, scene), self.known(name, told))
-            ready = made_already(order)
+            order = self.order((visitor, source, scene), self.check_extras(name, extras))
+            ready = stages_done(order)
             device = pick_device(self.settings.device)
             if not ready["generated"] or ready["simulated"] or seconds_to_compile(scene, device):
                 return None
             gaussians = gaussians_of(order, made_gaussians(order))
             rates = self.forecaster.rates
             rest = rates.rest + rates.pixel * ready["composed"]
-            forecast = measured(gaussians, order.scene, device, rest)
+            forecast = probe_estimate(gaussians, order.scene, device, rest)
             visitor.forecasts[key(scene.data())] = forecast.seconds
             visitor.thickness[str(made_gaussians(order))] = forecast.thickness
         finally:
             DEVICE.release()
-        return self._said(forecast, name, source, scene, told)
+        return self._describe(forecast, name, source, scene, extras)
 
-    def _said(
-        self, estimate: Estimate, name: str, source: Source | None, scene: Scene, told: Any
+    def _describe(
+        self, estimate: Estimate, name: str, source: Source | None, scene: Scene, extras: Any
     ) -> str:
-        """A forecast in words, with the error measured on this scene if there is one."""
-        about = (name, source, scene, told)
+        """Describe a forecast, with the error measured on this scene if there is one."""
+        about = (name, source, scene, extras)
         promise = promise_of(scene, self.thickness(*about), self.study(*about))
         return replace(estimate, promise=promise).sentence
 
-    def known(self, name: str, told: Any) -> Known:
-        """What a visitor tells of the object beside its picture; raises InputError."""
-        return known_of(self.visitors, self.settings, name, told)
+    def check_extras(self, name: str, extras: Any) -> ExtraInputs:
+        """Validate a visitor's optional inputs besides the front picture; raises InputError."""
+        return extras_of(self.visitors, self.settings, name, extras)
 
     def run(
-        self, name: str, source: Source | None, data: Any, told: Any = None,
+        self,
+        name: str,
+        source: Source | None,
+        data: Any,
+        extras: Any = None,
         limits: Settings | None = None,
-    ) -> Job:  # fmt: skip
+    ) -> Job:
         """Start the whole chain.
 
         Args:
             name: The visitor's name.
-            source: What the object is made of.
+            source: The object's source.
             data: The scene as plain data.
-            told: What else is known of the object, by option (`demo.known`).
-            limits: Those of this run; None: the page's.
+            extras: Optional inputs besides the front picture, by option.
+            limits: Limits of this run; None: the page's.
 
         Raises:
             InputError: Something in the request cannot be used.
         """
-        visitor, source, scene = self.asked(name, source, data, limits)
+        visitor, source, scene = self.resolve(name, source, data, limits)
         self._check_time(source, scene)
-        ready = self._ready(name, source, scene, told)
+        ready = self._ready(name, source, scene, extras)
         count, compiling = self.count(source), self._compiling(scene)
         usual = self.forecaster(scene, gaussians=count, compiling=compiling, **ready).seconds
         expected = visitor.forecasts.get(key(scene.data()), usual)
         stages = STAGES if isinstance(source, Cutout) else STAGES | READING
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
-        order = replace(self.order((visitor, source, scene), self.known(name, told)), stop=job.stop)
+        order = replace(
+            self.order((visitor, source, scene), self.check_extras(name, extras)), stop=job.stop
+        )
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
-    def measure(self, name: str, source: Source | None, data: Any, told: Any = None) -> Job:
+    def measure(self, name: str, source: Source | None, data: Any, extras: Any = None) -> Job:
         """Start to measure the error of a scene.
 
         Args:
             name: The visitor's name.
-            source: What the object is made of.
+            source: The object's source.
             data: The scene as plain data.
-            told: What else is known of the object, by option (`demo.known`).
+            extras: Optional inputs besides the front picture, by option.
 
         Raises:
             InputError: Something in the request cannot be used.
         """
-        visitor, source, scene = self.asked(name, source, data)
+        visitor, source, scene = self.resolve(name, source, data)
         levels = grids(scene)
         for cells in levels:
             check_limits(on_grid(scene, cells), self.settings)
         count = self.count(source)
         check_time(self.forecaster.min_study(scene, levels, gaussians=count), self.settings)
-        known = self.known(name, told)
-        expected = self.study_seconds(name, source, scene, told)
+        inputs = self.check_extras(name, extras)
+        expected = self.study_seconds(name, source, scene, extras)
         stages = MEASURING if isinstance(source, Cutout) else MEASURING | READING
         job = Job("measure", visitor.new_stop_file(), expected, stages=stages)
-        order = self.order((visitor, source, scene), known)
+        order = self.order((visitor, source, scene), inputs)
         order = replace(order, stop=job.stop, levels=levels)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def study(
-        self, name: str, source: Source | None, scene: Scene, told: Any = None
+        self, name: str, source: Source | None, scene: Scene, extras: Any = None
     ) -> Measurement | None:
-        """The errors measured for this visitor's object in this scene, if they were.
+        """Return the errors measured for this visitor's object in this scene, if any.
 
         Args:
             name: The visitor's name.
-            source: What the object is made of, if it is there.
+            source: The object's source, if it still exists.
             scene: The scene.
-            told: What else is known of the object, by option.
+            extras: Optional inputs besides the front picture, by option.
         """
-        visitor = self.visitors.known(name)
+        visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
             return None
-        order = self.order((visitor, source, scene), self.known(name, told))
+        order = self.order((visitor, source, scene), self.check_extras(name, extras))
         return read_study(study_file(order))
 
     def thickness(
         self, name: str, source: Source | None, scene: Scene, extras: Any = None
     ) -> float | None:
-        """The local thickness of this visitor's object relative to its size, if it is known.
+        """Return the local thickness of this visitor's object relative to its size, if known.
 
         Args:
             name: The visitor's name.
-            source: What the object is made of, if it is there.
+            source: The object's source, if it still exists.
             scene: The scene.
             extras: Optional inputs besides the front picture, by option.
         """
-        visitor = self.visitors.known(name)
+        visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
             return None
-        order = self.order((visitor, source, scene), self.known(name, extras))
+        order = self.order((visitor, source, scene), self.check_extras(name, extras))
         return visitor.thickness.get(str(made_gaussians(order)))
 
     def study_seconds(
-        self, name: str, source: Source | None, scene: Scene, told: Any = None
+        self, name: str, source: Source | None, scene: Scene, extras: Any = None
     ) -> float:
-        """Time it would take to measure them [s].
+        """Forecast the time to measure the errors of a scene [s].
 
         Args:
             name: The visitor's name.
-            source: What the object is made of, if it is there.
+            source: The object's source, if it still exists.
             scene: The scene.
-            told: What else is known of the object, by option.
+            extras: Optional inputs besides the front picture, by option.
         """
-        ready = self._ready(name, source, scene, told)
+        ready = self._ready(name, source, scene, extras)
         return self.forecaster.study(
-            scene, grids(scene), gaussians=self.count(source),
+            scene,
+            grids(scene),
+            gaussians=self.count(source),
             generated=ready.get("generated", False),
             compiling=self._compiling(on_grid(scene, grids(scene)[0])),
-        )  # fmt: skip
+        )
 
-    def asked(
+    def resolve(
         self, name: str, source: Source | None, data: Any, limits: Settings | None = None
     ) -> tuple[Visitor, Source, Scene]:
-        """The visitor, the object's source and the scene of a request.
+        """Return the visitor, the object's source and the scene of a request.
 
         Args:
             name: The visitor's name.
-            source: What the object is made of.
+            source: The object's source.
             data: The scene as plain data.
-            limits: Those of this request; None: the page's.
+            limits: Limits of this request; None: the page's.
 
         Raises:
             InputError: There is no source, or no such scene.
         """
-        visitor = self.visitors.known(name)
+        visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
             raise missing(source)
         return visitor, source, self._scene(visitor, data, limits)
 
     def _scene(self, visitor: Visitor | None, data: Any, limits: Settings | None = None) -> Scene:
-        """The scene that was chosen; it may name the visitor's own uploads and no other files."""
+        """Validate the scene, which may name the visitor's uploads but no other files."""
         return scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
 
-    def _ready(self, name: str, source: Source | None, scene: Scene, told: Any) -> dict[str, Any]:
-        """Which stages need not be run again for this visitor, as `made_already` tells it."""
-        visitor = self.visitors.known(name)
+    def _ready(self, name: str, source: Source | None, scene: Scene, extras: Any) -> dict[str, Any]:
+        """Return the stages done for this visitor, as arguments for the forecast."""
+        visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
             return {}
-        return made_already(self.order((visitor, source, scene), self.known(name, told)))
+        return stages_done(self.order((visitor, source, scene), self.check_extras(name, extras)))
 
     def _compiling(self, scene: Scene) -> float:
         """Time until a scene's kernels are compiled [s]; 0 while a run may be compiling them."""
@@ -386,18 +392,18 @@ class Studio:
         count = self.count(source)
         check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
-    def order(self, asked: tuple[Visitor, Source, Scene], known: Known) -> Order:
-        """An order that nobody stops; raises InputError if what is known is no use for it."""
-        return order_of(*asked, known, self.settings)
+    def order(self, asked: tuple[Visitor, Source, Scene], extras: ExtraInputs) -> Order:
+        """Make an order without a stop file; raises InputError for unsuitable inputs."""
+        return order_of(*asked, extras, self.settings)
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:
         self.visitors.check_work(visitor, line.most)
-        line.submit(job, lambda job: guarded(job, work))
+        line.submit(job, lambda job: run_guarded(job, work))
         visitor.remember(job)
         return job
 
     def _run(self, visitor: Visitor, order: Order, job: Job) -> None:
-        order.cut(Deadline(self.settings.max_cut_seconds, job.check))
+        order.cut_views(Deadline(self.settings.max_cut_seconds, job.check))
         load, events, done = self.forecaster.load(), self.work(order), None
         with self.visitors.writing(visitor, bytes_to_write(order), made_by(order)):
             try:
@@ -407,7 +413,7 @@ class Studio:
                 close_now(events)
                 visitor.trim(self.visitors.room)
         if done is not None:
-            job.tell(done)  # not before its room is free: whoever hears of it may ask for files
+            job.tell(done)  # after its storage is released: the visitor may ask for files at once
             visitor.thickness[str(made_gaussians(order))] = done.report.get("thickness")
             if "simulate" not in job.progress.reused:
                 self.forecaster.learn(done.report, order.scene, load)

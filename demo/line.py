@@ -1,7 +1,6 @@
-"""A queue of jobs: first come, first served, whether or not their visitors stay connected.
+"""A queue of jobs, first come, first served, and the messages that end them.
 
-A visitor's connection may be lost and made again; a job is found by its name, which cannot be
-guessed.
+Jobs continue when their visitor disconnects. A job is found by its name, which cannot be guessed.
 """
 
 from __future__ import annotations
@@ -15,15 +14,22 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from phy124.errors import Cancelled, InputError
+from phy124.runtime.failures import Kind, failure
 
 from .progress import STAGES, Progress
-from .sentences import FAILED, STOPPED, outcome
 
 LOG = logging.getLogger("phy124.web")
+STOPPED = "Stopped. Nothing was changed."
+FAILED = "An error of this server, which is in its log. Try again, or change the scene."
+SERVER = {
+    Kind.MEMORY: "This server has too little memory for that. Choose a coarser accuracy.",
+    Kind.DISK: "The disk of this server is full. Try again later.",
+}
+"""Kind of failure -> message for the visitor; `FAILED` for all others."""
 
 
 class Job:
-    """A job for a visitor: its progress, its end, and whether it is to stop."""
+    """A visitor's job: its progress, its end, and whether it has been asked to stop."""
 
     def __init__(
         self,
@@ -69,31 +75,31 @@ class Job:
             self._changed.notify_all()
 
     def wait(self, seconds: float) -> bool:
-        """Wait for the end, at most so many seconds; returns whether it is over."""
+        """Wait for the end for at most `seconds`; returns whether it is over."""
         with self._changed:
             self._changed.wait_for(lambda: self.over, seconds)
             return self.over
 
     def cancel(self) -> None:
-        """Remove it from the queue if it waits, ask it to stop if it runs."""
+        """Remove the job from the queue, or ask it to stop if it runs."""
         if self.line is not None and self.line.drop(self):
             self.end("stopped", STOPPED)
         elif not self.over and self.stop.parent.is_dir():
             self.stop.touch()
 
     def check(self) -> None:
-        """Raise Cancelled if the job is to stop."""
+        """Raise Cancelled if the job was asked to stop."""
         if self.stop.exists():
             raise Cancelled
 
     @property
     def place(self) -> int:
-        """Number of jobs before this one; 0 if it is its turn."""
+        """Number of jobs before this one; 0 once it has started."""
         return 0 if self.line is None else self.line.place(self)
 
 
 class Line:
-    """A queue of jobs, and the threads that do them."""
+    """A queue of jobs, and the threads that run them."""
 
     def __init__(self, name: str, *, workers: int, most: int) -> None:
         self.name, self.workers, self.most = name, workers, most
@@ -158,15 +164,15 @@ class Line:
             try:
                 work()
             except BaseException as problem:
-                # Whatever a job raises, this thread has to do the next ones.
+                # The thread must survive any exception, to run the next jobs.
                 end(job, problem)
             job.end("failed", FAILED)
             with self._changed:
                 self._running.discard(job)
 
 
-def guarded(job: Job, work: Callable[[Job], None]) -> None:
-    """Do a job; if it is refused or cancelled, end it with a sentence."""
+def run_guarded(job: Job, work: Callable[[Job], None]) -> None:
+    """Run a job; if it is refused or cancelled, end it with a message."""
     job.progress.begin()
     try:
         job.check()
@@ -178,8 +184,29 @@ def guarded(job: Job, work: Callable[[Job], None]) -> None:
 
 
 def end(job: Job, problem: BaseException) -> None:
-    """End a job that a problem has ended; what is no visitor's doing goes to the log."""
-    state, message = outcome(problem)
+    """End a job that raised an exception; errors of the server are logged."""
+    state, message = describe_failure(problem)
     if state == "failed":
         LOG.error("a job failed", exc_info=problem)
     job.end(state, message)
+
+
+def describe_failure(problem: BaseException) -> tuple[str, str]:
+    """Return the final state of a job that raised an exception, and the visitor's message."""
+    kind = failure(problem).kind
+    if kind is Kind.STOPPED:
+        return "stopped", STOPPED
+    if isinstance(problem, InputError):
+        return "refused", user_message(problem)
+    return "failed", SERVER.get(kind, FAILED)
+
+
+def user_message(error: InputError) -> str:
+    """Return an error's message for the visitor, without paths of the server."""
+    text = f"{error.limit} {error.remedy}"
+    return text[:1].upper() + text[1:]
+
+
+def api_message(error: InputError) -> str:
+    """Return an error's message for a program, beginning with the field."""
+    return f"{error.field}: {user_message(error)}"

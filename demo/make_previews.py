@@ -27,7 +27,7 @@ from phy124.rendering.stage.build import make_stage
 from phy124.scene import Scene, View, preset_names
 from phy124.simulation import Simulation, prepare
 
-from .substances import SUBSTANCES
+from .catalogue import SUBSTANCES
 
 Pictures = list[NDArray[np.uint8]]
 
@@ -37,13 +37,13 @@ OBJECTS = {
     "snow": "teddy", "water": "pear", "jelly": "cupcake", "wind": "sunflower", "foam": "mushroom",
     "land_on_cushion": "pear", "bury": "chick", "stack": "cupcake",
 }  # fmt: skip
-"""Preset -> the example picture that suits it; all others use the duck."""
+"""Preset -> example picture; all others use the duck."""
 FALL = 36
-"""Number of frames of a material's chip: it lands, and does not topple."""
+"""Number of frames of a material's chip: it lands but does not topple."""
 FRAMES = {"water": 11}
-"""Fewer, of materials that would otherwise spread far beyond their card."""
+"""Fewer frames for materials that would spread beyond their card."""
 LONGEST = 24
-"""Number of pictures of a loop; of a longer clip every second frame is shown, or fewer."""
+"""Largest number of pictures in a loop; longer clips are subsampled."""
 SIZE, CHIP = 200, 96
 """Sides of a preset's picture and of a material's [pixels]."""
 
@@ -63,7 +63,7 @@ def main() -> None:
 
 
 def substance_scene(name: str) -> Scene:
-    """The scene of a material's chip, in which it falls to the ground."""
+    """Return the scene of a material's chip: a fall to the ground."""
     drop = Scene.named("drop").replaced({"accuracy": "draft", "material": SUBSTANCES[name]})
     return drop.replaced({"time.frames": FRAMES.get(name, FALL)})
 
@@ -82,30 +82,36 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
     path.parent.mkdir(exist_ok=True)
     view = scene.view.model_copy(update={"size": (size, size), "stage": "studio"})
     step = -(-len(clip) // LONGEST)
-    images = _telling(_filmed(clip, view, step))
+    images = _telling(_film(clip, view, step))
     duration = round(1000 * step / (0.6 * scene.time.fps))
     images[0].save(
-        path, save_all=True, append_images=images[1:], duration=duration, loop=0,
-        quality=60, alpha_quality=60, method=6,
-    )  # fmt: skip
+        path,
+        save_all=True,
+        append_images=images[1:],
+        duration=duration,
+        loop=0,
+        quality=60,
+        alpha_quality=60,
+        method=6,
+    )
 
 
-def _filmed(clip: Clip, view: View, step: int) -> list[Image.Image]:
-    """Every so many frames and a pause, as the page shows a run: with shadow, walls and shine.
+def _film(clip: Clip, view: View, step: int) -> list[Image.Image]:
+    """Draw every `step`-th frame and a pause, with shadow, walls and shine.
 
-    Behind them there is nothing, so that they fit a light and a dark page.
+    The background is transparent, to fit a light and a dark page.
     """
     camera = still_camera(clip, view, "front")
     frames, shine = list(clip.frames())[::step], make_shine(clip, view)
     if shine is not None:
         frames = list(shine.frames(frames, [camera] * len(frames)))
-    black, white = (_before(grey, clip, frames, camera, view) for grey in (0.0, 1.0))
+    black, white = (_draw_on(grey, clip, frames, camera, view) for grey in (0.0, 1.0))
     clear = [_clear(dark, light) for dark, light in zip(black, white, strict=True)]
     return [*clear, *[clear[-1]] * 4]
 
 
-def _before(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view: View) -> Pictures:
-    """Pictures of the frames before one shade of grey."""
+def _draw_on(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view: View) -> Pictures:
+    """Draw the frames on a shade of grey."""
     colour = (grey, grey, grey)
     plain = {"background": colour, "gradient": None, "picture": None}
     stage = make_stage(clip, view.model_copy(update=plain))
@@ -114,7 +120,7 @@ def _before(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view: 
 
 
 def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
-    """A picture with transparency, from the same one on black and on white."""
+    """Compute a transparent picture from its versions on black and on white."""
     dark, light = on_black.astype(np.float32), on_white.astype(np.float32)
     alpha = 255 - (light - dark).mean(axis=2, keepdims=True).clip(0, 255)
     colour = np.where(alpha > 0, dark * 255 / np.maximum(alpha, 1), 0).clip(0, 255)
@@ -122,7 +128,7 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
 
 
 def _telling(images: list[Image.Image]) -> list[Image.Image]:
-    """The loop, starting with the frame that differs most from the first, which a still shows."""
+    """Rotate the loop to start with the frame that differs most from the first."""
     pixels = np.array([np.asarray(image, np.int16) for image in images])
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))
     start = int(changed.argmax())

@@ -1,12 +1,20 @@
-"""The page's own panels: gr.HTML components; their scripts are in static/ and phy124/io/viewer/."""
+"""The page's panels: gr.HTML components, with scripts in static/ and phy124/io/viewer/."""
 
 from __future__ import annotations
 
+import secrets
+from functools import wraps
 from typing import Any
 
 import gradio as gr
 
+from .handlers import Handler
+
 HEAD = '<script src="phy124/static/server.js"></script>'
+MARK = "mark"
+"""Key of the mark in a value."""
+
+
 HEAD += '<script src="phy124/static/page.js"></script>'
 PICTURE = HEAD + '<script src="phy124/static/brush.js"></script>'
 PICTURE += '<script src="phy124/static/picture.js"></script>'
@@ -41,40 +49,40 @@ PLAYER = (
 
 
 def scene() -> gr.HTML:
-    """The scene editor; its value is a scene as plain data. "change" reports a new one."""
+    """The scene editor; its value is a scene as plain data; "change" reports a new one."""
     return _panel("scene", EDITOR, events="'change'")
 
 
 def picture() -> gr.HTML:
-    """The picture, its cut-out, the brush, and examples to start with.
+    """The picture, its cut-out, the brush, and examples.
 
-    Events: "choose" names a file that was sent or an example, "correct" carries brush strokes,
-    "cut" reports that cutting out has ended.
+    Events: "choose" names an uploaded file or an example, "correct" carries brush strokes, "cut"
+    reports the end of a cut-out.
     """
     return _panel("picture", PICTURE, events="'choose' 'correct' 'cut'")
 
 
-def known() -> gr.HTML:
-    """What else is known of the object; its value holds that by option.
+def extras() -> gr.HTML:
+    """Optional inputs besides the front picture; its value holds them by option.
 
-    Events: "choose" names a picture that was sent for an option, "view" reports that it has been
-    cut out, "change" that the value has changed. Handlers give an answer as the value, which the
-    panel replaces, and so are the ways up of a file of Gaussians.
+    Events: "choose" names a picture uploaded for an option, "view" reports the end of its cut-out,
+    "change" a new value. Handlers set an answer, or the orientations of a file of Gaussians, as the
+    value; the panel replaces it.
     """
     return _panel("known", KNOWN, events="'choose' 'view' 'change'")
 
 
 def others() -> gr.HTML:
-    """Pictures of the scene's further objects; empty if it has none that waits for a picture.
+    """Pictures of the scene's further objects; empty if no object waits for a picture.
 
-    Events: "choose" names a picture that was sent for an object, "view" reports that it has been
-    cut out. Handlers give an answer as the value; the scene itself holds the pictures.
+    Events: "choose" names a picture uploaded for an object, "view" reports the end of its cut-out.
+    Handlers set an answer as the value; the scene holds the pictures.
     """
     return _panel("others", OTHERS, events="'choose' 'view'")
 
 
 def progress() -> gr.HTML:
-    """Stages with bars, and the run so far; the events "finished" and "again" report its end."""
+    """Progress bars and the run so far; the events "finished" and "again" report its end."""
     return _panel("progress", HEAD, events="'finished' 'again'")
 
 
@@ -84,9 +92,9 @@ def viewer() -> gr.HTML:
 
 
 def touch() -> gr.HTML:
-    """The object in the visitor's hand; its value says where the live run is.
+    """The live run; its value holds the ticket or a message.
 
-    Events: "begin" asks for a live run, "save" for the clip of what was done.
+    Events: "begin" asks for a live run, "save" for the clip of its session.
     """
     return _panel("touch", TOUCH, events="'begin' 'save'")
 
@@ -103,7 +111,7 @@ def forecast() -> gr.HTML:
 
 
 def history() -> gr.HTML:
-    """Earlier results; the event "show" asks for one of them."""
+    """Earlier results; the event "show" selects one."""
     return _panel("history", HEAD, events="'show'")
 
 
@@ -118,18 +126,18 @@ def takeaway() -> gr.HTML:
 
 
 def fit() -> gr.HTML:
-    """A video that the result is fitted to; its value says what a fit takes, or has found.
+    """A fit of the result to a video; its value holds the offer or the finished fit.
 
-    Events: "begin" names a video that was sent, "stop" cancels its fit, "ended" reports its end.
+    Events: "begin" names an uploaded video, "stop" cancels its fit, "ended" reports its end.
     """
     return _panel("fit", FIT, events="'begin' 'stop' 'ended'")
 
 
 def _panel(name: str, head: str, events: str = "") -> gr.HTML:
-    """A panel drawn by the function of that name in the script object `Phy124`."""
+    """Make a panel that is drawn by the function `name` of the script object `Phy124`."""
     call = f"Phy124.{name}(element, props, watch, trigger);"
     value: Any = None
-    # Gradio finds the names of events in the text of the script.
+    # Gradio searches the script's text for names of events.
     return gr.HTML(
         value,
         html_template="",
@@ -138,3 +146,42 @@ def _panel(name: str, head: str, events: str = "") -> gr.HTML:
         apply_default_css=False,
         elem_id=name,
     )
+
+
+def mark_answers(page: Any) -> None:
+    """Mark the answers of all handlers to the panels of a `gr.Blocks`, so that no two are equal.
+
+    Gradio does not send a panel a value that equals the previous one: after a second, equal refusal
+    the panel would wait forever. Handlers do not see the marks.
+    """
+    for event in page.fns.values():
+        panels = [isinstance(block, gr.HTML) for block in event.outputs]
+        if event.fn is not None and any(panels):
+            event.fn = _marking(event.fn, panels)
+
+
+def _marking(handle: Handler, panels: list[bool]) -> Handler:
+    # Gradio makes new components for each session, so the handlers are wrapped instead.
+    @wraps(handle)
+    def marking(*arguments: Any) -> Any:
+        answer = handle(*map(_unmark, arguments))
+        if len(panels) == 1:
+            return _mark(answer)
+        return [
+            _mark(value) if is_panel else value
+            for value, is_panel in zip(answer, panels, strict=True)
+        ]
+
+    return marking
+
+
+def _mark(value: Any) -> Any:
+    if not isinstance(value, dict) or value == gr.skip():
+        return value
+    return {**value, MARK: secrets.token_hex(4)}
+
+
+def _unmark(value: Any) -> Any:
+    if not isinstance(value, dict):
+        return value
+    return {key: part for key, part in value.items() if key != MARK}

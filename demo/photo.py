@@ -1,8 +1,7 @@
-"""The inputs for programs: an uploaded picture or video is passed on undecoded, so that the page's
-limits are checked first.
+"""Inputs for programs; they pass on uploads undecoded, so that limits are checked first.
 
-Gradio would decode a picture before any check, fetch it from anywhere, and accept a data: URL in an
-API call beyond its `max_file_size`.
+Gradio would decode a picture before any check, fetch it from any URL, and accept data: URLs beyond
+its `max_file_size`.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ FETCHES_NOTHING = "This page fetches nothing. Send the file itself."
 
 
 class Sent(ImageData):
-    """What a program sends as a picture; anything but a file is refused in words."""
+    """A program's picture; anything but a file is refused with a message."""
 
     name: ClassVar[str] = "image"
     """Name of the argument."""
 
-    # Not as a validator: what one raises is wrapped, and a program would not be shown it.
+    # Not a pydantic validator, whose exceptions would be wrapped and not shown to the program.
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Sent:
-        """The picture; raises gr.Error if it is no file."""
+        """Validate the picture; raises gr.Error if it is no file."""
         try:
             return super().model_validate(obj, **options)
         except ValidationError:
@@ -46,9 +45,9 @@ def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
     """A `gr.Image` whose value is the path of the uploaded file, undecoded.
 
     Args:
-        studio: Where a picture inside a request is stored.
-        label: Name of the argument, with which refusals begin.
-        options: Those of `gr.Image`.
+        studio: Stores pictures that are part of a request.
+        label: Name of the argument, which refusals begin with.
+        options: Options of `gr.Image`.
     """
 
     class Named(Sent):
@@ -58,23 +57,23 @@ def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
     image.data_model = Named
 
     def preprocess(payload: Any) -> str | None:
-        """The file's path; raises gr.Error if a data: URL is broken or too large."""
+        """Return the file's path; raises gr.Error if a data: URL is broken or too large."""
         if payload is None:
             return None
         if payload.url and payload.url.startswith("data:"):
-            return _saved(payload.url, studio, label)
+            return _save_data_url(payload.url, studio, label)
         return payload.path
 
     image.preprocess = preprocess
-    return _described(image, "picture.png")
+    return _describe_as_file(image, "picture.png")
 
 
 class SentVideo(FileData):
-    """What a program sends as a video; anything but a file is refused in words."""
+    """A program's video; anything but a file is refused with a message."""
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> SentVideo:
-        """The video; raises gr.Error if it is no file."""
+        """Validate the video; raises gr.Error if it is no file."""
         try:
             return super().model_validate(obj, **options)
         except ValidationError:
@@ -87,7 +86,7 @@ def film(**options: Any) -> gr.File:
     file.data_model = SentVideo
 
     def preprocess(payload: Any) -> str | None:
-        """The file's path; raises gr.Error if it is a data: URL."""
+        """Return the file's path; raises gr.Error if it is a data: URL."""
         if payload is None:
             return None
         if (payload.url or payload.path or "").startswith("data:"):
@@ -95,11 +94,11 @@ def film(**options: Any) -> gr.File:
         return payload.path
 
     file.preprocess = preprocess
-    return _described(file, "film.mp4")
+    return _describe_as_file(file, "film.mp4")
 
 
-def _described(component: Any, name: str) -> Any:
-    """A component that the description of the endpoints calls a file, and nothing by its URL."""
+def _describe_as_file(component: Any, name: str) -> Any:
+    """Describe a component as a file in the API, without a URL."""
     example = {"path": name, "meta": {"_type": "gradio.FileData"}}
     component.api_info = FileData.model_json_schema
     component.example_payload = lambda: example
@@ -107,17 +106,17 @@ def _described(component: Any, name: str) -> Any:
 
 
 def refusal(text: str) -> gr.Error:
-    """An error for a program; it is not logged, since it is not the server's fault."""
+    """Make an error for a program; it is not logged, since it is no fault of the server."""
     return gr.Error(text, print_exception=False)
 
 
 def fetch_nothing(page: gr.Blocks) -> None:
-    """Prevent a page from downloading what a request names by its URL."""
+    """Prevent a page from downloading URLs that a request contains."""
 
     async def refuse(url: str) -> Any:
         raise refusal(f"file: {FETCHES_NOTHING}")
 
-    # Of a panel that an answer has left as it was, Gradio makes a new one for that session.
+    # Gradio copies unchanged panels for each session, so the module's function is replaced, too.
     processing_utils.async_ssrf_protected_get = refuse
     for block in page.blocks.values():
         moved = block.async_move_resource_to_block_cache
@@ -131,7 +130,7 @@ def fetch_nothing(page: gr.Blocks) -> None:
         block.async_move_resource_to_block_cache = local
 
 
-def _saved(url: str, studio: Studio, name: str) -> str:
+def _save_data_url(url: str, studio: Studio, name: str) -> str:
     limits = studio.settings
     head, comma, text = url.partition(",")
     if not comma or not head.endswith(";base64"):

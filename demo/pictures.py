@@ -1,4 +1,4 @@
-"""Pictures of visitors: checked before they are decoded, cut out, corrected by brush."""
+"""Visitors' pictures: checks before decoding, cut-outs, and corrections by brush strokes."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import json
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 from PIL.PngImagePlugin import PngInfo
+from pydantic import Field, TypeAdapter, ValidationError
 
 from phy124.errors import InputError
 from phy124.imaging.cutout import Cutout, clean_edge, examine, foreground, title_of
@@ -22,22 +23,23 @@ from phy124.imaging.transparency import has_alpha, make_solid
 from phy124.io.files import replacing
 from phy124.runtime import isolated
 from phy124.runtime.isolated import PATIENT, Deadline, Unfinished
+from phy124.schema.section import Section
 
 from .settings import Settings
-from .strokes import Stroke, painted
 from .visitors import Visitor, key
 
 HOW = "cutout"
-"""Key of the text in a PNG that says how it was cut out."""
+"""Key of the PNG text that describes how the picture was cut out."""
+Fraction = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
 
 
 def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
-    """Check a picture's size in bytes and pixels, from its header alone; nothing is decoded.
+    """Check a picture's size in bytes and pixels from its header, without decoding it.
 
     Args:
         path: The picture.
         settings: The page's limits.
-        field: What the picture is for, used in error messages.
+        field: Its name in error messages.
 
     Raises:
         InputError: It is too large, or it is not a picture.
@@ -58,7 +60,7 @@ def is_shown(picture: Path) -> bool:
 
 
 def viewable(picture: Path, deadline: Deadline = PATIENT) -> Path:
-    """The picture, or a copy beside it in a format that browsers can show."""
+    """Return the picture, or a copy in a format that browsers can show."""
     if is_shown(picture):
         return picture
     shown = picture.with_name(f"{picture.stem}-shown.webp")
@@ -77,35 +79,38 @@ def cut_out(
     Args:
         picture: The picture.
         path: The PNG to write.
-        pick: A place on the object that is meant, if there are several.
+        pick: A point on the object, if the picture has several.
         deadline: When to give up.
 
     Raises:
         InputError: No object can be found in it.
     """
-    found = foreground(open_image(picture, deadline=deadline), pick=pick, deadline=deadline)
-    _save(found, path)
-    return (*found.notes, *found.warnings)
+    cut = foreground(open_image(picture, deadline=deadline), pick=pick, deadline=deadline)
+    _save(cut, path)
+    return (*cut.notes, *cut.warnings)
 
 
 def cutout_file(visitor: Visitor, picture: Path, *more: Any) -> Path:
-    """Where a visitor's cut-out of a picture lies; `more` says what else it depends on."""
+    """Return the path of a visitor's cut-out of a picture; `more` are further dependencies."""
     return visitor.folder / "cutouts" / f"{key(picture.read_bytes(), *more)}.png"
 
 
 def cut_once(
-    visitor: Visitor, upload: Path, strokes: Sequence[Stroke], pick: Point | None,
+    visitor: Visitor,
+    upload: Path,
+    strokes: Sequence[Stroke],
+    pick: Point | None,
     deadline: Deadline,
-) -> tuple[Path, tuple[str, ...], bool]:  # fmt: skip
-    """The cut-out of an upload, doubts about it, and whether the object had to be searched for.
+) -> tuple[Path, tuple[str, ...], bool]:
+    """Cut out an upload once, and correct the cut-out by strokes.
 
-    It is made once, and corrected by strokes.
+    Returns the cut-out, doubts about it, and whether the object had to be searched for.
 
     Args:
-        visitor: Whose it is.
+        visitor: The upload's visitor.
         upload: The picture.
         strokes: The brush strokes.
-        pick: A place on the object that is meant, if there are several.
+        pick: A point on the object, if the picture has several.
         deadline: When to give up.
     """
     place = pick or ()
@@ -117,18 +122,20 @@ def cut_once(
         return first, doubts, cut_by(first) != title_of("alpha")
     path = cutout_file(visitor, upload, *place, [stroke.model_dump() for stroke in strokes])
     if not path.exists():
-        corrected(upload, first if first.exists() else None, strokes, path, deadline)
+        correct_cutout(upload, first if first.exists() else None, strokes, path, deadline)
     return path, (), False
 
 
-def corrected(
-    picture: Path, first: Path | None, strokes: Sequence[Stroke], path: Path,
+def correct_cutout(
+    picture: Path,
+    first: Path | None,
+    strokes: Sequence[Stroke],
+    path: Path,
     deadline: Deadline = PATIENT,
-) -> None:  # fmt: skip
-    """Write the cut-out as corrected by brush strokes.
+) -> None:
+    """Write the cut-out, corrected by brush strokes.
 
-    Strokes say for certain what is object and what is not; near them the outline follows the edges
-    of the picture.
+    Painted pixels are certain; near the strokes, the outline follows the edges of the picture.
 
     Args:
         picture: The picture.
@@ -138,13 +145,13 @@ def corrected(
         deadline: When to give up.
     """
     image = make_solid(open_image(picture, deadline=deadline))
-    marks = np.asarray(painted(tuple(strokes), image.size))
+    marks = np.asarray(paint(tuple(strokes), image.size))
     alpha = np.zeros(marks.shape, np.uint8)
     if first is not None:
         with Image.open(first) as cut:
             alpha = np.array(cut.getchannel("A"))
     if not has_alpha(image):
-        # If the outline is not found in time, the strokes themselves still count.
+        # If the outline is not ready in time, the strokes still count.
         with suppress(Unfinished):
             rgb = np.asarray(image.convert("RGB"))
             alpha = np.array(isolated.run(apply_marks, rgb, alpha, marks, deadline=deadline))
@@ -154,13 +161,13 @@ def corrected(
 
 
 def how_cut(picture: Image.Image) -> dict[str, Any] | None:
-    """How a picture was cut out, if `cut_out` or `corrected` wrote it."""
-    said = picture.info.get(HOW)
-    return said and json.loads(said)
+    """Return how a picture was cut out, if `cut_out` or `correct_cutout` wrote it."""
+    text = picture.info.get(HOW)
+    return text and json.loads(text)
 
 
 def cut_by(path: Path) -> str:
-    """What a cut-out was cut out by, for a sentence; empty if it is not known."""
+    """Return the title of the method that made a cut-out; empty if unknown."""
     with Image.open(path) as picture:
         how = how_cut(picture)
     return title_of(how["method"]) if how else ""
@@ -168,8 +175,76 @@ def cut_by(path: Path) -> str:
 
 def _save(cut: Cutout, path: Path) -> None:
     if not cut.coverage:
-        raise InputError("strokes", "empty", "Nothing is left of it.", "Paint green what to keep.")
+        raise InputError(
+            "strokes", "empty", "Nothing of it is left.", "Paint the parts to keep in green."
+        )
     how = PngInfo()
     how.add_text(HOW, json.dumps(cut.data()))
     with replacing(path) as temporary:
         cut.picture.save(temporary, "PNG", compress_level=1, pnginfo=how)
+
+
+class Stroke(Section):
+    """A line painted on the picture; lengths are fractions of its longer side."""
+
+    keep: bool
+    """Whether the painted area belongs to the object."""
+    width: float = Field(gt=0, le=0.5)
+    points: tuple[tuple[Fraction, Fraction], ...] = Field(min_length=1, max_length=2000)
+
+
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+PLACE = TypeAdapter(tuple[Share, Share])
+STROKES = TypeAdapter(Annotated[list[Stroke], Field(max_length=200)])
+UNREAD = "These strokes cannot be read."
+POINTS = 20_000
+"""Largest number of points of all strokes together."""
+
+
+def read_strokes(data: Any) -> list[Stroke]:
+    """Validate strokes from plain data.
+
+    Raises:
+        InputError: The data cannot be read.
+    """
+    unread = InputError("strokes", "unknown", UNREAD, "Undo some of them.")
+    try:
+        strokes = STROKES.validate_python(data)
+    except ValidationError:
+        raise unread from None
+    if sum(len(stroke.points) for stroke in strokes) > POINTS:
+        raise unread
+    return strokes
+
+
+def read_place(data: Any) -> Point | None:
+    """Read a point of the picture, as fractions of width and height; None for [].
+
+    Raises:
+        InputError: If it is something else.
+    """
+    if data is None or data == []:
+        return None
+    try:
+        return PLACE.validate_python(data)
+    except ValidationError:
+        raise InputError(
+            "pick",
+            "unknown",
+            "It is not a place in the picture.",
+            "Give two fractions, as in [0.3, 0.5].",
+        ) from None
+
+
+def paint(strokes: list[Stroke] | tuple[Stroke, ...], size: tuple[int, int]) -> Image.Image:
+    """Paint the strokes: 0 nothing, 1 remove, 2 keep; later strokes cover earlier ones."""
+    marks = Image.new("L", size)
+    draw, side = ImageDraw.Draw(marks), max(size)
+    for stroke in strokes:
+        width = max(1, round(stroke.width * side))
+        points = [(x * side, y * side) for x, y in stroke.points]
+        value, reach = 1 + stroke.keep, width / 2
+        draw.line(points, value, width)
+        for x, y in points:
+            draw.ellipse((x - reach, y - reach, x + reach, y + reach), value)
+    return marks

@@ -1,18 +1,18 @@
-"""The progress of a job, as the page shows it."""
+"""The events of a job, and its progress as the page shows it."""
 
 from __future__ import annotations
 
 import base64
+import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
-
-from .events import Done, Glimpse, Live, Measured, Reused, Step
 
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
 READING = {"generate": "File to 3D"}
-"""The first stage of an object from a file of Gaussians."""
+"""Title of the first stage for a file of Gaussians."""
 FITTING = {"read": "Video", "fit": "Search"}
 MEASURING = {"generate": "Picture to 3D", "measure": "Grids"}
 
@@ -26,19 +26,19 @@ class Progress:
     message: str = ""
     expected: float = 0.0
     names: Mapping[str, str] = field(default_factory=lambda: STAGES)
-    """The stages to come, and their titles."""
+    """Stages and their titles."""
     start: float = field(default_factory=time.monotonic)
     stages: dict[str, Step] = field(default_factory=dict)
     reused: list[str] = field(default_factory=list)
     glimpses: list[bytes] = field(default_factory=list)
-    """Small pictures of all frames so far."""
+    """Small pictures of the frames so far."""
     live: list[str] = field(default_factory=list)
-    """Files of all frames so far, for the viewer."""
+    """Files of the frames so far, for the viewer."""
     result: Any = None
-    """What the job has made."""
+    """Result of the job."""
 
     def take(self, event: Any) -> None:
-        """Process an event of the job; None means that only time has passed."""
+        """Process an event of the job; ignores None, which means that time has passed."""
         if isinstance(event, Step):
             self.stages[event.stage] = event
         elif isinstance(event, Reused):
@@ -51,11 +51,11 @@ class Progress:
             self.result, self.state = event, "done"
 
     def begin(self) -> None:
-        """The job has started."""
+        """Mark the job as running."""
         self.state, self.start = "running", time.monotonic()
 
     def data(self, seen: int = 0) -> dict[str, Any]:
-        """Plain data for the page, with the pictures from number `seen` on."""
+        """Plain data for the page, with the pictures from index `seen`."""
         return {
             "state": self.state,
             "message": self.message,
@@ -77,3 +77,75 @@ class Progress:
             "note": note,
             "reused": reused,
         }
+
+
+@dataclass(frozen=True)
+class Step:
+    """The progress of a stage."""
+
+    stage: str
+    done: int
+    total: int
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Glimpse:
+    """A small JPEG of the frame just simulated."""
+
+    picture: bytes
+
+
+@dataclass(frozen=True)
+class Live:
+    """A file with the frame just simulated, for the viewer."""
+
+    file: str
+
+
+@dataclass(frozen=True)
+class Reused:
+    """A stage whose stored result was reused."""
+
+    stage: str
+
+
+@dataclass(frozen=True)
+class Done:
+    """The end of a run."""
+
+    clip: Path
+    """Folder of the clip, its Gaussians and its scene."""
+    films: Path
+    """Folder of the videos, the player's pack and the report."""
+    study: Path
+    """The file for the measured error of this scene."""
+
+    @property
+    def exports(self) -> Path:
+        """Folder of the formats that are made on demand."""
+        return self.films.parent.parent / "exports" / self.films.name
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The run's report."""
+        return json.loads((self.films / "report.json").read_text("utf-8"))
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The end of a study of the scene's error."""
+
+    study: Path
+    """File of a `demo.studies.Measurement`."""
+
+
+Event = Step | Glimpse | Live | Reused | Done | Measured
+Tell = Callable[[Event], None]
+
+
+def close_now(events: Iterator[Any]) -> None:
+    """Close the generator of a job's events now, not when it is garbage collected."""
+    close = getattr(events, "close", None)
+    if close is not None:
+        close()

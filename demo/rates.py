@@ -1,9 +1,9 @@
-"""What the stages of a run cost on this machine: measured at start, corrected by finished runs.
+"""Costs of a run's stages on this machine: measured at start, corrected by finished runs.
 
 A substep, a frame and a video each have a fixed cost and a cost per particle or pixel. Both are
 measured before the first visitor comes. After that, finished runs correct the costs per particle
-and pixel. No single visitor can spoil them: runs too small to show a cost are ignored, the median
-of the last few is used, and it stays within a factor of what was measured at start.
+and pixel. No visitor can distort them: runs too small to show a cost are ignored, and the median of
+the last runs is used, limited to a factor of the first measurement.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from phy124.budget.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2
-"""Upper bound of the time to read Gaussians that were made before [s]."""
+"""Longest time to read existing Gaussians [s]."""
 SPREAD = 3.0
-"""Learned costs stay within this factor of those measured at start, up or down."""
+"""Largest factor between learned costs and those measured at start, up or down."""
 WINDOW = 5
-"""Number of runs whose median is used."""
+"""Number of runs in the median."""
 FIXED = 0.7
-"""Largest fraction of a usual run's time that fixed costs may explain if the small run was slow."""
+"""Largest fraction of a usual run's time that fixed costs may explain."""
 MINIMUM = 0.2
-"""Fraction of the first measurement's work below which a run is ignored."""
+"""Smallest work of a run that counts, relative to the first measurement."""
 
 
 class Learned:
@@ -43,8 +43,8 @@ class Learned:
     def calibrate(
         self, small: tuple[dict[str, Any], Scene], usual: tuple[dict[str, Any], Scene]
     ) -> None:
-        """Measure from the reports of two runs: one of hardly any work, and a usual one."""
-        (little, spent_little), (much, spent) = _observed(*small), _observed(*usual)
+        """Measure the rates from the reports of a tiny and a usual run."""
+        (little, spent_little), (much, spent) = _observe(*small), _observe(*usual)
         substep = _per(spent_little["simulate"], little.substeps) or self.now.substep
         video = _per(spent_little["film"], little.videos) or self.now.video
         fixed = replace(
@@ -52,25 +52,25 @@ class Learned:
             substep=_at_most(FIXED, spent["simulate"], much.substeps, substep),
             video=_at_most(FIXED, spent["film"], much.videos, video),
         )
-        found = _variable(fixed, much, spent)
+        costs = _variable(fixed, much, spent)
         with self._lock:
-            self.now = self.measured = replace(fixed, **found)
+            self.now = self.measured = replace(fixed, **costs)
             self._first = much
             # Twice, so that the first run alone does not decide.
-            self._seen = {name: deque([value] * 2, WINDOW) for name, value in found.items()}
+            self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def learn(self, report: dict[str, Any], scene: Scene) -> None:
         """Correct the rates by a finished run."""
-        work, spent = _observed(report, scene)
+        work, spent = _observe(report, scene)
         with self._lock:
             if self.measured is None or self._first is None:
                 return
-            found = _variable(self.now, work, spent)
+            costs = _variable(self.now, work, spent)
             if work.particles < MINIMUM * self._first.particles:
-                found.pop("particle", None)
+                costs.pop("particle", None)
             if work.pixels < MINIMUM * self._first.pixels:
-                found.pop("pixel", None)
-            for name, value in found.items():
+                costs.pop("pixel", None)
+            for name, value in costs.items():
                 usual = vars(self.measured)[name]
                 value = min(max(value, usual / SPREAD), usual * SPREAD)
                 self._seen.setdefault(name, deque([usual] * 2, WINDOW)).append(value)
@@ -79,12 +79,12 @@ class Learned:
 
     @property
     def minimum(self) -> Rates:
-        """Rates at which this machine is fastest: the smaller of the built-in and measured ones."""
+        """The smaller of the built-in and measured rates."""
         return Rates().minimum(self.measured or self.now).minimum(self.now)
 
 
-def _observed(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, float]]:
-    """The work of a finished run, and the seconds that each stage took."""
+def _observe(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, float]]:
+    """Return the work of a finished run, and the seconds of each stage."""
     spent = {stage["name"]: stage["seconds"] for stage in report["stages"]}
     spent["film"] = spent.get("render", 0.0) + spent.get("encode", 0.0)
     for name in ("generate", "simulate", "deform"):
@@ -95,19 +95,19 @@ def _observed(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, flo
 
 
 def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, float]:
-    """The variable costs of a run, without the fixed ones."""
+    """The variable costs of a run, excluding the fixed ones."""
     fixed = {
         "particle": rates.substep * work.substeps + rates.node * work.nodes,
         "pixel": rates.video * work.videos,
     }
-    found = {
-        # A file that existed already is read in no time.
+    costs = {
+        # Existing Gaussians are read quickly and do not count.
         "generate": spent["generate"] if spent["generate"] > READ else None,
         "particle": _per(spent["simulate"] - fixed["particle"], work.particles),
         "frame": _per(spent["deform"], work.frames),
         "pixel": _per(spent["film"] - fixed["pixel"], work.pixels),
     }
-    return {name: value for name, value in found.items() if value}
+    return {name: value for name, value in costs.items() if value}
 
 
 def _per(seconds: float, amount: float) -> float | None:
@@ -116,7 +116,7 @@ def _per(seconds: float, amount: float) -> float | None:
 
 
 def _at_most(fraction: float, seconds: float, amount: float, cost: float) -> float:
-    """A cost per unit, reduced so that it explains at most a fraction of the seconds.
+    """Limit a cost per unit, so that it explains at most a fraction of the time.
 
     Args:
         fraction: The largest fraction.

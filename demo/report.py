@@ -1,4 +1,4 @@
-"""A run's report as HTML: durations, the effects that ran and those left out, and stability."""
+"""Formats a run's report as HTML: stage times, effects that ran or were left out, stability."""
 
 from __future__ import annotations
 
@@ -25,32 +25,32 @@ def as_html(
     stops: Sequence[Stop] = (),
     study: Measurement | None = None,
 ) -> str:
-    """The report for the page; all of its text is escaped.
+    """Format a report for the page; all text is escaped.
 
     Args:
         report: The content of report.json.
         scene: The scene as plain data.
-        predicted: Time that was predicted [s].
-        stops: Time and error of the other accuracies.
-        study: The errors measured on this scene, if they were.
+        predicted: Predicted time [s].
+        stops: Time and error of the named accuracies.
+        study: The errors measured on this scene, if any.
     """
-    said, parts = promise_of(Scene.from_data(scene), report.get("thickness"), study, report), []
+    promise, parts = promise_of(Scene.from_data(scene), report.get("thickness"), study, report), []
     if report.get("stopped"):
         parts.append(f'<p class="notice">Stopped early: {escape(str(report["stopped"]))}</p>')
     parts += [f'<p class="note">{escape(str(note))}</p>' for note in report.get("notes", [])]
-    parts += [_accuracy(report, scene, predicted, said), _pareto(report, said, stops)]
+    parts += [_accuracy(report, scene, predicted, promise), _pareto(report, promise, stops)]
     parts += [_cut_out(report), _file(report), _objects(report), _stages(report), _motion(report)]
     parts += [_effects(report), _left_out(report)]
     return f'<div class="report">{"".join(parts)}</div>'
 
 
 def _accuracy(
-    report: dict[str, Any], scene: dict[str, Any], predicted: float, said: Promise
+    report: dict[str, Any], scene: dict[str, Any], predicted: float, promise: Promise
 ) -> str:
     name = scene.get("accuracy")
     rows = [
-        ("Setting", name if isinstance(name, str) else "own settings"),
-        said.row,
+        ("Setting", name if isinstance(name, str) else "custom"),
+        promise.row,
         ("Time predicted", f"{predicted:.1f} s"),
         ("Time spent", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),
@@ -61,9 +61,9 @@ def _accuracy(
     return _section("Accuracy and cost", _table(rows))
 
 
-def _pareto(report: dict[str, Any], said: Promise, stops: Sequence[Stop]) -> str:
-    """Plot of error over time: the stops of the accuracy slider, and this run."""
-    reached = said.error
+def _pareto(report: dict[str, Any], promise: Promise, stops: Sequence[Stop]) -> str:
+    """Plot of error over time for the named accuracies and this run."""
+    reached = promise.error
     known = [(stop, stop.error) for stop in stops if stop.error]
     if not known or not reached:
         return ""
@@ -79,7 +79,7 @@ def _pareto(report: dict[str, Any], said: Promise, stops: Sequence[Stop]) -> str
     ]
     line = " ".join(f"{x(a):.1f},{y(b):.1f}" for a, b in points)
     here = f'<circle class="reached" cx="{x(run[0]):.1f}" cy="{y(run[1]):.1f}" r="5.5"/>'
-    how = "about" if said.own else "at most about"
+    how = "about" if promise.own else "at most about"
     label = f"this run: {run[0]:.1f} s, error {how} {run[1]:.1%} of the size"
     return _section(
         "Accuracy over time",
@@ -91,14 +91,14 @@ def _pareto(report: dict[str, Any], said: Promise, stops: Sequence[Stop]) -> str
 
 
 def _scale(values: Sequence[float], start: float, end: float) -> Any:
-    """A function from values to positions on a logarithmic axis."""
+    """Return a function from values to positions on a logarithmic axis."""
     low, high = math.log(min(values)), math.log(max(values))
     span = (high - low) or 1.0
     return lambda value: start + (end - start) * (math.log(value) - low) / span
 
 
 def _anchor(x: float) -> str:
-    """The text anchor with which a label at `x` stays inside the plot."""
+    """Text anchor that keeps a label at `x` inside the plot."""
     return "start" if x < WIDTH / 3 else "end" if x > 2 * WIDTH / 3 else "middle"
 
 
@@ -113,7 +113,7 @@ def _stages(report: dict[str, Any]) -> str:
 
 
 def _cut_out(report: dict[str, Any]) -> str:
-    """How the object was found in its picture, and reasons to doubt it."""
+    """How the object was cut out of its picture, and reasons to doubt it."""
     cutout = report.get("cutout")
     if not cutout:
         return ""
@@ -122,12 +122,12 @@ def _cut_out(report: dict[str, Any]) -> str:
         ("Fraction of the picture", f"{cutout['coverage']:.1%}"),
     ]
     if "compose" in report:
-        rows.append(("In the photograph", f"{report['compose']['psnr']:.1f} dB inside it at first"))
+        rows.append(("In the photograph", f"{report['compose']['psnr']:.1f} dB in the first frame"))
     return _section("Cut-out", _table([*rows, *(("Doubt", d) for d in cutout["warnings"])]))
 
 
 def _file(report: dict[str, Any]) -> str:
-    """How a file of Gaussians was read, and what was left out of it."""
+    """How a file of Gaussians was read, and what was removed from it."""
     file = report.get("file")
     if not file:
         return ""
@@ -137,12 +137,12 @@ def _file(report: dict[str, Any]) -> str:
 
 
 def _objects(report: dict[str, Any]) -> str:
-    """What each of several objects is made of, and the largest force between each two."""
+    """Sources of several objects, and the largest force between each pair."""
     rows = []
-    for name, one in (report.get("objects") or {}).items():
+    for name, body in (report.get("objects") or {}).items():
         cutout = (report.get("sources") or {}).get(name, {}).get("cutout")
         how = f", cut out by {title_of(cutout['method'])}" if cutout else ""
-        rows.append((name, f"{one['gaussians']:,} Gaussians, {one['mass']:.3g} kg{how}"))
+        rows.append((name, f"{body['gaussians']:,} Gaussians, {body['mass']:.3g} kg{how}"))
     for pair, met in (report.get("pairs") or {}).items():
         rows.append((pair.replace("_", " "), f"at most {met['largest_force']:.3g} N"))
     return _section("Objects", _table(rows)) if rows else ""
@@ -179,17 +179,14 @@ def _effects(report: dict[str, Any]) -> str:
 
 
 def _left_out(report: dict[str, Any]) -> str:
-    rows = [
-        f"<tr><td>{escape(o['effect'])}</td><td class='why'>{escape(_saved(o))}</td></tr>"
-        for o in report.get("effects", {}).get("left_out", [])
-    ]
+    rows = []
+    for omission in report.get("effects", {}).get("left_out", []):
+        saved = omission.get("saved_seconds")
+        why = str(omission["why"]) + (f", saved {saved:.2f} s" if saved else "")
+        rows.append(
+            f"<tr><td>{escape(omission['effect'])}</td><td class='why'>{escape(why)}</td></tr>"
+        )
     return _section("Left out", f"<table>{''.join(rows)}</table>") if rows else ""
-
-
-def _saved(omission: dict[str, Any]) -> str:
-    """Why an effect was left out, and the time saved if that is known."""
-    saved = omission.get("saved_seconds")
-    return str(omission["why"]) + (f", saved {saved:.2f} s" if saved else "")
 
 
 def _section(title: str, body: str) -> str:

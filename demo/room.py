@@ -1,20 +1,29 @@
-"""Room for visitors' files: how much there is, and what lies in a folder."""
+"""Limits of the storage for visitors' files, and uploads without a known visitor."""
 
 from __future__ import annotations
 
 import os
+import secrets
 import shutil
 import stat
+import time
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from phy124.errors import InputError
 
+EACH = 64
+"""Largest number of uploads per address; the oldest are dropped."""
+ARRIVED = 600.0
+"""Longest time between an upload and the request that uses it [s]."""
+
 
 @dataclass(frozen=True)
 class Room:
-    """How many files may be kept, and for how long."""
+    """Limits of the stored files, in number, size and time."""
 
     visitors: int = 64
     clips: int = 3
@@ -30,18 +39,18 @@ class Room:
 
     @property
     def runs(self) -> float:
-        """What uploads, runs and exports may take together; the rest is for newcomers' pictures."""
+        """Limit of uploads, runs and exports; the rest is for new visitors' pictures [bytes]."""
         return 0.9 * self.all
 
     @property
     def arrivals(self) -> float:
-        """What uploads may take whose visitor is not known yet."""
+        """Limit of uploads whose visitor is not known yet [bytes]."""
         return 0.25 * self.all
 
 
 def all_taken(size: float, each: float, remedy: str) -> InputError:
-    """The error of a visitor whose own files take all the room there is for one."""
-    limit = "Your files take all the room here."
+    """The error of a visitor whose storage is full, or too small for `size` [bytes]."""
+    limit = "Your storage on this server is full."
     if size > each:
         sizes = f"{size / 1e6:,.0f} MB; your files may take {each / 1e6:,.0f} MB"
         limit = f"It would take about {sizes} here."
@@ -49,7 +58,7 @@ def all_taken(size: float, each: float, remedy: str) -> InputError:
 
 
 def is_plain_file(path: Path) -> bool:
-    """Whether the path is a regular file and not a link to one."""
+    """Whether the path is a regular file, and no link."""
     try:
         return stat.S_ISREG(os.lstat(path).st_mode)
     except (OSError, ValueError):
@@ -71,15 +80,15 @@ def _sizes(folder: Path) -> Iterator[int]:
 
 
 def newest_first(folder: Path) -> list[Path]:
-    """What lies in a folder, what was changed last first."""
+    """List a folder, the last changed entry first."""
     try:
-        return sorted(folder.iterdir(), key=changed, reverse=True)
+        return sorted(folder.iterdir(), key=change_time, reverse=True)
     except OSError:
         return []
 
 
-def changed(path: Path) -> float:
-    """When a file was changed [s]; 0 if it is gone."""
+def change_time(path: Path) -> float:
+    """Time of a file's last change [s]; 0 if it is gone."""
     try:
         return path.stat().st_mtime
     except OSError:
@@ -87,8 +96,75 @@ def changed(path: Path) -> float:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, or a folder with all that is in it."""
+    """Remove a file, or a folder with its content."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True)
+class _Upload:
+    address: str
+    size: int
+    at: float = field(default_factory=time.time)
+
+
+class Arrivals:
+    """Uploads of programs without cookies, kept until a request names them.
+
+    They have little storage, and a limit per address. Callers hold the lock of `demo.visitors`.
+    """
+
+    def __init__(self, folder: Path, room: Room) -> None:
+        """Make the folder; `room` limits its size."""
+        self.folder, self._room = folder, room
+        self._uploads: dict[str, _Upload] = {}
+        """Uploads by file name, the oldest first."""
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def __len__(self) -> int:
+        return len(self._uploads)
+
+    @property
+    def size(self) -> int:
+        """Total size [bytes]."""
+        return sum(upload.size for upload in self._uploads.values())
+
+    def announce(self, address: str, size: int, suffix: str) -> Path:
+        """Return the path for an upload; drops older uploads beyond the limits."""
+        of_address = [name for name, u in self._uploads.items() if u.address == address]
+        for name in of_address[: len(of_address) + 1 - EACH if len(of_address) >= EACH else 0]:
+            self._drop(name)
+        while self._uploads and self.size + size > self._room.arrivals:
+            self.drop()
+        name = f"{secrets.token_urlsafe(18)}{suffix}"
+        self._uploads[name] = _Upload(address, size)
+        return self.folder / name
+
+    def hand_over(self, path: Path) -> int:
+        """Move an upload to `path` in its visitor's folder; returns its size."""
+        upload = self._uploads.pop(path.name, None)
+        with suppress(OSError, ValueError):
+            os.rename(self.folder / path.name, path)
+        return upload.size if upload else 0
+
+    def drop(self) -> bool:
+        """Remove the oldest upload of the address with most bytes; returns whether one existed."""
+        if not self._uploads:
+            return False
+        sizes: Counter[str] = Counter()
+        for upload in self._uploads.values():
+            sizes[upload.address] += upload.size
+        most = sizes.most_common(1)[0][0]
+        self._drop(next(name for name, u in self._uploads.items() if u.address == most))
+        return True
+
+    def sweep(self) -> None:
+        """Remove uploads that were not used in time."""
+        for name in [n for n, u in self._uploads.items() if time.time() - u.at > ARRIVED]:
+            self._drop(name)
+
+    def _drop(self, name: str) -> None:
+        del self._uploads[name]
+        remove(self.folder / name)

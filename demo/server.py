@@ -1,4 +1,4 @@
-"""Starts the page: its own routes, the middleware in front of it, and how it ends."""
+"""Starts the page with its routes and middleware, and ends it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import threading
 import warnings
 from collections.abc import Awaitable, Callable
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,14 +25,11 @@ from phy124.io.html import VIEWER
 
 from .bodies import BodyLimit
 from .connections import Patient, allow_connections
-from .gaussian_files import SMALLER
-from .guard import Doorkeeper, Headed, listed, own_names
-from .identity import cookie_of
-from .proxies import reach_itself
-from .streams import Streams
+from .guard import Doorkeeper, Headed, cookie_of, own_names, split_names
+from .source import SMALLER
 from .touch import socket_route
-from .touch.orders import LARGEST
-from .turns import RECEIVED, RECEIVED_EACH, UPLOADS, Turns
+from .touch.relay import LARGEST_MESSAGE
+from .traffic import RECEIVED, RECEIVED_EACH, UPLOADS, Streams, Turns
 from .uploads import ADDRESS, upload_route
 
 if TYPE_CHECKING:
@@ -49,12 +45,16 @@ GONE = (
     '<!doctype html><html lang="en"><title>phy124</title>'
     "<p>This result is no longer kept. Ask whoever sent the link to make it again.</p></html>"
 )
-"""Page of a link whose result has gone."""
+"""Page of a link whose result is gone."""
 DIGITS = 9
-"""Of a number in an address; Python refuses to read one of thousands."""
+"""Largest number of digits read from a URL; Python refuses to parse thousands."""
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SWEEP = 5.0
-"""Time between two searches for visitors who have left [s]."""
+"""Interval between two checks for visitors who have left [s]."""
+LOG = logging.getLogger("phy124.web")
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+NAMES = ("NO_PROXY", "no_proxy")
+"""Programs read either; both have to say the same."""
 
 
 def prepare(settings: Settings, root: Path) -> None:
@@ -65,7 +65,6 @@ def prepare(settings: Settings, root: Path) -> None:
     os.environ.pop("GRADIO_VIBE_MODE", None)
     os.environ.pop("GRADIO_SHARE", None)
     os.environ["GRADIO_TEMP_DIR"] = str(root)
-    ask_this_machine_directly()
     from PIL import Image
 
     Image.MAX_IMAGE_PIXELS = int(settings.max_megapixels * 1e6)
@@ -73,10 +72,10 @@ def prepare(settings: Settings, root: Path) -> None:
 
 
 def check_address(settings: Settings) -> None:
-    """Check that the page can listen where it is to.
+    """Check that the page can listen at its address.
 
     Raises:
-        InputError: Another program does so already, or this machine has no such address.
+        InputError: The port is in use, or this machine has no such address.
     """
     host, port = settings.host.strip("[]"), settings.port
     try:
@@ -96,20 +95,8 @@ def _family(host: str) -> socket.AddressFamily:
     return socket.AF_INET6 if ":" in host else socket.AF_INET
 
 
-def ask_this_machine_directly() -> None:
-    """Keep requests to this machine from proxies: Gradio asks its own page whether it is there."""
-    for name in ("NO_PROXY", "no_proxy"):
-        others = filter(None, os.environ.get(name, "").split(","))
-        os.environ[name] = ",".join(dict.fromkeys([*others, *LOOPBACK]))
-    if find_spec("socksio") is None:
-        # Gradio's client would not even begin.
-        for name in [name for name in os.environ if name.lower().endswith("_proxy")]:
-            if os.environ[name].lower().startswith("socks"):
-                del os.environ[name]
-
-
 class Assets(StaticFiles):
-    """Static files a browser may keep for an hour."""
+    """Static files that a browser may cache for an hour."""
 
     def file_response(self, *arguments: Any, **options: Any) -> Response:
         """The response of StaticFiles, with a maximum age."""
@@ -119,10 +106,10 @@ class Assets(StaticFiles):
 
 
 def shared_route(visitors: Visitors) -> Callable[[Request], Awaitable[Response]]:
-    """Shows the player of a result to anyone who has its link."""
+    """Return the route that shows a result's player to anyone with its link."""
 
     async def shared(request: Request) -> Response:
-        path = visitors.shared(request.path_params["token"])
+        path = visitors.find_shared(request.path_params["token"])
         if path is None:
             return HTMLResponse(GONE, 404)
         return FileResponse(path, media_type="text/html")
@@ -145,29 +132,27 @@ def routes(studio: Studio) -> list[BaseRoute]:
             {"status": "ok", "ready": ready, "busy": studio.busy, "visitors": visitors},
         )
 
-    async def job(request: Request) -> Response:
-        """The progress of a job; also counts as a sign of life."""
-        found = studio.visitors.job(request.path_params["name"])
-        if found is None:
+    async def progress(request: Request) -> Response:
+        """The progress of a job; the request counts as a sign of life."""
+        job = studio.visitors.job(request.path_params["name"])
+        if job is None:
             return JSONResponse({"state": "gone"}, 404)
         seen = request.query_params.get("seen", "0")[:DIGITS]
-        told = found.progress.data(int(seen) if seen.isdecimal() else 0)
-        return JSONResponse({**told, "place": found.place}, headers={"cache-control": "no-store"})
+        data = job.progress.data(int(seen) if seen.isdecimal() else 0)
+        return JSONResponse({**data, "place": job.place}, headers={"cache-control": "no-store"})
 
     async def here(request: Request) -> Response:
-        """An open page reports every few seconds that it is still open; it learns whether what it
-        had here is still here.
-        """
-        known = studio.visitors.known(cookie_of(request) or "")
-        told = {"known": known is not None, "visitor": known and known.folder.name}
-        return JSONResponse(told, headers={"cache-control": "no-store"})
+        """Note that a page is open; tells it whether its visitor's files still exist."""
+        visitor = studio.visitors.find(cookie_of(request) or "")
+        data = {"known": visitor is not None, "visitor": visitor and visitor.folder.name}
+        return JSONResponse(data, headers={"cache-control": "no-store"})
 
     return [
         Route("/health", health),
         Route("/phy124/shared/{token}", shared_route(studio.visitors)),
         upload_route(studio),
         socket_route(studio.touches, studio.settings),
-        Route("/phy124/jobs/{name}", job),
+        Route("/phy124/jobs/{name}", progress),
         Route("/phy124/here", here),
         Route("/phy124/catalogue.json", scenes),
         Mount("/phy124/examples", Assets(directory=FOLDER / "examples")),
@@ -178,7 +163,7 @@ def routes(studio: Studio) -> list[BaseRoute]:
 
 
 def doors(studio: Studio, connections: int) -> list[Middleware]:
-    """What each request passes before it reaches the page, in that order.
+    """The middleware that each request passes, in order.
 
     Args:
         studio: What all visitors share.
@@ -191,7 +176,7 @@ def doors(studio: Studio, connections: int) -> list[Middleware]:
     # A program may send a picture as a data: URL.
     other = int(settings.max_bytes * 4 / 3) + SLACK, f"{settings.too_large} {settings.make_smaller}"
     most = settings.max_file_bytes + SLACK, f"{settings.file_too_large} {SMALLER}"
-    hosts, origins = own_names(settings.hosts, space), listed(settings.hosts, space)
+    hosts, origins = own_names(settings.hosts, space), split_names(settings.hosts, space)
     return [
         Middleware(Asked),
         Middleware(Headed, embedded=bool(space)),
@@ -232,11 +217,11 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         },
         **options,
     )
-    _share_with_nobody(page.app)
+    _remove_cors(page.app)
     sessions = page.app.state_holder = page.state_holder = Sessions(page, studio.visitors)
     # uvicorn looks this up for each new connection.
     page.server.config.http_protocol_class = partial(Patient, most=connections)
-    page.server.config.ws_max_size = LARGEST
+    page.server.config.ws_max_size = LARGEST_MESSAGE
     # What is sent is dense already.
     page.server.config.ws_per_message_deflate = False
     try:
@@ -250,8 +235,8 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         page.close(verbose=False)
 
 
-def _share_with_nobody(app: Any) -> None:
-    """Take out what lets pages of other sites read answers, which Gradio puts before all else."""
+def _remove_cors(app: Any) -> None:
+    """Remove Gradio's middleware that lets pages of other sites read answers."""
     from gradio.route_utils import CustomCORSMiddleware
 
     kept = [each for each in app.user_middleware if each.cls is not CustomCORSMiddleware]
@@ -263,12 +248,12 @@ def _sweep(studio: Studio) -> None:
     try:
         studio.visitors.sweep()
     except OSError:
-        # The page goes on, and this is tried again some seconds later.
+        # The page continues, and tries again some seconds later.
         LOG.exception("silent visitors could not be removed")
 
 
 def end_on_signals() -> None:
-    """Let SIGTERM end the page as Ctrl-C does, so that nothing is left behind."""
+    """Let SIGTERM end the page like Ctrl-C, so that no files are left."""
     import signal
 
     def end(number: int, _: Any) -> None:
@@ -276,3 +261,30 @@ def end_on_signals() -> None:
 
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, end)
+
+
+def reach_itself(host: str) -> None:
+    """Let this process reach the page at `host` without a proxy, as Gradio does when it starts.
+
+    Proxies that httpx cannot use, such as SOCKS without its package, are removed with a warning,
+    since Gradio's client would fail to start.
+    """
+    known = ",".join(filter(None, (os.environ.get(name) for name in NAMES))).split(",")
+    excepted = [*(name.strip() for name in known), *LOOPBACK, host]
+    for name in NAMES:
+        os.environ[name] = ",".join(filter(None, dict.fromkeys(excepted)))
+    if problem := _problem():
+        for name in [name for name in os.environ if name.lower().endswith("_proxy")]:
+            del os.environ[name]
+        LOG.warning("The page goes without the proxies of the environment: %s", problem)
+
+
+def _problem() -> str:
+    """Return why httpx cannot use the proxies; empty if it can."""
+    import httpx
+
+    try:
+        httpx.Client().close()
+    except (ImportError, ValueError, httpx.InvalidURL) as error:
+        return str(error)
+    return ""

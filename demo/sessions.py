@@ -1,7 +1,7 @@
-"""Sessions: what Gradio keeps of each open page; their size and number.
+"""Limits the number and size of Gradio's sessions.
 
-Gradio keeps up to 10,000 of them, until the server ends. Any request with a new name begins a
-session, which takes 0.3 MB and 0.1 s for a description of the page that only links into it need.
+Gradio keeps up to 10,000 sessions until the server ends. Any request with a new name begins one,
+which takes 0.3 MB and 0.1 s for a description of the page that is used only for deep links.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from gradio.state_holder import SessionState, StateHolder
 from starlette.requests import HTTPConnection
 
-from .identity import address_of, cookie_of
+from .guard import address_of, cookie_of
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 ADDRESS = 64
 """Number of sessions per address; each open page has its session."""
 UNCLAIMED = 60.0
-"""Time after which a session goes that is of no known visitor [s]; it holds no picture."""
+"""Time after which a session without a known visitor is removed [s]."""
 ASKER: ContextVar[tuple[str | None, str]] = ContextVar("ASKER", default=(None, ""))
 """Cookie and address of the request that is being answered."""
 
 
 class Asked:
-    """Notes who asks while a request is answered."""
+    """Records the visitor and address of the request being answered."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -46,7 +46,7 @@ class Asked:
 
 
 class Session(SessionState):
-    """What is kept of a page, without a description of all its components."""
+    """The state of an open page, without a description of all its components."""
 
     def __init__(self, blocks: Any) -> None:
         known: Any = SimpleNamespace(default_config=blocks.default_config, blocks={})
@@ -57,7 +57,7 @@ class Session(SessionState):
 
 @dataclass
 class _Origin:
-    """Where a session comes from, and when it was last used [s]."""
+    """Visitor and address of a session, and the time of its last use [s]."""
 
     visitor: str
     address: str
@@ -65,7 +65,7 @@ class _Origin:
 
 
 class Sessions(StateHolder):
-    """The sessions by name, few for each address, and kept as long as their visitor is known."""
+    """Sessions by name, limited per address, and kept while their visitor is known."""
 
     def __init__(self, blocks: Any, visitors: Visitors) -> None:
         super().__init__()
@@ -74,7 +74,7 @@ class Sessions(StateHolder):
         self._origins: dict[str, _Origin] = {}
 
     def __getitem__(self, session_id: str) -> SessionState:
-        """The session of that name, which is new if there is none; counts as a use."""
+        """Return the session of a name, a new one if necessary; counts as a use."""
         with self.lock:
             if session_id not in self.session_data:
                 cookie, address = ASKER.get()
@@ -86,7 +86,7 @@ class Sessions(StateHolder):
             return self.session_data[session_id]
 
     def sweep(self) -> None:
-        """Remove the sessions of visitors who are not known, unless they are new."""
+        """Remove the sessions of unknown visitors, unless they are new."""
         with self.lock:
             for name, origin in list(self._origins.items()):
                 new = time.monotonic() - origin.used < UNCLAIMED
@@ -94,7 +94,7 @@ class Sessions(StateHolder):
                     self._remove(name)
 
     def _make_room(self, address: str) -> None:
-        """Of too many sessions of an address, remove one: of who is not here, or has most."""
+        """Remove a session of a full address: of an absent visitor, or of one with most."""
         origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:
             return

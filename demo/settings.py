@@ -20,7 +20,7 @@ from .room import Room
 
 PREFIX = "PHY124_"
 ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
-"""Gradio's own variables; ours come before them."""
+"""Gradio's variables; those with our prefix take precedence."""
 
 
 class Settings(Section):
@@ -37,12 +37,12 @@ class Settings(Section):
         le=MOST_THREADS,
         description="CPU threads of one run; 0: one for each core that is free.",
     )
-    folder: str = Field(default="", description="Where visitors' files lie; empty: a new one.")
+    folder: str = Field(default="", description="Folder for visitors' files; empty: a new one.")
     gaussians: int = Field(
         default=50_000,
         ge=1000,
         le=500_000,
-        description="Gaussians made of a picture, most of a file.",
+        description="Gaussians made of a picture, and largest number read from a file.",
     )
     max_upload_mb: float = Field(default=8, gt=0, le=1000, description="Largest picture [MB].")
     max_file_mb: float = Field(
@@ -93,25 +93,25 @@ class Settings(Section):
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> Settings:
-        """The settings of the variables `PHY124_MAX_FRAMES` and so on.
+        """Read the settings from the variables `PHY124_MAX_FRAMES` and so on.
 
         Raises:
             InputError: A variable has an invalid value; it names the variable.
         """
         environment = os.environ if environment is None else environment
-        given = {
+        values = {
             name: environment[variable] for name, variable in ALIASES if variable in environment
         }
-        given |= {
+        values |= {
             name: environment[PREFIX + name.upper()]
             for name in cls.model_fields
             if PREFIX + name.upper() in environment
         }
         if "SPACE_ID" in environment:
             # A Hugging Face Space reaches the page from outside its container.
-            given.setdefault("host", "0.0.0.0")
+            values.setdefault("host", "0.0.0.0")
         try:
-            return cls.model_validate(given)
+            return cls.model_validate(values)
         except ValidationError as error:
             wrong = explain(error, "settings", cls)
             name = PREFIX + wrong.field.upper()
@@ -147,16 +147,19 @@ class Settings(Section):
 
     @property
     def room(self) -> Room:
-        """How many of the visitors' files are kept, and for how long."""
+        """Limits of the visitors' files."""
         return Room(
-            visitors=self.max_visitors, clips=self.max_clips, grace=60 * self.grace_minutes,
-            each=1e6 * self.max_visitor_mb, all=1e6 * self.max_total_mb,
+            visitors=self.max_visitors,
+            clips=self.max_clips,
+            grace=60 * self.grace_minutes,
+            each=1e6 * self.max_visitor_mb,
+            all=1e6 * self.max_total_mb,
             address=self.max_per_address,
-        )  # fmt: skip
+        )
 
 
 def table() -> str:
-    """The settings as a Markdown table."""
+    """Format the settings as a Markdown table."""
     rows = [
         f"| `{PREFIX}{name.upper()}` | {info.default!r} | {info.description} |"
         for name, info in Settings.model_fields.items()

@@ -1,13 +1,33 @@
-"""What a visitor's object is made of: a picture, or a file of Gaussians."""
+"""The source of a visitor's object: a picture, or a file of Gaussians."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
+from PIL import Image
+
 from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.generators.ply_file import PlyFile, normalised
 from phy124.imaging.objects import Point
-from phy124.io.dialect import Axes
+from phy124.io import ply
+from phy124.io.dialect import Axes, likely_axes
+from phy124.io.files import replacing, staging
+from phy124.io.formats import recognise
+from phy124.particles.thinning import thin
+from phy124.rendering.orienting import ENOUGH, UNTURNED, candidates, draw_oriented
+from phy124.rendering.render import Renderer
+from phy124.runtime import isolated
+from phy124.runtime.isolated import Deadline, Unfinished
+
+from .settings import Settings
+
+MEMORY = 3 << 30
+"""Memory limit of the process that reads a file [bytes]."""
+SIZE = 192
+"""Side of the pictures [pixels]."""
+SMALLER = "Reduce the file in a splat editor, for example SuperSplat."
 
 
 @dataclass(frozen=True)
@@ -18,27 +38,27 @@ class Cutout:
     picture: str
     """The uploaded picture in a format that browsers can show."""
     doubts: tuple[str, ...] = ()
-    """Reasons to doubt that the right object was found; shown once."""
+    """Reasons to doubt the cut-out; shown once."""
     by: str = ""
-    """What cut it out, for a sentence."""
+    """Title of the method that cut it out."""
     pick: Point | None = None
-    """The place on it that was clicked."""
+    """The point on it that was clicked."""
 
 
 @dataclass(frozen=True)
 class GaussianFile:
-    """A file of Gaussians that has been read (`demo.gaussian_files`)."""
+    """A file of Gaussians that has been read (`demo.source`)."""
 
     path: str
-    """The Gaussians that are kept of it, as a PLY in its own axes."""
+    """The Gaussians kept from the file, as a PLY in the file's axes."""
     format: str
-    """What its format is called."""
+    """Title of its format."""
     count: int
     """Number of Gaussians in `path`."""
     axes: Axes
-    """Which of its axes most likely point up and to the front."""
+    """Its axes that most likely point up and to the front."""
     notes: tuple[str, ...] = ()
-    """What was left out, as sentences."""
+    """Sentences about the removed Gaussians."""
 
     @property
     def pictures(self) -> Path:
@@ -60,13 +80,77 @@ Source = Cutout | GaussianFile
 
 
 def is_there(source: Source | None) -> bool:
-    """Whether there is a source, and its file has not been removed."""
+    """Whether there is a source whose file still exists."""
     return source is not None and Path(source.path).exists()
 
 
 def missing(source: Source | None) -> InputError:
-    """The error of a request without a picture, or with one whose file has been removed."""
+    """Make the error of a request without a picture, or whose file was removed."""
     if source is None:
         return InputError("image", "none", "There is no picture yet.", "Choose one first.")
     limit = "Your picture is no longer kept here."
     return InputError("image", "gone", limit, "Choose it once more.")
+
+
+def check_file(path: Path, settings: Settings) -> None:
+    """Check the size of a file of Gaussians.
+
+    Raises:
+        InputError: It is too large.
+    """
+    most = max(settings.max_file_mb, settings.max_upload_mb)
+    if path.stat().st_size > most * 1e6:
+        limit = f"The file is larger than the {most:g} MB that this page takes."
+        raise InputError("image", path.name, limit, SMALLER)
+
+
+def open_gaussians(path: Path, out: Path, count: int, deadline: Deadline) -> GaussianFile:
+    """Read a file in a separate process, with limits of time and memory: it may be malicious.
+
+    Args:
+        path: The file.
+        out: The folder to make, with the kept Gaussians and pictures of them.
+        count: Largest number of Gaussians to keep.
+        deadline: When to give up.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    try:
+        return isolated.run(_open_gaussians, path, out, count, deadline=deadline, memory=MEMORY)
+    except Unfinished as error:
+        limit = f"Reading it {str(error).partition(' (')[0]}."
+        raise InputError("image", path.name, limit, SMALLER) from None
+    except MemoryError:
+        limit = f"It takes more than the {MEMORY >> 30} GB of memory that one file may take here."
+        raise InputError("image", path.name, limit, SMALLER) from None
+
+
+def _open_gaussians(path: Path, out: Path, count: int) -> GaussianFile:
+    """Read a file of Gaussians in this process."""
+    file = PlyFile(str(path), UNTURNED).open()
+    kept = thin(file.gaussians, count)
+    notes = [*file.notes, *file.cleaning]
+    if len(kept) < len(file.gaussians):
+        text = f"Its {len(file.gaussians):,} Gaussians were reduced to {count:,} larger ones"
+        notes.append(f"{text}, the most that this page takes.")
+    few = normalised(thin(kept, ENOUGH), path.name)
+    with staging(out) as folder:
+        _draw(few, folder)
+        with replacing(folder / "gaussians.ply") as temporary:
+            temporary.write_bytes(ply.encode(kept))
+    axes = likely_axes(path, file.axes)
+    stored = str(out / "gaussians.ply")
+    # Versions of a format are not distinguished.
+    title = recognise(path).title.rstrip(" 0123456789")
+    return GaussianFile(stored, title, len(kept), axes, tuple(notes))
+
+
+def _draw(gaussians: Gaussians, folder: Path) -> None:
+    """Draw all orientations."""
+    renderer = Renderer(device="cpu")  # Not on a GPU, which a run may be using.
+    for up in candidates(None):
+        for reading in candidates(up.up):
+            assert reading.up is not None and reading.front is not None
+            picture = Image.fromarray(draw_oriented(renderer, gaussians, reading, SIZE))
+            picture.save(folder / way(reading.up, reading.front), "WEBP", quality=85)

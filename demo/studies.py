@@ -1,4 +1,4 @@
-"""Measurements on a visitor's own scene: the error of each grid, and its time."""
+"""Measured errors and times of a visitor's scene on several grids."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from phy124.scene import Scene
 from phy124.studies.validation.accuracy.study import Report, error_on
 
 GRIDS = (12, 16, 24)
-"""The grids that are run [cells across the object]."""
+"""Grids of a study [cells across the object]."""
 
 
 class Level(BaseModel):
@@ -42,7 +42,7 @@ class Measurement(BaseModel):
     levels: tuple[Level, ...]
     order: float | None
     why_not: str
-    """Why there are no errors."""
+    """Why errors are missing."""
     skipped: tuple[str, ...]
     until: float | None = None
     """Time up to which the errors hold [s]; None: the whole motion."""
@@ -54,17 +54,17 @@ class Measurement(BaseModel):
             Level(cells=row.cells, seconds=row.seconds, error=row.error, torn=bool(row.torn))
             for row in report.rows
         )
-        found = report.convergence
+        order, why_not = report.convergence.order, report.convergence.why_not
         return cls(
             levels=levels,
-            order=found.order,
-            why_not=found.why_not,
+            order=order,
+            why_not=why_not,
             skipped=report.skipped,
             until=report.until,
         )
 
     def promise(self, cells: int) -> Promise:
-        """The error on a grid of so many cells; none is promised if any grid may be torn."""
+        """Return the error on a grid; none is promised if the object may have torn on any grid."""
         torn = [level.name for level in self.levels if level.torn]
         if torn:
             return promises.none(f"{promises.torn(torn)}.")
@@ -76,7 +76,7 @@ class Measurement(BaseModel):
         return promises.measured(error, cells, sorted(errors), self.until)
 
     def table(self) -> str:
-        """Grid, seconds and error, as HTML."""
+        """Format grid, seconds and error as HTML."""
         rows = [
             f"<tr><td>{level.name}</td><td>{level.seconds:.1f} s</td>"
             f"<td>{promises.off(level.error, torn=level.torn)}</td></tr>"
@@ -90,13 +90,13 @@ class Measurement(BaseModel):
 
 
 def grids(scene: Scene) -> tuple[int, ...]:
-    """The grids to run for a scene, including its own if that is no finer than the others."""
-    own = scene.resolution.cells
-    return tuple(sorted({*GRIDS, own} if own < GRIDS[-1] else GRIDS))
+    """Return the grids of a scene's study, including the scene's grid if it is coarse enough."""
+    cells = scene.resolution.cells
+    return tuple(sorted({*GRIDS, cells} if cells < GRIDS[-1] else GRIDS))
 
 
 def on_grid(scene: Scene, cells: int) -> Scene:
-    """The scene on another grid, in single precision, which does not change its error
+    """Return the scene on another grid, in single precision, which does not affect its error
     (docs/lab/accuracy.md).
     """
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
@@ -104,7 +104,7 @@ def on_grid(scene: Scene, cells: int) -> Scene:
 
 
 def read_study(path: Path) -> Measurement | None:
-    """The errors measured on a scene, if they were."""
+    """Read the errors measured on a scene, if any."""
     try:
         return Measurement.model_validate_json(path.read_text("utf-8"))
     except FileNotFoundError:

@@ -12,7 +12,7 @@ from gradio import themes
 from . import handlers, panels
 from .endpoints import endpoints
 from .jobs import Studio
-from .marks import mark_answers
+from .panels import mark_answers
 from .photo import fetch_nothing
 from .settings import Settings
 from .visitors import Visitors
@@ -21,14 +21,16 @@ from .work import steps
 FOLDER = Path(__file__).parent
 STYLE = '<link rel="stylesheet" href="phy124/static/page.css">'
 QUIET: dict[str, Any] = {
-    "queue": False, "show_progress": "hidden", "api_visibility": "private",
-}  # fmt: skip
-"""Options of events that answer at once. Gradio drops an event while the last is unanswered, which
-is right for a button that is pressed twice."""
+    "queue": False,
+    "show_progress": "hidden",
+    "api_visibility": "private",
+}
+"""Options of events that are answered at once. Gradio drops an event while the previous one is
+unanswered, which is right for a button that is pressed twice."""
 EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
-"""The same for events of which none may be dropped, as each carries something else."""
+"""Options of events that must not be dropped, since each has different data."""
 LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
-"""The same for events that carry nothing: after an answer comes that to the latest state."""
+"""Options of events without data: the latest state is answered last."""
 MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42" aria-hidden="true">
 <g fill="none" stroke="#0f766e" stroke-width="2.4"><ellipse cx="15" cy="27" rx="11" ry="9"/>
 <ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>
@@ -38,7 +40,7 @@ MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42"
 
 
 def open_studio(settings: Settings, root: Path) -> Studio:
-    """What all visitors share; on ZeroGPU jobs are wrapped so that they get a GPU."""
+    """Make the state shared by all visitors; on ZeroGPU, jobs are wrapped to get a GPU."""
     work = steps
     if find_spec("spaces") is not None:
         import spaces  # pyright: ignore[reportMissingImports]
@@ -48,13 +50,13 @@ def open_studio(settings: Settings, root: Path) -> Studio:
 
 
 def build(studio: Studio) -> gr.Blocks:
-    """The whole page."""
+    """Build the page."""
     with gr.Blocks(title="phy124", fill_width=True, analytics_enabled=False) as page:
         gr.HTML(MASTHEAD, apply_default_css=False)
         source, done = gr.State(None), gr.State(None)
         with gr.Row(elem_id="columns"):
             with gr.Column(elem_id="left"):
-                picture, others, known = _picture()
+                picture, others, extras = _picture()
                 scene = _scene()
                 forecast, go, cancel, grab = _go()
             with gr.Column(elem_id="right"):
@@ -64,22 +66,24 @@ def build(studio: Studio) -> gr.Blocks:
                 history = panels.history()
                 videos, report, takeaway, fit = _results()
         results = [viewer, videos, report, takeaway, history]
-        _wire_picture(studio, picture, source, others, known)
-        asked = [source, scene, known]
+        _wire_picture(studio, picture, source, others, extras)
+        asked = [source, scene, extras]
         _wire_forecast(studio, asked, forecast)
         for again in (grab.click, touch.begin):
-            again(handlers.toucher(studio), asked, touch, **QUIET)
-        touch.save(handlers.saver(studio), [source, known], [progress, go, cancel], **QUIET)
+            again(handlers.on_touch(studio), asked, touch, **QUIET)
+        touch.save(handlers.on_save(studio), [source, extras], [progress, go, cancel], **QUIET)
         shows = _wire_run(studio, asked, done, go, cancel, progress, forecast, results)
+        queued = {"concurrency_id": "export", "concurrency_limit": 2, "trigger_mode": "multiple"}
         takeaway.prepare(
-            handlers.preparer(studio), [done, takeaway], takeaway, concurrency_id="export",
-            concurrency_limit=2, trigger_mode="multiple", show_progress="hidden",
+            handlers.on_prepare(studio),
+            [done, takeaway],
+            takeaway,
+            show_progress="hidden",
             api_visibility="private",
-        )  # fmt: skip
-        shows.append(page.load(
-            handlers.greeter(studio), None,
-            [picture, source, known, progress, done, go, cancel, *results], **QUIET,
-        ))  # fmt: skip
+            **queued,
+        )
+        shown = [picture, source, extras, progress, done, go, cancel, *results]
+        shows.append(page.load(handlers.on_load(studio), None, shown, **QUIET))
         _wire_fit(studio, done, fit, takeaway, shows)
         endpoints(studio)
     fetch_nothing(page)
@@ -88,7 +92,7 @@ def build(studio: Studio) -> gr.Blocks:
 
 
 def theme() -> themes.Base:
-    """A theme with fonts of the system only, so that nothing is downloaded."""
+    """Make a theme with system fonts only, so that nothing is downloaded."""
     return themes.Base(
         primary_hue="teal",
         neutral_hue="slate",
@@ -105,7 +109,7 @@ def _heading(number: int, title: str) -> gr.HTML:
 def _picture() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
     with gr.Column(elem_id="picture-panel"):
         _heading(1, "Picture")
-        return panels.picture(), panels.others(), panels.known()
+        return panels.picture(), panels.others(), panels.extras()
 
 
 def _scene() -> gr.HTML:
@@ -138,44 +142,48 @@ def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML, gr.HTML]:
     return videos, report, takeaway, fit
 
 
-def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, known: Any) -> None:
-    picture.choose(handlers.chooser(studio), None, [picture, source, known], **EACH)
-    picture.correct(handlers.corrector(studio), [picture, source], picture, **EACH)
+def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, extras: Any) -> None:
+    picture.choose(handlers.on_choose(studio), None, [picture, source, extras], **EACH)
+    picture.correct(handlers.on_correct(studio), [picture, source], picture, **EACH)
     shown = [picture, source]
-    picture.cut(handlers.cut_shower(studio), shown, [*shown, known], **EACH)
-    known.choose(handlers.view_chooser(studio), None, known, **EACH)
-    others.choose(handlers.object_chooser(studio), None, others, **EACH)
-    for panel in (others, known):
-        panel.view(handlers.view_shower(studio), None, panel, **EACH)
+    picture.cut(handlers.on_cut_end(studio), shown, [*shown, extras], **EACH)
+    extras.choose(handlers.on_choose_view(studio), None, extras, **EACH)
+    others.choose(handlers.on_choose_object(studio), None, others, **EACH)
+    for panel in (others, extras):
+        panel.view(handlers.on_view_cut(studio), None, panel, **EACH)
 
 
 def _wire_forecast(studio: Studio, asked: list[Any], forecast: Any) -> None:
-    told = gr.on(
-        [component.change for component in asked], handlers.forecaster(studio), asked, forecast,
-        **LAST,
-    )  # fmt: skip
-    told.then(handlers.refiner(studio), asked, forecast, **LAST)
+    changes = [component.change for component in asked]
+    changed = gr.on(changes, handlers.on_scene_changed(studio), asked, forecast, **LAST)
+    changed.then(handlers.on_refine(studio), asked, forecast, **LAST)
 
 
 def _wire_run(
-    studio: Studio, asked: list[Any], done: Any, go: Any, cancel: Any, progress: Any,
-    forecast: Any, results: list[Any],
-) -> list[Any]:  # fmt: skip
-    """Returns the events after which another result may be shown."""
-    start, started = handlers.starter(studio), [progress, go, cancel]
+    studio: Studio,
+    asked: list[Any],
+    done: Any,
+    go: Any,
+    cancel: Any,
+    progress: Any,
+    forecast: Any,
+    results: list[Any],
+) -> list[Any]:
+    """Connect the run's events; returns those after which another result may be shown."""
+    start, started = handlers.on_generate(studio), [progress, go, cancel]
     for again in (go.click, progress.again):
         again(start, asked, started, **QUIET)
-    forecast.measure(handlers.measurer(studio), asked, started, **QUIET)
-    cancel.click(handlers.stopper(studio), None, None, **EACH)
-    finish, shown = handlers.finisher(studio), [forecast, done, go, cancel, *results]
+    forecast.measure(handlers.on_measure(studio), asked, started, **QUIET)
+    cancel.click(handlers.on_cancel(studio), None, None, **EACH)
+    finish, shown = handlers.on_job_end(studio), [forecast, done, go, cancel, *results]
     shows = (progress.finished, results[-1].show)
     return [show(finish, [*asked, done], shown, **EACH) for show in shows]
 
 
 def _wire_fit(studio: Studio, done: Any, fit: Any, takeaway: Any, shows: list[Any]) -> None:
-    # Not done.change: Gradio tells no change of a state after an event without its queue.
+    # Not done.change: Gradio does not report changes of a state after an event without its queue.
     for shown in shows:
-        shown.then(handlers.fit_offerer(studio), done, fit, **LAST)
-    fit.begin(handlers.fit_starter(studio), [done, fit], fit, **EACH)
-    fit.stop(handlers.fit_stopper(studio), None, None, **EACH)
-    fit.ended(handlers.fit_shower(studio), done, [fit, takeaway], **EACH)
+        shown.then(handlers.on_result_shown(studio), done, fit, **LAST)
+    fit.begin(handlers.on_fit_begin(studio), [done, fit], fit, **EACH)
+    fit.stop(handlers.on_fit_stop(studio), None, None, **EACH)
+    fit.ended(handlers.on_fit_end(studio), done, [fit, takeaway], **EACH)

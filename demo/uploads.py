@@ -1,7 +1,6 @@
-"""The route that receives pictures, videos and files of Gaussians, and stores them in the folder of
-the visitor who sends them.
+"""The route that stores uploads (pictures, videos, files of Gaussians) in their visitor's folder.
 
-It replaces Gradio's own, which keeps uploads in folders that belong to nobody.
+It replaces Gradio's route, whose uploads belong to no visitor.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from phy124.errors import InputError
 from phy124.io.formats import endings
 from phy124.studies.fit.video import FILMS
 
-from .gaussian_files import SMALLER
-from .identity import address_of, cookie_of
+from .guard import address_of, cookie_of
+from .source import SMALLER
 
 if TYPE_CHECKING:
     from .jobs import Studio
@@ -33,13 +32,13 @@ NOT_READ = {
     ".ksplat": "Save it as .ply or .spz with the program it comes from, or convert it with"
     " splat-transform, and send that.",
 }
-"""Suffixes that uploads may not have, and what to do instead."""
+"""Suffixes of unreadable files, and the remedy."""
 MOST = 4
 """Largest number of files in one request."""
 
 
 def upload_route(studio: Studio) -> Route:
-    """The route to which the page and programs send files; it answers with their paths."""
+    """Return the route that receives files and answers with their paths."""
 
     async def receive(request: Request) -> Response:
         try:
@@ -57,7 +56,7 @@ def upload_route(studio: Studio) -> Route:
 
 async def _keep(studio: Studio, request: Request, part: UploadFile) -> str:
     limits = studio.settings
-    # A picture may be less: that is told, in words, to whoever uses it as one.
+    # Pictures have a lower limit, which is checked where they are used.
     if (part.size or 0) > limits.max_file_bytes:
         raise InputError("image", "large", limits.file_too_large, SMALLER)
     suffix = Path(part.filename or "").suffix.lower()

@@ -1,4 +1,4 @@
-"""One visitor: the folder, the jobs, and what of it is kept."""
+"""One visitor: the folder, the jobs, and which results are kept."""
 
 from __future__ import annotations
 
@@ -8,17 +8,15 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .room import Room, changed, newest_first, remove, size_of
+from .room import Room, change_time, newest_first, remove, size_of
 
 if TYPE_CHECKING:
     from .line import Job
 
-STAGES = (
-    "cutouts", "objects", "gaussians", "clips", "films", "exports", "studies", "fits"
-)  # fmt: skip
-"""Folders of what is made, in `demo.visitors`."""
+STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "exports", "studies", "fits")
+"""Folders of results (`demo.visitors`)."""
 UPLOADS = 8
-"""Number of uploads kept for one visitor."""
+"""Number of uploads kept per visitor."""
 
 
 class Visitor:
@@ -27,18 +25,18 @@ class Visitor:
     def __init__(self, folder: Path, address: str = "") -> None:
         self.folder, self.address = folder, address
         self.used = 0
-        """Size of the files, when it was last measured [bytes]."""
+        """Size of the files when last measured [bytes]."""
         self.promised = 0.0
-        """What is being written [bytes]."""
+        """Size of files being written [bytes]."""
         self.seen = time.time()
         self.forecasts: dict[str, float] = {}
         """Key of a scene -> time predicted by a probe [s]."""
         self.thickness: dict[str, float | None] = {}
-        """File of an object's Gaussians -> its local thickness relative to its size."""
+        """File of an object's Gaussians -> local thickness relative to the object's size."""
         self.jobs: dict[str, Job] = {}
-        """The newest jobs by name, the oldest of them first."""
+        """The newest jobs by name, in the order of their start."""
         self.shared: dict[str, Path] = {}
-        """Files that anyone may see who has the link, by its token."""
+        """Files that anyone with the link may see, by the link's token."""
         for stage in ("uploads", *STAGES):
             (folder / stage).mkdir(parents=True, exist_ok=True)
 
@@ -54,12 +52,12 @@ class Visitor:
 
     @property
     def has_results(self) -> bool:
-        """Whether anything was computed for this visitor."""
+        """Whether this visitor has a clip."""
         return any((self.folder / "clips").glob("*"))
 
     @property
     def has_begun(self) -> bool:
-        """Whether more than an upload was asked for: a picture was chosen, at least."""
+        """Whether this visitor has done more than upload a file."""
         return bool(self.jobs) or self.has_results
 
     @property
@@ -68,13 +66,13 @@ class Visitor:
         return time.time() - self.seen
 
     def remember(self, job: Job, most: int = 8) -> None:
-        """Keep a job so that the page can find it, and forget the oldest beyond `most`."""
+        """Keep a job for the page, and drop the oldest finished ones beyond `most`."""
         self.jobs[job.name] = job
         for name in [n for n, j in self.jobs.items() if j.over][: max(0, len(self.jobs) - most)]:
             del self.jobs[name]
 
     def latest(self, *kinds: str) -> Job | None:
-        """The newest job of these kinds."""
+        """Return the newest job of these kinds."""
         return next((j for j in reversed(list(self.jobs.values())) if j.kind in kinds), None)
 
     def stop(self) -> None:
@@ -87,7 +85,7 @@ class Visitor:
         self.seen = time.time()
 
     def share(self, path: Path) -> str:
-        """The token of a link to a file, which cannot be guessed; the same each time."""
+        """Return the token of a link to a file, the same each time; it cannot be guessed."""
         for token, known in self.shared.items():
             if known == path:
                 return token
@@ -96,22 +94,22 @@ class Visitor:
         return token
 
     def new_stop_file(self) -> Path:
-        """The path of a file whose existence asks a job to stop.
+        """Return the path of a file whose existence asks a job to stop.
 
-        It is a file because the job may run in another process (ZeroGPU forks one).
+        It is a file because the job may run in another process (on ZeroGPU).
         """
         return self.folder / f"stop-{secrets.token_hex(8)}"
 
     def measure(self) -> int:
-        """Size of the files now [bytes]."""
+        """Measure and return the size of the files [bytes]."""
         self.used = size_of(self.folder)
         return self.used
 
     def trim(self, room: Room) -> None:
-        """Remove all but the newest results of each stage, and more if there is too little room."""
+        """Remove all but the newest results of each stage, and more if storage is short."""
         for stage in ("uploads", *STAGES):
             entries = newest_first(self.folder / stage)
-            # There may be films of several views for a clip, and cut-outs and uploads are small.
+            # A clip may have films of several views; cut-outs and uploads are small.
             keep = {"uploads": UPLOADS, "clips": room.clips}.get(stage, 3 * room.clips)
             for entry in entries[keep:]:
                 remove(entry)
@@ -121,9 +119,9 @@ class Visitor:
         self.give_up(room.each)
 
     def give_up(self, most: float, keep: Collection[Path] = ()) -> bool:
-        """Remove exports, then results, the oldest first, until the files take no more than `most`.
+        """Remove exports, then results, the oldest first, until files take at most `most` bytes.
 
-        The newest of each stage and those in `keep` stay. Returns whether they take no more then.
+        The newest of each stage and those in `keep` stay. Returns whether that suffices.
         """
         for path in self._oldest():
             if self.measure() <= most:
@@ -133,9 +131,9 @@ class Visitor:
         return self.measure() <= most
 
     def _oldest(self) -> Iterator[Path]:
-        """What may be removed, in that order."""
+        """Yield what may be removed, in this order."""
         if not self.busy:
             yield self.folder / "live"
-        yield from sorted((self.folder / "exports").glob("*/*"), key=changed)
+        yield from sorted((self.folder / "exports").glob("*/*"), key=change_time)
         for stage in ("fits", "films", "clips", "gaussians"):
             yield from reversed(newest_first(self.folder / stage)[1:])

@@ -1,20 +1,20 @@
-"""The files of each visitor: one folder with a name that cannot be guessed, and caches inside.
+"""The files of each visitor: a folder with a name that cannot be guessed, which contains caches.
 
-The result of a stage is stored under a key made of everything it depends on, so a stage runs again
-exactly when something it depends on has changed:
+A stage's result is stored under a key of everything it depends on, so a stage runs again exactly
+when something it depends on has changed:
 
-    uploads/NAME                  pictures, videos and files of Gaussians as they were sent
+    uploads/NAME                  pictures, videos and files of Gaussians, unchanged
     cutouts/KEY.png               picture, brush strokes
     objects/NAME/                 file of Gaussians
     gaussians/KEY.safetensors     cut-out or file, generator, seed
     clips/KEY/                    Gaussians and the scene without its view
     films/KEY/                    clip and view
-    exports/KEY/                  formats made on demand, of the films of that name
+    exports/KEY/                  formats made on demand from the clip of films/KEY
     studies/KEY.json              Gaussians and the scene without its view and grid
-    fits/CLIP-KEY/                clip, video, and what is said of it
+    fits/CLIP-KEY/                clip, video, and options of the fit
 
-A folder is kept while its visitor gives signs of life, which an open page does every minute, and
-for a grace period after the last one. It is then removed with everything in it.
+A folder is kept while its visitor gives signs of life (an open page does every minute), and for a
+grace period after the last one.
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from phy124.errors import InputError
 
-from .arrivals import Arrivals
-from .room import Room, all_taken, is_plain_file, remove
+from .room import Arrivals, Room, all_taken, is_plain_file, remove
 from .visitor import STAGES, Visitor
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 AWAY = 150.0
 """Silence after which a page counts as closed [s]; an open one reports every minute."""
 UNUSED = 16
-"""Visitors of one address who have begun nothing; of more, who has been silent longest goes."""
+"""Largest number of idle visitors per address; the longest silent ones are removed."""
 UNFINISHED = 3
 """Largest number of unfinished jobs of one visitor."""
 FULL = "Too many visitors are here at once."
@@ -60,13 +59,13 @@ class Visitors:
         self._lock = threading.RLock()
         self._known: dict[str, Visitor] = {}
         self._leaving: list[Visitor] = []
-        """Visitors who are removed except for the files that ask their jobs to stop."""
+        """Removed visitors whose jobs have not stopped yet."""
 
     def __len__(self) -> int:
         return len(self._known)
 
-    def known(self, name: str) -> Visitor | None:
-        """The visitor of that name if there is one; this counts as a sign of life."""
+    def find(self, name: str) -> Visitor | None:
+        """Return the visitor of a name, or None; counts as a sign of life."""
         with self._lock:
             visitor = self._known.get(name)
             if visitor is not None:
@@ -74,16 +73,16 @@ class Visitors:
             return visitor
 
     def has(self, name: str) -> bool:
-        """Whether a visitor is known; asking is no sign of life."""
+        """Whether a visitor is known; does not count as a sign of life."""
         return name in self._known
 
     def is_here(self, name: str | None) -> bool:
-        """Whether the page of a visitor is open; asking is no sign of life."""
+        """Whether the page of a visitor is open; does not count as a sign of life."""
         visitor = self._known.get(name or "")
         return visitor is not None and visitor.silence < AWAY
 
     def job(self, name: str) -> Job | None:
-        """The job of that name, which cannot be guessed; this counts as a sign of life."""
+        """Return the job of a name, which cannot be guessed; counts as a sign of life."""
         with self._lock:
             visitor = next((v for v in self._known.values() if name in v.jobs), None)
             if visitor is None:
@@ -91,25 +90,23 @@ class Visitors:
             visitor.touch()
             return visitor.jobs[name]
 
-    def shared(self, token: str) -> Path | None:
-        """The file of a link, as long as its visitor's files are kept; looking keeps nothing."""
+    def find_shared(self, token: str) -> Path | None:
+        """Return the file of a link while its visitor's files are kept; no sign of life."""
         with self._lock:
-            found = (v.shared[token] for v in self._known.values() if token in v.shared)
-            path = next(found, None)
+            paths = (v.shared[token] for v in self._known.values() if token in v.shared)
+            path = next(paths, None)
         return path if path is not None and path.exists() else None
 
     def get(self, name: str, address: str = "") -> Visitor:
-        """The visitor of that name, a new one if it is not known.
+        """Return the visitor of a name, a new one if it is not known.
 
-        Args:
-            name: The visitor's name.
-            address: Where the request comes from; empty: it is not known.
+        `address` is where the request comes from; empty if unknown.
 
         Raises:
             InputError: There are too many visitors.
         """
         with self._lock:
-            visitor = self.known(name)
+            visitor = self.find(name)
             if visitor is None:
                 self._admit(address)
                 folder = self.root / secrets.token_urlsafe(24)
@@ -118,10 +115,10 @@ class Visitors:
 
     @property
     def used(self) -> float:
-        """Size of everybody's files, with what is being written [bytes]; nothing is looked at."""
+        """Size of all files, including those being written [bytes], as last measured."""
         with self._lock:
-            each = sum(one.used + one.promised for one in [*self._known.values(), *self._leaving])
-            return each + self.arrivals.size
+            visitors = [*self._known.values(), *self._leaving]
+            return sum(v.used + v.promised for v in visitors) + self.arrivals.size
 
     def store(
         self, name: str | None, data: bytes | BinaryIO, suffix: str, address: str = ""
@@ -129,13 +126,13 @@ class Visitors:
         """Store an upload.
 
         Args:
-            name: The visitor's name; None: it belongs to nobody yet.
-            data: The content, or a file with it.
+            name: The visitor's name; None if the visitor is not known yet.
+            data: The content, or a file that contains it.
             suffix: The suffix of the file's name.
-            address: Where it comes from; empty: that is not known.
+            address: Where it comes from; empty if unknown.
 
         Raises:
-            InputError: There is no room for it.
+            InputError: It exceeds the storage.
         """
         file = io.BytesIO(data) if isinstance(data, bytes) else data
         size = file.seek(0, os.SEEK_END)
@@ -153,7 +150,7 @@ class Visitors:
             try:
                 _write(path, file)
             except FileNotFoundError:
-                # Another visitor has needed the room meanwhile, and the folder is gone.
+                # The folder was removed meanwhile, for the storage of another visitor.
                 raise _full(len(self)) from None
         return path
 
@@ -161,16 +158,16 @@ class Visitors:
     def writing(
         self, visitor: Visitor, size: float, keep: Collection[Path] = (), most: float | None = None
     ) -> Iterator[None]:
-        """Room for files of a visitor while they are written; older ones of the same visitor go.
+        """Reserve storage for a visitor's files while they are written; removes older ones.
 
         Args:
-            visitor: Whose they are.
-            size: How large they will be, about [bytes].
+            visitor: The visitor.
+            size: Approximate size of the files [bytes].
             keep: Files and folders that must stay.
-            most: What everybody's files may take [bytes]; None: what runs leave to newcomers.
+            most: Limit of all files [bytes]; None: the limit for runs.
 
         Raises:
-            InputError: There is too little room for them.
+            InputError: They exceed the storage.
         """
         each = self.room.each
         fits = size <= each and visitor.give_up(each - size - visitor.promised, keep)
@@ -186,19 +183,19 @@ class Visitors:
             with self._lock:
                 visitor.promised -= size
 
-    def own(self, name: str, given: Any) -> Path:
-        """The visitor's own upload that a request names.
+    def find_upload(self, name: str, requested: Any) -> Path:
+        """Return the visitor's upload at a path that a request names.
 
         Raises:
-            InputError: It names anything else; the message is the same whether that exists or not.
+            InputError: It is no upload of the visitor; the message does not say whether it exists.
         """
         visitor = self.get(name)
-        path = visitor.folder / "uploads" / Path(str(given)).name
-        if str(given) == str(self.arrivals.folder / path.name):
-            # Of what one request names several times, the first time has moved it here.
+        path = visitor.folder / "uploads" / Path(str(requested)).name
+        if str(requested) == str(self.arrivals.folder / path.name):
+            # The first request for an upload moves it here; later ones find it here.
             with self._lock:
                 visitor.used += self.arrivals.hand_over(path)
-        elif str(given) != str(path):
+        elif str(requested) != str(path):
             path = path.parent
         if not is_plain_file(path):
             raise InputError(
@@ -207,20 +204,22 @@ class Visitors:
         return path
 
     def check_work(self, visitor: Visitor, most: int) -> None:
-        """Check that a visitor may have another job, and so may all from the same address.
+        """Check that a visitor, and the visitor's address, may have another job.
 
         Args:
-            visitor: Who asks.
-            most: Number of jobs that may wait in the queue; one address may have half of them.
+            visitor: The visitor.
+            most: Largest number of waiting jobs; one address may have half of them.
 
         Raises:
-            InputError: There are too many unfinished ones.
+            InputError: There are too many unfinished jobs.
         """
         if visitor.unfinished >= UNFINISHED:
             raise InputError("queue", "yours", "You have work waiting.", "Let it end or cancel it.")
         with self._lock:
-            beside = [one for one in self._known.values() if one.address == visitor.address]
-        if visitor.address and sum(one.unfinished for one in beside) >= max(most // 2, UNFINISHED):
+            unfinished = sum(
+                v.unfinished for v in self._known.values() if v.address == visitor.address
+            )
+        if visitor.address and unfinished >= max(most // 2, UNFINISHED):
             limit = "Too much work from your address is waiting: the queue is full for it."
             raise InputError("queue", "full", limit, "Try again soon.")
 
@@ -237,7 +236,7 @@ class Visitors:
             self._clear()
 
     def _clear(self) -> None:
-        """Remove the folders of those who have left, once no job looks for a stop file there."""
+        """Remove the folders of removed visitors whose jobs have stopped."""
         with self._lock:
             ended = [visitor for visitor in self._leaving if not visitor.busy]
             self._leaving = [visitor for visitor in self._leaving if visitor.busy]
@@ -245,7 +244,7 @@ class Visitors:
             remove(visitor.folder)
 
     def sweep(self) -> None:
-        """Remove who has been silent for too long and what nobody has claimed, and measure."""
+        """Remove silent visitors and unclaimed files, and measure the others."""
         with self._lock:
             silent = [n for n, v in self._known.items() if v.silence > self.room.grace]
         for name in silent:
@@ -268,42 +267,42 @@ class Visitors:
         remove(self.root)
 
     def _admit(self, address: str) -> None:
-        """Make sure that there is a place for a newcomer.
+        """Make a place for a new visitor.
 
         Raises:
-            InputError: There is none, here or for this address.
+            InputError: All places are taken, in total or for this address.
         """
-        beside = [one for one in self._known.items() if address and one[1].address == address]
-        unused = [one for one in beside if not one[1].has_begun]
-        if len(unused) >= UNUSED or (len(beside) >= self.room.address and unused):
-            self.remove(_most_silent(unused))
-        elif len(beside) >= self.room.address:
-            raise InputError("visitors", len(beside), OF_ADDRESS, "Try again in a few minutes.")
+        present = [(n, v) for n, v in self._known.items() if address and v.address == address]
+        idle = [(n, v) for n, v in present if not v.has_begun]
+        if len(idle) >= UNUSED or (len(present) >= self.room.address and idle):
+            self.remove(_most_silent(idle))
+        elif len(present) >= self.room.address:
+            raise InputError("visitors", len(present), OF_ADDRESS, "Try again in a few minutes.")
         while len(self._known) >= self.room.visitors:
             self._make_room()
 
     def _claim(self, size: float, most: float) -> None:
-        """Make sure that so many bytes more fit; uploads that nobody has used go.
+        """Free storage for `size` bytes, by dropping unclaimed uploads, then idle visitors.
 
         Raises:
-            InputError: They do not fit.
+            InputError: That does not suffice.
         """
         while self.used + size > most:
             if not self.arrivals.drop():
                 self._make_room()
 
     def _make_room(self) -> None:
-        """Remove a visitor who has begun nothing, of the address that has most of them.
+        """Remove an idle visitor, of the address with most idle visitors.
 
         Raises:
-            InputError: There is none.
+            InputError: No visitor is idle.
         """
         idle = [(n, v) for n, v in self._known.items() if not v.has_begun and v.silence > 1]
         if not idle:
             raise _full(len(self))
         count = Counter(visitor.address for _, visitor in idle)
         most = max(count.values())
-        self.remove(_most_silent([one for one in idle if count[one[1].address] == most]))
+        self.remove(_most_silent([(n, v) for n, v in idle if count[v.address] == most]))
 
 
 def _most_silent(visitors: list[tuple[str, Visitor]]) -> str:
@@ -320,7 +319,7 @@ def _write(path: Path, file: BinaryIO) -> None:
 
 
 def key(*parts: Any) -> str:
-    """A name for something that depends only on these parts, which are bytes or JSON-like data."""
+    """Hash parts (bytes or JSON-like data) to a name."""
     digest = hashlib.sha256()
     for part in parts:
         data = part if isinstance(part, bytes) else json.dumps(part, sort_keys=True).encode()

@@ -31,7 +31,7 @@ def handlers(monkeypatch):
     """The page's handlers, for visitor a."""
     from demo import handlers
 
-    for module in (handlers.event, handlers.picture, handlers.known, handlers.results):
+    for module in (handlers.event, handlers.picture, handlers.results):
         monkeypatch.setattr(module, "visitor_of", lambda _: "a")
     return handlers
 
@@ -43,11 +43,11 @@ def _event(**data: Any) -> Any:
 def test_a_forgotten_job_is_answered(studio, handlers):
     """As after a restart between the end of a job and the question for its result."""
     lost = _event(job="forgotten", option="side", ask=3)
-    shown, source, _ = handlers.cut_shower(studio)({"job": "forgotten"}, None, lost, None)
+    shown, source, _ = handlers.on_cut_end(studio)({"job": "forgotten"}, None, lost, None)
     assert GONE in shown["message"] and shown["job"] is None and source is None
-    answer = handlers.view_shower(studio)(lost, None)["answer"]
+    answer = handlers.on_view_cut(studio)(lost, None)["answer"]
     assert GONE in answer["message"] and (answer["option"], answer["ask"]) == ("side", 3)
-    history = handlers.finisher(studio)(None, None, None, None, lost, None)[-1]
+    history = handlers.on_job_end(studio)(None, None, None, None, lost, None)[-1]
     assert history == {"runs": []}
 
 
@@ -56,9 +56,9 @@ def _chosen(studio: Studio, handlers, path: Path) -> dict[str, Any]:
     studio.visitors.get("a")
     sent = str(studio.visitors.store("a", path.read_bytes(), ".png"))
     request = SimpleNamespace(client=None, headers={})
-    shown = handlers.chooser(studio)(_event(upload=sent), request)[0]
+    shown = handlers.on_choose(studio)(_event(upload=sent), request)[0]
     assert studio.visitors.get("a").jobs[shown["job"]].wait(60)
-    return handlers.cut_shower(studio)(shown, None, _event(job=shown["job"]), None)[0]
+    return handlers.on_cut_end(studio)(shown, None, _event(job=shown["job"]), None)[0]
 
 
 def test_a_broken_picture_is_not_shown(studio, handlers, tmp_path):
@@ -78,14 +78,14 @@ def test_a_probe_that_is_not_made_gives_the_forecast(studio, handlers, monkeypat
     """Else the answer to an older scene would stay."""
     monkeypatch.setattr(handlers.run, "visitor_of", lambda _: "a")
     asked = (None, Scene.named("drop").data(), None, None)
-    assert handlers.refiner(studio)(*asked) == handlers.forecaster(studio)(*asked) != ""
-    assert handlers.refiner(studio)(None, None, None, None) == ""
+    assert handlers.on_refine(studio)(*asked) == handlers.on_scene_changed(studio)(*asked) != ""
+    assert handlers.on_refine(studio)(None, None, None, None) == ""
 
 
 def test_each_stage_of_a_run_has_one_time(studio):
     """The clip and its films are made by two stopwatches."""
     visitor = studio.visitors.get("a")
-    cut = studio.cut("a", str(studio.visitors.store("a", TEDDY.read_bytes(), ".png")))
+    cut = studio.cut_out("a", str(studio.visitors.store("a", TEDDY.read_bytes(), ".png")))
     assert cut.wait(60)
     few = {"time.frames": 2, "accuracy": "draft", "view.size": 32, "view.views": ["front"]}
     run = studio.run("a", cut.progress.result, Scene.named("press").replaced(few).data())

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from demo import connections, streams, turns
+from demo import connections, traffic
 from demo.connections import Patient
 from demo.settings import Settings
 from demo.visitors import Visitors
@@ -60,9 +60,9 @@ async def _settled() -> None:
 @pytest.mark.parametrize(
     ("method", "path", "most"),
     [
-        ("POST", "/gradio_api/run/predict", turns.EACH),
-        ("POST", "/gradio_api/upload", turns.RECEIVED_EACH),
-        ("GET", "/gradio_api/heartbeat/x", streams.ADDRESS),
+        ("POST", "/gradio_api/run/predict", traffic.EACH),
+        ("POST", "/gradio_api/upload", traffic.RECEIVED_EACH),
+        ("GET", "/gradio_api/heartbeat/x", traffic.STREAMS_ADDRESS),
     ],
 )
 def test_an_address_asks_only_so_much_at_once(tmp_path, method, path, most):

@@ -19,10 +19,9 @@ from starlette.testclient import TestClient
 from demo.exports import EXPORTS, check_size
 from demo.exports import export as make
 from demo.forecast import Estimator
-from demo.pictures import corrected, cut_out
+from demo.pictures import Stroke, correct_cutout, cut_out, paint, read_strokes
 from demo.report import as_html
 from demo.server import shared_route
-from demo.strokes import Stroke, painted, strokes_of
 from demo.visitors import Room, Visitors
 from demo.work import Done
 from phy124.accuracy.promises import promise
@@ -133,7 +132,7 @@ def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(
 ):
     studio = studio_of(visitors)
     monkeypatch.setattr("demo.handlers.results.visitor_of", lambda request: request)
-    prepare, asked = results.preparer(studio), SimpleNamespace(_data={"kind": "share"})
+    prepare, asked = results.on_prepare(studio), SimpleNamespace(_data={"kind": "share"})
     told = prepare(done, None, asked, "cookie me")["share"]
     assert told == prepare(done, None, asked, "cookie me")["share"], "one link for one result"
     assert "1.5 minutes" in told["lasts"]
@@ -189,7 +188,7 @@ def test_exports_count_before_writing_and_evict_older(done, visitors, monkeypatc
         os.utime(made[-1], (len(made), len(made)))
         assert max(sizes) <= visitors.room.each
     assert [path.exists() for path in made] == [False, True, True]
-    with pytest.raises(InputError, match="Your files take all the room here"):
+    with pytest.raises(InputError, match="Your storage on this server is full"):
         make(["b", "c", "d"], done, me, visitors)
     assert [path.exists() for path in made] == [False, True, True] and done.clip.exists()
     with pytest.raises(InputError, match="It would take about"):
@@ -200,7 +199,7 @@ def test_a_file_larger_than_expected_does_not_stay(done, visitors, monkeypatch):
     fake = replace(EXPORTS["ply"], write=lambda _, path: path.write_bytes(bytes(10**6)), file="x")
     monkeypatch.setitem(EXPORTS, "x", fake)
     monkeypatch.setattr(visitors, "room", Room(each=500_000, all=1e9))
-    with pytest.raises(InputError, match="Your files take all the room here"):
+    with pytest.raises(InputError, match="Your storage on this server is full"):
         make(["x"], done, visitors.get(ME), visitors)
     assert list(done.exports.iterdir()) == []
 
@@ -211,10 +210,16 @@ def _stroke(keep: bool, *points: tuple[float, float], width: float = 0.2) -> Str
 
 def test_strokes_keep_and_remove_and_the_last_one_counts():
     marks = np.asarray(
-        painted([_stroke(True, (0.1, 0.5), (0.9, 0.5)), _stroke(False, (0.9, 0.5))], (100, 100))
+        paint(
+            [
+                _stroke(True, (0.1, 0.5), (0.9, 0.5)),
+                _stroke(False, (0.9, 0.5)),
+            ],
+            (100, 100),
+        )
     )
     assert (marks[50, 10], marks[50, 90], marks[10, 50]) == (2, 1, 0)
-    portrait = np.asarray(painted([_stroke(True, (0.25, 0.9))], (50, 100)))
+    portrait = np.asarray(paint([_stroke(True, (0.25, 0.9))], (50, 100)))
     assert portrait[90, 25] == 2 and portrait[50, 25] == 0
 
 
@@ -233,7 +238,7 @@ def test_strokes_keep_and_remove_and_the_last_one_counts():
 )
 def test_strokes_that_cannot_be_are_refused(data):
     with pytest.raises(InputError, match="strokes"):
-        strokes_of(data)
+        read_strokes(data)
 
 
 def test_a_picture_without_an_object_can_be_rescued_by_the_brush(tmp_path):
@@ -241,10 +246,10 @@ def test_a_picture_without_an_object_can_be_rescued_by_the_brush(tmp_path):
     Image.fromarray(np.full((40, 40, 3), 255, np.uint8)).save(white)
     with pytest.raises(InputError, match="No object"):
         cut_out(white, cut)
-    with pytest.raises(InputError, match="Nothing is left"):
-        corrected(white, None, [_stroke(False, (0.5, 0.5))], cut)
+    with pytest.raises(InputError, match="Nothing of it is left"):
+        correct_cutout(white, None, [_stroke(False, (0.5, 0.5))], cut)
     assert not cut.exists()
-    corrected(white, None, [_stroke(True, (0.5, 0.5), width=0.5)], cut)
+    correct_cutout(white, None, [_stroke(True, (0.5, 0.5), width=0.5)], cut)
     with Image.open(cut) as made:
         alpha = np.asarray(made.getchannel("A"))
     assert alpha[20, 20] == 255 and alpha[2, 2] == 0 and 250 < (alpha > 0).sum() < 420
@@ -258,7 +263,7 @@ def test_stroke_is_a_hint_that_follows_edges(tmp_path):
     rgb[90:110, 100:118] = [180, 30, 30]
     alpha = np.zeros((200, 200), np.uint8)
     alpha[60:140, 40:100] = 255
-    marks = np.asarray(painted([_stroke(True, (0.53, 0.5), width=0.03)], (200, 200)))
+    marks = np.asarray(paint([_stroke(True, (0.53, 0.5), width=0.03)], (200, 200)))
     found = apply_marks(rgb, alpha, marks)
     square = found[92:108, 102:112] > 127
     assert square.mean() > 0.9 and (marks[92:108, 102:112] == 2).mean() < 0.3

@@ -14,7 +14,7 @@ from demo.exports import export
 from demo.fits import newest
 from demo.fits.jobs import Fits
 from demo.fits.search import PLAN, in_words, outlook, progress
-from demo.fits.video import Seen, opened
+from demo.fits.video import Seen, read_video
 from demo.forecast import Estimator
 from demo.jobs import Studio
 from demo.settings import Settings
@@ -89,7 +89,7 @@ class Search:
 def studio(tmp_path, monkeypatch) -> Studio:
     """A studio in which videos are not decoded."""
     monkeypatch.setattr(
-        "demo.fits.jobs.opened", lambda path, out, *_: Seen(out, fps=24.0, count=5, whole=9)
+        "demo.fits.jobs.read_video", lambda path, out, *_: Seen(out, fps=24.0, count=5, whole=9)
     )
     limits = Settings(max_video_mb=0.1, max_fit_seconds=300)
     # The load of this machine is not measured.
@@ -108,7 +108,7 @@ def sent(studio: Studio, name: str, data: bytes = b"\0\0\0\x20ftypisom", ending=
 
 
 def test_video_is_decoded_up_to_the_length_of_the_scene(tmp_path):
-    seen = opened(filmed(tmp_path / "a.mp4"), tmp_path / "out", 0.3, 0.5, LONG)
+    seen = read_video(filmed(tmp_path / "a.mp4"), tmp_path / "out", 0.3, 0.5, LONG)
     # At half speed it shows 48 pictures per second of what was filmed.
     assert seen == Seen(tmp_path / "out", fps=48.0, count=12, whole=12)
     assert len(list(seen.folder.glob("*.png"))) == 12
@@ -121,12 +121,12 @@ def test_what_comes_after_the_scene_is_left_out(tmp_path, monkeypatch, seconds, 
     monkeypatch.setattr("demo.fits.video.resource.setrlimit", lambda *_: None)
     monkeypatch.setattr("demo.fits.video.isolated.run", lambda work, *given, **_: work(*given))
     path = filmed(tmp_path / "a.mp4")
-    assert opened(path, tmp_path / "out", seconds, speed, LONG).count == count
+    assert read_video(path, tmp_path / "out", seconds, speed, LONG).count == count
     with pytest.raises(InputError, match="in which the video shows 1 picture"):
-        opened(path, tmp_path / "out", 0.01, speed, LONG)
+        read_video(path, tmp_path / "out", 0.01, speed, LONG)
     path.write_bytes(b"\0\0\0\x20ftypisom" + bytes(99))
     with pytest.raises(InputError, match="no video that can be read"):
-        opened(path, tmp_path / "out", seconds, speed, LONG)
+        read_video(path, tmp_path / "out", seconds, speed, LONG)
 
 
 def test_what_cannot_be_fitted_is_refused_in_a_sentence(studio):
@@ -179,7 +179,7 @@ def test_visitor_has_one_fit_and_may_cancel_it(studio):
     done, video = prepared(studio, search)
     job = studio.fits.begin("a", done, video, {})
     assert search.begun.wait(60) and studio.busy
-    with pytest.raises(InputError, match="Another fit of yours is still going on"):
+    with pytest.raises(InputError, match="Another fit of yours is still running"):
         studio.fits.begin("a", done, video, {})
     other, theirs = prepared_other(studio)
     waiting = studio.fits.begin("b", other, theirs, {})
@@ -243,17 +243,17 @@ def test_the_panel_shows_film_and_fit_picture_by_picture(studio, handlers):
     shown = {**REPORT["pictures"], "laid": laid}
     report = {**REPORT, "pictures": shown, "runs": [90, 9], "seconds": 61.0}
     done, video = prepared(studio, Search(report))
-    panel = handlers.fit_offerer(studio)(done, None)
+    panel = handlers.on_result_shown(studio)(done, None)
     assert panel["offer"]["budget"] and panel["fields"]["side"]["enum"] and not panel["found"]
     event = gr.EventData(None, {"upload": video, "side": "front", "speed": 1, "seconds": 60})
-    panel = handlers.fit_starter(studio)(done, panel, event, None)
+    panel = handlers.on_fit_begin(studio)(done, panel, event, None)
     job = studio.visitors.get("a").jobs[panel["job"]]
     assert job.wait(60) and job.progress.state == "done", job.progress.message
     ended = gr.EventData(None, {"job": job.name})
-    panel, files = handlers.fit_shower(studio)(done, ended, None)
+    panel, files = handlers.on_fit_end(studio)(done, ended, None)
     said = " ".join(panel["found"]["sentences"])
     assert "50,000 Pa (40,000 to 60,000 Pa, 95 %); it was 40,000 Pa" in said
-    assert "1.25 times as large; 97% of both outlines" in said and "99 runs in 61 s" in said
+    assert "1.25 times; the outlines share 97%" in said and "99 runs in 61 s" in said
     assert panel["found"]["material"]["E"] == Scene.named("press").data()["material"]["E"]
     assert "<polyline" in panel["found"]["figure"] and panel["found"]["film"]["size"] == 4
     assert [one["label"] for one in files["files"] if "Fit" in one["label"]] == [
@@ -261,7 +261,7 @@ def test_the_panel_shows_film_and_fit_picture_by_picture(studio, handlers):
         "Fit: report",
         "Fit: scene",
     ]
-    assert handlers.fit_offerer(studio)(done, None)["found"] == panel["found"], "after a reload"
+    assert handlers.on_result_shown(studio)(done, None)["found"] == panel["found"], "after a reload"
 
 
 def test_what_cannot_be_told_is_said_with_what_would_tell_it(studio, handlers):
@@ -270,18 +270,18 @@ def test_what_cannot_be_told_is_said_with_what_would_tell_it(studio, handlers):
     why = "nothing that was measured depends on it."
     done, video = prepared(studio, Search(in_words(Blind(("material.E",), why).refusal())))
     event = gr.EventData(None, {"upload": video})
-    job = handlers.fit_starter(studio)(done, {}, event, None)["job"]
+    job = handlers.on_fit_begin(studio)(done, {}, event, None)["job"]
     assert studio.visitors.get("a").jobs[job].wait(60)
-    panel, files = handlers.fit_shower(studio)(done, gr.EventData(None, {"job": job}), None)
+    panel, files = handlers.on_fit_end(studio)(done, gr.EventData(None, {"job": job}), None)
     assert panel["message"] == (
-        "The softness cannot be told apart from this video, because nothing that was measured "
-        "depends on it. What would tell it: let it wobble freely after the load, or measure the "
-        "force on a wall, or load it with a known force in newtons."
+        "The softness cannot be determined from this video, because nothing that was measured "
+        "depends on it. This would determine it: let it wobble freely after the load, or measure "
+        "the force on a wall, or load it with a known force in newtons."
     )
     assert files == gr.skip() and "--" not in panel["message"]
-    refused = handlers.fit_starter(studio)(done, {}, gr.EventData(None, {}), None)
+    refused = handlers.on_fit_begin(studio)(done, {}, gr.EventData(None, {}), None)
     assert refused["message"] == "There is no video yet. Choose one first."
-    assert handlers.fit_offerer(studio)(None, None)["refusal"].startswith("There is no result")
+    assert handlers.on_result_shown(studio)(None, None)["refusal"].startswith("There is no result")
 
 
 def test_no_sentence_of_a_refusal_names_a_command_line_option():

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from demo.folder import PREFIX, own_folder
+from demo.folder import PREFIX, lock_folder
 from phy124.errors import InputError
 
 
@@ -19,7 +19,7 @@ def here(tmp_path, monkeypatch):
 
 
 def test_it_goes_with_everything_in_it(tmp_path):
-    with own_folder() as root:
+    with lock_folder() as root:
         (root / "visitors").mkdir()
         (root / "visitors" / "photograph.png").write_bytes(b"x")
         assert root.parent == tmp_path
@@ -29,12 +29,12 @@ def test_it_goes_with_everything_in_it(tmp_path):
 def test_it_may_be_named_by_the_home(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    with own_folder("~/page") as root:
+    with lock_folder("~/page") as root:
         assert root == tmp_path / "page" and not (tmp_path / "~").exists()
 
 
 def test_it_goes_when_the_page_fails(tmp_path):
-    with pytest.raises(RuntimeError), own_folder() as root:
+    with pytest.raises(RuntimeError), lock_folder() as root:
         (root / "photograph.png").write_bytes(b"x")
         raise RuntimeError
     assert list(tmp_path.iterdir()) == []
@@ -43,8 +43,8 @@ def test_it_goes_when_the_page_fails(tmp_path):
 HOLD = """
 import sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from demo.folder import own_folder
-with own_folder() as root:
+from demo.folder import lock_folder
+with lock_folder() as root:
     (root / "photograph.png").write_bytes(b"x")
     print(root, flush=True)
     sys.stdin.read()
@@ -65,12 +65,12 @@ def other(tmp_path):
 
 
 def test_folder_of_a_killed_page_is_swept_and_live_one_kept(tmp_path, other):
-    with own_folder():
+    with lock_folder():
         assert len(list(tmp_path.glob(f"{PREFIX}*/photograph.png"))) == 1
     os.kill(other.pid, signal.SIGKILL)
     other.wait()
     assert len(list(tmp_path.glob(f"{PREFIX}*/photograph.png"))) == 1
-    with own_folder():
+    with lock_folder():
         assert list(tmp_path.glob(f"{PREFIX}*/photograph.png")) == []
 
 
@@ -78,26 +78,26 @@ def test_links_are_not_followed_when_sweeping(tmp_path):
     (tmp_path / "precious").mkdir()
     (tmp_path / "precious" / "letter").write_text("x")
     (tmp_path / f"{PREFIX}link").symlink_to(tmp_path / "precious")
-    with own_folder():
+    with lock_folder():
         assert (tmp_path / "precious" / "letter").exists()
 
 
 def test_named_folder_is_emptied_unless_it_has_other_files(tmp_path):
-    with own_folder(str(tmp_path / "a")) as root:
+    with lock_folder(str(tmp_path / "a")) as root:
         (root / "left").write_text("x")
         with (
             pytest.raises(InputError, match="another page uses this folder"),
-            own_folder(str(root)),
+            lock_folder(str(root)),
         ):
             pass
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["lock"]
-    with own_folder(str(tmp_path / "a")):
+    with lock_folder(str(tmp_path / "a")):
         pass
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "letter").write_text("x")
     with (
         pytest.raises(InputError, match="holds other files, such as letter"),
-        own_folder(str(tmp_path / "b")),
+        lock_folder(str(tmp_path / "b")),
     ):
         pass
     assert [path.name for path in (tmp_path / "b").iterdir()] == ["letter"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from demo import gaussian_files
+from demo import source as module
 from demo.catalogue import catalogue
 from demo.jobs import Studio
 from demo.settings import Settings
@@ -52,7 +52,7 @@ def changed(**columns: float) -> bytes:
 @pytest.fixture(autouse=True)
 def unlimited(monkeypatch):
     """Read in this process, which is quicker and must not be limited."""
-    monkeypatch.setattr(gaussian_files.isolated, "run", lambda work, *given, **_: work(*given))
+    monkeypatch.setattr(module.isolated, "run", lambda work, *given, **_: work(*given))
 
 
 @pytest.fixture
@@ -79,19 +79,19 @@ def test_what_of_a_file_is_passed_over_is_among_its_notes(studio):
 def test_file_is_thinned_drawn_in_24_poses_and_simulated(studio):
     file = read(studio, of())
     assert (file.format, file.axes[:3]) == ("3DGS PLY", ("-y", "x", False))
-    assert file.count <= 1000 and "The file has 1,200 Gaussians; fewer" in file.notes[0]
+    assert file.count <= 1000 and "1,200 Gaussians were reduced to 1,000" in file.notes[0]
     with Image.open(file.picture) as picture:
-        assert picture.size == (gaussian_files.SIZE,) * 2
+        assert picture.size == (module.SIZE,) * 2
     made = {path.stem for path in file.pictures.glob("*.webp")}
     assert len(made) == 24 and {name.split("_")[0] for name in made} == set(UPS)
     visitor, scene = studio.visitors.get("a"), Scene.named("press")
 
     def order(told):
-        return studio.order((visitor, file, scene), studio.known("a", told))
+        return studio.order((visitor, file, scene), studio.check_extras("a", told))
 
     chosen, other = order({"up": "y", "front": "z"}), order(None)
-    assert (other.known.reading.up, other.known.reading.front) == ("-y", "x")
-    assert order({"up": "z"}).known.reading == Reading(up="z")
+    assert (other.extras.reading.up, other.extras.reading.front) == ("-y", "x")
+    assert order({"up": "z"}).extras.reading == Reading(up="z")
     assert made_gaussians(chosen) != made_gaussians(other)
     standing = gaussians_of(chosen, made_gaussians(chosen))
     wanted = PlyFile(file.path, Reading(up="y", front="z"))()
@@ -104,7 +104,9 @@ def test_regions_in_the_units_of_the_file_are_turned_with_it(studio):
     region = {"lower": (-9, -9, -9), "upper": (9, 0, 9), "units": "file"}
     part = {"region": region, "material": {"law": "neo_hookean", "E": 2e5}}
     scene = Scene.named("press").replaced({"parts": [part]})
-    order = studio.order((visitor, file, scene), studio.known("a", {"up": "y", "front": "z"}))
+    order = studio.order(
+        (visitor, file, scene), studio.check_extras("a", {"up": "y", "front": "z"})
+    )
     turned_part = order.scene.parts[0].region
     assert turned_part is not None and turned_part.units == "metres"
     x = np.array([[0, 0, 0.4], [0, 0, -0.4]]) + [0, 0, scene.object.size / 2]
@@ -144,16 +146,16 @@ def test_a_file_that_takes_too_much_is_refused(tmp_path, monkeypatch, broken, li
     def fail(*_, deadline, memory):
         raise broken
 
-    monkeypatch.setattr(gaussian_files.isolated, "run", fail)
+    monkeypatch.setattr(module.isolated, "run", fail)
     with pytest.raises(InputError, match=limit):
-        gaussian_files.opened(tmp_path / "a.ply", tmp_path, 1000, SOON)
+        module.open_gaussians(tmp_path / "a.ply", tmp_path, 1000, SOON)
 
 
 def test_file_type_follows_content_and_has_limits(studio):
     assert studio.take("a", sent(studio, of(), ".png")).kind == "read"
     with pytest.raises(InputError, match=r"larger than the 0\.5 MB"):
         studio.take("a", sent(studio, of(10 * ROWS)))
-    with pytest.raises(InputError, match="one object only"):
+    with pytest.raises(InputError, match="only one object"):
         studio.take("a", sent(studio, of()), (0.5, 0.5))
     assert catalogue(studio.settings)["limits"]["file_endings"] == endings()
 
@@ -166,11 +168,11 @@ def test_what_is_told_must_suit_the_object(studio):
         ({"near": "black"}, file, "near"),
     ):
         with pytest.raises(InputError, match="Leave it out") as refused:
-            studio.known("a", told).suited(source)
+            studio.check_extras("a", told).suit(source)
         assert refused.value.field == option
     for told in ({"up": "w"}, {"up": "y", "front": "-y"}):
         with pytest.raises(InputError, match=r"axis"):
-            studio.known("a", told)
+            studio.check_extras("a", told)
 
 
 def test_the_forecast_is_that_of_the_file(studio):

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from demo.guard import FETCHES, Doorkeeper, Headed, is_own_name, listed, own_names
+from demo.guard import FETCHES, Doorkeeper, Headed, is_own_name, own_names, split_names
 
 NAMES = own_names("demo.example, other.example", "space.hf.space")
 
@@ -128,7 +128,7 @@ def _refused(path: str = "/gradio_api/run/predict", method: str = "POST", **head
     told = {"host": "demo.example", **{k.replace("_", "-"): v for k, v in headers.items()}}
     pairs = [(k.encode(), v.encode()) for k, v in told.items()]
     scope = {"type": "http", "method": method, "path": path, "headers": pairs}
-    door = Doorkeeper(page, NAMES, listed("demo.example"))
+    door = Doorkeeper(page, NAMES, split_names("demo.example"))
     asyncio.run(door(scope, None, send))
     return sent[0]["status"]
 

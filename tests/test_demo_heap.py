@@ -9,11 +9,11 @@ import sys
 
 import pytest
 
-from demo.heap import CHOSEN
+from demo.__main__ import CHOSEN
 
 COUNT = """
 import ctypes, sys, threading
-from demo.heap import share_heap
+from demo.__main__ import share_heap
 share_heap()
 libc = ctypes.CDLL(None)
 libc.malloc.restype, libc.fopen.restype = ctypes.c_void_p, ctypes.c_void_p

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from demo.identity import COOKIE, NAME, cookie_of, new_name, visitor_of
+from demo.guard import COOKIE, NAME, cookie_of, make_name, visitor_of
 
 
 def request(name=None, session=None):
@@ -13,13 +13,13 @@ def request(name=None, session=None):
 
 
 def test_names_are_long_and_never_the_same():
-    names = {new_name() for _ in range(100)}
+    names = {make_name() for _ in range(100)}
     assert len(names) == 100
     assert all(NAME.fullmatch(name) for name in names)
 
 
 def test_a_cookie_comes_before_the_session():
-    name = new_name()
+    name = make_name()
     assert visitor_of(request(name, "abc")) == cookie_of(request(name)) == f"cookie {name}"
     assert visitor_of(request(session="abc")) == "session abc"
 

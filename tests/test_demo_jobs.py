@@ -16,10 +16,9 @@ from PIL import Image
 
 from demo.jobs import Studio
 from demo.line import Job
-from demo.pictures import how_cut
+from demo.pictures import Stroke, how_cut, read_place
 from demo.settings import Settings
 from demo.source import Cutout
-from demo.strokes import Stroke, place_of
 from demo.visitors import UNFINISHED, Visitors
 from demo.work import Done, Order
 from phy124.errors import InputError
@@ -60,7 +59,7 @@ def _sent(studio: Studio, name: str) -> str:
 
 
 def _cut(studio: Studio, name: str) -> Job:
-    return studio.cut(name, _sent(studio, name))
+    return studio.cut_out(name, _sent(studio, name))
 
 
 @pytest.mark.parametrize("ending", ["leave", "stop"])
@@ -91,7 +90,7 @@ def test_a_picture_that_was_refused_is_not_generated_from(studio):
     studio.visitors.get("a")
     bad = studio.visitors.store("a", b"this is no picture", ".png")
     with pytest.raises(InputError, match="not a PNG"):
-        studio.cut("a", str(bad))
+        studio.cut_out("a", str(bad))
     with pytest.raises(InputError, match="no picture yet"):
         studio.run("a", None, Scene.named("press").data())
 
@@ -106,19 +105,21 @@ def test_deleted_picture_has_its_own_message(studio):
 @pytest.mark.skipif(not codecs.can_read_heic(), reason="the extra heic is not installed")
 def test_a_heic_photograph_is_shown_as_browsers_can(studio):
     studio.visitors.get("a")
-    job = studio.cut("a", str(studio.visitors.store("a", PHONE.read_bytes(), ".heic")))
+    job = studio.cut_out("a", str(studio.visitors.store("a", PHONE.read_bytes(), ".heic")))
     assert job.wait(60) and job.progress.state == "done", job.progress.message
     made = job.progress.result
     with Image.open(made.picture) as shown, Image.open(made.path) as cut:
         assert (shown.format, shown.size, cut.size) == ("WEBP", (320, 256), (320, 256))
-    assert studio.visitors.own("a", made.picture) == Path(made.picture)  # the brush names it
+    assert studio.visitors.find_upload("a", made.picture) == Path(
+        made.picture
+    )  # the brush names it
 
 
 def test_a_heic_bomb_is_refused_before_it_waits_for_its_turn(studio):
     studio.visitors.get("a")
     bomb = studio.visitors.store("a", heic_claiming(6000, 5000), ".heic")
     with pytest.raises(InputError, match="more than 25 million pixels"):
-        studio.cut("a", str(bomb))
+        studio.cut_out("a", str(bomb))
 
 
 @pytest.mark.parametrize("kind", ["file", "other", "device", "folder", "link", "missing", "odd"])
@@ -137,7 +138,7 @@ def test_only_pictures_that_a_visitor_has_sent_are_read(studio, tmp_path, kind):
         "odd": "\0/../..",
     }[kind]
     with pytest.raises(InputError) as refusal:
-        studio.cut("a", str(given))
+        studio.cut_out("a", str(given))
     assert str(refusal.value) == "picture = unknown: This picture is not here. Choose it once more."
 
 
@@ -145,16 +146,16 @@ def test_a_fifo_among_the_uploads_is_not_opened(studio):
     pipe = studio.visitors.get("a").folder / "uploads" / "pipe.png"
     os.mkfifo(pipe)
     with pytest.raises(InputError, match="not here"):
-        studio.cut("a", str(pipe))
+        studio.cut_out("a", str(pipe))
 
 
 def test_what_a_program_has_sent_becomes_its_own_when_it_is_used(studio):
     sent = studio.visitors.store(None, DUCK.read_bytes(), ".png")
-    job = studio.cut("session a", str(sent))
+    job = studio.cut_out("session a", str(sent))
     assert Path(job.subject).parent == studio.visitors.get("session a").folder / "uploads"
     assert not sent.exists()
     with pytest.raises(InputError, match="not here"):
-        studio.cut("session b", str(sent))
+        studio.cut_out("session b", str(sent))
 
 
 def test_one_visitor_cannot_fill_the_queue(studio, stuck):
@@ -228,7 +229,7 @@ def test_doubtful_cutout_warns_once(studio, tmp_path, monkeypatch):
     sent = str(studio.visitors.store("a", (tmp_path / "a.png").read_bytes(), ".png"))
 
     def doubts(strokes: tuple[Stroke, ...] = ()) -> tuple[str, dict[str, Any]]:
-        job = studio.cut("a", sent, strokes)
+        job = studio.cut_out("a", sent, strokes)
         assert job.wait(60), job.progress.message
         with Image.open(job.progress.result.path) as written:
             return " ".join(job.progress.result.doubts), how_cut(written) or {}
@@ -253,7 +254,7 @@ def test_click_picks_an_object_that_the_brush_corrects(studio, tmp_path, monkeyp
     sent = str(studio.visitors.store("a", (tmp_path / "a.png").read_bytes(), ".png"))
 
     def made(**how: Any) -> tuple[Any, np.ndarray]:
-        job = studio.cut("a", sent, **how)
+        job = studio.cut_out("a", sent, **how)
         assert job.wait(60) and job.progress.result, job.progress.message
         return job.progress.result, np.asarray(Image.open(job.progress.result.path))[..., 3] > 127
 
@@ -266,14 +267,16 @@ def test_click_picks_an_object_that_the_brush_corrects(studio, tmp_path, monkeyp
     second, other = made(pick=place)
     assert other[40, 70] and not other[20, 20] and second.doubts == () and second.pick == place
     stroke = Stroke(keep=True, width=0.05, points=((0.9, 0.1),))
-    third, painted = made(pick=place, strokes=(stroke,))
-    assert painted[40, 70] and painted[9, 81] and not painted[20, 20]
+    third, paint = made(pick=place, strokes=(stroke,))
+    assert paint[40, 70] and paint[9, 81] and not paint[20, 20]
     assert third.by == "brush strokes" and third.pick == place
     assert len({first.path, second.path, third.path}) == 3
 
 
 @pytest.mark.parametrize("place", [[0.3], [0.3, 1.5], "middle", [float("nan"), 0.5], {"x": 1}])
 def test_what_is_no_place_in_the_picture_is_refused(place):
-    assert place_of(None) is None and place_of([]) is None and place_of([0.25, 1]) == (0.25, 1.0)
+    assert (
+        read_place(None) is None and read_place([]) is None and read_place([0.25, 1]) == (0.25, 1.0)
+    )
     with pytest.raises(InputError, match=r"not a place in the picture\. Give two fractions"):
-        place_of(place)
+        read_place(place)

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from demo.extras import NO_EXTRAS, ExtraInputs
 from demo.jobs import Studio
-from demo.known import NOTHING_MORE, Known
 from demo.settings import Settings
 from demo.source import Cutout
 from demo.visitors import Visitors
@@ -62,7 +62,7 @@ def test_it_is_declared_where_the_command_line_declares_it(studio):
 )
 def test_what_cannot_be_used_is_refused_readably(studio, told, message):
     with pytest.raises(InputError, match=message):
-        studio.known("a", told)
+        studio.check_extras("a", told)
 
 
 def test_other_pictures_have_the_limits_of_the_first(studio, tmp_path):
@@ -70,33 +70,35 @@ def test_other_pictures_have_the_limits_of_the_first(studio, tmp_path):
     large = _sent(studio, (tmp_path / "large.png").read_bytes())
     for option in ("side", "back", "depth"):
         with pytest.raises(InputError, match="more than 1 million pixels"):
-            studio.known("a", {option: large})
+            studio.check_extras("a", {option: large})
     theirs = _sent(studio, name="b")
     with pytest.raises(InputError, match="not here"):
-        studio.known("a", {"side": theirs})
+        studio.check_extras("a", {"side": theirs})
 
 
 def test_a_program_names_a_picture_as_often_as_it_likes(studio):
     arrived = str(studio.visitors.store(None, DUCK.read_bytes(), ".png"))
-    once, twice = (studio.known("a", {"depth": arrived}) for _ in range(2))
+    once, twice = (studio.check_extras("a", {"depth": arrived}) for _ in range(2))
     assert once == twice
     with pytest.raises(InputError, match="not here"):
-        studio.known("b", {"depth": arrived})
+        studio.check_extras("b", {"depth": arrived})
 
 
 def test_nothing_told_and_only_defaults_told_are_the_same(studio):
     told = {"side": None, "facing": "left", "near": None, "thickness": None}
-    assert studio.known("a", told) == studio.known("a", None) == NOTHING_MORE
-    assert NOTHING_MORE.generator("relief") is relief
+    assert studio.check_extras("a", told) == studio.check_extras("a", None) == NO_EXTRAS
+    assert NO_EXTRAS.generator("relief") is relief
 
 
 def test_other_views_are_cut_out_once_and_reach_the_generator(studio):
-    known = studio.known("a", {"side": _sent(studio), "facing": "right", "highlights": "remove"})
+    known = studio.check_extras(
+        "a", {"side": _sent(studio), "facing": "right", "highlights": "remove"}
+    )
     (cut,) = known.views.pictures.values()
     assert not cut.exists()
-    known.cut(SOON)
+    known.cut_views(SOON)
     made = cut.stat().st_mtime_ns
-    known.cut(SOON)
+    known.cut_views(SOON)
     assert cut.stat().st_mtime_ns == made
     given = known.generator("relief").keywords
     assert (given["facing"], given["highlights"]) == ("right", "remove")
@@ -105,9 +107,9 @@ def test_other_views_are_cut_out_once_and_reach_the_generator(studio):
 
 def test_extra_picture_is_cut_out_and_is_no_first_picture(studio):
     side = _sent(studio)
-    job = studio.cut("a", side, kind="view")
+    job = studio.cut_out("a", side, kind="view")
     assert job.wait(60)
-    known = studio.known("a", {"side": side})
+    known = studio.check_extras("a", {"side": side})
     assert str(known.views.side) == job.progress.result.path
     visitor = studio.visitors.get("a")
     assert visitor.latest("cut") is None and visitor.latest("view") is job
@@ -115,9 +117,9 @@ def test_extra_picture_is_cut_out_and_is_no_first_picture(studio):
 
 def test_a_view_without_an_object_is_named(studio, tmp_path):
     Image.new("RGB", (64, 64), "red").save(tmp_path / "red.png")
-    known = studio.known("a", {"back": _sent(studio, (tmp_path / "red.png").read_bytes())})
+    known = studio.check_extras("a", {"back": _sent(studio, (tmp_path / "red.png").read_bytes())})
     with pytest.raises(InputError, match="Back: No object was found") as refused:
-        known.cut(SOON)
+        known.cut_views(SOON)
     assert refused.value.field == "back"
 
 
@@ -127,7 +129,7 @@ def test_gaussians_are_remade_only_for_new_inputs(studio):
     scene, duck = Scene.named("press"), Cutout(str(DUCK), str(DUCK))
 
     def file_of(told) -> Path:
-        return made_gaussians(studio.order((visitor, duck, scene), studio.known("a", told)))
+        return made_gaussians(studio.order((visitor, duck, scene), studio.check_extras("a", told)))
 
     told = [None, {"side": side}, {"side": side, "facing": "right"}, {"back": side}]
     told += [{"thickness": 0.6}, {"highlights": "remove"}, {"depth": side}]
@@ -138,4 +140,4 @@ def test_gaussians_are_remade_only_for_new_inputs(studio):
 
 
 def test_known_things_stay_plain_data(studio):
-    assert Known().data() == [s().model_dump() for s in (DepthMap, OtherViews, Reading)]
+    assert ExtraInputs().data() == [s().model_dump() for s in (DepthMap, OtherViews, Reading)]

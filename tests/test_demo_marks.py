@@ -12,7 +12,7 @@ gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
 
 def _asked(answer: Any, value: Any) -> tuple[list[Any], list[Any]]:
     """What two equal requests are answered to a panel and a number, and what the handler got."""
-    from demo.marks import mark_answers
+    from demo.panels import mark_answers
 
     got = []
 

@@ -17,10 +17,10 @@ from demo.report import as_html
 from demo.settings import Settings
 from demo.source import Cutout
 from demo.touch.player import SESSION, Play, Player
-from demo.touch.sessions import limits_of
+from demo.touch.table import limits_of
 from demo.visitors import Visitors
-from demo.work import Order, gaussians_of, made_already, made_gaussians
-from demo.work.others import cropped
+from demo.work import Order, gaussians_of, made_gaussians, stages_done
+from demo.work.others import with_crops
 from phy124.errors import InputError
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
@@ -45,30 +45,30 @@ def _collide(**changes) -> dict:
 
 
 def _order(studio: Studio, data: dict) -> Order:
-    asked = studio.asked("a", Cutout(str(DUCK), str(DUCK)), data)
-    return studio.order(asked, studio.known("a", None))
+    asked = studio.resolve("a", Cutout(str(DUCK), str(DUCK)), data)
+    return studio.order(asked, studio.check_extras("a", None))
 
 
 def test_a_further_object_is_made_of_its_own_picture(studio):
     order = _order(studio, _collide(**{"objects.0.picture": _sent(studio, TEDDY.read_bytes())}))
-    assert made_already(order)["pictures"] == 2 and not made_already(order)["generated"]
-    order.cut(SOON)
+    assert stages_done(order)["pictures"] == 2 and not stages_done(order)["generated"]
+    order.cut_views(SOON)
     (other,) = order.others
     assert (other.index, other.name, other.about["cutout"]["method"]) == (1, "right", "alpha")
     made = gaussians_of(order, made_gaussians(order))
     left, right = made.of_object(0), made.of_object(1)
     assert len(left) and len(right) and len(left) + len(right) == len(made)
     assert right.rgb.mean(axis=0)[0] > left.rgb.mean(axis=0)[0] + 0.1  # a teddy is no duck
-    assert made_already(order)["generated"]
+    assert stages_done(order)["generated"]
     again = gaussians_of(order, made_gaussians(order))
     assert again.object_id is not None and np.array_equal(again.object_id, made.object_id)
-    assert cropped(order.scene, order.others).objects[0].crop[1] > 0
+    assert with_crops(order.scene, order.others).objects[0].crop[1] > 0
 
 
 def test_object_without_picture_is_a_copy(studio):
     studio.visitors.get("a")
     plain = _order(studio, _collide())
-    assert plain.others == () and made_already(plain)["pictures"] == 1
+    assert plain.others == () and stages_done(plain)["pictures"] == 1
     other = _order(studio, _collide(**{"objects.0.picture": _sent(studio, TEDDY.read_bytes())}))
     duck = _order(studio, _collide(**{"objects.0.picture": _sent(studio, DUCK.read_bytes())}))
     same = _order(studio, _collide(**{"objects.0.picture": _sent(studio, DUCK.read_bytes())}))
@@ -125,7 +125,7 @@ def test_a_picture_without_an_object_is_named(studio, tmp_path):
     Image.new("RGB", (64, 64), "red").save(tmp_path / "red.png")
     sent = _sent(studio, (tmp_path / "red.png").read_bytes())
     with pytest.raises(InputError, match="Right: No object was found") as refused:
-        _order(studio, _collide(**{"objects.0.picture": sent})).cut(SOON)
+        _order(studio, _collide(**{"objects.0.picture": sent})).cut_views(SOON)
     assert refused.value.field == "objects.0.picture"
 
 

@@ -2,8 +2,7 @@
 
 import json
 
-from demo.progress import MEASURING, STAGES, Progress
-from demo.work import Glimpse, Live, Measured, Reused, Step
+from demo.progress import MEASURING, STAGES, Glimpse, Live, Measured, Progress, Reused, Step
 
 
 def test_stages_are_listed_from_the_start_and_fill():

@@ -7,7 +7,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import httpx
 import pytest
 
-from demo.proxies import reach_itself
+from demo.server import reach_itself
 
 UNUSABLE = ["socks5://127.0.0.1:9", "ftp://127.0.0.1:9", "http://127.0.0.1:port"]
 

@@ -234,6 +234,18 @@ def test_without_frames_the_preset_says_how_long_it_is(client):
     assert generate(client, **given)[1]["frames"] == Scene.named("press").time.frames
 
 
+def test_endpoints_equal_the_snapshot(client):
+    """Programs call the page by these names and in this order; a change breaks them."""
+    described = client.view_api(print_info=False, return_format="dict")["named_endpoints"]
+    keys = ("parameter_name", "component", "parameter_has_default", "parameter_default")
+    arguments = {
+        name: [[argument[key] for key in keys] for argument in endpoint["parameters"]]
+        for name, endpoint in described.items()
+    }
+    snapshot = Path(__file__).parent / "support" / "page_api.json"
+    assert arguments == json.loads(snapshot.read_text("utf-8"))
+
+
 def test_endpoints_have_typed_arguments(client):
     described = client.view_api(print_info=False, return_format="dict")["named_endpoints"]
     assert set(described) == {"/generate", "/render", "/evaluate", "/measure", "/fit"}

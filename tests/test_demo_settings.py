@@ -7,9 +7,9 @@ import json
 import pytest
 from PIL import Image
 
-from demo.__main__ import asked_for, main
+from demo.__main__ import main, read_options
 from demo.catalogue import FOLDER, catalogue, check_time, scene_of
-from demo.forecast import Estimator, measured, stops_table
+from demo.forecast import Estimator, probe_estimate, stops_table
 from demo.jobs import Studio
 from demo.settings import Settings, table
 from demo.visitors import Visitors
@@ -37,12 +37,12 @@ def test_settings_come_from_the_environment():
 
 
 def test_every_setting_is_an_option_as_well(capsys):
-    assert asked_for(["--max-frames", "30", "--hosts", ""]) == {
+    assert read_options(["--max-frames", "30", "--hosts", ""]) == {
         "PHY124_MAX_FRAMES": "30",
         "PHY124_HOSTS": "",
     }
     with pytest.raises(SystemExit):
-        asked_for(["--help"])
+        read_options(["--help"])
     told = capsys.readouterr().out
     for name, field in Settings.model_fields.items():
         assert f"PHY124_{name.upper()}" in told and (field.description or "").split()[0] in told
@@ -281,7 +281,7 @@ def test_estimate_skips_finished_stages(monkeypatch):
     motion = forecaster.rates.seconds(Work.of(scene))["simulate"]
     assert busy.seconds == pytest.approx(2 * whole + motion)
     assert "while this machine is busy" in busy.sentence
-    assert "makes the motion take 3.0 times as long" in busy.sentence
+    assert "make the motion take 3.0 times as long" in busy.sentence
 
 
 def test_a_run_of_our_own_is_not_taken_for_others(monkeypatch):
@@ -337,7 +337,7 @@ def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):
     scene = Scene.named("drop").replaced(
         {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "view.size": 32}
     )
-    forecast = measured(three_gaussians, scene, "cpu", rest=1.0)
+    forecast = probe_estimate(three_gaussians, scene, "cpu", rest=1.0)
     assert forecast.seconds > 1.0 and forecast.promise.error is None
     assert forecast.substeps > 0 and forecast.particles >= 3
 
@@ -349,7 +349,7 @@ def test_page_shows_each_preset_on_the_stage():
 
 
 def test_two_minuses_end_the_options(capsys):
-    assert asked_for(["--port", "80", "--"]) == {"PHY124_PORT": "80"}
+    assert read_options(["--port", "80", "--"]) == {"PHY124_PORT": "80"}
     with pytest.raises(SystemExit):
-        asked_for(["--", "--port"])
+        read_options(["--", "--port"])
     assert "unrecognized arguments" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from threading import Thread
 
 import pytest
 
-from demo.server import LOOPBACK, ask_this_machine_directly, check_address
+from demo.server import check_address, reach_itself
 from demo.settings import Settings
 from phy124.errors import InputError
 from support.served import ROOT
@@ -46,28 +46,18 @@ def test_an_address_of_this_machine_is_taken(host):
     check_address(Settings(host=host, port=port))
 
 
-def test_loopback_joins_the_addresses_without_a_proxy(monkeypatch):
-    monkeypatch.setenv("NO_PROXY", "example.com,localhost")
-    monkeypatch.setenv("no_proxy", "")
-    monkeypatch.setenv("ALL_PROXY", "http://127.0.0.1:9")
-    ask_this_machine_directly()
-    assert os.environ["NO_PROXY"].split(",") == ["example.com", *LOOPBACK]
-    assert os.environ["no_proxy"].split(",") == [*LOOPBACK]
-    assert os.environ["ALL_PROXY"] == "http://127.0.0.1:9"
-
-
 @pytest.mark.parametrize(
     ("name", "address"),
     [("http_proxy", "http://127.0.0.1:9"), ("ALL_PROXY", "socks5://127.0.0.1:9")],
 )
-def test_this_machine_is_asked_directly_beside_any_proxy(monkeypatch, name, address):
+def test_this_machine_is_asked_directly_despite_proxies(monkeypatch, name, address):
     httpx = pytest.importorskip("httpx", reason="the extra demo is not installed")
     for variable in [each for each in os.environ if each.lower().endswith("_proxy")]:
         monkeypatch.delenv(variable)
     for variable in ("NO_PROXY", "no_proxy"):
         monkeypatch.setenv(variable, "")
     monkeypatch.setenv(name, address)
-    ask_this_machine_directly()
+    reach_itself("127.0.0.1")
     with ThreadingHTTPServer(("127.0.0.1", 0), SimpleHTTPRequestHandler) as page:
         Thread(target=page.handle_request).start()
         assert httpx.head(f"http://127.0.0.1:{page.server_port}/").status_code == 200

@@ -6,8 +6,8 @@ import asyncio
 
 import pytest
 
-from demo import streams
-from demo.streams import ADDRESS, EACH, Streams
+from demo import traffic
+from demo.traffic import STREAMS_ADDRESS, STREAMS_EACH, Streams
 
 PATIENCE = 60.0
 """Time after which a stream that should have ended fails its test [s]."""
@@ -58,7 +58,7 @@ class Page:
 def test_of_too_many_streams_of_a_cookie_the_oldest_ends():
     async def visit():
         page = Page()
-        opened = [await page.visit("a") for _ in range(EACH)]
+        opened = [await page.visit("a") for _ in range(STREAMS_EACH)]
         other = await page.visit("b")
         await page.visit("a")
         await asyncio.wait_for(opened[0], PATIENCE)
@@ -67,7 +67,7 @@ def test_of_too_many_streams_of_a_cookie_the_oldest_ends():
             "body": b"",
             "more_body": False,
         }
-        assert page.open == EACH + 1 and not any(one.done() for one in (*opened[1:], other))
+        assert page.open == STREAMS_EACH + 1 and not any(one.done() for one in (*opened[1:], other))
         assert set(page.statuses) == {200}
 
     asyncio.run(visit())
@@ -75,20 +75,20 @@ def test_of_too_many_streams_of_a_cookie_the_oldest_ends():
 
 def test_an_address_and_all_together_have_only_so_many_streams():
     async def visit():
-        page = Page(most=ADDRESS + 2)
-        for number in range(ADDRESS + 5):
+        page = Page(most=STREAMS_ADDRESS + 2)
+        for number in range(STREAMS_ADDRESS + 5):
             await page.visit("" if number % 2 else chr(97 + number // 8))
-        assert page.statuses == [200] * ADDRESS + [429] * 5
+        assert page.statuses == [200] * STREAMS_ADDRESS + [429] * 5
         for number in range(2, 6):
             await page.visit("", f"10.0.0.{number}")
-        assert page.statuses[-4:] == [200, 200, 429, 429] and page.open == ADDRESS + 2
+        assert page.statuses[-4:] == [200, 200, 429, 429] and page.open == STREAMS_ADDRESS + 2
 
     asyncio.run(visit())
 
 
 @pytest.mark.parametrize("here", [True, False])
 def test_a_stream_lives_on_only_while_its_page_is_here(monkeypatch, here):
-    monkeypatch.setattr(streams, "LIFE", 0.0)
+    monkeypatch.setattr(traffic, "LIFE", 0.0)
 
     async def visit():
         page = Page(here=here)

@@ -10,10 +10,12 @@ import pytest
 from demo.forecast import promise_of
 from demo.jobs import Studio
 from demo.line import Job
+from demo.progress import Measured, Reused, Step
 from demo.settings import Settings
 from demo.studies import GRIDS, Level, Measurement, grids, read_study
 from demo.visitors import Visitors
-from demo.work import DEVICE, Limits, Measured, Reused, Step, steps, study_file
+from demo.work import DEVICE, steps, study_file
+from demo.work.limits import Limits
 from phy124.errors import Cancelled, InputError
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
@@ -93,7 +95,7 @@ def test_a_study_is_stopped_in_the_middle_of_a_grid(study):
 
 def test_a_study_whose_time_is_up_says_so_and_keeps_nothing(study, monkeypatch):
     monkeypatch.setattr(Limits, "spent", property(lambda limits: 0.9))
-    with pytest.raises(InputError, match="before enough grids had been run"):
+    with pytest.raises(InputError, match="before all grids were run"):
         list(steps(study))
     assert not study_file(study).exists()
 
@@ -119,7 +121,7 @@ def visit(tmp_path):
     """A studio, a visitor's cut-out, and a scene of which nothing was measured."""
     studio = Studio(Settings(gaussians=1000, device="cpu"), Visitors(tmp_path))
     studio.visitors.get("a")
-    cut = studio.cut("a", str(studio.visitors.store("a", DUCK.read_bytes(), ".png")))
+    cut = studio.cut_out("a", str(studio.visitors.store("a", DUCK.read_bytes(), ".png")))
     assert cut.wait(60)
     scene = Scene.named("drop").replaced({"material.law": "hencky", "time.frames": 2})
     return studio, cut.progress.result, scene.data()
@@ -169,7 +171,7 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch):
     shown.study.write_text(_found(0.08, 0.06, 0.04).model_dump_json(), "utf-8")
     study.end("done", result=Measured(shown.study))
     event = gr.EventData(None, {"job": study.name})
-    finished = handlers.finisher(studio)(cutout, data, None, shown, event, None)
+    finished = handlers.on_job_end(studio)(cutout, data, None, shown, event, None)
     assert finished[1] == gr.skip(), "the same run is shown"
     assert "Error measured</td><td>about 6.0%" in finished[-5 + handlers.results.REPORT]
     again = studio.run("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}})

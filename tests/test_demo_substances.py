@@ -2,7 +2,7 @@
 
 import pytest
 
-from demo.substances import SUBSTANCES, chips
+from demo.catalogue import SUBSTANCES, chips
 from phy124.scene import Scene
 
 

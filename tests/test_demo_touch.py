@@ -17,14 +17,12 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from demo.catalogue import scene_of
-from demo.guard import Doorkeeper
-from demo.identity import COOKIE
+from demo.guard import COOKIE, Doorkeeper
 from demo.settings import Settings
-from demo.touch import Table, lattice, orders, relay, socket_route
-from demo.touch.lattice import Lattice
+from demo.touch import Table, lattice, relay, socket_route
+from demo.touch.lattice import Lattice, Walls
 from demo.touch.player import BINDING, FRAME, HEAD, Player
-from demo.touch.sessions import FORCES, limits_of, shortened
-from demo.touch.walls import Walls
+from demo.touch.table import FORCES, limits_of, shorten_session
 from phy124.accuracy.ball import ball
 from phy124.errors import InputError
 from phy124.live import Live
@@ -113,12 +111,12 @@ def test_invalid_and_thousands_of_orders_do_no_harm(page):
         assert said(socket) == "ready"
         for bad in ("", "{", "[" * 900, '"grab"', '{"do": "delete"}', '{"do": ["to"]}', "x" * 2000):
             socket.send_text(bad)
-            assert said(socket) == orders.NOT_UNDERSTOOD
+            assert said(socket) == relay.NOT_UNDERSTOOD
         socket.send_bytes(b"\xff\x00")
-        assert said(socket) == orders.NOT_UNDERSTOOD
+        assert said(socket) == relay.NOT_UNDERSTOOD
         for _ in range(1000):
             socket.send_text('{"do": "pause"}')
-        assert said(socket) == orders.TOO_MANY
+        assert said(socket) == relay.TOO_MANY
         for _ in range(20):
             time.sleep(0.01)
             socket.send_text('{"do": "to", "value": 3}')
@@ -140,12 +138,12 @@ def test_nobody_reaches_the_run_of_another(page):
             pass
     with touched(client, table, ME, mine) as socket, touched(client, table, OTHER) as second:
         assert said(socket) == said(second) == "ready"
-        with pytest.raises(InputError, match="as many as this server can hold"):
+        with pytest.raises(InputError, match="cannot run more live runs"):
             table.give("cookie third", None)
         socket.send_text('{"do": "save"}')
         assert said(socket) == "save None"
-        assert table.own(f"cookie {ME}").session == {"forces": []}
-        assert table.own(f"cookie {OTHER}").session is None
+        assert table.ticket_of(f"cookie {ME}").session == {"forces": []}
+        assert table.ticket_of(f"cookie {OTHER}").session is None
         table.give(f"cookie {ME}", None)
         assert said(socket) == relay.REPLACED
         second.send_text('{"do": "to", "value": 3}')
@@ -159,7 +157,7 @@ def test_tickets_that_nobody_uses_take_no_place(monkeypatch):
     mine, other = table.give("me", ORDER), table.give("you", ORDER)
     assert table.take("me", mine.name) is mine
     for try_it in (lambda: table.give("third", ORDER), lambda: table.take("you", other.name)):
-        with pytest.raises(InputError, match="as many as this server can hold"):
+        with pytest.raises(InputError, match="cannot run more live runs"):
             try_it()
     table.over(mine)
     assert table.take("you", other.name) is other
@@ -175,7 +173,7 @@ def test_who_comes_when_all_places_are_taken_is_told(page):
     with touched(client, table, ME, tickets[0]) as socket:
         assert said(socket) == "ready"
         with touched(client, table, OTHER, tickets[1]) as second:
-            assert "as many as this server can hold" in said(second)
+            assert "cannot run more live runs" in said(second)
 
 
 class Spoken:
@@ -187,7 +185,7 @@ class Spoken:
     def tell(self, letter, content):
         self.told.append((letter, content))
 
-    def heard(self):
+    def take_messages(self):
         found, self.orders = self.orders, []
         return found
 
@@ -292,9 +290,14 @@ def player(monkeypatch, tmp_path):
         "demo.touch.player.held_rate",
         lambda gaussians, scene, *_, **__: type("Choice", (), {"scene": scene, "sentence": "so"}),
     )
-    known = type("Known", (), {"cut": lambda self, deadline: None})()
+    extras = type("Extras", (), {"cut_views": lambda self, deadline: None})()
     order = SimpleNamespace(
-        device="cpu", scene=small(), known=known, others=(), cut=known.cut, gaussians=1000
+        device="cpu",
+        scene=small(),
+        extras=extras,
+        others=(),
+        cut_views=extras.cut_views,
+        gaussians=1000,
     )
     line = Spoken()
     return Player(type("Play", (), {"order": order, "most": Settings(max_frames=4)})(), line), line
@@ -341,7 +344,7 @@ def test_a_saved_session_is_a_scene_no_longer_than_a_run_may_be(player):
     session = Scene.from_data(json.loads(dict(line.told)[b"s"]))
     assert session.time.frames == 4 and "the first" in line.told[-1][1].decode()
     assert {force.kind for force in session.forces} == {"gravity", "grab"}
-    assert shortened(session, Settings(max_frames=5)) is session
+    assert shorten_session(session, Settings(max_frames=5)) is session
     line.orders = ['{"do": "reset"}']
     run.frame()
     assert run.live.count == 1
@@ -354,7 +357,7 @@ def test_session_may_be_longer_than_a_run():
     assert limits_of(Settings(max_visitor_mb=1, max_frames=30), 50_000).max_frames == 30
     holds = [{"kind": "grab", "start": k / 24, "end": (k + 1) / 24} for k in range(FORCES + 9)]
     session = small(forces=holds, boundaries=[{"kind": "ground"}], time={"fps": 24, "frames": 80})
-    kept = shortened(session, limits_of(page, 50_000))
+    kept = shorten_session(session, limits_of(page, 50_000))
     assert len(kept.forces) + 1 == FORCES and kept.time.frames == FORCES
     assert scene_of(kept.data(), limits_of(page, 50_000)) == kept
     with pytest.raises(InputError, match="at most 16"):

@@ -19,9 +19,9 @@ pytest.importorskip("gradio", reason="the extra demo is not installed")
 import uvicorn
 from starlette.applications import Starlette
 
-from demo.identity import COOKIE
+from demo.guard import COOKIE
 from demo.settings import Settings
-from demo.touch import Table, orders, relay, socket_route
+from demo.touch import Table, relay, socket_route
 from support import touching
 from support.touch_visitor import Visitor
 
@@ -133,7 +133,7 @@ def test_ten_thousand_messages_do_not_stop_the_run(monkeypatch):
         visitor = Visitor(site.port, f"{COOKIE}={me}", site.ticket(f"cookie {me}"))
         assert visitor.text() == "ready"
         visitor.tell(*10_000 * ['{"do": "pause"}'])
-        assert visitor.text() == orders.TOO_MANY, "one sentence"
+        assert visitor.text() == relay.TOO_MANY, "one sentence"
         # Then so many count again as time goes on.
         for _ in range(20):
             time.sleep(0.01)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from demo import turns
-from demo.turns import EACH, PRESENT, RECEIVED, RECEIVED_EACH, TOGETHER, UPLOADS, Turns
+from demo import traffic
+from demo.traffic import EACH, PRESENT, RECEIVED, RECEIVED_EACH, TOGETHER, UPLOADS, Turns
 
 
 class Page:
@@ -86,7 +86,7 @@ def test_full_queue_and_long_waits_are_refused(monkeypatch):
         page.let_go.clear()
         asked = [page.ask("10.0.0.2") for _ in range(EACH)]
         await _settled()
-        monkeypatch.setattr(turns, "LONGEST", 0.0)
+        monkeypatch.setattr(traffic, "LONGEST", 0.0)
         asked.append(page.ask("10.0.0.2"))
         await asked[-1]
         assert page.refused == [429] * 4

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from demo.arrivals import EACH
 from demo.line import Job
-from demo.room import Room
+from demo.room import EACH, Room
 from demo.visitor import Visitor
 from demo.visitors import UNFINISHED, UNUSED, Visitors, key
 from phy124.errors import InputError
@@ -69,10 +68,10 @@ def test_silence_is_forgiven_for_a_time_of_grace(tmp_path):
     visitor = _with_result(visitors.get("a"))
     visitor.seen -= 890
     visitors.sweep()
-    assert visitors.known("a") is visitor and visitor.silence < 1, "a look is a sign of life"
+    assert visitors.find("a") is visitor and visitor.silence < 1, "a look is a sign of life"
     visitor.seen -= 910
     visitors.sweep()
-    assert visitors.known("a") is None and _folders(tmp_path) == set()
+    assert visitors.find("a") is None and _folders(tmp_path) == set()
 
 
 def test_asking_for_a_job_is_a_sign_of_life(visitors):
@@ -88,7 +87,7 @@ def test_newcomers_do_not_push_out_results_of_an_open_page(tmp_path):
     kept = [_with_result(visitors.get(name)) for name in "ab"]
     for number in range(50):
         visitors.get(f"new {number}").seen -= 10
-    assert [visitors.known(name) for name in "ab"] == kept and len(visitors) == 3
+    assert [visitors.find(name) for name in "ab"] == kept and len(visitors) == 3
 
 
 @pytest.mark.parametrize("address", ["", "10.0.0.2", "10.0.1.{}"])
@@ -102,7 +101,7 @@ def test_newcomers_do_not_push_out_who_has_chosen_a_picture(tmp_path, address):
     for number in range(75):
         visitors.store(f"new {number}", b"1", ".png", address.format(number))
         visitors.get(f"new {number}").seen -= 10
-    assert visitors.known("a") is not None and len(visitors) == 5
+    assert visitors.find("a") is not None and len(visitors) == 5
 
 
 def test_newcomers_of_one_address_push_out_each_other(tmp_path):
@@ -110,7 +109,7 @@ def test_newcomers_of_one_address_push_out_each_other(tmp_path):
     visitors.get("b", "10.0.0.1")
     for number in range(50):
         visitors.get(f"new {number}", "10.0.0.2")
-    assert visitors.known("b") is not None and len(visitors) == 1 + UNUSED
+    assert visitors.find("b") is not None and len(visitors) == 1 + UNUSED
 
 
 def test_one_address_has_only_so_many_visitors(tmp_path):
@@ -154,8 +153,8 @@ def test_uploads_without_a_name_are_few_for_each_address(visitors):
 
 def test_an_upload_is_counted_where_it_is(visitors):
     path = visitors.store(None, bytes(100), ".png")
-    own = visitors.own("a", str(path))
-    assert own.exists() and visitors.own("a", str(path)) == own
+    own = visitors.find_upload("a", str(path))
+    assert own.exists() and visitors.find_upload("a", str(path)) == own
     assert visitors.used == visitors.get("a").used == 100 and visitors.arrivals.size == 0
 
 
@@ -168,7 +167,7 @@ def test_nobody_waits_while_files_are_counted(tmp_path, monkeypatch):
     def size_of(folder):
         looked.append(folder)
         with ThreadPoolExecutor(1) as pool:
-            assert pool.submit(visitors.known, "b").result(9) is not None
+            assert pool.submit(visitors.find, "b").result(9) is not None
         return 10
 
     monkeypatch.setattr("demo.visitor.size_of", size_of)
@@ -208,7 +207,7 @@ def test_what_does_not_fit_is_refused_in_words_and_takes_nothing(tmp_path):
     kept = _export(mine, "0", 700)
     _export(other, "0", 900)
     other.measure()
-    for size, said in ((400, "Your files take all the room here"), (1001, "your files may take")):
+    for size, said in ((400, "Your storage on this server is full"), (1001, "your files may take")):
         with pytest.raises(InputError, match=said), visitors.writing(mine, size, {kept}):
             pytest.fail("it began")
     assert kept.exists()
@@ -242,7 +241,7 @@ def test_what_is_written_at_the_same_time_is_counted_together(tmp_path):
     visitors = Visitors(tmp_path, Room(each=1000, all=2000))
     mine = visitors.get("a")
     with visitors.writing(mine, 600):
-        with pytest.raises(InputError, match="Your files"), visitors.writing(mine, 600):
+        with pytest.raises(InputError, match="Your storage"), visitors.writing(mine, 600):
             pytest.fail("it began")
         with visitors.writing(mine, 300):
             pass
@@ -261,13 +260,13 @@ def test_newcomers_are_refused_in_words_while_everybody_is_there(tmp_path):
         visitors.get("c")
     visitors.get("a").seen -= visitors.room.grace + 1
     visitors.sweep()
-    assert visitors.get("c") and visitors.known("a") is None
+    assert visitors.get("c") and visitors.find("a") is None
 
 
 def test_uploads_count_towards_a_visitor_and_all(tmp_path):
     visitors = Visitors(tmp_path, Room(each=1000, all=2000))
     visitors.store("a", bytes(900), ".png")
-    with pytest.raises(InputError, match="room here"):
+    with pytest.raises(InputError, match="Your storage"):
         visitors.store("a", bytes(900), ".png")
     visitors.store("b", bytes(900), ".png")
     for name in ("c", None):
@@ -279,7 +278,7 @@ def test_uploads_that_nobody_claims_go(visitors, monkeypatch):
     path = visitors.store(None, b"a photograph", ".png")
     visitors.sweep()
     assert path.exists() and visitors.used == 12
-    monkeypatch.setattr("demo.arrivals.ARRIVED", -1.0)
+    monkeypatch.setattr("demo.room.ARRIVED", -1.0)
     visitors.sweep()
     assert not path.exists() and visitors.used == 0
 

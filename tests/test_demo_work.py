@@ -13,20 +13,10 @@ import pytest
 from PIL import Image
 
 from demo.pictures import cut_out
+from demo.progress import Done, Glimpse, Live, Reused, Step
 from demo.visitors import STAGES
-from demo.work import (
-    DEVICE,
-    Done,
-    Glimpse,
-    Limits,
-    Live,
-    Order,
-    Reused,
-    Step,
-    easier,
-    made_already,
-    steps,
-)
+from demo.work import DEVICE, Order, stages_done, steps
+from demo.work.limits import Limits, easier
 from demo.work.motion import Watching
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
@@ -169,7 +159,7 @@ def test_when_the_time_is_up_what_is_finished_is_kept(order, monkeypatch):
     done, _ = _run(views)
     report = json.loads((done.films / "report.json").read_text())
     assert report["frames"] == 1 and not report["complete"]
-    assert "the frames up to here were kept. Choose draft accuracy" in report["stopped"]
+    assert "only the frames computed so far were kept. Choose draft accuracy" in report["stopped"]
     assert "No time was left for back." in report["notes"]
     assert [path.name for path in done.films.glob("*.mp4")] == ["front.mp4"]
 
@@ -237,7 +227,7 @@ def test_composed_film_is_made_once_and_nothing_else(order, monkeypatch):
         cutout.save(order.cutout)
     first, _ = _run(order)
     shown = replace(order, photograph=photograph)
-    assert made_already(order)["composed"] == 0 < made_already(shown)["composed"]
+    assert stages_done(order)["composed"] == 0 < stages_done(shown)["composed"]
     done, events = _run(shown)
     assert (done.clip, _stages(events)) == (first.clip, {"render", "save"})
     assert done.films != first.films

@@ -13,8 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from safetensors import SafetensorError
 
 from bridge.__main__ import main as bridge
-from demo.line import Job, guarded
-from demo.sentences import FAILED, SERVER
+from demo.line import FAILED, SERVER, Job, run_guarded
 from phy124.__main__ import main
 from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip
@@ -134,7 +133,7 @@ def test_a_visitor_of_the_page_gets_a_sentence_without_paths(problem, ending, tm
         raise problem
 
     job = Job("run", tmp_path / "stop")
-    guarded(job, work)
+    run_guarded(job, work)
     assert (job.progress.state, job.progress.message) == ending
 
 

@@ -271,7 +271,7 @@ def test_particles_per_axis_follow_from_the_materials():
 
 
 def test_all_options_are_declared_on_one_base():
-    for module in ("bridge.options", "demo.settings", "demo.strokes", "phy124.simulation"):
+    for module in ("bridge.options", "demo.settings", "demo.pictures", "phy124.simulation"):
         importlib.import_module(module)
     packages = ("phy124", "demo", "bridge")
     own = [m for m in BaseModel.__subclasses__() if m.__module__.partition(".")[0] in packages]

@@ -1,13 +1,12 @@
-"""Fits: a visitor's video goes back to the softness of a finished result.
+"""Fits: finds the softness of a finished result from a visitor's video.
 
-    upload -> video.py (decoded in a process)
-           -> search.py (`phy124.studies.fit`, in a process) -> shown.py
+    upload -> video.py (decoded in a process) -> search.py (`phy124.studies.fit`, in a process)
 
-`jobs.py` is who may: one fit of each visitor, and a total for the server.
+`jobs.py` allows one fit per visitor, and limits their number.
 """
 
-from .asked import Asked, asked_of
 from .jobs import Fits
-from .search import Found, newest
+from .search import FitResult, newest
+from .video import FitOptions, fit_options_of
 
-__all__ = ["Asked", "Fits", "Found", "asked_of", "newest"]
+__all__ = ["FitOptions", "FitResult", "Fits", "fit_options_of", "newest"]

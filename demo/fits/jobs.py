@@ -1,4 +1,4 @@
-"""Who may fit: one of each visitor at a time, and a total for the server; the job itself."""
+"""Jobs of fits to videos: one per visitor at a time, and a limit for the server."""
 
 from __future__ import annotations
 
@@ -14,22 +14,29 @@ from phy124.errors import InputError
 from phy124.runtime.isolated import Deadline
 from phy124.studies.fit.budget import FEWEST, USUAL
 
-from ..events import Step
 from ..forecast import Estimator
 from ..line import Job, Line
-from ..progress import FITTING
+from ..progress import FITTING, Step
 from ..settings import Settings
 from ..visitors import Visitor, Visitors, key
 from ..work import Done
-from .asked import Asked, asked_of
-from .search import Found, Search, declared, outlook, progress, scene_of_result, searched, softness
-from .video import check_video, opened
+from .search import (
+    FitResult,
+    Search,
+    declare_fit,
+    outlook,
+    progress,
+    scene_of_result,
+    search_softness,
+    softness,
+)
+from .video import FitOptions, check_video, fit_options_of, read_video
 
 Submit = Callable[[Visitor, Job, Line, Callable[[Job], None]], Job]
 STARTING = 6.0
-"""Time to read a video and to start a search [s]."""
+"""Time to read a video and to start the search [s]."""
 ROOM = 1.5
-"""The budget that is proposed, in times of what a search usually takes."""
+"""Suggested budget, relative to the usual duration of a search."""
 NO_RESULT = "There is no result yet that could be fitted."
 
 
@@ -37,17 +44,20 @@ class Fits:
     """All fits of a server."""
 
     def __init__(
-        self, visitors: Visitors, settings: Settings, forecaster: Estimator, submit: Submit,
-        search: Search = searched,
-    ) -> None:  # fmt: skip
+        self,
+        visitors: Visitors,
+        settings: Settings,
+        forecaster: Estimator,
+        submit: Submit,
+        search: Search = search_softness,
+    ) -> None:
         self.visitors, self.settings, self.forecaster = visitors, settings, forecaster
         self.search = search
-        """The function that searches; it may be a quicker one in tests."""
         self._submit = submit
         self.line = Line("fit", workers=settings.max_fits, most=settings.max_queue)
 
     def offer(self, done: Done | None) -> dict[str, Any]:
-        """What a fit of a result would take: a sentence, and the ends of its budget [s].
+        """Forecast a fit of a result: a sentence, and the range of its budget [s].
 
         Raises:
             InputError: It cannot be fitted here.
@@ -55,84 +65,84 @@ class Fits:
         if done is None or not (done.clip / "report.json").exists():
             raise InputError("run", "none", NO_RESULT, "Generate one first.")
         if find_spec("cma") is None:
-            limit = "This server has no search for a softness (the package cma)."
-            raise InputError("fit", "none", limit, "Ask who runs it.")
+            limit = "This server cannot search for a softness: the package cma is not installed."
+            raise InputError("fit", "none", limit, "Ask its operator to install it.")
         scene = scene_of_result(done)
         softness(scene)
         expected, load = outlook(scene, self.forecaster.rates), self.forecaster.load().thread
-        least, usual = (STARTING + load * expected.wall(one) for one in (FEWEST, USUAL))
+        least, usual = (STARTING + load * expected.wall(runs) for runs in (FEWEST, USUAL))
         most = self.settings.max_fit_seconds
         if least > most:
-            limit = f"A fit of this scene takes {least:.0f} s at least, and {most:g} s are allowed."
+            limit = f"A fit of this scene takes at least {least:.0f} s; {most:g} s are allowed."
             raise InputError("seconds", "over", limit, "Choose fewer frames.")
         span = format_span(self.forecaster.load().span(usual, unsure=GUESS))
         budget = {"least": round(least), "most": most, "value": round(min(ROOM * usual, most))}
         return {"sentence": f"A fit takes {span}.", "seconds": usual, "budget": budget}
 
-    def begin(self, name: str, done: Done | None, video: Any, given: dict[str, Any]) -> Job:
-        """Start to fit a result of a visitor to a video.
+    def begin(self, name: str, done: Done | None, video: Any, options: dict[str, Any]) -> Job:
+        """Start to fit a visitor's result to a video.
 
         Args:
             name: The visitor's name.
             done: The result.
-            video: The path of the upload, as the request gives it.
-            given: What is said of it, as `Asked` declares.
+            video: The path of the upload in the request.
+            options: Values of `FitOptions`.
 
         Raises:
-            InputError: Something in the request cannot be used, or a fit of theirs is going on.
+            InputError: Something in the request cannot be used, or the visitor has another fit.
         """
-        asked, expected = asked_of(given, self.settings), self.offer(done)["seconds"]
+        asked, expected = fit_options_of(options, self.settings), self.offer(done)["seconds"]
         visitor = self.visitors.get(name)
         if done is None or done.clip.parents[1] != visitor.folder:
             raise InputError("run", "none", NO_RESULT, "Generate one first.")
         upload = self._upload(name, video)
         check_video(upload, self.settings)
         if any(job.kind == "fit" and not job.over for job in list(visitor.jobs.values())):
-            limit = "Another fit of yours is still going on."
+            limit = "Another fit of yours is still running."
             raise InputError("fit", "yours", limit, "Let it end or cancel it.")
         job = Job("fit", visitor.new_stop_file(), expected, str(done.clip), FITTING)
         work = partial(self._run, visitor, done, upload, asked)
         return self._submit(visitor, job, self.line, work)
 
     def _upload(self, name: str, video: Any) -> Path:
-        """The visitor's own upload that a request names; raises InputError."""
+        """Return the visitor's upload that a request names; raises InputError."""
         if not video:
             raise InputError("video", "none", "There is no video yet.", "Choose one first.")
         try:
-            return self.visitors.own(name, video)
+            return self.visitors.find_upload(name, video)
         except InputError as error:
             limit = "This video is not here."
             raise InputError("video", error.value, limit, error.remedy) from None
 
-    def _run(self, visitor: Visitor, done: Done, upload: Path, asked: Asked, job: Job) -> None:
+    def _run(self, visitor: Visitor, done: Done, upload: Path, asked: FitOptions, job: Job) -> None:
         scene = scene_of_result(done)
         out = _folder(visitor, done, upload, asked)
         length = (scene.time.frames - 1) / scene.time.fps
         job.tell(Step("read", 0, 1))
         reading = Deadline(self.settings.max_cut_seconds, job.check)
-        seen = opened(upload, out / "video", length, asked.speed, reading)
+        seen = read_video(upload, out / "video", length, asked.speed, reading)
         left_out = f", {seen.whole - seen.count} come later" if seen.whole > seen.count else ""
         job.tell(Step("read", 1, 1, f"{seen.count} pictures{left_out}"))
-        found = out / "found"
-        watching = Deadline(asked.seconds, lambda: _watch(job, found))
-        self.search(declared(done, scene, seen, asked), found, watching)
+        folder = out / "found"
+        watching = Deadline(asked.seconds, lambda: _watch(job, folder))
+        self.search(declare_fit(done, scene, seen, asked), folder, watching)
         visitor.trim(self.visitors.room)
-        job.end("done", result=Found(found))
+        job.end("done", result=FitResult(folder))
 
 
 def _watch(job: Job, out: Path) -> None:
-    """Tell how far a search has come; raises Cancelled if it is to stop."""
+    """Report the progress of a search; raises Cancelled if the job was asked to stop."""
     job.check()
-    told = progress(out)
-    if told is None:
+    state = progress(out)
+    if state is None:
         return
-    made, runs, seconds = told
+    made, runs, seconds = state
     job.progress.expected = STARTING + seconds
-    # How many there will be is known only at the end.
+    # The number of runs is only an estimate.
     job.tell(Step("fit", min(made, runs - 1), runs, f"{made} runs, about {runs} expected"))
 
 
-def _folder(visitor: Visitor, done: Done, upload: Path, asked: Asked) -> Path:
-    """Where a fit lies: the same for the same video, so that it goes on where it was stopped."""
-    told = asked.model_dump(exclude={"seconds"})
-    return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), told)}"
+def _folder(visitor: Visitor, done: Done, upload: Path, asked: FitOptions) -> Path:
+    """Return the folder of a fit, the same for the same video, so that a stopped fit continues."""
+    options = asked.model_dump(exclude={"seconds"})
+    return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), options)}"

@@ -1,4 +1,4 @@
-"""The search for the softness, in a process of its own: it is killed when it is cancelled."""
+"""The search for the softness, in a separate process, which is killed when it is cancelled."""
 
 from __future__ import annotations
 
@@ -23,43 +23,42 @@ from phy124.studies.fit.runs import FOLDER
 
 from ..studies import on_grid
 from ..work import Done
-from .asked import Asked
-from .video import Seen
+from .video import FitOptions, Seen
 
 GRIDS = (16, 24)
-"""Cells across the object: searched on the first, refined on the second."""
+"""Cells across the object for the search, and for its refinement."""
 GAUSSIANS = 4000
-"""What outlines are drawn of."""
+"""Number of Gaussians in the outlines."""
 NAME = "material.E"
 TIMES = 10.0
-"""How many times softer or stiffer than the result what was filmed may be."""
+"""Largest factor between the softness of the result and of the filmed object."""
 SOFTEST, STIFFEST = 1e3, 1e10
-"""Ends of the page's slider [Pa]."""
+"""Range of the page's slider [Pa]."""
 PLAN, REPORT = "plan.json", "fit.json"
 LATE, SLACK = 2.0, 120.0
-"""A search is given up after so many times its budget and so many seconds more."""
+"""A search is stopped after LATE times its budget plus SLACK seconds."""
 Search = Callable[[Fit, Path, Deadline], dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class Found:
+class FitResult:
     """A finished fit."""
 
     folder: Path
 
     @property
     def report(self) -> dict[str, Any]:
-        """What `phy124 fit` says of itself."""
+        """The report of `phy124 fit`."""
         return json.loads((self.folder / REPORT).read_text("utf-8"))
 
     @property
     def material(self) -> dict[str, Any]:
-        """The material with the softness that was found, as plain data."""
+        """The material with the fitted softness, as plain data."""
         return Scene.from_toml(self.folder / "fitted.toml").data()["material"]
 
     @property
     def files(self) -> list[Path]:
-        """What can be taken away."""
+        """The files to take away."""
         return sorted(path for path in self.folder.iterdir() if path.name != PLAN)
 
 
@@ -69,55 +68,62 @@ def softness(scene: Scene) -> float:
     Raises:
         InputError: It has none.
     """
-    found = getattr(scene.material, "E", None)
-    if found is None:
-        limit = f"The material {scene.material.law} has no softness that could be found."
-        raise InputError("material", scene.material.law, limit, "Choose an elastic one.")
-    return float(found)
+    stiffness = getattr(scene.material, "E", None)
+    if stiffness is None:
+        limit = f"The material {scene.material.law} has no softness to fit."
+        raise InputError("material", scene.material.law, limit, "Choose an elastic material.")
+    return float(stiffness)
 
 
 def outlook(scene: Scene, rates: Rates) -> Outlook:
-    """What a fit will take with the usual costs of this machine; nothing is run."""
+    """Estimate the cost of a fit from this machine's rates."""
     works = [Work.of(on_grid(scene, cells), GAUSSIANS) for cells in GRIDS]
     costs = [rates.seconds(work) for work in works]
     each = tuple(cost["simulate"] + cost["deform"] for cost in costs)
     return Outlook(GRIDS, each, values=1, workers=1)
 
 
-def declared(done: Done, scene: Scene, seen: Seen, asked: Asked) -> Fit:
-    """The fit of a result's softness to a video.
+def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
+    """Declare the fit of a result's softness to a video.
 
     Args:
         done: The result.
         scene: Its scene.
         seen: The video.
-        asked: What is said of it.
+        asked: Options of the fit.
 
     Raises:
         InputError: Its material has no softness.
     """
     stiffness = softness(scene)
     low, high = max(stiffness / TIMES, SOFTEST), min(stiffness * TIMES, STIFFEST)
-    return Fit.from_data({
-        "target": str(seen.folder),
-        "object": str(done.clip / "clip.safetensors"),
-        "find": {NAME: {"log_uniform": (low, high)}},
-        # The rate is that of what was filmed, at its own speed; the run may have had other sides.
-        "set": {"view.speed": 1.0, "view.views": [asked.side]},
-        "fps": seen.fps, "side": asked.side, "align": True, "gaussians": GAUSSIANS,
-        "grids": GRIDS, "seconds": asked.seconds, "seed": scene.seed,
-    })  # fmt: skip
+    return Fit.from_data(
+        {
+            "target": str(seen.folder),
+            "object": str(done.clip / "clip.safetensors"),
+            "find": {NAME: {"log_uniform": (low, high)}},
+            # `fps` is relative to filmed time; the run may have had other sides.
+            "set": {"view.speed": 1.0, "view.views": [asked.side]},
+            "fps": seen.fps,
+            "side": asked.side,
+            "align": True,
+            "gaussians": GAUSSIANS,
+            "grids": GRIDS,
+            "seconds": asked.seconds,
+            "seed": scene.seed,
+        }
+    )
 
 
-def searched(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any]:
-    """Fit in a process of its own; runs that were made stay, and the same call goes on from them.
+def search_softness(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any]:
+    """Fit in a separate process; finished runs are kept, and the same call continues from them.
 
     Raises:
-        InputError: It cannot be told, or takes longer than it may; in the page's words.
+        InputError: The softness cannot be determined, or the time is up.
     """
     longest = Deadline(LATE * wanted.seconds + SLACK, deadline.beat)
     try:
-        return isolated.run(_searched, wanted, out, deadline=longest)
+        return isolated.run(_search, wanted, out, deadline=longest)
     except Unfinished as error:
         limit = f"The search {str(error).partition(' (')[0]}."
         raise InputError("fit", "over", limit, "Try it once more.") from None
@@ -125,32 +131,29 @@ def searched(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any]:
         raise in_words(error) from None
 
 
-def _searched(wanted: Fit, out: Path) -> dict[str, Any]:
-    """What `searched` does, in this process."""
+def _search(wanted: Fit, out: Path) -> dict[str, Any]:
+    """Fit in this process."""
     out.mkdir(parents=True, exist_ok=True)
 
     def plan(expected: Outlook) -> None:
         with replacing(out / PLAN) as temporary:
             temporary.write_text(json.dumps(expected.data()), "utf-8")
 
-    found = fit(wanted, out, on_forecast=plan).report
-    # A visitor need not know where files of this server are.
-    found |= {"target": "video", "declared": {**found["declared"], **_named(wanted)}}
+    report = fit(wanted, out, on_forecast=plan).report
+    # Paths on the server are hidden from the visitor.
+    names = {"target": "video", "object": Path(wanted.object or "").name}
+    report |= {"target": "video", "declared": {**report["declared"], **names}}
     with replacing(out / REPORT) as temporary:
-        temporary.write_text(json.dumps(found, indent=2) + "\n", "utf-8")
+        temporary.write_text(json.dumps(report, indent=2) + "\n", "utf-8")
     shutil.rmtree(out / FOLDER, ignore_errors=True)
-    return found
-
-
-def _named(wanted: Fit) -> dict[str, str]:
-    return {"target": "video", "object": Path(wanted.object or "").name}
+    return report
 
 
 def in_words(error: InputError) -> InputError:
-    """A refusal of `phy124 fit` for somebody who has no command line."""
+    """Rephrase a refusal of `phy124 fit` for visitors of the page."""
     if isinstance(error, Undecided):
-        limit = f"The softness cannot be told apart from this video, because {error.limit}"
-        return InputError("video", "unclear", limit, f"What would tell it: {error.tell}.")
+        limit = f"The softness cannot be determined from this video, because {error.limit}"
+        return InputError("video", "unclear", limit, f"This would determine it: {error.tell}.")
     remedies = {
         "seconds": "Give it more time.",
         "find": "Begin with a result that moves more like the video.",
@@ -160,7 +163,7 @@ def in_words(error: InputError) -> InputError:
 
 
 def progress(out: Path) -> tuple[int, int, float] | None:
-    """Runs made, runs expected, and seconds expected of a search; None before it has begun."""
+    """Runs made, runs expected, and seconds expected of a search; None before it starts."""
     try:
         plan = json.loads((out / PLAN).read_text("utf-8"))
     except FileNotFoundError:
@@ -169,22 +172,22 @@ def progress(out: Path) -> tuple[int, int, float] | None:
     return made, sum(plan["runs"]), float(plan["seconds"])
 
 
-def newest(done: Done) -> Found | None:
-    """The newest fit of a result, if there is one."""
+def newest(done: Done) -> FitResult | None:
+    """Return the newest fit of a result, if any."""
     finished = (done.clip.parents[1] / "fits").glob(f"{done.clip.name}-*/found/{REPORT}")
     latest = max(finished, key=lambda path: path.stat().st_mtime, default=None)
-    return Found(latest.parent) if latest else None
+    return FitResult(latest.parent) if latest else None
 
 
 def scene_of_result(done: Done) -> Scene:
-    """The scene of a result.
+    """Return the scene of a result.
 
     Raises:
-        InputError: Its motion depends on a picture, of which a clip does not say where it lies.
+        InputError: Its motion depends on a picture, whose path is not stored in the clip.
     """
     scene = Scene.from_data(read_scene(done.clip / "clip.safetensors"))
     for field, _ in files_named(scene):
         if not field.startswith("view."):
-            limit = f"The scene has a picture ({field}), and such a one is not fitted here."
-            raise InputError(field, "a file", limit, "Leave it out and generate it again.")
+            limit = f"The scene has a picture ({field}), and such scenes cannot be fitted here."
+            raise InputError(field, "a file", limit, "Leave the picture out, and generate again.")
     return scene

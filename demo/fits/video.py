@@ -1,4 +1,4 @@
-"""Videos of visitors: checked, then decoded in a process with limits, kept as small pictures."""
+"""Visitors' videos: options, checks, and decoding to small pictures in a process with limits."""
 
 from __future__ import annotations
 
@@ -7,40 +7,45 @@ import resource
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 from PIL import Image
+from pydantic import Field, ValidationError
 
 from phy124.errors import InputError
 from phy124.io.files import staging
 from phy124.runtime import isolated
 from phy124.runtime.isolated import Deadline, Unfinished
+from phy124.schema.refusals import explain, shorten
+from phy124.schema.section import Section
 from phy124.studies.fit.video import is_film, read_film
 
 from ..settings import Settings
 
 MEMORY = 3 << 30
-"""Memory that the process and its decoder may take each [bytes]."""
+"""Memory limit of the process, and of its decoder [bytes]."""
 SHORTER = "Send a shorter or smaller one."
+Side = Literal["front", "right", "back", "left"]
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A video as it is fitted to."""
+    """A decoded video."""
 
     folder: Path
-    """Its pictures, as far as the scene goes."""
+    """Folder of its pictures during the scene."""
     fps: float | None
-    """Pictures per second of what was filmed; None if the file does not say."""
+    """Pictures per second of filmed time; None if unknown."""
     count: int
     whole: int
-    """Number of pictures of the whole video."""
+    """Number of pictures in the whole video."""
 
 
 def check_video(path: Path, settings: Settings) -> None:
-    """Check the size of a video, and that it begins as one does.
+    """Check the size of a video, and its header.
 
     Raises:
-        InputError: It is too large, or something else.
+        InputError: It is too large, or no video.
     """
     if path.stat().st_size > settings.max_video_mb * 1e6:
         limit = f"The video is larger than the {settings.max_video_mb:g} MB that this page takes."
@@ -50,23 +55,30 @@ def check_video(path: Path, settings: Settings) -> None:
         raise InputError("video", path.name, limit, "Send a video.")
 
 
-def opened(path: Path, out: Path, seconds: float, speed: float, deadline: Deadline) -> Seen:
-    """Decode a video in a process of its own.
+def read_video(path: Path, out: Path, seconds: float, speed: float, deadline: Deadline) -> Seen:
+    """Decode a video in a separate process.
 
     Args:
         path: The video.
         out: The folder to fill with its pictures.
-        seconds: How long the scene is [s]; what comes later is left out.
-        speed: How fast the video plays; 1 is real time.
+        seconds: Duration of the scene [s]; later pictures are left out.
+        speed: Playback speed; 1 is real time.
         deadline: When to give up.
 
     Raises:
-        InputError: It cannot be read, or shows too little.
+        InputError: It cannot be read, or has fewer than two pictures.
     """
     shutil.rmtree(out, ignore_errors=True)
     try:
         return isolated.run(
-            _opened, path, out, seconds, speed, deadline.seconds, deadline=deadline, memory=MEMORY
+            _read_video,
+            path,
+            out,
+            seconds,
+            speed,
+            deadline.seconds,
+            deadline=deadline,
+            memory=MEMORY,
         )
     except Unfinished as error:
         limit = f"Reading the video {str(error).partition(' (')[0]}."
@@ -75,18 +87,17 @@ def opened(path: Path, out: Path, seconds: float, speed: float, deadline: Deadli
     raise InputError("video", path.name, limit, SHORTER)
 
 
-def _opened(path: Path, out: Path, seconds: float, speed: float, processor: float) -> Seen:
-    """What `opened` does, in this process, whose time it limits for good.
+def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: float) -> Seen:
+    """Decode a video in this process, and limit the process's CPU time permanently.
 
-    The decoder inherits the limits of memory and time: it ends even if this process is killed
-    before it.
+    The decoder inherits the limits of memory and time, so it ends even if this process is killed.
     """
     most = math.ceil(processor) + 1
     resource.setrlimit(resource.RLIMIT_CPU, (most, most))
     film = read_film(path)
     fps = film.fps and film.fps / speed
     whole = len(film.pictures)
-    # One picture at the very end of the scene may be late by a rounding error.
+    # The last picture may be late by a rounding error.
     count = whole if fps is None else min(whole, math.floor(seconds * fps + 1e-3) + 1)
     if count < 2:
         limit = f"The scene lasts {seconds:.2f} s, in which the video shows {count} picture."
@@ -95,3 +106,37 @@ def _opened(path: Path, out: Path, seconds: float, speed: float, processor: floa
         for number in range(count):
             Image.fromarray(film.pictures[number]).save(folder / f"{number:05d}.png")
     return Seen(out, fps, count, whole)
+
+
+class FitOptions(Section):
+    """Options of a fit to a video."""
+
+    seconds: float = Field(
+        default=180.0, ge=5, le=36_000, description="Longest duration of the search [s]."
+    )
+    side: Side = Field(default="front", description="The side that the video was filmed from.")
+    speed: float = Field(
+        default=1.0,
+        ge=0.01,
+        le=10,
+        description="Playback speed of the video: 1 is real time, 0.25 is slow motion.",
+    )
+
+
+def fit_options_of(data: Any, settings: Settings) -> FitOptions:
+    """Validate the options in a request.
+
+    Raises:
+        InputError: A value cannot be used; the message names it.
+    """
+    most = settings.max_fit_seconds
+    values = {"seconds": min(FitOptions.model_fields["seconds"].default, most)}
+    values |= {name: data[name] for name in FitOptions.model_fields if data.get(name) is not None}
+    # The server's limit comes before the declared one.
+    if isinstance(values["seconds"], int | float) and values["seconds"] > most:
+        limit = f"One fit may take {most:g} s here."
+        raise InputError("seconds", shorten(values["seconds"]), limit, "Give it less time.")
+    try:
+        return FitOptions.model_validate(values)
+    except ValidationError as error:
+        raise explain(error, "fit", FitOptions) from None

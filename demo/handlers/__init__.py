@@ -1,36 +1,38 @@
-"""The event handlers of the page, between Gradio and the jobs.
-
-Handlers know the session and Gradio's types; the work itself is in demo.jobs.
-"""
+"""The event handlers of the page, which connect Gradio's events to the jobs (demo.jobs)."""
 
 from .event import Handler
-from .fit import fit_offerer, fit_shower, fit_starter, fit_stopper
-from .known import object_chooser, view_chooser, view_shower
-from .picture import chooser, corrector, cut_shower
-from .results import finisher, greeter, preparer
-from .run import forecaster, measurer, refiner, starter, stopper
-from .touch import saver, toucher
+from .fit import on_fit_begin, on_fit_end, on_fit_stop, on_result_shown
+from .picture import (
+    on_choose,
+    on_choose_object,
+    on_choose_view,
+    on_correct,
+    on_cut_end,
+    on_view_cut,
+)
+from .results import on_job_end, on_load, on_prepare
+from .run import on_cancel, on_generate, on_measure, on_refine, on_save, on_scene_changed, on_touch
 
 __all__ = [
     "Handler",
-    "chooser",
-    "corrector",
-    "cut_shower",
-    "finisher",
-    "fit_offerer",
-    "fit_shower",
-    "fit_starter",
-    "fit_stopper",
-    "forecaster",
-    "greeter",
-    "measurer",
-    "object_chooser",
-    "preparer",
-    "refiner",
-    "saver",
-    "starter",
-    "stopper",
-    "toucher",
-    "view_chooser",
-    "view_shower",
+    "on_cancel",
+    "on_choose",
+    "on_choose_object",
+    "on_choose_view",
+    "on_correct",
+    "on_cut_end",
+    "on_fit_begin",
+    "on_fit_end",
+    "on_fit_stop",
+    "on_generate",
+    "on_job_end",
+    "on_load",
+    "on_measure",
+    "on_prepare",
+    "on_refine",
+    "on_result_shown",
+    "on_save",
+    "on_scene_changed",
+    "on_touch",
+    "on_view_cut",
 ]

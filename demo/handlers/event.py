@@ -1,4 +1,4 @@
-"""What an event carries: its data, the job it names, and a file as Gradio's components take it."""
+"""Reads the data of Gradio's events, and makes links to files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import gradio as gr
 from gradio import FileData
 
-from ..identity import visitor_of
+from ..guard import visitor_of
 from ..jobs import Studio
 from ..line import Job
 
@@ -17,26 +17,26 @@ Handler = Callable[..., Any]
 
 
 def data_of(event: gr.EventData) -> dict[str, Any]:
-    """What our own panel sent with an event; empty if it is of another form."""
+    """Return the data that a panel sent with an event; empty if malformed."""
     return event._data if isinstance(event._data, dict) else {}
 
 
 def job_of(studio: Studio, request: gr.Request, event: gr.EventData) -> Job | None:
-    """The visitor's own job that an event names."""
-    visitor = studio.visitors.known(visitor_of(request))
+    """Return the visitor's job that an event names."""
+    visitor = studio.visitors.find(visitor_of(request))
     return visitor.jobs.get(str(data_of(event).get("job"))) if visitor else None
 
 
 def table_of(value: Any) -> dict[str, Any]:
-    """What a panel shows, as a request says; empty if it is of another form."""
+    """Return a panel's value in a request; empty if malformed."""
     return value if isinstance(value, dict) else {}
 
 
 def path_of(file: Any) -> Any:
-    """Where a file lies; None if it is none."""
+    """Return the path of a file's data; None if it is no file."""
     return file.get("path") if isinstance(file, dict) else None
 
 
 def file_of(path: Path) -> dict[str, Any]:
-    """A link to a file for the page; the name of its folder cannot be guessed."""
+    """Make a link to a file for the page; the name of its folder cannot be guessed."""
     return FileData(path=str(path), orig_name=path.name, size=path.stat().st_size).model_dump()

@@ -1,4 +1,4 @@
-"""Events of a fit to a video: what it would take, its start, its stop and its end."""
+"""Events of a fit to a video: its offer, start, stop and end."""
 
 from __future__ import annotations
 
@@ -9,51 +9,50 @@ import gradio as gr
 from phy124.errors import InputError
 from phy124.studies.fit.page import figure
 
-from ..fits import Asked, Found, newest
+from ..fits import FitOptions, FitResult, newest
 from ..fits.search import NAME
-from ..identity import visitor_of
+from ..guard import visitor_of
 from ..jobs import Studio
-from ..line import Job
-from ..sentences import sentence
+from ..line import Job, user_message
 from ..visitors import Visitor
 from ..work import Done
 from .event import Handler, data_of, file_of, job_of, table_of
 from .results import takeaway_of
 
 DIGITS = 3
-"""Significant digits of a softness that is shown."""
+"""Significant digits of a softness."""
 
 
-def fit_offerer(studio: Studio) -> Handler:
-    """Handler: another result is shown; tells what a fit of it takes, or what one has found."""
+def on_result_shown(studio: Studio) -> Handler:
+    """Handle a new result on the page: offer a fit of it, or show its newest fit."""
 
     def offer(done: Done | None, request: gr.Request) -> dict[str, Any]:
-        return _panel(studio, done, studio.visitors.known(visitor_of(request)))
+        return _panel(studio, done, studio.visitors.find(visitor_of(request)))
 
     return offer
 
 
-def fit_starter(studio: Studio) -> Handler:
-    """Handler: a video was sent to be fitted; starts the fit that the panel follows, or refuses."""
+def on_fit_begin(studio: Studio) -> Handler:
+    """Handle "begin" of the fit panel: start a fit to an uploaded video, or refuse."""
 
     def start(
         done: Done | None, shown: Any, event: gr.EventData, request: gr.Request
     ) -> dict[str, Any]:
-        told = data_of(event)
+        data = data_of(event)
         try:
-            job = studio.fits.begin(visitor_of(request), done, told.get("upload"), told)
+            job = studio.fits.begin(visitor_of(request), done, data.get("upload"), data)
         except InputError as error:
-            return {**table_of(shown), "job": None, "message": sentence(error)}
+            return {**table_of(shown), "job": None, "message": user_message(error)}
         return {**table_of(shown), "job": job.name, "message": "", "found": None}
 
     return start
 
 
-def fit_stopper(studio: Studio) -> Handler:
-    """Handler: Cancel was pressed; stops this visitor's fit and nothing else."""
+def on_fit_stop(studio: Studio) -> Handler:
+    """Handle "stop" of the fit panel: cancel this visitor's fit only."""
 
     def stop(request: gr.Request) -> None:
-        visitor = studio.visitors.known(visitor_of(request))
+        visitor = studio.visitors.find(visitor_of(request))
         job = visitor and visitor.latest("fit")
         if job:
             job.cancel()
@@ -61,11 +60,11 @@ def fit_stopper(studio: Studio) -> Handler:
     return stop
 
 
-def fit_shower(studio: Studio) -> Handler:
-    """Handler: a fit has ended; shows what it found or why it did not, and offers its files."""
+def on_fit_end(studio: Studio) -> Handler:
+    """Handle "ended" of the fit panel: show the result or why it failed, and offer its files."""
 
     def show(done: Done | None, event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
-        visitor, job = studio.visitors.known(visitor_of(request)), job_of(studio, request, event)
+        visitor, job = studio.visitors.find(visitor_of(request)), job_of(studio, request, event)
         if job is None or not job.over or done is None:
             return gr.skip(), gr.skip()
         panel = _panel(studio, done, visitor)
@@ -77,65 +76,64 @@ def fit_shower(studio: Studio) -> Handler:
 
 
 def _panel(studio: Studio, done: Done | None, visitor: Visitor | None) -> dict[str, Any]:
-    """Everything that the panel shows of a result."""
+    """Return the panel's value for a result."""
     try:
         offer = studio.fits.offer(done)
     except InputError as error:
-        return {"refusal": sentence(error)}
+        return {"refusal": user_message(error)}
     assert done is not None
-    found, job = newest(done), visitor.latest("fit") if visitor else None
+    result, job = newest(done), visitor.latest("fit") if visitor else None
     return {
         "offer": offer,
-        "fields": Asked.model_json_schema()["properties"],
+        "fields": FitOptions.model_json_schema()["properties"],
         "largest": studio.settings.max_video_mb,
         "job": job.name if job and _is_of(job, done) else None,
-        "found": found and _shown(found),
+        "found": result and _show_result(result),
     }
 
 
 def _is_of(job: Job, done: Done) -> bool:
-    """Whether a fit is going on, and is of this result."""
+    """Whether a job is an unfinished fit of this result."""
     return not job.over and job.subject == str(done.clip)
 
 
-def _shown(found: Found) -> dict[str, Any]:
-    """A finished fit: its sentences, its figure, and the material that the next run may have."""
-    report = found.report
+def _show_result(result: FitResult) -> dict[str, Any]:
+    """Return a finished fit: sentences, figure, film, and the fitted material."""
+    report = result.report
     return {
-        "sentences": said(report),
+        "sentences": summarise(report),
         "figure": figure(report, ""),
-        "film": file_of(found.folder / "comparison.mp4"),
-        "material": found.material,
+        "film": file_of(result.folder / "comparison.mp4"),
+        "material": result.material,
     }
 
 
-def said(report: dict[str, Any]) -> list[str]:
-    """What was found, in sentences."""
+def summarise(report: dict[str, Any]) -> list[str]:
+    """Summarise the report of a fit in sentences."""
     value, shown = report["found"][NAME], report["pictures"]
-    low, high = (_spoken(end) for end in value["interval"])
-    was = _spoken(float(shown["was"][NAME]))
-    lines = [f"Softness: {_spoken(value['value'])} Pa ({low} to {high} Pa, 95 %); it was {was} Pa."]
-    least, most = (_spoken(end) for end in value["limit"]["interval"])
+    low, high = (_format(end) for end in value["interval"])
+    was = _format(float(shown["was"][NAME]))
+    lines = [f"Softness: {_format(value['value'])} Pa ({low} to {high} Pa, 95 %); it was {was} Pa."]
+    least, most = (_format(end) for end in value["limit"]["interval"])
     lines.append(
         f"That is for the accuracy of this result. The material itself, without the error of the "
-        f"grid: {_spoken(value['limit']['value'])} Pa ({least} to {most} Pa)."
+        f"grid: {_format(value['limit']['value'])} Pa ({least} to {most} Pa)."
     )
     if shown["before"] and shown["fitted"]:
-        before, after = (_mean(shown[name]) for name in ("before", "fitted"))
+        before, after = (_rms(shown[name]) for name in ("before", "fitted"))
         lines.append(f"The outlines differ by {after:.2%} of a pixel; before by {before:.2%}.")
-    laid = shown["laid"]
-    if laid:
+    if laid := shown["laid"]:
         lines.append(
-            f"The video's first picture was laid on the object, {laid['scale']:.2f} times as "
-            f"large; {laid['shared']:.0%} of both outlines are the same."
+            f"The video's first picture was aligned with the object, scaled {laid['scale']:.2f} "
+            f"times; the outlines share {laid['shared']:.0%} of their area."
         )
     lines += [f"{sum(report['runs'])} runs in {report['seconds']:.0f} s.", *report["notes"]]
     return lines
 
 
-def _mean(values: list[float]) -> float:
+def _rms(values: list[float]) -> float:
     return (sum(value**2 for value in values) / len(values)) ** 0.5
 
 
-def _spoken(value: float) -> str:
+def _format(value: float) -> str:
     return f"{float(f'{value:.{DIGITS}g}'):,.0f}"

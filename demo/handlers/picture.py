@@ -1,6 +1,6 @@
-"""Events of the picture: it is chosen, corrected by a click or the brush, and shown cut out.
+"""Events of pictures: choose, correct by a click or the brush, show the cut-out.
 
-A file of Gaussians may take its place: it is chosen, and shown all ways up.
+A file of Gaussians may replace the picture; it is shown in all orientations.
 """
 
 from __future__ import annotations
@@ -13,25 +13,22 @@ import gradio as gr
 from phy124.errors import InputError
 from phy124.rendering.orienting import candidates
 
-from ..identity import address_of, visitor_of
+from ..extras import AXES
+from ..guard import address_of, visitor_of
 from ..jobs import Studio
-from ..known import AXES
-from ..line import Job
-from ..pictures import is_shown
-from ..sentences import sentence
+from ..line import Job, user_message
+from ..pictures import is_shown, read_place, read_strokes
 from ..source import Cutout, GaussianFile, Source
-from ..strokes import place_of, strokes_of
 from .event import Handler, data_of, file_of, job_of, path_of, table_of
 
 IF_WRONG = "If it is wrong, click the object in your picture, or correct it with the brush."
-FORGOTTEN = "The server no longer has your picture. Choose it once more."
+FORGOTTEN = "The server no longer has this picture. Choose it once more."
 EXAMPLES = Path(__file__).parents[1] / "examples"
+FORGOTTEN = "The server no longer has this picture. Choose it once more."
 
 
-def chooser(studio: Studio) -> Handler:
-    """Handler: a picture or a file was sent; starts to cut it out or to read it, and forgets all
-    about the one before.
-    """
+def on_choose(studio: Studio) -> Handler:
+    """Handle "choose" of the picture panel: start to cut out a picture or to read a file."""
 
     def choose(event: gr.EventData, request: gr.Request) -> tuple[Any, Any, Any]:
         path, example = data_of(event).get("upload"), data_of(event).get("example")
@@ -49,16 +46,16 @@ def chooser(studio: Studio) -> Handler:
     return choose
 
 
-def corrector(studio: Studio) -> Handler:
-    """Handler: brush strokes or a click on another object; starts to correct the cut-out."""
+def on_correct(studio: Studio) -> Handler:
+    """Handle "correct" of the picture panel (strokes or a click): start to correct the cut-out."""
 
     def correct(shown: Any, source: Any, event: gr.EventData, request: gr.Request) -> Any:
         made = source if isinstance(source, Cutout) else None
         picture = made.picture if made else path_of(table_of(shown).get("picture"))
         try:
-            strokes = strokes_of(data_of(event).get("strokes", []))
-            pick = place_of(data_of(event).get("pick")) or (made and made.pick)
-            job = studio.cut(visitor_of(request), picture, strokes, pick)
+            strokes = read_strokes(data_of(event).get("strokes", []))
+            pick = read_place(data_of(event).get("pick")) or (made and made.pick)
+            job = studio.cut_out(visitor_of(request), picture, strokes, pick)
         except InputError as error:
             return {**table_of(shown), **_not_cut(error)}
         return {**table_of(shown), **_cutting(studio, job)}
@@ -66,44 +63,44 @@ def corrector(studio: Studio) -> Handler:
     return correct
 
 
-def cut_shower(studio: Studio) -> Handler:
-    """Handler: a cut-out has ended; shows it, or clears it if it failed."""
+def on_cut_end(studio: Studio) -> Handler:
+    """Handle "cut" of the picture panel: show the finished cut-out, or why it failed."""
 
     def show(shown: Any, source: Any, event: gr.EventData, request: gr.Request) -> tuple[Any, ...]:
         job = job_of(studio, request, event)
         if job is None or not job.over:
-            # Not skipped: the panel asks no other question until this one is answered.
+            # Not skipped: the panel sends no other event until this one is answered.
             return {**table_of(shown), "job": None, "message": FORGOTTEN}, source, gr.skip()
         made = job.progress.result
         if made is None:
             failed = {"job": None, "message": job.progress.message, "picture": _picture(job)}
             return {**table_of(shown), **failed}, source, gr.skip()
         if isinstance(made, GaussianFile):
-            return shown_source(made), made, ways(made)
+            return show_source(made), made, ways(made)
         doubts = [*made.doubts, IF_WRONG] if made.doubts else []
-        return {**shown_source(made), "doubts": " ".join(doubts)}, made, gr.skip()
+        return {**show_source(made), "doubts": " ".join(doubts)}, made, gr.skip()
 
     return show
 
 
-def shown_source(made: Source) -> dict[str, Any]:
-    """What the object is made of, as the panel of the picture takes it."""
+def show_source(made: Source) -> dict[str, Any]:
+    """Return the object's source as the picture panel's value."""
     picture = file_of(Path(made.picture))
     if isinstance(made, Cutout):
         return {"picture": picture, "cutout": file_of(Path(made.path)), "by": made.by}
-    said = f"{made.format[0].upper()}{made.format[1:]}, {made.count:,} Gaussians."
-    return {"picture": picture, "file": " ".join([said, *made.notes])}
+    text = f"{made.format[0].upper()}{made.format[1:]}, {made.count:,} Gaussians."
+    return {"picture": picture, "file": " ".join([text, *made.notes])}
 
 
 def ways(made: GaussianFile) -> dict[str, Any]:
-    """A file's orientations, as the panel of what is known takes them."""
+    """Return a file's orientations as the extras panel's value."""
     pictures = {path.stem: file_of(path) for path in sorted(made.pictures.glob("*.webp"))}
     ups = [reading.model_dump(include=set(AXES)) for reading in candidates(None)]
     return {"ways": {**made.axes._asdict(), "ups": ups, "pictures": pictures}}
 
 
 def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
-    """That a picture is being cut out or a file read, and about how many seconds a search takes."""
+    """Return the running job for the picture panel, with the usual seconds of a search."""
     if job.kind == "read":
         return {"job": job.name, "reads": True}
     seconds = studio.search_seconds
@@ -111,19 +108,71 @@ def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
 
 
 def _picture(job: Job) -> dict[str, Any] | None:
-    """The picture being cut out, as soon as there is one that browsers can show."""
+    """Return the picture being cut out, once there is one that browsers can show."""
     path = Path(job.subject)
     shows = job.kind == "cut" and path.is_file() and is_shown(path)
     return file_of(path) if shows else None
 
 
 def _not_cut(error: InputError) -> dict[str, Any]:
-    return {"job": None, "message": sentence(error), "again": error.field == "queue"}
+    return {"job": None, "message": user_message(error), "again": error.field == "queue"}
 
 
 def _sent_example(studio: Studio, visitor: str, name: Any) -> str:
-    """An example picture, as if the visitor had sent it."""
+    """Store an example picture as an upload of the visitor."""
     path = EXAMPLES / f"{name}.png"
     if path not in EXAMPLES.glob("*.png"):
         raise InputError("image", "none", "There is no such example.", "Choose another one.")
     return str(studio.visitors.store(visitor, path.read_bytes(), ".png"))
+
+
+def on_choose_view(studio: Studio) -> Handler:
+    """Handle "choose" of the extras panel: start to cut out a view, or check a depth map."""
+
+    def choose(event: gr.EventData, request: gr.Request) -> dict[str, Any]:
+        option, path = str(data_of(event).get("option")), data_of(event).get("upload")
+        try:
+            inputs = studio.check_extras(visitor_of(request), {option: path})
+            if inputs.depth.depth is not None:
+                return _answer(event, picture=file_of(inputs.depth.depth))
+            job = studio.cut_out(visitor_of(request), path, kind="view")
+        except InputError as error:
+            return _answer(event, message=user_message(error))
+        return _answer(event, job=job.name)
+
+    return choose
+
+
+def on_choose_object(studio: Studio) -> Handler:
+    """Handle "choose" of the objects panel: start to cut out a further object."""
+
+    def choose(event: gr.EventData, request: gr.Request) -> dict[str, Any]:
+        path = data_of(event).get("upload")
+        try:
+            job = studio.cut_out(visitor_of(request), path, kind="view")
+        except InputError as error:
+            return _answer(event, message=user_message(error))
+        return _answer(event, job=job.name)
+
+    return choose
+
+
+def on_view_cut(studio: Studio) -> Handler:
+    """Handle "view" of these panels: show the finished cut-out, or why it failed."""
+
+    def show(event: gr.EventData, request: gr.Request) -> Any:
+        job = job_of(studio, request, event)
+        if job is None or not job.over:
+            return _answer(event, message=FORGOTTEN)
+        made = job.progress.result
+        if made is None:
+            return _answer(event, message=job.progress.message)
+        return _answer(event, **show_source(made), doubts=" ".join(made.doubts))
+
+    return show
+
+
+def _answer(event: gr.EventData, **values: Any) -> dict[str, Any]:
+    """Answer the event of an option; the panel ignores answers to an earlier event."""
+    asked = {name: value for name, value in data_of(event).items() if name in ("option", "ask")}
+    return {"answer": {**asked, **values}}

@@ -1,4 +1,4 @@
-"""Events after a run: its results, what was there before, and what can be taken away."""
+"""Events after a run: show its results, restore earlier ones, make files on demand."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from phy124.scene import Scene
 
 from ..exports import EXPORTS, export
 from ..fits import newest
-from ..identity import visitor_of
+from ..guard import visitor_of
 from ..jobs import Studio
-from ..line import Job
+from ..line import Job, user_message
+from ..progress import Measured
 from ..report import as_html
-from ..sentences import sentence
 from ..source import GaussianFile, is_there
 from ..studies import read_study
 from ..visitors import Visitor
-from ..work import Done, Measured
+from ..work import Done
 from .event import Handler, data_of, file_of, job_of
-from .picture import shown_source, ways
-from .run import forecast_of, rested, shown_job, working
+from .picture import show_source, ways
+from .run import busy_buttons, follow_job, forecast_of, idle_buttons
 
 NOT_SHOWN = [gr.skip()] * 5
-"""Leaves the panels that `results` fills as they are."""
+"""Leaves the result panels unchanged."""
 SHARE = "share"
-"""What the panel asks for instead of a format to get a link."""
+"""Kind of a request for a link, instead of a format."""
 REPORT, TAKEAWAY = 2, 3
-"""Indices of the report and of the take-away panel among these panels."""
+"""Indices of the report and of the take-away panel among the result panels."""
 GONE = "The result is no longer stored. Generate it again."
 FORGOTTEN = {"message": GONE}, {"runs": []}
-"""Take-away panel and history of a visitor whose files are gone; what else is shown may stay."""
+"""Take-away panel and history after a visitor's files were removed."""
 FILES = {
     "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
     "gaussians.ply": ("3DGS PLY, at rest", f"Opens in {FORMATS['ply'].opens_in}"),
@@ -49,28 +49,28 @@ FITTED = {
     "comparison.mp4": ("Fit: filmed and fitted", "Side by side, MP4"),
     "comparison.html": ("Fit: picture by picture", "Opens in any browser, offline"),
     "comparison.png": ("Fit: eight instants", "PNG"),
-    "fitted.toml": ("Fit: scene", "With the softness that was found"),
-    "fit.json": ("Fit: report", "Softness, interval, all that was tried"),
+    "fitted.toml": ("Fit: scene", "With the fitted softness"),
+    "fit.json": ("Fit: report", "Softness, interval, all runs"),
 }
 """Files of a fit to a video."""
 
 
-def finisher(studio: Studio) -> Handler:
-    """Handler: a job has ended; shows the results of a run, or the forecast after a study."""
+def on_job_end(studio: Studio) -> Handler:
+    """Handle the end of a job: show the results of a run, or the forecast after a study."""
 
     def finish(
-        source: Any, scene: Any, told: Any, shown: Any, event: gr.EventData, request: gr.Request
+        source: Any, scene: Any, extras: Any, shown: Any, event: gr.EventData, request: gr.Request
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), job_of(studio, request, event)
-        # A look at an earlier result stops no run that is going on.
-        buttons = (gr.skip(), gr.skip()) if data_of(event).get("earlier") else rested()
+        # Showing an earlier result does not affect the buttons of a current run.
+        buttons = (gr.skip(), gr.skip()) if data_of(event).get("earlier") else idle_buttons()
         if job is not None and isinstance(job.progress.result, Measured) and source and scene:
-            line = forecast_of(studio, name, source, scene, told, opened=True)
+            line = forecast_of(studio, name, source, scene, extras, opened=True)
             return line, gr.skip(), *buttons, *_with_report(studio, name, shown)
         if job is None and not _is_there(shown):
             return gr.skip(), None, *buttons, *NOT_SHOWN[:TAKEAWAY], *FORGOTTEN
         if job is None or not job.over or not _is_there(job.progress.result):
-            # Not skipped: the history asks for no other result until this one is answered.
+            # Not skipped: the history sends no other event until this one is answered.
             runs = {"runs": _earlier(studio, name, shown)}
             return gr.skip(), gr.skip(), *buttons, *NOT_SHOWN[:-1], runs
         return gr.skip(), job.progress.result, *buttons, *results(studio, name, job)
@@ -79,9 +79,9 @@ def finisher(studio: Studio) -> Handler:
 
 
 def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
-    """The result panels with a new report of the run that is shown; the others stay."""
+    """Return the result panels with a new report of the shown run; the others stay."""
     panels: list[Any] = list(NOT_SHOWN)
-    visitor = studio.visitors.known(name)
+    visitor = studio.visitors.find(name)
     if visitor is not None and _is_there(shown):
         jobs = [job for job in visitor.jobs.values() if job.progress.result == shown]
         panels[REPORT] = report_of(studio, jobs[-1]) if jobs else gr.skip()
@@ -92,47 +92,47 @@ def _is_there(done: Any) -> bool:
     return isinstance(done, Done) and (done.films / "report.json").exists()
 
 
-def greeter(studio: Studio) -> Handler:
-    """Handler: the page was opened or reloaded; shows everything this visitor has."""
+def on_load(studio: Studio) -> Handler:
+    """Handle the opening of the page: show everything that this visitor has."""
 
     def greet(request: gr.Request) -> tuple[Any, ...]:
-        visitor = studio.visitors.known(visitor_of(request))
+        visitor = studio.visitors.find(visitor_of(request))
         if visitor is None:
-            return gr.skip(), None, gr.skip(), gr.skip(), None, *rested(), *NOT_SHOWN
+            return gr.skip(), None, gr.skip(), gr.skip(), None, *idle_buttons(), *NOT_SHOWN
         taken, run = visitor.latest("cut", "read"), visitor.latest("run")
         study = visitor.latest("measure")
         if study is not None and not study.over and (run is None or run.over):
             run = study
-        return *_found_source(visitor, taken), *_found_run(studio, visitor_of(request), run)
+        return *_restore_source(visitor, taken), *_restore_run(studio, visitor_of(request), run)
 
     return greet
 
 
-def _found_source(visitor: Visitor, taken: Job | None) -> tuple[Any, Any, Any]:
-    """The picture panel, the source and the panel of what is known, for who has returned."""
+def _restore_source(visitor: Visitor, taken: Job | None) -> tuple[Any, Any, Any]:
+    """Return picture panel, source and extras panel of a returning visitor."""
     if taken is not None and not taken.over:
         return {"job": taken.name, "reads": taken.kind == "read"}, None, gr.skip()
-    made = next((j.progress.result for j in reversed(list(visitor.jobs.values()))
-                 if j.kind in ("cut", "read") and j.progress.result), None)  # fmt: skip
+    jobs = (job for job in reversed(list(visitor.jobs.values())) if job.kind in ("cut", "read"))
+    made = next((job.progress.result for job in jobs if job.progress.result), None)
     if made is None or not is_there(made) or not Path(made.picture).exists():
         return gr.skip(), None, gr.skip()
-    return shown_source(made), made, ways(made) if isinstance(made, GaussianFile) else gr.skip()
+    return show_source(made), made, ways(made) if isinstance(made, GaussianFile) else gr.skip()
 
 
-def _found_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
-    """Progress, result, buttons and result panels of a visitor who has returned."""
+def _restore_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
+    """Return progress, result, buttons and result panels of a returning visitor."""
     if run is None:
-        return gr.skip(), None, *rested(), *NOT_SHOWN
+        return gr.skip(), None, *idle_buttons(), *NOT_SHOWN
     if not run.over:
-        return shown_job(run), None, *working(), *NOT_SHOWN
+        return follow_job(run), None, *busy_buttons(), *NOT_SHOWN
     done = run.progress.result
     if not _is_there(done):
-        return gr.skip(), None, *rested(), *NOT_SHOWN
-    return gr.skip(), done, *rested(), *results(studio, name, run)
+        return gr.skip(), None, *idle_buttons(), *NOT_SHOWN
+    return gr.skip(), done, *idle_buttons(), *results(studio, name, run)
 
 
 def results(studio: Studio, name: str, job: Job) -> list[Any]:
-    """Values of the viewer, the videos, the report, the take-away panel and the history."""
+    """Return the values of viewer, videos, report, take-away panel and history."""
     done: Done = job.progress.result
     clip = Clip.load(done.clip / "clip.safetensors")
     films = [{"name": path.stem, "file": file_of(path)} for path in _films(done)]
@@ -150,7 +150,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
 
 
 def report_of(studio: Studio, job: Job) -> str:
-    """The report of a finished run, with the errors measured on its scene before or after it."""
+    """Format the report of a finished run, with the errors measured on its scene."""
     done: Done = job.progress.result
     report, study = done.report, read_study(done.study)
     data = read_scene(done.clip / "clip.safetensors")
@@ -160,48 +160,51 @@ def report_of(studio: Studio, job: Job) -> str:
 
 
 def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, Any]]:
-    """The results of a visitor so far, the newest first, each once."""
-    visitor, seen, found = studio.visitors.known(name), set(), []
+    """List the results of a visitor, the newest first, each once."""
+    visitor, seen, runs = studio.visitors.find(name), set(), []
     for job in reversed(list(visitor.jobs.values()) if visitor else []):
         done = job.progress.result
         if job.kind != "run" or not _is_there(done) or done.films in seen:
             continue
         seen.add(done.films)
         scene = read_scene(done.clip / "clip.safetensors")
-        found.append({
-            "job": job.name, "title": str(scene["material"]["law"]).replace("_", " ").capitalize(),
-            "detail": f"{scene['time']['frames']} frames, {scene['accuracy']}"
-            if isinstance(scene["accuracy"], str) else f"{scene['time']['frames']} frames",
-            "picture": file_of(done.films / "orbit.webp"),
-            "pack": file_of(done.films / "clip.pack"),
-            "current": done == shown,
-        })  # fmt: skip
-    return found
+        accuracy = f", {scene['accuracy']}" if isinstance(scene["accuracy"], str) else ""
+        runs.append(
+            {
+                "job": job.name,
+                "title": str(scene["material"]["law"]).replace("_", " ").capitalize(),
+                "detail": f"{scene['time']['frames']} frames{accuracy}",
+                "picture": file_of(done.films / "orbit.webp"),
+                "pack": file_of(done.films / "clip.pack"),
+                "current": done == shown,
+            }
+        )
+    return runs
 
 
 def _films(done: Done) -> list[Path]:
-    """The videos, with the views of the paper first."""
+    """List the videos, the standard views first."""
     order = [*VIEWS, "orbit"]
     place = {name: number for number, name in enumerate(order)}
     films = sorted(done.films.glob("*.mp4"))
     return sorted(films, key=lambda path: place.get(path.stem, len(order)))
 
 
-def preparer(studio: Studio) -> Handler:
-    """Handler: a format or a link was asked for; makes what the panel then offers."""
+def on_prepare(studio: Studio) -> Handler:
+    """Handle "prepare" of the take-away panel: make a format or a link."""
 
     def prepare(
         done: Done | None, shown: Any, event: gr.EventData, request: gr.Request
     ) -> dict[str, Any]:
         kind = str(data_of(event).get("kind"))
-        visitor = studio.visitors.known(visitor_of(request))
+        visitor = studio.visitors.find(visitor_of(request))
         if done is None or visitor is None or not done.films.exists():
             return FORGOTTEN[0]
         try:
             kinds = ["html" if kind == SHARE else kind]
             (path,) = export(kinds, done, visitor, studio.visitors)
         except InputError as error:
-            return {**takeaway_of(done), "asked": kind, "message": sentence(error)}
+            return {**takeaway_of(done), "asked": kind, "message": user_message(error)}
         offered = {**takeaway_of(done), "asked": kind}
         if kind == SHARE:
             minutes = studio.settings.room.grace / 60
@@ -214,9 +217,9 @@ def preparer(studio: Studio) -> Handler:
 
 
 def takeaway_of(done: Done) -> dict[str, Any]:
-    """The take-away panel of a result: its files, and the formats that are made on demand.
+    """Return the take-away panel's value: files of a result, and formats made on demand.
 
-    Handlers add what was "asked" for: if another result is shown by then, the panel ignores it.
+    Handlers add what was "asked" for; the panel ignores answers for another result.
     """
     files, offers = [], []
     frames, gaussians = read_shape(done.clip / "clip.safetensors")
@@ -235,8 +238,8 @@ def takeaway_of(done: Done) -> dict[str, Any]:
         if (done.exports / offer.file).exists():
             files.append(_link(done.exports / offer.file, offer.label, offer.hint))
         elif offer.available():
-            told = {"kind": kind, "label": offer.label, "hint": offer.hint}
-            offers.append({**told, "about": offer.about(frames, gaussians)})
+            about = offer.about(frames, gaussians)
+            offers.append({"kind": kind, "label": offer.label, "hint": offer.hint, "about": about})
     hint = "Plays in any browser as long as your files are kept here"
     offers.append({"kind": SHARE, "label": "Link to share", "hint": hint})
     return {"result": done.films.name, "files": files, "offers": offers}

@@ -1,4 +1,4 @@
-"""Events of a run: what it would take, its start, its study and its stop."""
+"""Events of runs, studies and live runs: forecast, start, cancel, save."""
 
 from __future__ import annotations
 
@@ -14,82 +14,98 @@ from phy124.scene import Scene
 
 from ..catalogue import scene_of
 from ..forecast import promise_of, stops_table
-from ..identity import visitor_of
+from ..guard import visitor_of
 from ..jobs import Studio
-from ..line import Job
+from ..line import Job, api_message, user_message
 from ..progress import Progress
-from ..sentences import complaint, sentence
 from ..source import Source
 from ..studies import Measurement
+from ..touch import limits_of
 from ..visitors import key
 from .event import Handler
 
+FORGOTTEN = "The live run has ended. Start another one."
 
-def forecaster(studio: Studio) -> Handler:
-    """Handler: the scene changed; returns its forecast."""
 
-    def forecast(source: Source | None, scene: Any, told: Any, request: gr.Request) -> str:
+def on_scene_changed(studio: Studio) -> Handler:
+    """Handle a change of the scene: return its forecast."""
+
+    def forecast(source: Source | None, scene: Any, extras: Any, request: gr.Request) -> str:
         if not scene:
             return ""
-        return forecast_of(studio, visitor_of(request), source, scene, told)
+        return forecast_of(studio, visitor_of(request), source, scene, extras)
 
     return forecast
 
 
 def forecast_of(
-    studio: Studio, name: str, source: Source | None, data: Any, told: Any, *, opened: bool = False
+    studio: Studio,
+    name: str,
+    source: Source | None,
+    data: Any,
+    extras: Any,
+    *,
+    opened: bool = False,
 ) -> str:
-    """The forecast of a run as HTML, or why it is refused.
+    """Return the forecast of a run as HTML, or why it is refused.
 
     Args:
-        studio: What all visitors share.
+        studio: The state shared by all visitors.
         name: The visitor's name.
-        source: What the object is made of, if it is there.
+        source: The object's source, if it still exists.
         data: The scene as plain data.
-        told: What else is known of the object.
-        opened: Whether the table of all stops is shown.
+        extras: Optional inputs besides the front picture, by option.
+        opened: Whether the table of accuracies is unfolded.
     """
     try:
-        text = studio.forecast(name, source, data, told)
-        return with_stops(studio, name, source, data, told, text, opened=opened)
+        text = studio.forecast(name, source, data, extras)
+        return with_stops(studio, name, source, data, extras, text, opened=opened)
     except InputError as error:
-        return refused(error)
+        return show_refusal(error)
 
 
-def refused(error: InputError) -> str:
-    """A refusal in the place of a forecast: all of it is seen, and nothing of it is folded."""
-    return f'<p class="refused">{escape(complaint(error))}</p>'
+def show_refusal(error: InputError) -> str:
+    """Format a refusal in place of a forecast."""
+    return f'<p class="refused">{escape(api_message(error))}</p>'
 
 
 def with_stops(
-    studio: Studio, name: str, source: Source | None, data: Any, told: Any, text: str, *,
+    studio: Studio,
+    name: str,
+    source: Source | None,
+    data: Any,
+    extras: Any,
+    text: str,
+    *,
     opened: bool = False,
-) -> str:  # fmt: skip
-    """A forecast as one line of HTML that opens to a table of all stops of the accuracy slider.
+) -> str:
+    """Format a forecast as one line of HTML that unfolds to a table of the named accuracies.
 
-    Below it stands the error measured on this scene, or a button that measures it.
+    Below it is the error measured on this scene, or a button to measure it.
 
     Args:
-        studio: What all visitors share.
+        studio: The state shared by all visitors.
         name: The visitor's name.
-        source: What the object is made of, if it is there.
+        source: The object's source, if it still exists.
         data: The scene as plain data.
-        told: What else is known of the object.
+        extras: Optional inputs besides the front picture, by option.
         text: The forecast.
-        opened: Whether the line is open.
+        opened: Whether the line is unfolded.
 
     Raises:
         InputError: Something in the request cannot be used.
     """
-    visitor = studio.visitors.known(name)
+    visitor = studio.visitors.find(name)
     scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
-    study = studio.study(name, source, scene, told)
-    error = _error_line(studio, name, source, scene, told, study)
-    known = visitor.forecasts.get(key(scene.data())) if visitor else None
+    study = studio.study(name, source, scene, extras)
+    error = _error_line(studio, name, source, scene, extras, study)
     stops = studio.forecaster.stops(
-        scene, gaussians=studio.count(source), seconds=known, study=study,
-        thickness=studio.thickness(name, source, scene, told),
-    )  # fmt: skip
+        scene,
+        gaussians=studio.count(source),
+        seconds=visitor.forecasts.get(key(scene.data())) if visitor else None,
+        study=study,
+        thickness=studio.thickness(name, source, scene, extras),
+    )
     table = stops_table(stops, scene.accuracy)
     if study is not None:
         table += f"<p>Measured on this scene, without drawing:</p>{study.table()}"
@@ -101,89 +117,131 @@ def with_stops(
 
 
 def _error_line(
-    studio: Studio, name: str, source: Source | None, scene: Scene, told: Any,
+    studio: Studio,
+    name: str,
+    source: Source | None,
+    scene: Scene,
+    extras: Any,
     study: Measurement | None,
-) -> str:  # fmt: skip
-    """The error measured on this scene, or a button that measures it."""
-    said = promise_of(scene, studio.thickness(name, source, scene, told), study)
+) -> str:
+    """Format the error measured on this scene, or a button to measure it."""
+    promise = promise_of(scene, studio.thickness(name, source, scene, extras), study)
     if study is not None:
-        return f'<p class="measured">{said.measured}</p>'
-    if not said.missing:
+        return f'<p class="measured">{promise.measured}</p>'
+    if not promise.missing:
         return ""
-    seconds = studio.study_seconds(name, source, scene, told)
+    seconds = studio.study_seconds(name, source, scene, extras)
     span = format_span(studio.forecaster.load().span(seconds, unsure=GUESS))
     button = '<button type="button" class="quiet" data-measure>Measure</button>'
-    return f"<p>{said.missing.capitalize()}; {button} takes {span}.</p>"
+    return f"<p>{promise.missing.capitalize()}; {button} takes {span}.</p>"
 
 
-def refiner(studio: Studio) -> Handler:
-    """Handler: the scene changed; returns a forecast by a probe of the object if that is quick."""
+def on_refine(studio: Studio) -> Handler:
+    """Handle a change of the scene, later: return a forecast by a probe if possible."""
 
-    def refine(source: Source | None, scene: Any, told: Any, request: gr.Request) -> str:
+    def refine(source: Source | None, scene: Any, extras: Any, request: gr.Request) -> str:
         if not scene:
             return ""
         name = visitor_of(request)
         try:
-            text = studio.refine(name, source, scene, told)
-            # Not skipped: the last probe, of an older scene, may have been shown meanwhile.
-            text = text or studio.forecast(name, source, scene, told)
-            return with_stops(studio, name, source, scene, told, text)
+            text = studio.refine(name, source, scene, extras)
+            # Not skipped: the probe of an older scene may have been shown meanwhile.
+            text = text or studio.forecast(name, source, scene, extras)
+            return with_stops(studio, name, source, scene, extras, text)
         except InputError as error:
-            return refused(error)
+            return show_refusal(error)
 
     return refine
 
 
-def starter(studio: Studio) -> Handler:
-    """Handler: Generate was pressed; starts a run that the progress panel follows, or refuses."""
+def on_generate(studio: Studio) -> Handler:
+    """Handle Generate: start a run that the progress panel follows, or refuse."""
 
-    def start(source: Source | None, scene: Any, told: Any, request: gr.Request) -> tuple[Any, ...]:
+    def start(
+        source: Source | None, scene: Any, extras: Any, request: gr.Request
+    ) -> tuple[Any, ...]:
         try:
-            job = studio.run(visitor_of(request), source, scene, told)
+            job = studio.run(visitor_of(request), source, scene, extras)
         except InputError as error:
             state = "full" if error.field == "queue" else "refused"
-            return Progress(state=state, message=sentence(error)).data(), *rested()
-        return shown_job(job), *working()
+            return Progress(state=state, message=user_message(error)).data(), *idle_buttons()
+        return follow_job(job), *busy_buttons()
 
     return start
 
 
-def measurer(studio: Studio) -> Handler:
-    """Handler: Measure was pressed; starts to measure the scene's error, or refuses."""
+def on_measure(studio: Studio) -> Handler:
+    """Handle Measure: start to measure the scene's error, or refuse."""
 
     def start_study(
-        source: Source | None, scene: Any, told: Any, request: gr.Request
+        source: Source | None, scene: Any, extras: Any, request: gr.Request
     ) -> tuple[Any, ...]:
         try:
-            job = studio.measure(visitor_of(request), source, scene, told)
+            job = studio.measure(visitor_of(request), source, scene, extras)
         except InputError as error:
-            return Progress(state="refused", message=sentence(error)).data(), *rested()
-        return shown_job(job), *working()
+            return Progress(state="refused", message=user_message(error)).data(), *idle_buttons()
+        return follow_job(job), *busy_buttons()
 
     return start_study
 
 
-def shown_job(job: Job) -> dict[str, Any]:
-    """A job for the progress panel, which follows it."""
+def follow_job(job: Job) -> dict[str, Any]:
+    """Return the progress panel's value for a job, which the panel follows."""
     return {**job.progress.data(), "job": job.name, "kind": job.kind}
 
 
-def rested() -> tuple[Any, Any]:
-    """The buttons while nothing runs: Generate can be pressed, Cancel is hidden."""
+def idle_buttons() -> tuple[Any, Any]:
+    """The buttons while nothing runs: Generate is enabled, Cancel is hidden."""
     return gr.update(interactive=True), gr.update(visible=False)
 
 
-def working() -> tuple[Any, Any]:
-    """The buttons while something runs."""
+def busy_buttons() -> tuple[Any, Any]:
+    """The buttons during a job: Generate is disabled, Cancel is visible."""
     return gr.update(interactive=False), gr.update(visible=True)
 
 
-def stopper(studio: Studio) -> Handler:
-    """Handler: Cancel was pressed; stops this visitor's job, which the progress panel follows."""
+def on_cancel(studio: Studio) -> Handler:
+    """Handle Cancel: stop this visitor's jobs."""
 
     def stop(request: gr.Request) -> None:
-        visitor = studio.visitors.known(visitor_of(request))
+        visitor = studio.visitors.find(visitor_of(request))
         if visitor is not None:
             visitor.stop()
 
     return stop
+
+
+def on_touch(studio: Studio) -> Handler:
+    """Handle Touch: return a ticket for a live run, or a message."""
+
+    def touch(source: Any, scene: Any, extras: Any, request: gr.Request) -> dict[str, Any]:
+        name = visitor_of(request)
+        try:
+            asked = studio.resolve(name, source, scene)
+            order = studio.order(asked, studio.check_extras(name, extras))
+            ticket = studio.touches.give(name, order)
+        except InputError as error:
+            return {"message": user_message(error)}
+        return {"ticket": ticket.name}
+
+    return touch
+
+
+def on_save(studio: Studio) -> Handler:
+    """Handle "save" of the touch panel: start the run of a live run's session."""
+
+    def save(source: Any, extras: Any, request: gr.Request) -> tuple[Any, ...]:
+        name = visitor_of(request)
+        ticket = studio.touches.ticket_of(name)
+        if ticket is None or ticket.session is None:
+            return Progress(state="refused", message=FORGOTTEN).data(), *idle_buttons()
+        objects = 1 + len(ticket.session.get("objects", []))
+        limits = limits_of(studio.settings, objects * studio.count(source))
+        try:
+            job = studio.run(name, source, ticket.session, extras, limits)
+        except InputError as error:
+            return Progress(state="refused", message=user_message(error)).data(), *idle_buttons()
+        studio.touches.leave(name)
+        return follow_job(job), *busy_buttons()
+
+    return save

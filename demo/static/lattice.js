@@ -1,5 +1,5 @@
 /* The lattice of a live run: nodes come frame by frame, and the Gaussians bound to them follow
- * (demo/touch/lattice.py says how both are written, demo/touch/walls.py what comes with them).
+ * (demo/touch/lattice.py says how both are written, demo/touch/lattice.py what comes with them).
  *
  *   const lattice = new Phy124Lattice(binding); lattice.take(frame); lattice.ride(1000);
  */

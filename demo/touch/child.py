@@ -1,8 +1,8 @@
-"""The process of one live run: it is run by its path, and ends when its pipe does.
+"""The process of one live run; it is started by its path, and ends when its pipe is closed.
 
-Orders come on standard input: two pickles, `sys.path` and (function, arguments), then lines of
-text. The function gets a `Line` to hear them and to answer by messages: a letter, the length
-(uint32, little-endian), and the content.
+Standard input carries two pickles, `sys.path` and (function, arguments), then lines of text. The
+function reads them from a `Line`, and answers by messages: a letter, the length (uint32,
+little-endian), and the content.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import threading
 from collections import deque
 
 WAITING = 256
-"""Lines that are kept until somebody listens; of more, the newest."""
+"""Largest number of unread lines; the oldest are dropped."""
 
 
 class Line:
@@ -33,17 +33,17 @@ class Line:
         while data:
             data = data[os.write(self._answers, data) :]
 
-    def heard(self) -> list[str]:
-        """What has been said since the last call."""
+    def take_messages(self) -> list[str]:
+        """Return the lines since the last call."""
         self._any.clear()
         return [self._heard.popleft() for _ in range(len(self._heard))]
 
     def wait(self, seconds: float) -> None:
-        """Wait until something is said, at most so long [s]."""
+        """Wait for a line for at most `seconds`."""
         self._any.wait(seconds)
 
     def listen(self) -> None:
-        """Hear lines until the other side is gone, and end the process then."""
+        """Read lines until the peer closes the pipe, then exit."""
         for line in sys.stdin.buffer:
             self._heard.append(line.decode("utf-8", "replace"))
             self._any.set()
@@ -51,11 +51,11 @@ class Line:
 
 
 def main() -> None:
-    """Call the function that is ordered."""
-    # Ctrl-C reaches the whole group of processes; the server decides.
+    """Call the function that the server sends."""
+    # Ctrl-C reaches the whole process group; the server ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.dup(1)
-    os.dup2(2, 1)  # what libraries print is no part of the answer
+    os.dup2(2, 1)  # libraries print to standard error
     sys.path[:] = pickle.load(sys.stdin.buffer)
     function, arguments = pickle.load(sys.stdin.buffer)
     line = Line(answers)

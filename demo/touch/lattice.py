@@ -1,43 +1,41 @@
-"""The lattice of a live run as a browser gets it: bound once, then a few bytes per node and frame.
+"""Encodes a live run for the browser: a binding once, then the lattice and walls of each frame.
 
-A binding holds for each Gaussian what never changes, a frame for each node what does; both are
+A binding has the constant data of each Gaussian, a frame the data of each node; both are
 little-endian and planar (array after array):
 
-    binding  place at rest [N,3] float32, covariance at rest [N,6] float32 (xx xy xz yy yz zz),
+    binding  position at rest [N,3] float32, covariance at rest [N,6] float32 (xx xy xz yy yz zz),
              largest stretch [N] float32, nodes at rest [P,3] float32, nodes of each Gaussian [N,8]
              uint16, their weights [N,8] uint8, colour and opacity [N,4] uint8
-    frame    box of the nodes [2,3] float32, places in it [P,3] uint16, F [P,9] int16
+    frame    box of the nodes [2,3] float32, positions in it [P,3] uint16, F [P,9] int16
 
-The frame of the walls follows (`walls`). A node takes 24 bytes per frame.
+The frame of the walls follows (`Walls`). A node takes 24 bytes per frame.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
 from phy124.live import Live
+from phy124.rendering.stage.solids import floor_heights, place_walls
 from phy124.simulation.deform import CARRIERS, carriers
 
 MOST = 5000
-"""Nodes that are sent; at 24 frames per second they take 2.9 MB/s."""
+"""Largest number of nodes; at 24 frames per second they take 2.9 MB/s."""
 REACH = 8.0
-"""Largest entry of F that is sent."""
+"""Largest entry of F; larger ones are clipped."""
 
 
 class Lattice:
-    """The nodes of one live run that carry what is seen of it."""
+    """The nodes of a live run that carry its visible Gaussians."""
 
     def __init__(self, live: Live, most: int = MOST) -> None:
-        """Bind the Gaussians to the nearest particles.
-
-        Args:
-            live: The run.
-            most: Nodes that are sent at most.
-        """
+        """Bind the Gaussians to at most `most` of the nearest particles."""
         look, rest = live.look, live.rest
-        # Whoever draws only the first ones gets a fair sample.
+        # In random order, so that the first Gaussians are a fair sample.
         order = np.random.default_rng(0).permutation(len(look.gaussians))
         self.gaussians, moves = look.gaussians.select(order), look.moves[order]
         stretch = np.ones(len(order), np.float32)
@@ -45,13 +43,13 @@ class Lattice:
         self._stretch = np.minimum(stretch[order], 1e6)
         self.nodes, near, self.weights = _bound(self.gaussians, rest, most)
         self.neighbours = near.astype("<u2")
-        # What does not move has no node: it stays where it is.
+        # Gaussians at rest have no node.
         self.weights[~moves] = 0
         self.rest = rest[self.nodes]
         self._live = live
 
     def binding(self) -> bytes:
-        """What a browser needs once."""
+        """Encode the constant data."""
         g = self.gaussians
         sigma = g.covariances()[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
         floats = [g.means, sigma, self._stretch, self.rest]
@@ -61,7 +59,7 @@ class Lattice:
         return b"".join(part.tobytes() for part in [*parts, colours.astype(np.uint8)])
 
     def frame(self) -> bytes:
-        """Where the nodes are now, and how the material about them is deformed."""
+        """Encode positions and deformation gradients of the nodes."""
         x, F = (values[self.nodes] for values in self._live.particles)
         low, high = x.min(axis=0), x.max(axis=0)
         steps = np.rint((x - low) / np.maximum(high - low, 1e-12) * 65535).astype("<u2")
@@ -73,7 +71,7 @@ class Lattice:
 def _bound(
     gaussians: Gaussians, rest: NDArray, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """Particles that carry the Gaussians, and for each Gaussian its eight of them with weights."""
+    """Return the particles that carry the Gaussians, and for each Gaussian eight with weights."""
     nodes = np.arange(len(rest))
     near, weights = carriers(gaussians.means, rest)
     used = np.unique(near)
@@ -83,3 +81,48 @@ def _bound(
         used = np.unique(near)
     spare = ((0, 0), (0, CARRIERS - near.shape[1]))
     return nodes[used], np.pad(np.searchsorted(used, near), spare), np.pad(weights, spare)
+
+
+class Walls:
+    """The floor of a live run and its other boundaries, as solids that move without turning.
+
+    A frame is the height of the floor and the displacement of each solid, float32; NaN for a
+    missing floor or solid.
+    """
+
+    def __init__(self, live: Live) -> None:
+        """Place the walls of a live run."""
+        self._live = live
+        walls = place_walls(live.scene.boundaries, live.rest)
+        self._floors = [wall for wall in walls if wall.is_floor]
+        self._others = [wall for wall in walls if not wall.is_floor]
+
+    @property
+    def floor(self) -> float | None:
+        """Height of the floor now [m]; None without one."""
+        if not self._floors:
+            return None
+        return float(floor_heights(self._floors, self._live.rest, np.array([self._live.time]))[0])
+
+    def data(self) -> list[dict[str, Any]]:
+        """The solids at rest, as plain data."""
+        solids = [wall.solid() for wall in self._others]
+        return [
+            {
+                "centre": solid.centre.tolist(),
+                "axes": solid.axes.tolist(),
+                "half": solid.half.tolist(),
+                "radius": solid.radius,
+            }
+            for solid in solids
+        ]
+
+    def frame(self) -> bytes:
+        """Encode the current positions."""
+        now = np.array([self._live.time])
+        moved = [
+            wall.displacements(now)[0] if wall.present(now)[0] else np.full(3, np.nan)
+            for wall in self._others
+        ]
+        floor = np.nan if self.floor is None else self.floor
+        return np.array([floor, *np.ravel(moved)], "<f4").tobytes()

@@ -1,4 +1,4 @@
-"""What the process of a live run does: it makes the object, and plays what a hand does to it."""
+"""The process of a live run: makes the object, steps, and applies the visitor's hand."""
 
 from __future__ import annotations
 
@@ -14,84 +14,77 @@ from phy124.runtime.context import RunContext
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 
-from ..sentences import sentence
+from ..line import user_message
 from ..settings import Settings
 from ..work.motion import gaussians_of
 from ..work.order import Order, made_gaussians
-from ..work.others import cropped
+from ..work.others import with_crops
 from .child import Line
-from .lattice import Lattice
-from .sessions import FPS, shortened
-from .walls import Walls
+from .lattice import Lattice, Walls
+from .table import FPS, shorten_session
 
 REST = 0.25
-"""Interval between two looks for messages while it pauses [s]."""
+"""Interval between two checks for messages during a pause [s]."""
 PREPARING = 120.0
 """Longest time to cut out other views of the object [s]."""
 RATE = 1.6
-"""Real-time factor that its grid must have alone: a browser beside it takes the rest, and a grid is
-a tenth coarser by that."""
+"""Real-time factor required of the grid, so that a browser on the same machine has time left; it
+makes the grid a tenth coarser."""
 TEXT, BINDING, FRAME, SESSION = b"t", b"b", b"f", b"s"
 """First letters of messages: plain data for the page, a binding, a frame, a session."""
 HEAD = struct.Struct("<IIff")
-"""Of a frame: its number, that of the last message it answers to, its time [s], the real-time
-factor."""
+"""Head of a frame: its number, the last message's number, its time [s], the real-time factor."""
 
 
 @dataclass(frozen=True)
 class Play:
-    """What a process is to play."""
+    """The order and the limits of a live run."""
 
     order: Order
     most: Settings
-    """Limits of a session that is saved."""
+    """Limits of a saved session."""
 
 
 def play(what: Play, line: Line) -> None:
-    """Play until the pipe ends.
-
-    Args:
-        what: What to play.
-        line: The pipe to the server.
-    """
+    """Play until the pipe is closed."""
     try:
         player = Player(what, line)
     except InputError as error:
-        return _say(line, kind="ended", text=sentence(error))
+        return _say(line, kind="ended", text=user_message(error))
     while True:
         player.frame()
 
 
 class Player:
-    """One live run and what its visitor has said."""
+    """One live run and the messages of its visitor."""
 
     def __init__(self, what: Play, line: Line) -> None:
-        """Make the object, choose a grid and tell the browser what it draws.
+        """Make the object, choose a grid and send the binding to the browser.
 
         Raises:
             InputError: The object cannot be made, or the scene cannot be used.
         """
         self._line, self._what = line, what
         order = what.order
-        # The browser shapes the Gaussians, and wants a core of its own if it runs here.
+        # The browser deforms the Gaussians, and needs a core if it runs on this machine.
         context = RunContext(device=pick_device(order.device), threads=1)
         _say(line, kind="doing", text="Making the Gaussians …")
-        order.cut(Deadline(PREPARING))
+        order.cut_views(Deadline(PREPARING))
         gaussians = gaussians_of(order, made_gaussians(order))
         timing = order.scene.time.model_copy(update={"fps": FPS})
         _say(line, kind="doing", text="Finding a grid that runs in real time here …")
-        asked = cropped(order.scene, order.others).model_copy(update={"time": timing})
+        asked = with_crops(order.scene, order.others).model_copy(update={"time": timing})
         chosen = held_rate(gaussians, asked, context, rate=RATE, shapes=False)
         self.live = Live(gaussians, chosen.scene, context, shapes=False)
         self.live.step()
         self._lattice, self._walls = Lattice(self.live), Walls(self.live)
         self._clock = RealTime(FPS)
-        self._heard, self._paused, self._told = 0, False, 0
+        self._heard, self._paused, self._sent_notes = 0, False, 0
         line.tell(BINDING, self._head(chosen.sentence) + self._lattice.binding())
 
     def frame(self) -> None:
-        """Do what was said, make the next frame and wait until the one after it is due."""
-        for message in _newest_targets(self._line.heard()):
+        """Process messages, send the next frame, and wait until another one is due."""
+        for message in _newest_targets(self._line.take_messages()):
             self._do(message)
         if self._paused:
             self._line.wait(REST)
@@ -103,13 +96,13 @@ class Player:
         self._clock.wait()
 
     def _do(self, message: dict[str, Any]) -> None:
-        """Do what a message asks; say so if that is impossible."""
+        """Carry out a message, or answer why that is impossible."""
         seq, value = message.get("seq"), message.get("value")
         self._heard = seq % 2**32 if isinstance(seq, int) else self._heard
         try:
             getattr(self, f"_{message['do']}")(value)
         except InputError as error:
-            _say(self._line, kind="said", text=sentence(error))
+            _say(self._line, kind="said", text=user_message(error))
 
     def _grab(self, point: Any) -> None:
         self.live.grab(point)
@@ -140,10 +133,10 @@ class Player:
         self._pause(False)
 
     def _save(self, _: Any) -> None:
-        """Send what was done as a scene, no longer than a session may be here."""
+        """Send the session as a scene, shortened to its limits."""
         self._paused = True
         scene = self.live.session()
-        kept = shortened(scene, self._what.most)
+        kept = shorten_session(scene, self._what.most)
         seconds = kept.time.frames / FPS
         cut = "" if kept is scene else f" of {scene.time.frames / FPS:.1f} s, the first"
         text = f"Making the clip{cut} {seconds:.1f} s …"
@@ -151,35 +144,35 @@ class Player:
         _say(self._line, kind="saved", text=text)
 
     def _tell_notes(self) -> None:
-        """Say what the engine has noted since the last frame."""
-        for note in self.live.notes[self._told :]:
+        """Send the engine's new notes."""
+        for note in self.live.notes[self._sent_notes :]:
             _say(self._line, kind="said", text=note)
-        self._told = len(self.live.notes)
+        self._sent_notes = len(self.live.notes)
 
-    def _head(self, said: str) -> bytes:
-        """The numbers before a binding, as JSON that ends at a multiple of four bytes."""
+    def _head(self, text: str) -> bytes:
+        """Encode the numbers before a binding as JSON, padded to a multiple of four bytes."""
         head = {
             "splats": len(self._lattice.gaussians),
             "nodes": len(self._lattice.nodes),
             "size": self.live.limits.size,
             "ground": self._walls.floor,
             "walls": self._walls.data(),
-            "sentence": said,
+            "sentence": text,
             "background": list(self._what.order.scene.view.background),
         }
-        text = json.dumps(head).encode()
-        text += b" " * (-len(text) % 4)
-        return struct.pack("<I", len(text)) + text
+        data = json.dumps(head).encode()
+        data += b" " * (-len(data) % 4)
+        return struct.pack("<I", len(data)) + data
 
 
 def _newest_targets(lines: list[str]) -> list[dict[str, Any]]:
-    """The messages in order; of targets that follow each other only the last."""
-    found: list[dict[str, Any]] = []
+    """Return the messages in order; of consecutive targets only the last."""
+    messages: list[dict[str, Any]] = []
     for message in map(json.loads, lines):
-        if found and message["do"] == "to" == found[-1]["do"]:
-            found.pop()
-        found.append(message)
-    return found
+        if messages and message["do"] == "to" == messages[-1]["do"]:
+            messages.pop()
+        messages.append(message)
+    return messages
 
 
 def _say(line: Line, **what: str) -> None:

@@ -1,7 +1,7 @@
-"""The server's part in a live run: it carries messages between a browser and the run's process.
+"""Relays messages between a browser and the process of its live run, within limits.
 
-A browser acknowledges each frame that it has drawn. At most two are on their way to it; of those
-that come in the meantime only the newest is kept, so a slow browser skips frames.
+A browser acknowledges each drawn frame. At most two frames are in transit; of those that
+arrive meanwhile only the newest is kept, so a slow browser skips frames.
 """
 
 from __future__ import annotations
@@ -25,48 +25,49 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from phy124.errors import InputError
 
-from ..identity import cookie_of
-from ..sentences import sentence
+from ..guard import cookie_of
+from ..line import user_message
 from ..settings import Settings
-from .orders import Budget, Refused, understood
 from .player import BINDING, FRAME, SESSION, TEXT, Play, play
-from .sessions import limits_of
-from .table import Table, Ticket
+from .table import Table, Ticket, limits_of
 
 LOG = logging.getLogger("phy124.web")
 CHILD = Path(__file__).with_name("child.py")
 ON_THE_WAY = 2
-"""Frames that are sent before one of them is acknowledged."""
+"""Largest number of frames in transit."""
 PENDING = 1 << 16
-"""Size of messages to the process that wait to be read; of more, the newest are dropped [bytes]."""
+"""Size of unread messages to the process beyond which new ones are dropped [bytes]."""
 LARGEST = 1 << 26
-"""Size of a message from the process [bytes]."""
+"""Largest size of a message from the process [bytes]."""
 SAYINGS = 32
-"""Sentences that wait to be sent; of more, the newest are dropped."""
+"""Number of unsent sentences beyond which new ones are dropped."""
 PARTING = 10.0
 """Time for the last sentence to reach a browser [s]."""
-BROKEN = "The live run broke down. Start it again."
-IDLE = "It was not touched for {:g} minutes, so it was ended."
+BROKEN = "The live run failed. Start it again."
+IDLE = "It ended, because it was not touched for {:g} minutes."
 OVER = "A live run lasts {:g} minutes here. Start another one."
-REPLACED = "It was ended, because you started another one."
+REPLACED = "It ended, because you started another one."
 GONE = 4404
-"""Code of a socket that is closed because it has no live run."""
+"""Close code of a socket without a live run."""
+WORDS = ("grab", "to", "release", "gravity", "soften", "speed", "pause", "reset", "save", "seen")
+"""Values of the field `do` of a message."""
+PER_SECOND, AT_ONCE = 150.0, 300.0
+"""Messages per second, and largest burst. A pointer sends one per screen refresh."""
+LARGEST_MESSAGE = 1024
+"""Largest length of a browser's message [bytes]."""
+NOT_UNDERSTOOD = "The page sent an invalid message. Reload it."
+TOO_MANY = "The page sent too many messages; some were ignored."
 
 
 def socket_route(table: Table, settings: Settings) -> WebSocketRoute:
-    """The socket of live runs.
-
-    Args:
-        table: Who may touch.
-        settings: The page's limits.
-    """
+    """Return the route of the WebSocket of live runs."""
 
     async def touched(socket: WebSocket) -> None:
         await socket.accept()
         try:
             ticket = table.take(cookie_of(socket), socket.path_params["name"])
         except InputError as error:
-            return await _part(socket, sentence(error))
+            return await _part(socket, user_message(error))
         if ticket is None:
             return await socket.close(GONE)
         try:
@@ -77,20 +78,20 @@ def socket_route(table: Table, settings: Settings) -> WebSocketRoute:
     return WebSocketRoute("/phy124/touch/{name}", touched)
 
 
-async def _part(socket: WebSocket, said: str) -> None:
+async def _part(socket: WebSocket, text: str) -> None:
     """Say the last sentence, and close."""
-    await socket.send_text(json.dumps({"kind": "ended", "text": said}))
+    await socket.send_text(json.dumps({"kind": "ended", "text": text}))
     await socket.close()
 
 
 def _call(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
-    """Do something in a loop that may have ended, from any thread."""
+    """Call a function in an event loop that may have ended, from any thread."""
     with suppress(RuntimeError):
         loop.call_soon_threadsafe(act)
 
 
 async def _closed(process: asyncio.subprocess.Process, tasks: list[asyncio.Task[None]]) -> None:
-    """Wait for the end of a process, and read what is left, so that its pipes are closed."""
+    """Wait for the end of a process, and drain its pipes so that they are closed."""
     await asyncio.gather(*tasks, return_exceptions=True)
     assert process.stdin is not None
     process.stdin.close()
@@ -103,24 +104,24 @@ class Relay:
     def __init__(self, socket: WebSocket, ticket: Ticket, settings: Settings) -> None:
         self._socket, self._ticket, self._settings = socket, ticket, settings
         self._frame: bytes | None = None
-        """The newest frame that was not sent yet."""
+        """The newest unsent frame."""
         self._texts: asyncio.Queue[str] = asyncio.Queue(SAYINGS)
         self._binding: bytes | None = None
         self._news = asyncio.Event()
         self._sent = self._seen = 0
-        """Frames that were sent, and those of them that are no longer on their way."""
+        """Number of frames sent, and of frames acknowledged."""
         self._budget = Budget()
         self._touched = self._begun = time.monotonic()
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
     async def run(self) -> None:
-        """Carry messages until one side has gone or the time is up."""
+        """Relay messages until one side disconnects or the time is up."""
         loop = asyncio.get_running_loop()
         self._ticket.end = partial(_call, loop, partial(self._end, REPLACED))
+        pipe = asyncio.subprocess.PIPE
         process = await asyncio.create_subprocess_exec(
-            sys.executable, str(CHILD),
-            stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, limit=LARGEST,
-        )  # fmt: skip
+            sys.executable, str(CHILD), stdin=pipe, stdout=pipe, limit=LARGEST
+        )
         parts = self._hear(process), self._tell(), self._listen(process), self._watch()
         tasks = [asyncio.create_task(self._guarded(part)) for part in parts]
         try:
@@ -130,38 +131,38 @@ class Relay:
                 task.cancel()
             with suppress(ProcessLookupError):
                 process.kill()
-            # Also if this task is cancelled, however often.
+            # Even if this task is cancelled repeatedly.
             with CancelScope(shield=True):
                 await _closed(process, tasks)
         await self._goodbye(last)
 
-    def _end(self, said: str) -> None:
-        """End the run; the first sentence counts."""
+    def _end(self, text: str) -> None:
+        """End the run; only the first message counts."""
         if not self._ended.done():
-            self._ended.set_result(said)
+            self._ended.set_result(text)
 
     async def _guarded(self, part: Coroutine[Any, Any, str]) -> None:
-        """A part of the work, whose end is the end of all."""
+        """Run a part of the work; its end ends the run."""
         try:
             self._end(await part)
         except (WebSocketDisconnect, RuntimeError):
-            # The browser has gone, perhaps while something was being sent to it.
+            # The browser disconnected, perhaps during a send.
             self._end("")
         except (asyncio.IncompleteReadError, OSError):
             self._end(BROKEN)
         except Exception:
-            LOG.exception("a live run broke")
+            LOG.exception("a live run failed")
             self._end(BROKEN)
 
-    async def _goodbye(self, said: str) -> None:
-        """Tell the browser why it ended, if it is still there."""
+    async def _goodbye(self, text: str) -> None:
+        """Send the browser the reason for the end, if it is still connected."""
         if self._socket.application_state is not WebSocketState.CONNECTED:
             return
         with suppress(RuntimeError, WebSocketDisconnect, asyncio.TimeoutError, OSError):
-            await asyncio.wait_for(_part(self._socket, said), PARTING)
+            await asyncio.wait_for(_part(self._socket, text), PARTING)
 
     async def _hear(self, process: asyncio.subprocess.Process) -> str:
-        """Take what the process sends; of frames, only the newest is kept."""
+        """Receive from the process; of frames, only the newest is kept."""
         assert process.stdin is not None and process.stdout is not None
         order = self._ticket.order
         gaussians = order.gaussians * len(order.scene.names)
@@ -183,13 +184,13 @@ class Relay:
             self._news.set()
 
     def _say(self, text: str) -> None:
-        """Have plain data sent to the browser."""
+        """Queue plain data for the browser."""
         with suppress(asyncio.QueueFull):
             self._texts.put_nowait(text)
         self._news.set()
 
     async def _tell(self) -> str:
-        """Send to the browser what there is, one message after the other."""
+        """Send queued messages to the browser."""
         while True:
             await self._news.wait()
             self._news.clear()
@@ -204,17 +205,17 @@ class Relay:
                 await self._socket.send_bytes(FRAME + frame)
 
     async def _listen(self, process: asyncio.subprocess.Process) -> str:
-        """Take what the browser sends; what it may not send is answered by a sentence."""
+        """Receive from the browser; refuse invalid messages with a sentence."""
         assert process.stdin is not None
         while True:
             received = await self._socket.receive()
             if received["type"] == "websocket.disconnect":
                 raise WebSocketDisconnect
             try:
-                message = understood(received.get("text") or "", self._budget)
+                message = parse_message(received.get("text") or "", self._budget)
             except Refused as refusal:
-                if refusal.said:
-                    self._say(json.dumps({"kind": "said", "text": refusal.said}))
+                if refusal.text:
+                    self._say(json.dumps({"kind": "said", "text": refusal.text}))
                 continue
             if message["do"] == "seen":
                 self._acknowledge(message.get("value"))
@@ -224,13 +225,13 @@ class Relay:
                 process.stdin.write(json.dumps(message).encode() + b"\n")
 
     def _acknowledge(self, count: Any) -> None:
-        """The browser has drawn the newest of so many frames; it may have left out others."""
+        """Note that the browser has drawn frame `count` or skipped earlier ones."""
         if isinstance(count, int):
             self._seen = min(max(count, self._seen), self._sent)
         self._news.set()
 
     async def _watch(self) -> str:
-        """End the run when it is not touched any more, or its time is up."""
+        """End the run when it is idle for too long or its time is up."""
         idle, longest = self._settings.touch_idle_minutes, self._settings.touch_minutes
         while True:
             now = time.monotonic()
@@ -240,3 +241,52 @@ class Relay:
                 return OVER.format(longest)
             ends = min(self._touched + 60 * idle, self._begun + 60 * longest)
             await asyncio.sleep(max(ends - now, 0.01))
+
+
+class Refused(Exception):
+    """A message is refused."""
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__(text)
+        self.text = text
+        """Message for the visitor; empty if it was sent before."""
+
+
+class Budget:
+    """Limits the rate of messages by a token bucket."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._left, self._at, self._warned = AT_ONCE, clock(), False
+
+    def spend(self) -> None:
+        """Count a message.
+
+        Raises:
+            Refused: There were too many messages.
+        """
+        now = self._clock()
+        self._left = min(AT_ONCE, self._left + PER_SECOND * (now - self._at))
+        self._at = now
+        if self._left < 1:
+            text, self._warned = "" if self._warned else TOO_MANY, True
+            raise Refused(text)
+        self._left -= 1
+
+
+def parse_message(text: str, budget: Budget) -> dict[str, Any]:
+    """Parse a browser's message.
+
+    Raises:
+        Refused: It is too long, invalid, or exceeds the budget.
+    """
+    budget.spend()
+    if len(text) > LARGEST_MESSAGE:
+        raise Refused(NOT_UNDERSTOOD)
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError):
+        raise Refused(NOT_UNDERSTOOD) from None
+    if not isinstance(message, dict) or message.get("do") not in WORDS:
+        raise Refused(NOT_UNDERSTOOD)
+    return message

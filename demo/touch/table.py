@@ -1,6 +1,6 @@
-"""Who may touch: a ticket for each live run, one for each visitor, and a total for the server.
+"""Tickets for live runs: one per visitor, a limit for the server, and limits of saved sessions.
 
-A place is taken when a page comes with its ticket; tickets that nobody uses take none.
+A place is taken when a page shows its ticket; unused tickets take none.
 """
 
 from __future__ import annotations
@@ -12,17 +12,26 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from phy124.budget.cost import BYTES_PER_GAUSSIAN
 from phy124.errors import InputError
+from phy124.scene import Scene
 
+from ..settings import Settings
 from ..work import Order
 
 WAITS = 60.0
-"""Time in which a page comes with its ticket [s]."""
-FULL = "Others are touching their objects now, as many as this server can hold."
+"""Time in which a page must show its ticket [s]."""
+FULL = "This server cannot run more live runs at the same time."
+FPS = 24.0
+"""Frames per second of a live run."""
+ROOM, TIME = 0.5, 0.1
+"""Largest size of a clip relative to a visitor's storage, and duration relative to a run's time."""
+FORCES = 64
+"""Forces and boundaries: one per grab, and one per change of gravity."""
 
 
 def nothing() -> None:
-    """Nothing is to be ended yet."""
+    """Do nothing: no run has started yet."""
 
 
 @dataclass
@@ -33,19 +42,19 @@ class Ticket:
     """The visitor's name."""
     order: Order
     name: str = field(default_factory=lambda: secrets.token_urlsafe(18))
-    """It cannot be guessed."""
-    given: float = field(default_factory=time.monotonic)
+    """A name that cannot be guessed."""
+    created: float = field(default_factory=time.monotonic)
     taken: bool = False
-    """Whether a page has come with it."""
+    """Whether a page has shown it."""
     end: Callable[[], None] = nothing
     """Ends the run, from any thread."""
     session: dict[str, Any] | None = None
-    """What was done, as a scene; None before it was asked for."""
+    """The session as a scene; None before it is saved."""
 
     @property
     def lost(self) -> bool:
-        """Whether nobody came in time."""
-        return not self.taken and time.monotonic() - self.given > WAITS
+        """Whether no page showed it in time."""
+        return not self.taken and time.monotonic() - self.created > WAITS
 
 
 class Table:
@@ -53,16 +62,16 @@ class Table:
 
     def __init__(self, most: int) -> None:
         self.most = most
-        """Live runs at the same time."""
+        """Largest number of live runs at the same time."""
         self._lock = threading.Lock()
         self._tickets: dict[str, Ticket] = {}
-        """At most one of each visitor."""
+        """Tickets by visitor."""
 
     def __len__(self) -> int:
         return len(self._tickets)
 
     def give(self, visitor: str, order: Order) -> Ticket:
-        """A ticket for a visitor, whose earlier run is ended.
+        """Give a ticket to a visitor, and end the visitor's earlier run.
 
         Raises:
             InputError: There are too many live runs.
@@ -76,7 +85,7 @@ class Table:
         return ticket
 
     def take(self, visitor: str | None, name: str) -> Ticket | None:
-        """The visitor's own ticket of that name, the first time that it is shown, with its place.
+        """Take a place for a visitor's ticket; None if it is unknown or was already shown.
 
         Raises:
             InputError: Others have taken all places since the ticket was made.
@@ -95,8 +104,8 @@ class Table:
         if taken >= self.most:
             raise InputError("touch", taken, FULL, "Try again in a few minutes.")
 
-    def own(self, visitor: str) -> Ticket | None:
-        """The ticket that a visitor has."""
+    def ticket_of(self, visitor: str) -> Ticket | None:
+        """Return a visitor's ticket."""
         return self._tickets.get(visitor)
 
     def leave(self, visitor: str) -> None:
@@ -107,7 +116,7 @@ class Table:
             ticket.end()
 
     def over(self, ticket: Ticket) -> None:
-        """A run has ended; its place is free."""
+        """Free the place of a run that has ended."""
         with self._lock:
             if self._tickets.get(ticket.visitor) is ticket:
                 del self._tickets[ticket.visitor]
@@ -116,3 +125,32 @@ class Table:
         """End all runs."""
         for visitor in list(self._tickets):
             self.leave(visitor)
+
+
+def limits_of(settings: Settings, gaussians: int) -> Settings:
+    """Return the limits for saving a live run of an object with N Gaussians."""
+    room = ROOM * 1e6 * settings.max_visitor_mb / (BYTES_PER_GAUSSIAN * max(gaussians, 1))
+    frames = int(min(room, TIME * FPS * settings.max_seconds))
+    most = {"max_frames": max(settings.max_frames, frames)}
+    most["max_forces"] = max(settings.max_forces, FORCES)
+    return settings.model_copy(update=most)
+
+
+def shorten_session(scene: Scene, most: Settings) -> Scene:
+    """Shorten a session to its limits, without forces that begin after its end."""
+    begun = sorted(_start(force) for force in scene.forces)
+    spare = most.max_forces - len(scene.boundaries)
+    frames = min(scene.time.frames, most.max_frames)
+    if len(begun) > spare:
+        # It ends before the first force beyond the limit.
+        frames = min(frames, max(round(begun[spare] * scene.time.fps) + 1, 2))
+    if frames == scene.time.frames:
+        return scene
+    end = (frames - 1) / scene.time.fps
+    forces = tuple(force for force in scene.forces if _start(force) < end)
+    timing = scene.time.model_copy(update={"frames": frames})
+    return scene.model_copy(update={"forces": forces, "time": timing})
+
+
+def _start(force: object) -> float:
+    return getattr(force, "start", 0.0)

@@ -1,10 +1,10 @@
 """The job of one click: cut-out -> Gaussians -> clip -> films, each stage only if needed.
 
-For an order that names grids it is: cut-out -> Gaussians -> the error of the scene.
+An order with grids is instead: cut-out -> Gaussians -> the error of the scene.
 
 `steps` runs it in a thread and yields events. When asked to stop, it ends with `Cancelled` within
-one substep or drawn frame. Everything in an `Order` and every event can be pickled, because on
-ZeroGPU all of this runs in a forked process.
+one substep or drawn frame. Orders and events can be pickled, because on ZeroGPU all of this runs in
+a forked process.
 """
 
 from __future__ import annotations
@@ -19,37 +19,43 @@ from typing import Any
 from phy124.runtime.device import pick_device
 from phy124.runtime.stopwatch import Stopwatch
 
-from ..events import Done, Event, Glimpse, Live, Measured, Reused, Step
+from ..progress import Done, Event, Measured, Reused
 from ..visitor import STAGES
-from .device import BEAT, DEVICE, held
 from .films import film
-from .limits import Limits, easier
+from .limits import BEAT, DEVICE, Limits, hold_device
 from .motion import gaussians_of, simulate
 from .order import (
     Order,
     bytes_to_write,
     folders,
-    made_already,
     made_by,
     made_gaussians,
+    stages_done,
     study_file,
 )
 from .study import measure
 
 __all__ = [
-    "BEAT", "DEVICE",
-    "Done", "Event", "Glimpse", "Limits", "Live", "Measured", "Order",
-    "Reused", "Step", "bytes_to_write", "easier", "folders", "gaussians_of", "made_already",
-    "made_by", "made_gaussians", "steps", "study_file",
-]  # fmt: skip
+    "BEAT",
+    "DEVICE",
+    "Done",
+    "Order",
+    "bytes_to_write",
+    "gaussians_of",
+    "made_by",
+    "made_gaussians",
+    "stages_done",
+    "steps",
+    "study_file",
+]
 
 
 def steps(order: Order) -> Iterator[Event | None]:
-    """Run an order; yields events, and None if nothing has happened for a moment.
+    """Run an order; yields events, and None after `BEAT` seconds without one.
 
     Raises:
         Cancelled: The stop file appeared.
-        InputError: Something chosen cannot be used, or the time is up.
+        InputError: An input cannot be used, or the time is up.
     """
     events: queue.SimpleQueue[Event | BaseException] = queue.SimpleQueue()
     thread = threading.Thread(target=_run, args=(order, events), name="work", daemon=True)
@@ -72,17 +78,17 @@ def steps(order: Order) -> Iterator[Event | None]:
 
 
 def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
-    """The thread of the job; its last event is the result or the error."""
+    """Run the job in this thread; its last event is the result or the exception."""
     try:
         order = replace(order, device=pick_device(order.device))
-        with held(order):
+        with hold_device(order):
             produce = measure if order.levels else _produce
             last = produce(order, Limits(order, events.put))
     except BaseException as error:
         last = error
     order.stop.unlink(missing_ok=True)
     if not (order.folder / STAGES[0]).exists():
-        # The visitor has left in the meantime.
+        # The visitor's folder was removed meanwhile.
         shutil.rmtree(order.folder, ignore_errors=True)
     events.put(last)
 

@@ -1,4 +1,4 @@
-"""From a clip to films: videos, the player's pack, an animated picture."""
+"""Films a clip: videos, the player's pack, an animated picture, the film in the photograph."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from phy124 import pipeline
+from phy124.imaging.image import open_image
 from phy124.io.clip import Clip
 from phy124.io.html import pack
 from phy124.io.video import write_animation
+from phy124.rendering.compose import Photograph, compose
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import still_camera
 from phy124.rendering.shine import add_gloss
@@ -17,8 +19,7 @@ from phy124.rendering.stage.build import make_stage, pack_stage
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import View
 
-from ..events import Step
-from .composing import composed
+from ..progress import Step
 from .limits import FILMING, Limits
 from .order import Order
 
@@ -27,7 +28,7 @@ MOVING = 320
 
 
 def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
-    """Make a folder with the videos, the player's pack, an animated picture and the report.
+    """Write a folder with the videos, the player's pack, an animated picture and the report.
 
     Args:
         order: The order.
@@ -36,7 +37,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         limits: Time limit and events.
     """
     clip, watch = Clip.load(clips / "clip.safetensors"), Stopwatch()
-    # The page plays MP4s; other formats are made on demand (demo/exports.py).
+    # The page plays MP4 files; other formats are made on demand (demo/exports.py).
     view = order.scene.view
     stage = "plain" if view.stage == "transparent" else view.stage
     view = view.model_copy(update={"formats": ("mp4",), "outputs": (), "stage": stage})
@@ -55,15 +56,17 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
             (folder / "clip.pack").write_bytes(data)
             tell(Step("save", 1, 2))
             turning = pipeline.cameras(clip, view, "orbit")
-            write_animation(
-                folder / "orbit.webp",
-                render_frames(
-                    clip.frames(), turning, size=MOVING, background=view.background,
-                    stage=around and around.at, device=order.device,
-                    progress=lambda *_: tell(Step("save", 1, 2)),
-                ),
-                fps=pipeline.playback(order.scene.time.fps, view),
-            )  # fmt: skip
+            images = render_frames(
+                clip.frames(),
+                turning,
+                size=MOVING,
+                background=view.background,
+                stage=around and around.at,
+                device=order.device,
+                progress=lambda *_: tell(Step("save", 1, 2)),
+            )
+            fps = pipeline.playback(order.scene.time.fps, view)
+            write_animation(folder / "orbit.webp", images, fps=fps)
         report = json.loads((clips / "report.json").read_text("utf-8"))
         report["stages"] = [*report["stages"], *watch.data()]
         report["seconds"] += watch.total
@@ -78,8 +81,8 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
 
 def _videos(
     clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
-) -> list[str]:  # fmt: skip
-    """Write the videos one by one; returns the sides for which no time was left."""
+) -> list[str]:
+    """Write the videos in turn; returns the sides for which no time was left."""
     left_out = []
     for number, side in enumerate(view.sides):
         if number and limits.spent > FILMING:
@@ -89,19 +92,23 @@ def _videos(
         def progress(_: str, done: int, of: int, number: int = number, side: str = side) -> None:
             limits.tell(Step("render", number * of + done, len(view.sides) * of, side))
 
-        one = view.only(side)
         pipeline.film(
-            clip, one, folder, device=order.device, threads=order.threads, progress=progress,
+            clip,
+            view.only(side),
+            folder,
+            device=order.device,
+            threads=order.threads,
+            progress=progress,
             watch=watch,
-        )  # fmt: skip
+        )
     return left_out
 
 
 def _in_photograph(
     clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
-) -> dict[str, Any]:  # fmt: skip
-    """Write the video in the photograph, if one is asked for and there is time; returns an entry
-    of the report.
+) -> dict[str, Any]:
+    """Write the film in the photograph if it is requested and time is left; returns its entry of
+    the report.
     """
     if order.photograph is None or limits.spent > FILMING:
         return {}
@@ -110,4 +117,9 @@ def _in_photograph(
         limits.tell(Step("render", done, total, "composed"))
 
     with watch.stage("compose"):
-        return {"compose": composed(clip, view, order, folder, progress)}
+        # No larger than the other videos.
+        with order.picture() as cutout, open_image(order.photograph) as opened:
+            opened.thumbnail(view.size)
+            photograph = Photograph.of(opened, cutout)
+        made = compose(clip, view, photograph, folder, device=order.device, progress=progress)
+        return {"compose": made[1]}

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from phy124.errors import Cancelled, InputError
 from phy124.scene import Scene
 from phy124.simulation import Stopped
 
-from ..events import Event
+from ..progress import Event
 from .order import Order
 
 SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
-"""Fractions of a run's time: no frame is simulated after the first, no video started after the
-second; after the third the run is given up."""
+"""Fractions of a run's time after which no frame is simulated, no video is started, and the run
+fails."""
 SOFT, FEW = 1e4, 8
-"""Stiffness [Pa] and number of frames below which no smaller value is advised."""
+"""Stiffness [Pa] and number of frames below which no smaller value is suggested."""
+DEVICE = threading.Lock()
+"""Held by the job that uses the device."""
+BEAT = 0.2
+"""Longest interval between two events [s]; a generator can be closed at each."""
 
 
 class Limits:
@@ -36,17 +42,17 @@ class Limits:
         if self.order.stop.exists():
             raise Cancelled
         if self.spent > HOPELESS:
-            limit = f"The work took far longer than the {self.order.seconds:.0f} s of one run."
+            limit = f"It took far longer than the {self.order.seconds:.0f} s of one run."
             raise InputError("time", "over", limit, easier(self.order.scene))
         self.put(event)
 
-    def simulated(self, event: Event) -> None:
-        """Pass an event on while simulating; raises Stopped when time is up, so frames are kept."""
+    def tell_simulating(self, event: Event) -> None:
+        """Pass an event on while simulating; raises Stopped when time is up, which keeps frames."""
         self.tell(event)
         if self.spent > SIMULATING:
             raise Stopped(
-                f"the {self.order.seconds:.0f} s that one run may take here were nearly over, "
-                f"so the frames up to here were kept. {easier(self.order.scene)}"
+                f"the {self.order.seconds:.0f} s of one run were nearly over, so only the frames "
+                f"computed so far were kept. {easier(self.order.scene)}"
             )
 
     @property
@@ -56,8 +62,20 @@ class Limits:
 
 
 def easier(scene: Scene) -> str:
-    """A sentence about what would make a scene faster to compute."""
+    """Suggest changes that make a scene faster to compute."""
     ways = [] if scene.accuracy == "draft" else ["draft accuracy"]
     ways += ["a softer material"] if getattr(scene.material, "E", 0) > SOFT else []
     ways += ["fewer frames"] if scene.time.frames > FEW else []
     return f"Choose {' or '.join(ways or ['a gentler motion'])}."
+
+
+@contextmanager
+def hold_device(order: Order) -> Iterator[None]:
+    """Hold the device; raises Cancelled if the job is asked to stop while it waits."""
+    while not DEVICE.acquire(timeout=BEAT):
+        if order.stop.exists():
+            raise Cancelled
+    try:
+        yield
+    finally:
+        DEVICE.release()

@@ -1,4 +1,4 @@
-"""From a cut-out to a clip: Gaussians, then their motion, both as `phy124.pipeline` makes them."""
+"""Makes Gaussians from a cut-out, and a clip of their motion, by `phy124.pipeline`."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.simulation import Simulation
 from phy124.simulation.parts import crop_of
 
-from ..events import Reused, Step, Tell
 from ..pictures import HOW, how_cut
+from ..progress import Reused, Step, Tell
 from .limits import Limits
 from .order import Order
-from .others import cropped
+from .others import with_crops
 from .shows import glimpses, lives
 
 
 def gaussians_of(order: Order, path: Path, tell: Tell = lambda event: None) -> Gaussians:
-    """The Gaussians of an order, those of several pictures with the number of their object; made
-    if they do not exist yet.
-    """
+    """Return the Gaussians of an order's objects, made if they do not exist yet."""
     if path.exists():
         tell(Reused("generate"))
         return Clip.load(path).frame(0).gaussians
     pictures = 1 + len(order.others)
     tell(Step("generate", 0, pictures))
     with order.picture() as cutout:
-        gaussians = _made(order, order.known.generator(order.generator), cutout, 0, tell)
+        gaussians = _make_gaussians(order, order.extras.generator(order.generator), cutout, 0, tell)
     if order.others:
         objects = {index: gaussians.of_object(index) for index in range(len(order.scene.names))}
         for number, other in enumerate(order.others, 1):
             with Image.open(other.cutout) as cutout:
-                objects[other.index] = _made(order, relief, cutout, number, tell)
-        gaussians = as_objects({index: one for index, one in objects.items() if len(one)})
+                objects[other.index] = _make_gaussians(order, relief, cutout, number, tell)
+        gaussians = as_objects({index: part for index, part in objects.items() if len(part)})
     Clip.from_frames([Frame(0, 0.0, gaussians)]).save(path)
     return gaussians
 
 
-def _made(order: Order, generator: Any, cutout: Image.Image, number: int, tell: Tell) -> Gaussians:
-    """The Gaussians of one of an order's pictures."""
+def _make_gaussians(
+    order: Order, generator: Any, cutout: Image.Image, number: int, tell: Tell
+) -> Gaussians:
+    """Make the Gaussians of picture `number` of an order."""
 
     def progress(_: str, done: int, total: int) -> None:
         tell(Step("generate", number * total + done, (1 + len(order.others)) * total))
@@ -63,14 +63,14 @@ def _made(order: Order, generator: Any, cutout: Image.Image, number: int, tell: 
 def simulate(
     gaussians: Gaussians, order: Order, out: Path, limits: Limits, watch: Stopwatch
 ) -> None:
-    """Make a folder with the clip, its Gaussians, its scene and the report.
+    """Simulate; write a folder with the clip, its Gaussians, its scene and the report.
 
     Args:
         gaussians: The object.
         order: The order.
         out: The folder to write.
         limits: Time limit and events.
-        watch: Where the durations of the stages are recorded.
+        watch: Records the durations of the stages.
     """
     watching = Watching(order, limits)
     with order.picture() as cutout:
@@ -78,18 +78,27 @@ def simulate(
         about = {**dict(order.about), HOW: how_cut(cutout), "motion": watching.motion}
     if order.others:
         about["sources"] = {other.name: other.about for other in order.others}
-    scene = cropped(order.scene, order.others)
+    scene = with_crops(order.scene, order.others)
     pipeline.simulate(
-        gaussians, scene, out, device=order.device, threads=order.threads,
-        progress=watching.progress, watch=watch, about=about, crop=crop, films=False,
-        rescues=False, each=watching.see,
-    )  # fmt: skip
+        gaussians,
+        scene,
+        out,
+        device=order.device,
+        threads=order.threads,
+        progress=watching.progress,
+        watch=watch,
+        about=about,
+        crop=crop,
+        films=False,
+        rescues=False,
+        each=watching.see,
+    )
     watching.end()
-    _without_places(out, order)
+    _hide_folders(out, order)
 
 
-def _without_places(out: Path, order: Order) -> None:
-    """Remove the server's folder from the paths of uploads in the scene file."""
+def _hide_folders(out: Path, order: Order) -> None:
+    """Remove the server's folder from the paths of uploads in the scene."""
     place, scene = f"{order.folder / 'uploads'}/", out / "scene.toml"
     text = scene.read_text("utf-8")
     if place not in text:
@@ -102,7 +111,7 @@ def _without_places(out: Path, order: Order) -> None:
 
 
 class Watching:
-    """Shows a visitor the frames of a run, and measures each of them."""
+    """Shows a visitor the frames of a run, and measures them."""
 
     def __init__(self, order: Order, limits: Limits) -> None:
         self.order, self.limits = order, limits
@@ -119,7 +128,7 @@ class Watching:
             note = f"compiling, {done} of {total}"
             self.limits.tell(Step("simulate", 0, self.order.scene.time.frames, note))
             return
-        self.limits.simulated(Step("simulate", done, total, self.note))
+        self.limits.tell_simulating(Step("simulate", done, total, self.note))
 
     def see(self, run: Simulation, frame: Frame) -> None:
         """Show a frame, and measure the particles in their current state.
@@ -135,19 +144,19 @@ class Watching:
                 f"one run may have {self.order.max_particles:,} here.",
                 "Choose a coarser accuracy.",
             )
-        for name, value in measured(run, frame).items():
+        for name, value in measure_motion(run, frame).items():
             self.motion[name].append(value)
         for show in self.shows:
             show(frame)
 
     def end(self) -> None:
-        """Call when the run is over, also if its time was up."""
+        """Report the end of the run, even if its time was up."""
         frames = self.order.scene.time.frames
         self.limits.tell(Step("simulate", frames, frames, self.note))
 
 
-def measured(run: Simulation, frame: Frame) -> dict[str, float]:
-    """Time [s], smallest J, largest speed [m/s] and kinetic energy [J] of a frame."""
+def measure_motion(run: Simulation, frame: Frame) -> dict[str, float]:
+    """Measure time [s], smallest J, largest speed [m/s] and kinetic energy [J] of a frame."""
     state = run.solver.state
     v = state.v.numpy().astype(np.float64)
     volumes = np.linalg.det(state.deformation.numpy().astype(np.float64))

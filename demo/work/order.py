@@ -1,4 +1,4 @@
-"""What one click asks for, and the files it makes."""
+"""The order of one click, and the files it makes."""
 
 from __future__ import annotations
 
@@ -9,29 +9,34 @@ from typing import Any
 from PIL import Image
 
 from phy124.budget.cost import BYTES_PER_GAUSSIAN, GAUSSIANS
+from phy124.generators.ply_file import PlyFile
 from phy124.imaging.image import read_picture_size
+from phy124.pipeline.capture import changed
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
-from ..known import NOTHING_MORE, Known
-from ..visitors import key
-from .others import Other
+from ..extras import NO_EXTRAS, ExtraInputs
+from ..room import all_taken
+from ..settings import Settings
+from ..source import Cutout, GaussianFile, Source
+from ..visitors import Visitor, key
+from .others import Other, others_of
 
 VIEWED = ("view", "accuracy", "description")
-"""Fields that the stored errors of a scene's motion do not depend on."""
+"""Fields of a scene that its motion's stored errors do not depend on."""
 
 VECTOR, BYTES_SHOWN, BYTES_AT_REST = 12, 10, 200
-"""Bytes of a Gaussian: of a vector, of what the viewer gets of a frame, and at rest."""
+"""Bytes per Gaussian: of a vector, of a frame for the viewer, and at rest."""
 BYTES_OF_FILMS = 2_000_000
-"""Of the videos of a run."""
+"""Approximate size of a run's videos [bytes]."""
 COMPOSING, EACH = 210, 1800
-"""Finding camera and colours of a photograph takes as long as drawing so many pictures of its size,
-and so many pixels for each Gaussian."""
+"""Cost of matching camera and colours to a photograph: number of pictures of its size, plus number
+of pixels per Gaussian."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """What one click asks for."""
+    """The order of one click."""
 
     folder: Path
     """The visitor's folder."""
@@ -46,34 +51,34 @@ class Order:
     generator: str = "relief"
     """Name of the generator, or the file of Gaussians."""
     gaussians: int = GAUSSIANS
-    """Number of Gaussians that `relief` makes of each picture."""
-    known: Known = NOTHING_MORE
-    """What is told of the object beside its picture or file."""
+    """Number of Gaussians that `relief` makes from each picture."""
+    extras: ExtraInputs = NO_EXTRAS
+    """Optional inputs besides the picture or file."""
     others: tuple[Other, ...] = ()
-    """The further objects that have pictures of their own."""
+    """The further objects that have pictures."""
     photograph: Path | None = None
-    """The picture to film the object in as well, in a format that browsers can show."""
+    """The picture to film the object in, too, in a format that browsers can show."""
     device: str = "auto"
     threads: int | None = None
-    """CPU threads; None: one for each core that is free."""
+    """CPU threads; None: one per free core."""
     about: tuple[tuple[str, str], ...] = ()
     """Further entries of the report."""
     levels: tuple[int, ...] = ()
-    """Grids on which the scene's error is to be measured; empty: the scene is filmed instead."""
+    """Grids to measure the scene's error on; if empty, the scene is filmed instead."""
 
     def picture(self) -> Image.Image:
-        """The cut-out, or a picture of nothing."""
+        """Open the cut-out, or an empty picture."""
         return Image.open(self.cutout) if self.cutout else Image.new("RGBA", (1, 1))
 
-    def cut(self, deadline: Deadline) -> None:
-        """Cut out of all other pictures what they show, unless that is done; raises InputError."""
-        self.known.cut(deadline)
+    def cut_views(self, deadline: Deadline) -> None:
+        """Make the cut-outs of all other pictures that do not exist yet; raises InputError."""
+        self.extras.cut_views(deadline)
         for other in self.others:
-            other.cut(deadline)
+            other.make_cutout(deadline)
 
 
 def folders(order: Order) -> tuple[Path, Path]:
-    """The folders of the clip and of the films of an order."""
+    """Return the folders of an order's clip and films."""
     physics = {name: value for name, value in order.scene.data().items() if name != "view"}
     clips = order.folder / "clips" / key(made_gaussians(order).name, physics)
     view = order.scene.view.model_dump(mode="json")
@@ -81,56 +86,53 @@ def folders(order: Order) -> tuple[Path, Path]:
     return clips, order.folder / "films" / key(clips.name, view, *more)
 
 
-def made_already(order: Order) -> dict[str, Any]:
-    """Which stages of an order need not be run again, as arguments for the forecast.
+def stages_done(order: Order) -> dict[str, Any]:
+    """Return which stages of an order are done, as arguments for the forecast.
 
-    With them, under `composed`, the pixels that take as long as filming it in its photograph.
+    `composed` is the cost of filming in the photograph, as a number of drawn pixels.
     """
     clips, films = ((folder / "report.json").exists() for folder in folders(order))
     pictures = (order.cutout is not None) + len(order.others)
     generated = not pictures or made_gaussians(order).exists()
-    made = {
-        "generated": generated, "simulated": clips, "filmed": films, "pictures": max(pictures, 1)
-    }  # fmt: skip
-    return {**made, "composed": _pixels_to_compose(order)}
-
-
-def _pixels_to_compose(order: Order) -> float:
-    if order.photograph is None:
-        return 0.0
-    width, height = read_picture_size(order.photograph)
-    most_wide, most_high = order.scene.view.size
-    scale = min(1.0, most_wide / width, most_high / height)
-    return (
-        width * height * scale**2 * (COMPOSING + order.scene.time.frames) + EACH * order.gaussians
-    )
+    composed = 0.0
+    if order.photograph is not None:
+        width, height = read_picture_size(order.photograph)
+        most_wide, most_high = order.scene.view.size
+        scale = min(1.0, most_wide / width, most_high / height)
+        drawn = width * height * scale**2 * (COMPOSING + order.scene.time.frames)
+        composed = drawn + EACH * order.gaussians
+    return {
+        "generated": generated,
+        "simulated": clips,
+        "filmed": films,
+        "pictures": max(pictures, 1),
+        "composed": composed,
+    }
 
 
 def made_gaussians(order: Order) -> Path:
-    """The file of the Gaussians of an order."""
-    told: list[Any] = [
+    """Return the file of an order's Gaussians."""
+    parts: list[Any] = [
         order.cutout.read_bytes() if order.cutout else b"",
         order.generator,
         order.gaussians,
         order.scene.seed,
-        order.known.data(),
+        order.extras.data(),
         *([other.index, other.cutout.name] for other in order.others),
     ]
-    made = key(*told)
-    return order.folder / "gaussians" / f"{made}.safetensors"
+    name = key(*parts)
+    return order.folder / "gaussians" / f"{name}.safetensors"
 
 
 def made_by(order: Order) -> tuple[Path, ...]:
-    """The folders and files that an order makes or uses."""
+    """Return the folders and files that an order makes or uses."""
     return *folders(order), made_gaussians(order)
 
 
 def bytes_of(scene: Scene, gaussians: int) -> float:
-    """Size of a run's clip, its films and what is shown meanwhile [bytes], about.
+    """Estimate the size of a run's clip, films and frames for the viewer [bytes].
 
-    Args:
-        scene: The scene.
-        gaussians: Number of Gaussians of all objects.
+    `gaussians` is the number of Gaussians of all objects.
     """
     more = VECTOR * (scene.velocities + scene.keeps_contacts)
     each = BYTES_PER_GAUSSIAN + more + BYTES_SHOWN
@@ -138,7 +140,7 @@ def bytes_of(scene: Scene, gaussians: int) -> float:
 
 
 def bytes_to_write(order: Order) -> float:
-    """What an order will write [bytes], about."""
+    """Estimate the size of the files that an order will write [bytes]."""
     clips, films = ((folder / "report.json").exists() for folder in folders(order))
     if films or order.levels:
         return 0.0
@@ -147,8 +149,54 @@ def bytes_to_write(order: Order) -> float:
 
 
 def study_file(order: Order) -> Path:
-    """The file of the errors of an order's scene, the same for every grid."""
+    """Return the file of the errors of an order's scene, the same for every grid."""
     physics = {name: value for name, value in order.scene.data().items() if name not in VIEWED}
-    kept = order.scene.resolution.model_dump(mode="json", exclude={"cells", "precision"})
-    name = key(made_gaussians(order).name, physics, kept)
+    resolution = order.scene.resolution.model_dump(mode="json", exclude={"cells", "precision"})
+    name = key(made_gaussians(order).name, physics, resolution)
     return order.folder / "studies" / f"{name}.json"
+
+
+def order_of(
+    visitor: Visitor, source: Source, scene: Scene, extras: ExtraInputs, limits: Settings
+) -> Order:
+    """Make the order of a request, without a stop file.
+
+    Args:
+        visitor: The visitor.
+        source: The object's source.
+        scene: The scene; regions may be in the units of a file.
+        extras: Optional inputs besides the front picture.
+        limits: The page's limits.
+
+    Raises:
+        InputError: An extra input does not suit the object, or a region contains nothing of it.
+    """
+    each = limits.room.each
+    size = bytes_of(scene, count_of(source, limits) * len(scene.names))
+    if size > each:
+        raise all_taken(size, each, "Choose fewer frames.")
+    cutout = Path(source.path) if isinstance(source, Cutout) else None
+    extras = extras.suit(source)
+    if cutout is None:
+        scene = changed(PlyFile(source.path, extras.reading), scene)
+    return Order(
+        folder=visitor.folder,
+        cutout=cutout,
+        scene=scene,
+        stop=visitor.folder / "never",
+        seconds=limits.max_seconds,
+        max_particles=limits.max_particles,
+        generator="relief" if cutout else source.path,
+        gaussians=count_of(source, limits),
+        extras=extras,
+        others=others_of(visitor, scene),
+        photograph=Path(source.picture) if extras.photographed.compose else None,
+        device=limits.device,
+        threads=limits.threads or None,
+        about=extras.about(source),
+    )
+
+
+def count_of(source: Source | None, limits: Settings) -> int:
+    """Return the number of Gaussians of an object."""
+    return source.count if isinstance(source, GaussianFile) else limits.gaussians

@@ -1,4 +1,4 @@
-"""The further objects of a scene that have pictures of their own."""
+"""Further objects of a scene that are made from pictures."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ class Other:
     """A further object and its picture."""
 
     index: int
-    """Its number among the objects; the first object is 0."""
+    """Index among the objects; the first object is 0."""
     name: str
     picture: Path
-    """The picture as it was sent."""
+    """The uploaded picture."""
     cutout: Path
-    """Its cut-out, which `cut` makes; its name stands for its content."""
+    """The cut-out, which `make_cutout` makes; the file name stands for its content."""
 
-    def cut(self, deadline: Deadline) -> None:
-        """Cut the object out, unless that is done.
+    def make_cutout(self, deadline: Deadline) -> None:
+        """Make the cut-out, unless it exists.
 
         Raises:
-            InputError: No object can be found.
+            InputError: The picture shows no object.
         """
         if self.cutout.exists():
             return
@@ -46,22 +46,22 @@ class Other:
 
     @property
     def about(self) -> dict[str, Any]:
-        """What the report says of how it was made."""
+        """Entries of the report about the object's source."""
         with Image.open(self.cutout) as cutout:
             return {"generator": "relief", HOW: how_cut(cutout)}
 
 
 def others_of(visitor: Visitor, scene: Scene) -> tuple[Other, ...]:
-    """The further objects of a scene whose pictures a visitor has sent."""
+    """Return the further objects of a scene that have a picture."""
     return tuple(
-        Other(index, one.name, one.picture, cutout_file(visitor, one.picture))
-        for index, one in enumerate(scene.objects, 1)
-        if one.picture is not None
+        Other(index, source.name, source.picture, cutout_file(visitor, source.picture))
+        for index, source in enumerate(scene.objects, 1)
+        if source.picture is not None
     )
 
 
-def cropped(scene: Scene, others: tuple[Other, ...]) -> Scene:
-    """The scene, in which each of these objects knows where it is in its picture."""
+def with_crops(scene: Scene, others: tuple[Other, ...]) -> Scene:
+    """Return the scene with the crop of each of these objects in its picture."""
     objects = list(scene.objects)
     for other in others:
         with Image.open(other.cutout) as cutout:

@@ -1,4 +1,4 @@
-"""What is shown of a motion while it is computed: small pictures, and frames for the viewer."""
+"""Shows a motion while it is computed: small pictures, and frames for the viewer."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, make_stage, pack_stage
 from phy124.scene import Scene
 
-from ..events import Glimpse, Live, Tell
+from ..progress import Glimpse, Live, Tell
 from .order import Order
 
 GLIMPSE = 224
 """Side of the pictures shown while the simulation runs [pixels]."""
 SHOWN = 12_000
-"""Number of Gaussians that the viewer gets while the simulation runs."""
+"""Number of Gaussians for the viewer while the simulation runs."""
 ROOMY = 2.4
-"""Distance of the camera meanwhile, in object sizes."""
+"""Distance of the camera while the simulation runs, in object sizes."""
 
 
 def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
-    """A function that shows frames as small pictures during the run."""
+    """Return a function that shows frames as small pictures during the run."""
     renderer, camera, rest = Renderer(device=order.device), None, None
 
     def show(frame: Frame) -> None:
@@ -52,7 +52,7 @@ def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
 
 
 def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
-    """A function that sends frames to the viewer during the run: some Gaussians, enlarged."""
+    """Return a function that sends frames to the viewer during the run: fewer, larger Gaussians."""
     folder = order.folder / "live" / order.stop.name
     shutil.rmtree(folder.parent, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -65,7 +65,7 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
         if chosen is None:
             rng = np.random.default_rng(0)
             chosen = np.sort(rng.permutation(count)[:SHOWN])
-        some = _thinned(frame, chosen)
+        some = _thin(frame, chosen)
         path = folder / f"{frame.index:04d}.pack"
         background = order.scene.view.background
         rest = frame.gaussians.means if rest is None else rest
@@ -75,15 +75,15 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
         try:
             path.write_bytes(data)
         except FileNotFoundError:
-            # The visitor has left, and the folder with them.
+            # The visitor's folder was removed meanwhile.
             raise Cancelled from None
         tell(Live(str(path)))
 
     return show
 
 
-def _thinned(frame: Frame, chosen: np.ndarray) -> Frame:
-    """Some of a frame's Gaussians, enlarged so that they cover what all of them cover."""
+def _thin(frame: Frame, chosen: np.ndarray) -> Frame:
+    """Select some of a frame's Gaussians, and enlarge them to cover the same area."""
     g = frame.gaussians
     larger = g.scales[chosen] * (len(g) / len(chosen)) ** 0.5
     some = Gaussians(g.means[chosen], g.quats[chosen], larger, g.opacities[chosen], g.sh[chosen])
@@ -91,13 +91,13 @@ def _thinned(frame: Frame, chosen: np.ndarray) -> Frame:
 
 
 def _stage(frame: Frame, scene: Scene, rest: np.ndarray) -> Stage | None:
-    """What stands around the object in a single frame."""
+    """Build the stage of a single frame."""
     clip = replace(Clip.from_frames([frame]), scene={"boundaries": scene.data()["boundaries"]})
     return make_stage(clip, scene.view, rest=rest)
 
 
 def _camera(frame: Frame, scene: Scene) -> Camera:
-    """A camera with some room for a motion that is not known."""
+    """Place a camera with some margin, since the motion is not known yet."""
     rest = Clip.from_frames([frame])
     clip = Clip(**{**vars(rest), "scene": scene.data()})
     usual = {"size": (GLIMPSE, GLIMPSE), "fit": False}

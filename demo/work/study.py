@@ -1,4 +1,4 @@
-"""From a cut-out to the error of its scene, by the same motion on a few coarse grids."""
+"""Measures the error of a scene by its motion on a few coarse grids."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from phy124.io.files import replacing
 from phy124.simulation.parts import crop_of
 from phy124.studies.validation.accuracy.study import Study
 
-from ..events import Measured, Reused, Step
+from ..progress import Measured, Reused, Step
 from ..studies import Measurement, on_grid
 from .limits import SIMULATING, Limits, easier
 from .motion import gaussians_of
 from .order import Order, made_gaussians, study_file
-from .others import cropped
+from .others import with_crops
 
 
 def measure(order: Order, limits: Limits) -> Measured:
@@ -37,28 +37,17 @@ def measure(order: Order, limits: Limits) -> Measured:
             return
         note = f"D/{order.levels[done]}" if done < total else ""
         event = Step("measure", done, total, note)
-        limits.simulated(event) if done < total else limits.tell(event)
+        limits.tell_simulating(event) if done < total else limits.tell(event)
 
-    scene = on_grid(cropped(order.scene, order.others), order.levels[0])
+    scene = on_grid(with_crops(order.scene, order.others), order.levels[0])
     study = Study(
         gaussians, scene, order.device, order.levels, crop, progress=progress, thorough=False
     )
-    found = Measurement.of(study.run())
-    if limits.spent > SIMULATING and len(found.levels) < len(order.levels):
-        raise _too_late(order)
-    _keep(found, path)
-    return Measured(path)
-
-
-def _keep(found: Measurement, path: Path) -> None:
+    measurement = Measurement.of(study.run())
+    if limits.spent > SIMULATING and len(measurement.levels) < len(order.levels):
+        limit = f"The {order.seconds:.0f} s of one run were nearly over before all grids were run."
+        remedy = easier(order.scene.model_copy(update={"accuracy": "draft"}))
+        raise InputError("time", "over", limit, remedy)
     with replacing(path) as temporary:
-        Path(temporary).write_text(found.model_dump_json(), "utf-8")
-
-
-def _too_late(order: Order) -> InputError:
-    return InputError(
-        "time",
-        "over",
-        f"The {order.seconds:.0f} s of one run were nearly over before enough grids had been run.",
-        easier(order.scene.model_copy(update={"accuracy": "draft"})),
-    )
+        Path(temporary).write_text(measurement.model_dump_json(), "utf-8")
+    return Measured(path)

@@ -88,7 +88,7 @@ class Page:
     def cut(self, name: str) -> Cutout:
         """A picture, cut out."""
         data = (ROOT / f"demo/examples/{name}.png").read_bytes()
-        job = self.studio.cut("a", str(self.studio.visitors.store("a", data, ".png")))
+        job = self.studio.cut_out("a", str(self.studio.visitors.store("a", data, ".png")))
         job.wait(600)
         return job.progress.result
 

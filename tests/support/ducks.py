@@ -37,7 +37,7 @@ def pressed(studio: Studio, folder: Path, *, truth: float, guess: float) -> tupl
     """A visitor's finished run with a guess, and the video of the truth."""
     studio.visitors.get("a")
     sent = str(studio.visitors.store("a", DUCK.read_bytes(), ".png"))
-    cut = studio.cut("a", sent)
+    cut = studio.cut_out("a", sent)
     assert cut.wait(60)
     changes = {"material.E": guess, "accuracy": "draft", "view.size": 64, "view.views": ["front"]}
     scene = Scene.named("press").replaced(changes)

@@ -43,7 +43,7 @@ def echo(_: Any, line: Any) -> None:
     say(line, kind="said", text="ready")
     while True:
         line.wait(5)
-        for order in map(json.loads, line.heard()):
+        for order in map(json.loads, line.take_messages()):
             if order["do"] == "save":
                 line.tell(b"s", json.dumps({"forces": []}).encode())
             if order["do"] != "pause":

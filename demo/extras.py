@@ -1,0 +1,180 @@
+"""Optional inputs besides the front picture: other views, a depth map, a thickness, whether to film
+the object in its photograph; or the orientation of a file of Gaussians.
+
+Names, ranges and choices are declared by the classes of the command line's options.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from phy124.errors import InputError
+from phy124.generators import make as make_generator
+from phy124.generators.depth_map import DepthMap
+from phy124.generators.other_views import OtherViews
+from phy124.generators.ply_file import Reading
+from phy124.imaging.cutout import cut_out as open_view
+from phy124.io.axes import orientation
+from phy124.runtime.isolated import Deadline
+from phy124.schema.refusals import explain
+from phy124.schema.section import Section
+
+from .pictures import check_picture, cut_out, cutout_file, viewable
+from .settings import Settings
+from .source import Cutout, Source
+from .visitors import Visitors
+
+PICTURES = ("side", "back", "depth")
+"""Options that name a picture."""
+AXES = ("up", "front")
+"""Options for a file of Gaussians."""
+NO_DEPTH, NO_VIEWS, NO_READING = DepthMap(), OtherViews(), Reading()
+
+
+class Photographed(Section):
+    """Whether to film the object in its photograph."""
+
+    compose: bool = Field(
+        default=False,
+        description="Film the object in the photograph as well, in place of itself, with its "
+        "shadow; takes longer.",
+    )
+
+
+NOT_PHOTOGRAPHED = Photographed()
+
+
+@dataclass(frozen=True)
+class ExtraInputs:
+    """Optional inputs besides the picture from the front."""
+
+    depth: DepthMap = NO_DEPTH
+    views: OtherViews = NO_VIEWS
+    """Names the cut-outs of the pictures, which `cut_views` makes."""
+    sent: tuple[Path, ...] = ()
+    """The pictures of other views, unchanged."""
+    reading: Reading = NO_READING
+    """Orientation of the file of Gaussians."""
+    photographed: Photographed = NOT_PHOTOGRAPHED
+    """Whether to film the object in its photograph; the Gaussians do not depend on it."""
+
+    def cut_views(self, deadline: Deadline) -> None:
+        """Make the cut-outs of the other views that do not exist yet.
+
+        Raises:
+            InputError: No object can be found in one.
+        """
+        for (field, path), picture in zip(self.views.pictures.items(), self.sent, strict=True):
+            if path.exists():
+                continue
+            try:
+                cut_out(viewable(picture, deadline), path, deadline=deadline)
+            except InputError as error:
+                limit = f"{field.capitalize()}: {error.limit}"
+                raise InputError(field, error.value, limit, error.remedy) from error
+
+    def suit(self, source: Source) -> ExtraInputs:
+        """Return the inputs for this object; axes of a file default to the most likely ones.
+
+        Raises:
+            InputError: An input does not apply to such an object.
+        """
+        if isinstance(source, Cutout):
+            _refuse(self.reading, "It is for a file of Gaussians.")
+            return self
+        _refuse(self.depth, "A file of Gaussians needs none.")
+        _refuse(self.views, "A file of Gaussians has all sides already.")
+        _refuse(self.photographed, "A file of Gaussians comes with no photograph.")
+        up, front = self.reading.up, self.reading.front
+        front = front or (None if up else source.axes.front)
+        return replace(self, reading=Reading(up=up or source.axes.up, front=front))
+
+    def about(self, source: Source) -> tuple[tuple[str, Any], ...]:
+        """Entries of the report about the object's source."""
+        if isinstance(source, Cutout):
+            return (("generator", "relief"),)
+        file = {**self.reading.model_dump(include=set(AXES)), "program": source.axes.program}
+        about = {"generator": source.format, "file": file, "cleaning": list(source.notes)}
+        return tuple(about.items())
+
+    def generator(self, name: str) -> Any:
+        """Make the generator with a name, or for a file, with these inputs."""
+        if self.reading != NO_READING:
+            return make_generator(name, self.reading)
+        generator = self.depth.given_to(make_generator(name), name)
+        return self.views.given_to(
+            generator, name, lambda field, path: open_view(path, field=field)
+        )
+
+    def data(self) -> list[Any]:
+        """Inputs that Gaussians depend on, as plain data; file names stand for their content."""
+        sections = (self.depth, self.views, self.reading)
+        return [section.model_dump(mode="json") for section in sections]
+
+
+NO_EXTRAS = ExtraInputs()
+
+
+def options() -> dict[str, Any]:
+    """The JSON schemas of all inputs, by option."""
+    sections: tuple[type[Section], ...] = (OtherViews, DepthMap, Photographed)
+    return {
+        name: schema
+        for section in sections
+        for name, schema in section.model_json_schema()["properties"].items()
+    }
+
+
+def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) -> ExtraInputs:
+    """Validate a visitor's optional inputs.
+
+    Args:
+        visitors: All visitors.
+        settings: The page's limits.
+        name: The visitor's name.
+        values: Values by option; None means the default.
+
+    Raises:
+        InputError: An option has an invalid value, or names no upload of this visitor.
+    """
+    if not isinstance(values, dict | None):
+        limit = "It must be an object of values by option."
+        raise InputError("known", type(values).__name__, limit, 'Give {"thickness": 0.6}, say.')
+    rest = {option: value for option, value in (values or {}).items() if value is not None}
+    sent: dict[str, Path] = {}
+    for option in PICTURES:
+        if option in rest:
+            sent[option] = visitors.find_upload(name, rest[option])
+            check_picture(sent[option], settings, option)
+    depth = {option: rest.pop(option) for option in DepthMap.model_fields if option in rest}
+    axes = {option: rest.pop(option) for option in AXES if option in rest}
+    film = {option: rest.pop(option) for option in Photographed.model_fields if option in rest}
+    if "depth" in sent:
+        depth["depth"] = sent.pop("depth")
+    cutouts = {option: cutout_file(visitors.get(name), path) for option, path in sent.items()}
+    reading = _validate(Reading, axes)
+    orientation(reading.up, reading.front)  # refuses pairs that are no directions
+    return ExtraInputs(
+        _validate(DepthMap, depth),
+        _validate(OtherViews, rest | cutouts),
+        tuple(sent.values()),
+        reading,
+        _validate(Photographed, film),
+    )
+
+
+def _refuse(section: Section, why: str) -> None:
+    """Refuse a section that is not empty; raises InputError."""
+    for option, value in section.model_dump(exclude_defaults=True).items():
+        raise InputError(option, value, why, "Leave it out.")
+
+
+def _validate(section: type[Any], values: dict[str, Any]) -> Any:
+    try:
+        return section.model_validate(values)
+    except ValidationError as error:
+        raise explain(error, "known", section) from None

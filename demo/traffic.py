@@ -1,0 +1,183 @@
+"""Limits the traffic of each address: requests that compute, uploads, and open streams.
+
+A single request may cost tenths of a second, so only a few are processed at the same time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import anyio
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse
+
+from .guard import address_of, cookie_of
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+COMPUTES = re.compile(r"/gradio_api/(?:run|api|call|queue)\b")
+"""URLs to which a POST may cost more than 0.2 s of a core."""
+TOGETHER, EACH = 4, 2
+"""Largest number of such requests at the same time, in total and per address."""
+UPLOADS = re.compile(r"/gradio_api/upload\b")
+"""URLs of uploads, which occupy the disk until they are complete."""
+RECEIVED, RECEIVED_EACH = 64, 8
+"""Largest number of uploads at the same time, in total and per address."""
+PRESENT = 64
+"""Largest number of unfinished requests per address; more are refused."""
+LONGEST = 60.0
+"""Longest waiting time of a request [s]."""
+TOO_MANY = "Too many requests from your address are waiting here. Try again in a minute."
+STREAMED = re.compile(r"/gradio_api/(?:heartbeat|queue/data|call|upload_progress)\b")
+"""URLs that are answered by streams."""
+STREAMS_EACH, STREAMS_ADDRESS = 16, 64
+"""Largest number of streams per cookie and per address; a page has one or two."""
+LIFE = 7200.0
+"""Time after which a stream ends unless its page is open [s]; the page may reconnect."""
+TOO_MANY_STREAMS = "Too many streams are open here. Close some pages."
+
+
+@dataclass
+class _Address:
+    """The requests of one address."""
+
+    turns: anyio.Semaphore
+    present: int = 0
+
+
+class Turns:
+    """Queues requests; those of one address also wait for each other."""
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        at: re.Pattern[str] = COMPUTES,
+        together: int = TOGETHER,
+        each: int = EACH,
+    ) -> None:
+        """Wrap an application.
+
+        Args:
+            app: The application.
+            at: URLs of the requests to queue; others are passed on at once.
+            together: Largest number of requests at the same time.
+            each: Largest number of them per address.
+        """
+        self.app, self.at, self.each = app, at, each
+        self._turns = anyio.Semaphore(together)
+        self._addresses: dict[str, _Address] = {}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on when it is its turn, or answer 429."""
+        posted = scope["type"] == "http" and scope["method"] == "POST"
+        if not posted or not self.at.match(scope["path"]):
+            return await self.app(scope, receive, send)
+        async with self._turn(address_of(HTTPConnection(scope))) as has_come:
+            answer = (
+                self.app if has_come else PlainTextResponse(TOO_MANY, 429, {"connection": "close"})
+            )
+            await answer(scope, receive, send)
+
+    @asynccontextmanager
+    async def _turn(self, name: str) -> AsyncIterator[bool]:
+        """Wait for a turn of an address; yields whether it came in time."""
+        address = self._addresses.setdefault(name, _Address(anyio.Semaphore(self.each)))
+        if address.present >= PRESENT:
+            yield False
+            return
+        address.present += 1
+        try:
+            async with AsyncExitStack() as taken:
+                with anyio.move_on_after(LONGEST) as waiting:
+                    await taken.enter_async_context(address.turns)
+                    await taken.enter_async_context(self._turns)
+                yield not waiting.cancelled_caught
+        finally:
+            address.present -= 1
+            if not address.present:
+                del self._addresses[name]
+
+
+class Streams:
+    """Limits the number of streams per cookie, per address and in total, and their duration."""
+
+    def __init__(self, app: ASGIApp, most: int, here: Callable[[str | None], bool]) -> None:
+        """Wrap an application.
+
+        Args:
+            app: The application.
+            most: Largest number of streams in total.
+            here: Returns whether the page of a visitor is open.
+        """
+        self.app, self.most, self.here = app, most, here
+        self._open: list[_Stream] = []
+        """The oldest first."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on; too many streams of a cookie end its oldest, others get 429."""
+        asked = scope["type"] == "http" and scope["method"] == "GET"
+        if not asked or not STREAMED.match(scope["path"]):
+            return await self.app(scope, receive, send)
+        stream = _Stream(HTTPConnection(scope), send)
+        of_address = [s for s in self._open if s.address == stream.address]
+        if len(of_address) >= STREAMS_ADDRESS or len(self._open) >= self.most:
+            return await PlainTextResponse(TOO_MANY_STREAMS, 429, {"connection": "close"})(
+                scope, receive, send
+            )
+        of_cookie = [s for s in of_address if stream.cookie and s.cookie == stream.cookie]
+        for oldest in of_cookie[: max(len(of_cookie) + 1 - STREAMS_EACH, 0)]:
+            oldest.end()
+        self._open.append(stream)
+        life = asyncio.ensure_future(self._watch(stream))
+        try:
+            await stream.run(self.app, scope, receive)
+        finally:
+            life.cancel()
+            self._open.remove(stream)
+
+    async def _watch(self, stream: _Stream) -> None:
+        """End a stream when it is old and its page is closed."""
+        await asyncio.sleep(LIFE)
+        while self.here(stream.cookie):
+            await asyncio.sleep(LIFE)
+        stream.end()
+
+
+class _Stream:
+    """One stream, which can be ended by the server."""
+
+    def __init__(self, request: HTTPConnection, send: Send) -> None:
+        self.cookie, self.address = cookie_of(request), address_of(request)
+        self._send = send
+        self._answer: asyncio.Future[None] | None = None
+        self._ended = self._begun = False
+
+    def end(self) -> None:
+        """End the stream as if its reader had disconnected."""
+        self._ended = True
+        if self._answer is not None:
+            self._answer.cancel()
+
+    async def run(self, app: ASGIApp, scope: Scope, receive: Receive) -> None:
+        """Let the application answer until it is done or `end` is called."""
+        self._answer = asyncio.ensure_future(app(scope, receive, self._pass_on))
+        try:
+            await self._answer
+        except asyncio.CancelledError:
+            if not self._ended:
+                raise
+            if not self._begun:
+                return await PlainTextResponse(TOO_MANY_STREAMS, 429, {"connection": "close"})(
+                    scope, receive, self._send
+                )
+            await self._send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    async def _pass_on(self, message: Message) -> None:
+        self._begun = True
+        await self._send(message)

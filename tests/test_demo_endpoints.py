@@ -1,0 +1,16 @@
+"""Requests of programs: their arguments as models."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("gradio", reason="the extra demo is not installed")
+
+from demo.endpoints import GenerateRequest, MeasureRequest
+
+
+def test_extras_leave_out_the_scene_and_compose():
+    asked = {"image": "a.png", "preset": "press", "accuracy": "draft", "side": "b.png"}
+    extras = MeasureRequest(**asked).extras
+    assert extras["side"] == "b.png" and not {"image", "preset", "compose"} & set(extras)
+    assert GenerateRequest(**asked, compose=True).extras == {**extras, "compose": True}
