@@ -3,7 +3,7 @@
 The grid knows no neighbours. Particles hold together because they share nodes; once stretching has
 moved them more than about a cell apart, they no longer do, and the material separates although no
 law says so. A bar that is pulled apart holds up to a mean spacing of about one cell, at which its
-worst places reach `APART` (docs/lab/stability.md). A finer grid does not help, since it
+worst places reach `APART` (docs/design/stability.md). A finer grid does not help, since it
 resolves sharper corners, which are stretched more; more particles per cell do help.
 
 Two signs are checked: particles that are stretched this far, and pieces that came off. The first

@@ -20,7 +20,7 @@ FARTHEST = 4.0
 
 
 def read_table(page: str, mark: str) -> list[list[str]]:
-    """Return the cells of the first table at or after a line of a page, heads first."""
+    """Return the cells of the first table at or after a line of a page of the lab, heads first."""
     lines = (DOCS / "lab" / page).read_text("utf-8").splitlines()
     return next(find_tables(lines[lines.index(mark) :]))
 
@@ -137,7 +137,7 @@ BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
     },
     "stability": {
         "random scenes": lambda: pick("stability.md", "### Random scenes"),
-        "watchdog": lambda: pick("stability.md", "## The watchdog"),
+        "watchdog": lambda: pick("../design/stability.md", "## The watchdog"),
         "physgaussian": tabulate_physgaussian,
     },
     "validation": {
@@ -146,7 +146,7 @@ BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
     },
     "limits": {
         "misses": lambda: tabulate_experiments(misses=True),
-        "tearing": lambda: pick("stability.md", "### Numerical fracture", TEARING),
+        "tearing": lambda: pick("../design/stability.md", "### Numerical fracture", TEARING),
         "shapes": tabulate_shapes,
         "cut-outs": tabulate_cutouts,
     },
