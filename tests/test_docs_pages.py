@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from phy124.scene import Scene
-from support.pages import BLOCK, PAGES, ROOT, blocks, count_words, paragraphs
+from support.pages import BLOCK, BLOCK, PAGES, ROOT, blocks, count_words, paragraphs
 
 TALLEST = 8
 """Lines of 110 letters in a paragraph."""
@@ -81,6 +81,14 @@ def test_every_page_is_in_the_contents():
     for folder in ("guide", "results", "lab", "design"):
         for page in (ROOT / "docs" / folder).glob("*.md"):
             assert f"\n{folder}/{page.stem}\n" in contents, page.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_numbered_lists_count_up(page):
+    last = 0
+    for number in re.findall(r"^(\d+)\. ", BLOCK.sub("", page.read_text("utf-8")), re.M):
+        assert int(number) in (1, last + 1), f"{number} after {last}"
+        last = int(number)
 
 
 def test_paragraphs_are_told_from_lists_tables_and_code():

@@ -35,8 +35,8 @@ def main() -> None:
         folder = Path(name)
         for part in (".venv", "demo", "docs"):
             (folder / part).symlink_to(ROOT / part)
-        press = "--scene press --stage studio --out out/duck-press"
-        run(f".venv/bin/phy124 generate demo/examples/duck.png {press}", folder)
+        duck = "demo/examples/duck.png --scene press --out out/duck-press"
+        run(f".venv/bin/phy124 generate {duck}", folder)
         page = (START / "index.md").read_text("utf-8")
         for block in re.findall(r"^```sh\n(.*?)^```", page, re.M | re.S):
             for command in block.splitlines():
