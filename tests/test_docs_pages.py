@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from phy124.scene import Scene
-from support.pages import BLOCK, BLOCK, PAGES, ROOT, blocks, count_words, paragraphs
+from support.pages import BLOCK, PAGES, ROOT, blocks, count_words, paragraphs
 
 TALLEST = 8
 """Lines of 110 letters in a paragraph."""
