@@ -72,9 +72,9 @@ class Balance(TypedDict):
     """Results of the watchdog."""
 
     energy_gain: float | None
-    """Largest energy gain without a cause, as a fraction; null without `checks.balance`."""
+    """Spurious energy as a fraction of the energy supplied; negative: lost; null if unbalanced."""
     momentum_gain: float | None
-    """Largest momentum change without a cause, as a fraction; null without `checks.balance`."""
+    """Spurious momentum as a fraction of the momentum exchanged; null if unbalanced."""
     min_J: float
     """Smallest volume ratio of a particle."""
     max_J: float
@@ -162,7 +162,7 @@ class Energy(TypedDict):
     """Energy balance [J]."""
 
     turnover: float
-    """Largest energy converted."""
+    """Largest energy that the object had at the start or received."""
     lost: float
     """Energy lost since the start; the sum of the following three."""
     material: float
