@@ -1,5 +1,6 @@
 """The programs of docs/examples run as they stand, and print or make what their page says."""
 
+import os
 import re
 import runpy
 from pathlib import Path
@@ -43,6 +44,8 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "demo").symlink_to(ROOT / "demo")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return tmp_path
 
 

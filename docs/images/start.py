@@ -51,6 +51,8 @@ def main() -> None:
 
 
 def run(command: str, folder: Path) -> None:
+    if " generate " in command:
+        command += " --views front"  # The other films are not shown.
     print(command, flush=True)
     subprocess.run(command.split(), cwd=folder, check=True, capture_output=True)
 
