@@ -16,6 +16,7 @@ from PIL import Image
 from phy124.errors import InputError
 from phy124.imaging import u2net
 from phy124.imaging.grabcut import grabcut
+from phy124.imaging.hollow import find_hollow
 from phy124.imaging.image import open_image, open_mask, original_size
 from phy124.imaging.matting import decontaminate
 from phy124.imaging.objects import Point, keep_largest, pixel_at, search_around, select_object
@@ -246,6 +247,8 @@ def foreground(
     touching = searched and split_touching(np.asarray(image.convert("RGB")), alpha) is not None
     image.putalpha(Image.fromarray(alpha))
     cut = image if method == "alpha" else clean_edge(image, alpha)
+    rgb, solid = np.asarray(cut.convert("RGB")), np.asarray(cut)[..., 3] > 127
+    notes = (*notes, *find_hollow(rgb, solid))
     return replace(examine(cut, method, frames, count), touching=touching, notes=notes)
 
 
