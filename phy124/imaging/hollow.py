@@ -81,7 +81,7 @@ def has_rim(rgb: NDArray[np.uint8], solid: Solid) -> bool:
 
 def _find_edges(rgb: NDArray[np.uint8], solid: Solid) -> tuple[Solid, Solid]:
     """Return the edges well inside the object, and the object, both reduced to `SIDE` pixels."""
-    ys, xs = np.nonzero(solid.any(axis=1))[0], np.nonzero(solid.any(axis=0))[0]
+    ys, xs = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
     box = np.s_[ys[0] : ys[-1] + 1, xs[0] : xs[-1] + 1]
     rgb, solid = np.ascontiguousarray(rgb[box]), solid[box]
     scale = SIDE / max(solid.shape)
