@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
-import resource
 from asyncio import TimerHandle
 from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
+
 HEAD, BODY, STALLED = 20.0, 120.0, 60.0
 """Longest time for a request's head, for its body, and for a stalled answer [s]."""
-FILES = 16_384
-"""Number of files and connections that the page may have open, if the system allows it."""
+FILES, UNLIMITED = 16_384, 512
+"""Number of files and connections that the page may have open, if the system allows it, and where
+the system has no such limit."""
 
 
 def allow_connections() -> int:
     """Raise the limit of open files as far as allowed; returns half of it, for connections."""
+    if resource is None:
+        return UNLIMITED // 2
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     minimum = FILES if most == resource.RLIM_INFINITY else min(FILES, most)
     if now < minimum:

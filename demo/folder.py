@@ -1,12 +1,12 @@
 """The folder that holds visitors' files while the page runs.
 
 It is removed when the page ends. The folder of a killed page is removed when the next page starts:
-a lock, which ends with its process, shows which folders are in use.
+a lock, which ends with its process, shows which folders are in use. Windows has no such locks:
+there the folders of killed pages stay, and nothing prevents two pages from using one folder.
 """
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import tempfile
@@ -16,8 +16,14 @@ from pathlib import Path
 
 from phy124.errors import InputError
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
 PREFIX = "phy124-web-"
 LOCK = "lock"
+NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 
 @contextmanager
@@ -52,13 +58,15 @@ def lock_folder(wanted: str = "") -> Iterator[Path]:
         finally:
             _empty(root)
     finally:
+        os.close(lock)  # Windows removes no open file
         if not wanted:
             shutil.rmtree(root, ignore_errors=True)
-        os.close(lock)
 
 
 def _sweep(folder: Path) -> None:
     """Remove the folders of pages that no longer run."""
+    if fcntl is None:
+        return
     for left in folder.glob(f"{PREFIX}*"):
         if left.is_symlink() or not left.is_dir() or left.stat().st_uid != os.getuid():
             continue
@@ -71,11 +79,12 @@ def _sweep(folder: Path) -> None:
 def _lock(folder: Path) -> int | None:
     """Lock a folder; returns None if another process holds the lock."""
     try:
-        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | NO_LINKS, 0o600)
     except OSError:
         return None
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if fcntl is not None:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         os.close(lock)
         return None

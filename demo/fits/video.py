@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import resource
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,11 @@ from phy124.schema.section import Section
 from phy124.studies.fit.video import is_film, read_film
 
 from ..settings import Settings
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
 
 MEMORY = 3 << 30
 """Memory limit of the process, and of its decoder [bytes]."""
@@ -92,8 +96,9 @@ def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: 
 
     The decoder inherits the limits of memory and time, so it ends even if this process is killed.
     """
-    most = math.ceil(processor) + 1
-    resource.setrlimit(resource.RLIMIT_CPU, (most, most))
+    if resource is not None:
+        most = math.ceil(processor) + 1
+        resource.setrlimit(resource.RLIMIT_CPU, (most, most))
     film = read_film(path)
     fps = film.fps and film.fps / speed
     whole = len(film.pictures)

@@ -8,6 +8,7 @@ outline, the front half an edge inside it. Of 8 pictures of solid things none ha
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import cv2
 import numpy as np
@@ -86,7 +87,8 @@ def _find_edges(rgb: NDArray[np.uint8], solid: Solid) -> tuple[Solid, Solid]:
     rgb, solid = np.ascontiguousarray(rgb[box]), solid[box]
     scale = SIDE / max(solid.shape)
     size = [max(round(side * scale), 1) for side in solid.shape[::-1]]
-    lab = to_lab(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
+    small: NDArray[Any] = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    lab = to_lab(small)
     shown = cv2.resize(solid.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
     mask = np.pad(shown > 127, MARGIN)
     lab = np.pad(lab, ((MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0)), mode="edge")
