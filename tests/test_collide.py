@@ -194,6 +194,20 @@ def test_the_face_of_a_box_acts_as_a_plane_does(rng):
     np.testing.assert_allclose(face, plane, rtol=1e-12, atol=1e-13)
 
 
+def test_nothing_is_squeezed_out_behind_a_wall():
+    """Columns beside a tip: the wall does not push them yet, but the tip is pressed through them.
+
+    What is behind the wall goes into it no faster than the material in front of it.
+    """
+    q = np.zeros((SIZE, SIZE, SIZE, 4))
+    q[:, :, 8] = 0, 0, -1, 1.0
+    q[:, :, 7] = 0.3, 0, -1, 0.2
+    q[:, :, 6] = 0.3, 0, -15, 1e-4
+    after = touched(Ground(height=7.25 * DX), q.reshape(-1, 4)).reshape(q.shape)
+    np.testing.assert_array_equal(after[:, :, 7:], q[:, :, 7:])
+    np.testing.assert_allclose(after[:, :, 6, :3], np.broadcast_to((0.3, 0, -1), (SIZE, SIZE, 3)))
+
+
 def test_no_drop_gets_through_the_walls_of_a_bin():
     """Water that splashes to and fro: what got behind a wall once went on, 0.4 cells here."""
     low, high = np.zeros(3), np.array([1.8, 1.8, 1e6])

@@ -296,6 +296,16 @@ def test_weights_sum_to_one_and_vary_smoothly(rng):
     assert np.isfinite(weights).all()
 
 
+def test_far_particles_do_not_carry_a_tip():
+    """A loose tip of two particles follows them, and not the body four cells away."""
+    body = lattice([5] * 3, 0.5) + (0, 0, 4.5)
+    tip = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.4]])
+    index, weights = carriers(tip[:1], np.concatenate([tip, body]), 2.0)
+    assert weights[0, index[0] < 2].sum() == pytest.approx(1, abs=1e-6)
+    _, alone = carriers(tip[:1], body, 2.0)
+    assert alone.max() < 0.5, "a Gaussian far from all particles has several carriers"
+
+
 def test_the_order_of_the_gaussians_does_not_matter(gaussians, rng):
     order, F = rng.permutation(2000), IDENTITY + 0.3 * rng.normal(size=(2000, 3, 3))
     found, shuffled = moved(gaussians, F), moved(gaussians.select(order), F[order])

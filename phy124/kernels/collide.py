@@ -19,7 +19,15 @@ import warp as wp
 
 from phy124.kernels.arguments import types
 from phy124.kernels.build import kernel
-from phy124.kernels.columns import RESPONSES, add_rows, along_wall, relative, tie, xyz
+from phy124.kernels.columns import (
+    RESPONSES,
+    add_rows,
+    along_wall,
+    hold_back,
+    relative,
+    tie,
+    xyz,
+)
 from phy124.kernels.distance import SHAPES
 
 
@@ -240,6 +248,18 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
             else:
                 weight = wp.sqrt(wp.ddot(change, change))
                 add_rows(changes_out, n, step, m, weight * change, weight)
+            return
+
+        # Next to a tip or a hair, a column that the wall does not push yet would let material out
+        # that the body squeezes through the wall.
+        if wp.isinf(loose):
+            if wp.min(m[1], m[2]) > real(0.0):
+                last = n + 2 * step
+                wanted = hold_back(xyz(q2) - wall, xyz(q1) - wall, normal)
+                if wp.static(flat):
+                    add_velocity(grid_out, last, wanted)
+                else:
+                    add_wish(changes_out, last, wanted)
             return
 
         # What has got behind the wall would go on while nothing in front of it presses. (Where it

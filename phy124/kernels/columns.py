@@ -71,7 +71,7 @@ def coulomb(along: Any, pressed: Any, friction: Any):
     return friction * pressed / wanted
 
 
-NARROWING = wp.constant(1.4)
+NARROWING = wp.constant(1.5)
 """Power between the ratios of neighbouring nodes: 1.1 to 1.3 of an edge, 1.2 to 1.6 of a cone."""
 OUT_OF_REACH = wp.constant(-1.25)
 """Distance [cells] of a node behind a wall from which on it has nothing of a body in front of it:
@@ -173,6 +173,17 @@ def tie(v: Any, m: Any, g: Any):
     """Change of the velocities [node, axis] of masses m that makes them follow with ratios g."""
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
+
+
+@wp.func
+def hold_back(behind: Any, front: Any, normal: Any):
+    """Change of a velocity behind a wall that goes into it faster than one in front of it does.
+
+    It only makes the motion slower, so it never adds energy.
+    """
+    zero = type(normal[0])(0.0)
+    fastest = wp.min(wp.dot(front, normal), zero)
+    return wp.max(fastest - wp.dot(behind, normal), zero) * normal
 
 
 @wp.func

@@ -12,6 +12,7 @@ with the material, to within 1e-5 of the covariance.
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -31,6 +32,9 @@ THREADS = "shapes"
 """Beginning of the names of the threads that share the Gaussians; they end with their Deformer."""
 CARRIERS = 8
 """Number of particles that carry each Gaussian with the binding `lattice`."""
+FARTHEST = 4.0
+"""Distance, in mean distances of particles, beyond which a particle carries only those Gaussians
+that have no nearer one: the grid does not connect what is so far apart."""
 
 
 class Deformer:
@@ -274,7 +278,8 @@ def _carriers_of(
     neighbours = np.zeros((len(gaussians), count), np.int32)
     weights = np.zeros((len(gaussians), count), np.float32)
     for ours, theirs in by_object(gaussians, particles):
-        index, weight = carriers(gaussians.means[ours], particles.x[theirs])
+        spacing = np.cbrt(particles.volume[theirs].mean())
+        index, weight = carriers(gaussians.means[ours], particles.x[theirs], FARTHEST * spacing)
         if len(theirs) < CARRIERS:
             # What so few do says nothing about places far from them: the nearest carries alone.
             index, weight = index[:, :1], np.ones_like(weight[:, :1])
@@ -283,12 +288,14 @@ def _carriers_of(
     return neighbours, weights
 
 
-def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def carriers(
+    points: NDArray, particles: NDArray, farthest: float = math.inf
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
 
     w = (1 - (d / R)^2)^2, where R is the distance of the next nearest particle, at most twice that
-    of the last one chosen. The weights vary smoothly over the points, since a particle enters and
-    leaves with weight 0.
+    of the last one chosen, and at most `farthest` or twice that of the nearest one [m]. The weights
+    vary smoothly over the points, since a particle enters and leaves with weight 0.
     """
     count = min(CARRIERS, len(particles))
     # Built in half the time, and asked in nine tenths of it.
@@ -297,6 +304,7 @@ def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], ND
     distance, index = np.asarray(distance), np.asarray(index)
     # If there is no next particle, its distance is infinite.
     reach = np.minimum(distance[:, -1:], 2 * distance[:, -2:-1])
+    reach = np.minimum(reach, np.maximum(farthest, 2 * distance[:, :1]))
     near = distance[:, :count]
     ratio = np.divide(near, reach, out=np.zeros_like(near), where=reach > 0).clip(0, 1)
     # Particles that are all equally far would all have weight 0.

@@ -52,6 +52,7 @@ CASES = (
     Case(31, "fluids and grains at walls", world.flow),
     Case(32, "free solids, light and heavy", impact.free),
     Case(33, "tips, edges, legs and hairs", tips.tips),
+    Case(34, "tips, edges and hairs on another body", tips.tips_on_body),
 )
 """All cases in order."""
 
