@@ -75,7 +75,7 @@ def cloud(inside: Inside) -> Gaussians:
     return Gaussians.from_rgb(x, quats, scales, np.full(count, 0.9), grey)
 
 
-def dropped(inside: Inside, setting: Setting, options: dict[str, Any]) -> Simulation:
+def drop(inside: Inside, setting: Setting, options: dict[str, Any]) -> Simulation:
     """Return a run of twelve frames in which a shape falls.
 
     Args:
@@ -98,7 +98,7 @@ def depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> float
         accuracy: Name of the scene's accuracy.
         setting: Device and precision.
     """
-    run = dropped(inside, setting, {"object.lift": lift, "accuracy": accuracy})
+    run = drop(inside, setting, {"object.lift": lift, "accuracy": accuracy})
     return -float(run.run().means[:, :, 2].min()) / run.scene.dx
 
 
@@ -110,7 +110,7 @@ def depth_in_body(inside: Inside, accuracy: str, setting: Setting) -> float:
     material = Scene.named("drop").material
     cushion = {"name": "cushion", "shape": "box", "sides": CUSHION, "material": material}
     options = {"accuracy": accuracy, "object.on": "cushion", "objects": [cushion]}
-    run = dropped(inside, setting, options)
+    run = drop(inside, setting, options)
     model, state = run.solver.model, run.solver.state
     body = model.particles(1)
     rest, deepest = host(state.x)[body].copy(), -np.inf
