@@ -50,8 +50,8 @@ def test_folder_of_the_page_needs_no_locks(tmp_path):
     code = """
 from demo.connections import allow_connections
 from demo.fits import video
-from demo.folder import own_folder
-with own_folder() as root:
+from demo.folder import lock_folder
+with lock_folder() as root:
     assert (root / "lock").exists()
 assert not root.exists() and allow_connections() == 256 and video.resource is None
 """
