@@ -55,7 +55,8 @@ def is_valid(material: dict[str, Any]) -> bool:
 def materials(law: str) -> st.SearchStrategy[dict[str, Any]]:
     """Materials of a law with any values."""
     fields = LAWS.by_name[law].model_fields.items()
-    values = {name: within(field) for name, field in fields if name != "law"}
+    values = {name: within(field) for name, field in fields if name not in ("law", "tint")}
+    values["tint"] = st.sampled_from([None, "none", (0.2, 0.5, 1.0)])
     return st.fixed_dictionaries({"law": st.just(law), **values}).filter(is_valid)
 
 
