@@ -7,18 +7,33 @@ its good frames, 130 interrupted. Errors that a user can correct show no traceba
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
-# `importing` explains what must not be imported here.
 STOPPED = "bridge: stopped\n"
+
+
+# Only light modules may be imported above: before `importing`, Ctrl-C shows a traceback.
+@contextmanager
+def importing(status: int, text: str = "") -> Iterator[None]:
+    """Within this context, Ctrl-C and SIGTERM end the process at once with a status and a text.
+
+    A KeyboardInterrupt could get lost, since some code only prints it during an import.
+    """
+    try:
+        from phy124.runtime.signals import ending, handled
+
+        with handled(ending(status, text)):
+            yield
+    except KeyboardInterrupt:
+        sys.stderr.write(text)
+        raise SystemExit(status) from None
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        from .importing import importing
-
         with importing(130, STOPPED):
             from phy124.runtime.address_space import refuse_narrow
             from phy124.runtime.failures import failure
@@ -28,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             refuse_narrow()  # before NumPy is imported
             from .command_line import run
         with steady_streams() as lost, handled(interrupt):
-            status = run(given, __doc__)
+            status = run(words, __doc__)
             sys.stdout.flush()
             if lost:
                 print(f"bridge: {failure(lost[0]).sentence}", file=sys.stderr)

@@ -13,7 +13,6 @@ from phy124.runtime.installation import install_command
 from phy124.schema.plugins import list_plugins, load_plugin
 
 from . import PROGRAM
-from .controls import Controls
 from .options import Options
 from .parameters import RUNNING, RUNNING_LIVE
 from .sink import LiveSink
@@ -21,6 +20,7 @@ from .sinks.dds import DdsSink, require_cyclonedds
 from .sinks.foxglove import PORT, FoxgloveSink, require_foxglove
 from .sinks.mcap import require_mcap
 from .sinks.rclpy import RclpySink, require_rclpy
+from .topics import Controls
 
 OWN = ("rclpy", "dds", "foxglove")
 """The backends that come with the bridge."""
@@ -35,7 +35,7 @@ AUTOMATIC = ("rclpy", "dds")
 """Tried in this order by `auto`; never both at once, or each frame would arrive twice."""
 
 
-def known() -> list[str]:
+def sink_names() -> list[str]:
     """Names of all backends, those that packages have registered included."""
     return [*OWN, *(name for name in list_plugins("sinks") if name not in OWN)]
 
@@ -55,11 +55,11 @@ def choose(backend: str) -> str:
     Raises:
         InputError: There is no backend of that name, or `auto` finds none that works.
     """
-    if backend in known():
+    if backend in sink_names():
         return backend
     if backend != "auto":
         limit = "there is no such choice."
-        raise InputError("backend", backend, limit, suggest(backend, ["auto", *known()]))
+        raise InputError("backend", backend, limit, suggest(backend, ["auto", *sink_names()]))
     for candidate in AUTOMATIC:
         if missing(candidate) is None:
             return candidate
@@ -99,9 +99,9 @@ def open_sink(
     """
     _refuse_unsuitable(backend, network, clock, ros_args)
     if backend == "rclpy":
-        given = [backend, *ros_args]
+        arguments = [backend, *ros_args]
         running = RUNNING if controls is None else RUNNING_LIVE
-        return RclpySink(options, clock=clock, args=given, running=running, controls=controls)
+        return RclpySink(options, clock=clock, args=arguments, running=running, controls=controls)
     if backend == "dds":
         return DdsSink(options, network=network, controls=controls)
     if backend == "foxglove":

@@ -81,7 +81,7 @@ def write_metadata(folder: Path, file: str, counts: Counts) -> None:
 
 def metadata_yaml(file: str, counts: Counts) -> str:
     """The text of metadata.yaml, version 9."""
-    return f"rosbag2_bagfile_information:\n{_indented(_information(file, counts))}"
+    return f"rosbag2_bagfile_information:\n{_indent(_information(file, counts))}"
 
 
 def describe(writer: Writer, file: str, counts: Counts) -> None:
@@ -102,7 +102,7 @@ def _information(file: str, counts: Counts) -> str:
         + (f"\n{topics}" if topics else " []\n")
         + "compression_format: ''\ncompression_mode: ''\n"
         + f"relative_file_paths:\n- {json.dumps(file)}\n"
-        + f"files:\n- path: {json.dumps(file)}\n{_indented(times)}"
+        + f"files:\n- path: {json.dumps(file)}\n{_indent(times)}"
         + "custom_data: ~\nros_distro: jazzy\n"
     )
 
@@ -113,7 +113,7 @@ def _topic_entry(topic: Topic, count: int) -> str:
         f"    name: {topic.name}\n"
         f"    type: {topic.type}\n"
         f"    serialization_format: {ENCODING}\n"
-        f"    offered_qos_profiles:\n{_indented(_qos(topic, numbers=False), 6)}"
+        f"    offered_qos_profiles:\n{_indent(_qos(topic, numbers=False), 6)}"
         f"    type_description_hash: {messages.HASHES[topic.type]}\n"
         f"  message_count: {count}\n"
     )
@@ -137,5 +137,5 @@ def _qos(topic: Topic, *, numbers: bool) -> str:
     )
 
 
-def _indented(text: str, spaces: int = 2) -> str:
+def _indent(text: str, spaces: int = 2) -> str:
     return textwrap.indent(text, " " * spaces)

@@ -173,12 +173,12 @@ def _zero(member: Field) -> Any:
 
 def _flat(name: str) -> list[str]:
     """The primitives of a message in wire order; empty if it contains anything else."""
-    found: list[str] = []
+    primitives: list[str] = []
     for member in fields(name):
         inner = [member.base] if member.base in PRIMITIVES else []
         if member.base in DEFINITIONS:
             inner = _flat(member.base)
         if member.length is not None or not inner:
             return []
-        found += inner
-    return found
+        primitives += inner
+    return primitives

@@ -32,8 +32,8 @@ def run(arguments: list[str], description: str | None) -> int:
 
 
 def _command(arguments: list[str], description: str | None) -> Any:
-    own, ros = split_ros_arguments(arguments)
-    command = parse(own, COMMANDS, program=PROGRAM, description=description, empty=MAY_BE_EMPTY)
+    program, ros = split_ros_arguments(arguments)
+    command = parse(program, COMMANDS, program=PROGRAM, description=description, empty=MAY_BE_EMPTY)
     if not ros:
         return command
     if not isinstance(command, (Play, Steer)):
@@ -43,33 +43,33 @@ def _command(arguments: list[str], description: str | None) -> Any:
 
 
 def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """The program's own arguments, and those from `--ros-args` to `--` or the end.
+    """Split off the arguments from `--ros-args` to `--` or the end; the others come first.
 
     Any other `--` ends the options, so that `--ros-args` after it is an ordinary word.
     """
-    own: list[str] = []
+    program: list[str] = []
     ros: list[str] = []
-    target = own
+    target = program
     for place, argument in enumerate(arguments):
-        if argument == "--" and target is own:
-            own += arguments[place:]
+        if argument == "--" and target is program:
+            program += arguments[place:]
             break
         if argument == "--ros-args":
             target = ros
         elif argument == "--" and target is ros:
-            target = own
+            target = program
             ros.append(argument)
             continue
         target.append(argument)
-    return own, ros
+    return program, ros
 
 
 def _report(problem: BaseException) -> int:
     """Print what a problem means; returns the exit status."""
-    found = failure(problem)
-    said = "stopped" if found.kind is Kind.STOPPED else found.sentence
-    print(f"bridge: {said}", file=sys.stderr)
-    return found.status
+    ending = failure(problem)
+    text = "stopped" if ending.kind is Kind.STOPPED else ending.sentence
+    print(f"bridge: {text}", file=sys.stderr)
+    return ending.status
 
 
 def _say(line: str) -> None:
@@ -77,5 +77,5 @@ def _say(line: str) -> None:
 
 
 def _note(message: Warning | str, *_: object) -> None:
-    """Log a warning as one line, without its place in the code."""
+    """Log a warning as one line, without its source line."""
     logging.getLogger(__name__).warning(str(message))

@@ -17,7 +17,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.io.files import replacing
 
-from .backends import choose, known, open_sink
+from .backends import choose, open_sink, sink_names
 from .info import describe, diagnose
 from .live import follow, play
 from .options import Options
@@ -27,10 +27,10 @@ from .sink import LiveSink, Recorder, Sink
 from .sinks.background import Background
 from .sinks.foxglove import PORT
 from .sinks.mcap import Compression, McapSink
-from .source import LiveOptions, LiveRun, opened
+from .source import LiveOptions, LiveRun, open_clip
 from .steering.loop import controls, steer
 from .steering.run import SteeredRun, checked_duration
-from .steering.source import SteeredOptions, steered
+from .steering.source import SteeredOptions, make_live
 from .topics import FACTOR, Topic
 
 STOPPED_EARLY = 3
@@ -43,7 +43,7 @@ Backend = Annotated[
     str,
     tyro.conf.arg(
         metavar="NAME",
-        help_behavior_hint=lambda given: f"(default: {given}; here: {', '.join(known())})",
+        help_behavior_hint=lambda default: f"(default: {default}; here: {', '.join(sink_names())})",
     ),
 ]
 Simulated = Annotated[LiveOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
@@ -73,7 +73,7 @@ class Record:
             run.prepare()
             self._record(say, run, len(run), run.scene.data(), run.report)
             return _status(run)
-        clip = opened(self.source)
+        clip = open_clip(self.source)
         frames = clip.frames(velocities=True)
         self._record(say, frames, len(clip), clip.scene, lambda: clip.report)
         return 0
@@ -93,7 +93,7 @@ class Record:
         say(f"{sink.frames} frames in {sink.path}")
 
     def _sink(self, **about: Any) -> McapSink:
-        """What is written, with what is said about it."""
+        """Make the sink, with metadata."""
         return McapSink(
             self.output or self.source.with_name(f"{self.source.stem}-bag"),
             self.messages,
@@ -115,7 +115,7 @@ class Play:
     speed: float = 1.0
     """Clip seconds per second."""
     rate: float | None = None
-    """At most so many frames per second; absent: every frame."""
+    """Largest number of frames per second; absent: every frame."""
     loop: bool = False
     """Start again after the last frame; time stamps continue to grow."""
     paused: bool = False
@@ -140,7 +140,7 @@ class Play:
         self.simulated.check()
         if self.simulated.live:
             return self._follow(say)
-        clip = opened(self.source)
+        clip = open_clip(self.source)
         player = Player(
             clip.times, speed=self.speed, loop=self.loop, rate=self.rate, paused=self.paused
         )
@@ -204,11 +204,11 @@ class Steer:
     paused: bool = False
     """Show the object at rest and wait to be played or stepped."""
     push_seconds: float = 0.1
-    """How long a wrench on ~/push acts if no other follows [s]."""
+    """Duration of a wrench on ~/push unless another one follows [s]."""
     frames: int | None = None
-    """End after so many frames; default: when it is interrupted or quit."""
+    """Number of frames after which to end; default: when it is interrupted or quit."""
     session: Path | None = None
-    """At the end write what was done as a scene, which `phy124 generate --scene` plays again."""
+    """At the end write the session as a scene, which `phy124 generate --scene` repeats."""
     record: Path | None = None
     """Also record the frames to this bag folder or .mcap file."""
     network: bool = False
@@ -229,7 +229,7 @@ class Steer:
         backend = choose(self.backend)
         messages = self.messages.model_copy(update={"epoch": self.messages.epoch or time.time()})
         velocities = messages.profile == "full"
-        live, accuracy = steered(
+        live, accuracy = make_live(
             self.source, self.simulated, speed=self.speed, velocities=velocities
         )
         say(accuracy)
@@ -241,9 +241,13 @@ class Steer:
             with ExitStack() as stack:
                 records = self._records(stack, messages, live, offered.published)
                 sink = open_sink(
-                    backend, messages, network=self.network, port=self.port,
-                    ros_args=self.ros_args, controls=offered,
-                )  # fmt: skip
+                    backend,
+                    messages,
+                    network=self.network,
+                    port=self.port,
+                    ros_args=self.ros_args,
+                    controls=offered,
+                )
                 sink = stack.enter_context(sink)
                 say(f"Publishing through {backend}. {sink.audience()}".rstrip())
                 steer(run, sink, messages, records=records, frames=self.frames)
@@ -251,7 +255,7 @@ class Steer:
             if self.session is not None and run.shown:
                 with replacing(self.session) as temporary:
                     temporary.write_text(live.session().to_toml(), encoding="utf-8")
-                say(f"{run.shown} frames shown; what was done is in {self.session}")
+                say(f"{run.shown} frames shown; the session is in {self.session}")
         return 0
 
     def _records(
@@ -259,8 +263,8 @@ class Steer:
     ) -> list[Recorder]:
         if self.record is None:
             return []
-        told = [topic for topic in topics if topic is not FACTOR]
-        bag = McapSink(self.record, messages, scene=live.scene.data(), topics=told)
+        recorded = [topic for topic in topics if topic is not FACTOR]
+        bag = McapSink(self.record, messages, scene=live.scene.data(), topics=recorded)
         return [stack.enter_context(Background(bag, depth=16 * (1 + len(topics))))]
 
 
@@ -285,13 +289,13 @@ class Recover:
     path: tyro.conf.Positional[Path]
     """The bag folder or the .mcap file."""
     output: Path | None = None
-    """Write the repaired copy here and leave the damaged one as it is."""
+    """Write the repaired copy here and leave the damaged one unchanged."""
 
     def run(self, say: Say) -> int:
         """Repair; prints how many frames were recovered."""
-        found = recover(self.path, self.output)
-        state = "repaired" if found.repaired else "complete already"
-        say(f"{found.path}: {state}, {found.frames} frames")
+        result = recover(self.path, self.output)
+        state = "repaired" if result.repaired else "already complete"
+        say(f"{result.path}: {state}, {result.frames} frames")
         return 0
 
 

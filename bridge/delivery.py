@@ -1,8 +1,7 @@
-"""Delivery: sends frames no faster than subscribers acknowledge them, and waits for the last ones.
+"""Sends frames no faster than subscribers acknowledge them, and waits for the last ones.
 
-Writers keep the last few frames. If a frame displaces an older one before every subscriber has
-acknowledged it, some subscriber loses that one; the same holds for frames that are not acknowledged
-when the publisher ends.
+Writers keep the last few frames. A subscriber loses a frame that is displaced by a newer one before
+it has acknowledged it, or that it has not acknowledged when the publisher ends.
 """
 
 from __future__ import annotations
@@ -12,11 +11,11 @@ import time
 from collections.abc import Callable
 
 LONGEST_WAIT = 1.0
-"""Longest time a frame waits that would displace an unacknowledged one [s]."""
+"""Longest time that a frame waits before it displaces an unacknowledged one [s]."""
 FAREWELL = 2.0
-"""Longest time a publisher that ends waits for subscribers to get the last frames [s]."""
+"""Longest time that an ending publisher waits for acknowledgements of the last frames [s]."""
 STEP = 0.02
-"""Time it waits without interruption [s]; in between, the clock is published and Ctrl-C noticed."""
+"""Longest uninterrupted wait [s], so that the clock is published and Ctrl-C noticed."""
 log = logging.getLogger(__name__)
 
 
@@ -26,13 +25,13 @@ class Delivery:
     def __init__(
         self, acknowledged: Callable[[float], bool], depth: int, meanwhile: Callable[[], None]
     ) -> None:
-        """Nothing sent yet.
+        """Start with nothing sent.
 
         Args:
-            acknowledged: Waits at most so many seconds and returns whether all is acknowledged;
-                true at once if there are no subscribers or they are best effort.
+            acknowledged: Waits for at most the seconds in its argument; returns whether all frames
+                are acknowledged, which they are without reliable subscribers.
             depth: Number of frames that the writer keeps.
-            meanwhile: Called repeatedly during waiting.
+            meanwhile: Called repeatedly while waiting.
         """
         self.lost = 0
         """Number of frames that some subscriber may not have received."""
@@ -41,7 +40,7 @@ class Delivery:
         self._stuck = False
 
     def before_frame(self) -> None:
-        """Wait while a frame would be displaced; a subscriber that hangs delays only one frame."""
+        """Wait while a frame would be displaced; a hanging subscriber delays only one frame."""
         full = self._open >= self._depth
         if self._within(LONGEST_WAIT if full and not self._stuck else 0.0):
             self._open, self._stuck = 0, False
@@ -51,7 +50,7 @@ class Delivery:
         self._open += 1
 
     def farewell(self) -> None:
-        """Wait until the last frames have arrived, at most `FAREWELL`, and log what has not."""
+        """Wait for at most `FAREWELL` until the last frames have arrived; log missing ones."""
         if not self._open or self._within(FAREWELL):
             return
         missing = min(self._open, self._depth)
@@ -63,7 +62,7 @@ class Delivery:
         )
 
     def _within(self, seconds: float) -> bool:
-        """Wait at most so many seconds; returns whether all is acknowledged."""
+        """Wait for at most `seconds`; returns whether all frames are acknowledged."""
         until = time.monotonic() + seconds
         while not self._acknowledged(min(seconds, STEP)):
             if time.monotonic() >= until:

@@ -1,4 +1,4 @@
-"""Which DDS participants find each other: ROS 2's environment variables as Cyclone DDS settings.
+"""Translates ROS 2's environment variables for discovery to settings of Cyclone DDS.
 
 ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS, ROS_LOCALHOST_ONLY and ROS_DOMAIN_ID have the same
 meaning as for a ROS 2 node ("improved dynamic discovery", ROS 2 Iron and later). With SUBNET the
@@ -85,10 +85,10 @@ class Discovery:
         if self.network:
             return (_xml(self._discovery(INDEX, *self.peers)),)
         multicast = ON_THIS_MACHINE if self.range == "SUBNET" else NO_MULTICAST
-        found = self._discovery(INDEX, "localhost", *self.peers)
+        discovery = self._discovery(INDEX, "localhost", *self.peers)
         return (
-            _xml(self._general(INTERFACES + multicast) + found),
-            _xml(self._general(multicast) + found),
+            _xml(self._general(INTERFACES + multicast) + discovery),
+            _xml(self._general(multicast) + discovery),
         )
 
     def audience(self) -> str:

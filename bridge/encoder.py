@@ -1,4 +1,4 @@
-"""FrameEncoder: frames in, encoded messages out; shared by all sinks."""
+"""Encodes frames as messages, for all sinks."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ import numpy as np
 from phy124.gaussians import Frame
 
 from . import cdr
-from .layout import Profile, cloud, evenly
+from .layout import Profile, cloud, evenly, splat_array
 from .options import Options
-from .splats import splat_array
 from .topics import ELLIPSOIDS, POINTS, SPLATS, TF_STATIC, Message, Topic
 
 SPHERE = 2
@@ -28,7 +27,7 @@ class FrameEncoder:
     """Turns frames into messages according to `options`; logs once what it leaves out."""
 
     def __init__(self, options: Options) -> None:
-        self.options = options.recorded()
+        self.options = options.for_recording()
         seconds = options.epoch
         self.epoch = time.time_ns() if seconds is None else round(seconds * cdr.NANO)
         """Time of the clip's start [ns since 1970]."""
@@ -51,11 +50,11 @@ class FrameEncoder:
         return self.epoch + round(seconds * cdr.NANO)
 
     def limit(self, points: int | None) -> None:
-        """Send at most so many points per frame from now on; None: all."""
+        """Limit the points per frame from now on; None: send all."""
         self.options = self.options.model_copy(update={"max_points": points})
 
     def static(self) -> list[Message]:
-        """Messages that are sent once, before all frames."""
+        """The messages sent once, before all frames."""
         if not self.options.parent_frame:
             return []
         transform = {
@@ -72,7 +71,7 @@ class FrameEncoder:
         """The messages of one frame; its time counts from the epoch."""
         stamp = self.stamp(frame.time)
         header = {"stamp": cdr.time(stamp), "frame_id": self.options.frame_id}
-        shown = self._thinned(frame)
+        shown = self._thin(frame)
         messages = [self._gaussians(shown, stamp, header)]
         if self.options.ellipsoids:
             messages.append(_message(ELLIPSOIDS, stamp, self._ellipsoids(frame, header)))
@@ -84,7 +83,7 @@ class FrameEncoder:
             return Message(SPLATS, stamp, data)
         return _message(POINTS, stamp, cloud(shown, self._profile, header))
 
-    def _thinned(self, frame: Frame) -> Frame:
+    def _thin(self, frame: Frame) -> Frame:
         if self._profile == "full" and frame.velocities is None:
             self._announce("The frames have no velocities: vx, vy and vz are NaN.")
         count, limit = len(frame.gaussians), self.options.max_points

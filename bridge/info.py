@@ -1,4 +1,4 @@
-"""Describes a clip, a recording, or what this machine can do, in lines of plain text."""
+"""Describes a clip, a recording, or this machine's capabilities, in lines of plain text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from phy124.errors import InputError
 from phy124.io.clip import Clip
 
 from . import PROGRAM, bag
-from .backends import AUTOMATIC, REQUIREMENTS, known, missing
+from .backends import AUTOMATIC, REQUIREMENTS, missing, sink_names
 from .layout import FULL, SMALL, VIZ
 from .recover import records
 from .sinks.mcap import PART
@@ -28,7 +28,7 @@ OPTIONAL = {
     "simulation_interfaces": "`live` offers ~/step and ~/reset (std_srvs) instead of its services",
     "splat_interfaces": "there is no profile `splats` through rclpy",
 }
-"""Package of ROS 2 -> what is lacking without it."""
+"""Package of ROS 2 -> what is missing without it."""
 BUFFERS = Path("/proc/sys/net/core")
 SHORT = {
     "rmem_max": "too small for 65,536 points per frame",
@@ -39,7 +39,7 @@ SHORT = {
 
 
 def describe(path: Path) -> list[str]:
-    """Lines about a clip or a recording.
+    """Describe a clip or a recording.
 
     Raises:
         InputError: It is neither.
@@ -52,7 +52,7 @@ def describe(path: Path) -> list[str]:
 
 
 def describe_clip(clip: Clip) -> list[str]:
-    """Lines about a clip: frames, points, and the size of a message."""
+    """Describe a clip: frames, points, and the size of a message."""
     count = clip.means.shape[1]
     seconds = float(clip.times[-1] - clip.times[0])
     rate = (len(clip) - 1) / seconds if seconds else 0.0
@@ -69,10 +69,10 @@ def describe_clip(clip: Clip) -> list[str]:
 
 
 def describe_recording(path: Path, file: Path) -> list[str]:
-    """Lines about a recording: topics, numbers of messages, and whether it is complete.
+    """Describe a recording: topics, numbers of messages, and whether it is complete.
 
     Args:
-        path: The bag folder or the .mcap file, as given.
+        path: The bag folder or the .mcap file that the user named.
         file: The .mcap file.
 
     Raises:
@@ -105,9 +105,9 @@ def describe_recording(path: Path, file: Path) -> list[str]:
 
 
 def diagnose() -> list[str]:
-    """Lines about what this machine can do, and what the rest needs."""
+    """List this machine's capabilities, and what the missing ones need."""
     lines = [f"python: {sys.version.split()[0]} on {sys.platform}"]
-    for outlet in dict.fromkeys([*REQUIREMENTS, *known()]):
+    for outlet in dict.fromkeys([*REQUIREMENTS, *sink_names()]):
         error = missing(outlet)
         lines.append(f"{outlet}: {'ready' if error is None else f'{error.limit} {error.remedy}'}")
     live = next((name for name in AUTOMATIC if missing(name) is None), None)
@@ -121,7 +121,7 @@ def diagnose() -> list[str]:
 
 
 def _optional(package: str, lacking: str) -> str:
-    """Whether a ROS 2 package that is not part of every installation is there."""
+    """Describe whether an optional ROS 2 package is installed."""
     if find_spec(package) is not None:
         return f"{package}: ready"
     distro = os.environ.get("ROS_DISTRO", "jazzy")
@@ -131,11 +131,11 @@ def _optional(package: str, lacking: str) -> str:
 
 def _beside_ros(name: str, module: str, newest: int) -> str:
     """The version that a node would import, and whether ROS 2's packages accept it."""
-    found = find_spec(module)
-    if found is None or found.origin is None:
+    spec = find_spec(module)
+    if spec is None or spec.origin is None:
         return f"{name}: not installed"
     number = import_module(module).__version__
-    text = f"{name}: {number} in {Path(found.origin).parents[1]}"
+    text = f"{name}: {number} in {Path(spec.origin).parents[1]}"
     if "ROS_DISTRO" not in os.environ or int(number.split(".")[0]) <= newest:
         return text
     return (

@@ -1,4 +1,4 @@
-"""Live: play a clip into a sink, or follow a running simulation, listening to commands."""
+"""Plays a clip into a sink, or follows a running simulation, and listens to commands."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from types import TracebackType
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.io.clip import Clip
 
-from .listener import Listener
 from .player import Player, checked_speed
-from .sink import LONGEST_WAIT, LiveSink, Sink
+from .sink import LONGEST_WAIT, LiveSink, Obey, Sink
 
 Clock = Callable[[], float]
 REPORT_EVERY = 5.0
@@ -43,9 +43,9 @@ def play(
 
     Args:
         clip: The clip.
-        sink: Where it is shown, and from where commands come.
+        sink: Shows the clip, and receives commands.
         player: Decides which frame is due.
-        records: Other sinks that get each frame that is shown.
+        records: Other sinks for the frames that are shown.
         clock: Current time [s].
         stay: Continue to listen after the last frame.
     """
@@ -79,16 +79,16 @@ def follow(
     speed: float = 1.0,
     clock: Clock = time.monotonic,
 ) -> None:
-    """Send each frame of a running simulation as soon as it is computed, but not too early.
+    """Send each frame of a running simulation as soon as it is computed and due.
 
-    A simulation faster than `speed` is slowed down to it. While paused no frame is asked for, so
-    the simulation pauses too, after the frame that is being computed. The sink is listened to all
-    the time. Seeking and restarting need a finished clip and are refused.
+    A simulation faster than `speed` is slowed down to it. A pause also pauses the simulation, after
+    the current frame. Commands are received all the time, in a separate thread. Seeking and
+    restarting need a finished clip and are refused.
 
     Args:
         frames: The frames as they are computed.
-        sink: Where they are shown, and from where commands come.
-        records: Other sinks that get each frame.
+        sink: Shows the frames, and receives commands.
+        records: Other sinks for the frames.
         speed: Seconds of the clip per second, at most.
         clock: Current time [s].
     """
@@ -243,3 +243,58 @@ def unknown(text: str, known: str = KNOWN) -> InputError:
     """The refusal of a command that is not among those known."""
     limit = f"Known are: {known}."
     return InputError("command", repr(text), limit, "Send one of them.")
+
+
+class Listener:
+    """Listens to a sink in a thread while the main thread computes; `obey` gets its commands."""
+
+    def __init__(self, sink: LiveSink, obey: Obey) -> None:
+        self._sink, self._obey = sink, obey
+        self._heard, self._over = threading.Event(), threading.Event()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._listen, name="listener", daemon=True)
+
+    def __enter__(self) -> Listener:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop listening; raises the error that ended it, if nothing else failed."""
+        self._over.set()
+        self._thread.join()
+        if error is None:
+            self.check()
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a command for at most `seconds`.
+
+        Raises the error that ended the listening, such as the KeyboardInterrupt of a sink whose
+        peer has disconnected.
+        """
+        self._heard.wait(min(seconds, LONGEST_WAIT))
+        self._heard.clear()
+        self.check()
+
+    def check(self) -> None:
+        """Raise the error that ended the listening, if any."""
+        if self._error is not None:
+            raise self._error
+
+    def _listen(self) -> None:
+        try:
+            while not self._over.is_set():
+                self._sink.listen(LONGEST_WAIT, self._pass_on)
+        except BaseException as error:
+            # The main thread raises it; it may be waiting for a command.
+            self._error = error
+            self._heard.set()
+
+    def _pass_on(self, text: str) -> str | None:
+        answer = self._obey(text)
+        self._heard.set()
+        return answer

@@ -15,7 +15,7 @@ from functools import cache
 SEPARATOR = "=" * 80
 
 NOTHING = "uint8 structure_needs_at_least_one_member"
-"""What ROS 2 puts in a message without members."""
+"""The content of a ROS 2 message without members."""
 RESULT = "simulation_interfaces/Result result"
 
 DEFINITIONS: dict[str, str] = {
@@ -107,7 +107,7 @@ DEFINITIONS: dict[str, str] = {
         "rmw_dds_common/Gid gid\nrmw_dds_common/NodeEntitiesInfo[] node_entities_info_seq"
     ),
 }
-"""Type name -> its own lines, in which inner messages are named `package/Name`.
+"""Type name -> its definition, in which inner messages are named `package/Name`.
 
 The two halves of a service are messages `package/srv/Name_Request` and `_Response`.
 """
@@ -229,9 +229,9 @@ def _short(name: str) -> str:
 
 
 def _inner(name: str) -> list[str]:
-    """All message types inside `name`, each once, depth first in order of appearance."""
-    found: list[str] = []
+    """List all message types inside `name`, each once, depth first."""
+    types: list[str] = []
     for member in fields(name):
         if member.base in DEFINITIONS:
-            found += [member.base, *_inner(member.base)]
-    return list(dict.fromkeys(found))
+            types += [member.base, *_inner(member.base)]
+    return list(dict.fromkeys(types))

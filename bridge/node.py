@@ -14,7 +14,6 @@ from typing import Any
 from phy124.runtime.failures import failure
 from phy124.runtime.signals import handled, interrupt
 
-from .controls import PLAYER
 from .live import follow, play
 from .options import Options
 from .parameters import (
@@ -30,7 +29,8 @@ from .parameters import (
 from .player import Player
 from .ros_node import ros_node
 from .sinks.rclpy import RclpySink
-from .source import LiveOptions, LiveRun, opened
+from .source import LiveOptions, LiveRun, open_clip
+from .topics import PLAYER
 
 STOPPED_EARLY = 3
 """Exit status of a simulation that kept its good frames but did not reach the end."""
@@ -50,9 +50,9 @@ def simulation(args: list[str] | None = None) -> None:
 def play_clip(node: Any) -> None:
     """Play the clip that the parameters name until ROS shuts down."""
     chosen = declare(node, {**CLIP, **RUNNING, **message_options()})
-    path, clock, rate, speed, loop = _taken(chosen, "clip", "clock", "rate", "speed", "loop")
+    path, clock, rate, speed, loop = _take(chosen, "clip", "clock", "rate", "speed", "loop")
     options = _options(chosen)
-    clip = opened(path)
+    clip = open_clip(path)
     player = Player(clip.times, rate=rate or None, speed=speed, loop=loop)
     with RclpySink(options, clock=clock, node=node) as sink:
         log.info("Playing %s. %s", path, sink.audience())
@@ -65,8 +65,8 @@ def play_clip(node: Any) -> None:
 def simulate(node: Any) -> None:
     """Simulate what the parameters name, showing each frame as soon as it is computed."""
     chosen = declare(node, {**SIMULATED, **RUNNING_LIVE, **message_options()})
-    source, clock, speed = _taken(chosen, "source", "clock", "speed")
-    scene, changes, generator, device, more = _taken(
+    source, clock, speed = _take(chosen, "source", "clock", "speed")
+    scene, changes, generator, device, more = _take(
         chosen, "scene", "set", "generator", "device", "more"
     )
     making = {name: section_of(chosen, section) for name, section in MAKING.items()}
@@ -112,7 +112,7 @@ def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
     return None
 
 
-def _taken(chosen: dict[str, Any], *names: str) -> list[Any]:
+def _take(chosen: dict[str, Any], *names: str) -> list[Any]:
     return [chosen.pop(name) for name in names]
 
 

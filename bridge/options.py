@@ -107,7 +107,7 @@ class Options(Section):
         }
         return self.model_copy(update=chosen)
 
-    def recorded(self) -> Options:
+    def for_recording(self) -> Options:
         """The same, with defaults that keep everything."""
         return self.model_copy(update={"profile": self.profile or "full"})
 

@@ -50,14 +50,14 @@ RUNNING = {
     "speed": Parameter(1.0, "Clip seconds per second.", SPEEDS, while_running=True),
     "rate": Parameter(
         0.0,
-        "At most so many frames per second; 0: every frame.",
+        "Largest number of frames per second; 0: every frame.",
         (0.0, RATES[1]),
         while_running=True,
     ),
     "loop": Parameter(True, "Start again after the last frame.", while_running=True),
     "max_points": Parameter(
         LIVE_POINTS,
-        "At most so many points per frame, evenly picked; 0: the default.",
+        "Largest number of points per frame, evenly picked; 0: the default.",
         POINTS,
         while_running=True,
     ),
@@ -66,9 +66,12 @@ RUNNING = {
 RUNNING_LIVE = {name: RUNNING[name] for name in ("speed", "max_points")}
 """Those of a running simulation."""
 MAKING: dict[str, Any] = {
-    "reading": Reading, "effort": GeneratorOptions, "cutting": Cutting, "depth": DepthMap,
+    "reading": Reading,
+    "effort": GeneratorOptions,
+    "cutting": Cutting,
+    "depth": DepthMap,
     "views": OtherViews,
-}  # fmt: skip
+}
 """Option of `LiveOptions` that says how the source becomes Gaussians -> its section.
 
 Each field of a section is a parameter.
@@ -102,9 +105,9 @@ SIMULATED = {
 
 
 def section_of(chosen: dict[str, Any], section: type[Made]) -> Made:
-    """The options of a section among the parameters' values, which are removed there."""
-    told = {name: chosen.pop(name) for name in section.model_fields}
-    return section(**{name: value for name, value in told.items() if value not in ("", 0)})
+    """Move the options of a section out of the parameters' values."""
+    values = {name: chosen.pop(name) for name in section.model_fields}
+    return section(**{name: value for name, value in values.items() if value not in ("", 0)})
 
 
 def message_options() -> dict[str, Parameter]:
@@ -130,14 +133,14 @@ def declare(node: Any, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
         default = parameter.default
         start = list(default) if isinstance(default, tuple) else default
         # The limits are set afterwards, so that a wrong value gets our own message.
-        given = node.declare_parameter(name, start, ParameterDescriptor(dynamic_typing=True)).value
-        values[name] = converted(name, given, parameter)
+        value = node.declare_parameter(name, start, ParameterDescriptor(dynamic_typing=True)).value
+        values[name] = convert(name, value, parameter)
         node.set_descriptor(name, descriptor(parameter))
     return values
 
 
 def descriptor(parameter: Parameter) -> Any:
-    """What `ros2 param describe` shows."""
+    """Describe a parameter for `ros2 param describe`."""
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
     about = ParameterDescriptor(
@@ -157,19 +160,14 @@ def descriptor(parameter: Parameter) -> Any:
     return about
 
 
-def converted(name: str, value: Any, parameter: Parameter) -> Any:
-    """The value in the parameter's own type.
-
-    Args:
-        name: Name of the parameter.
-        value: The value as ROS has it.
-        parameter: The parameter.
+def convert(name: str, value: Any, parameter: Parameter) -> Any:
+    """Convert ROS's value of the parameter `name` to the type of its default.
 
     Raises:
         InputError: It is of another kind, or out of range.
     """
-    kind, convert = KINDS[type(parameter.default)]
-    wanted = convert(value)
+    kind, read = KINDS[type(parameter.default)]
+    wanted = read(value)
     if wanted is None:
         limit = f"It takes {kind}."
         remedy = f"For example `-p {name}:={_example(parameter.default)}`."
@@ -183,12 +181,12 @@ def converted(name: str, value: Any, parameter: Parameter) -> Any:
 
 
 class Running:
-    """Parameters that can be set while the node plays, and that show how it plays."""
+    """Parameters that can be set while the node plays, and that show its state."""
 
     def __init__(
         self, node: Any, parameters: Mapping[str, Parameter], apply: Callable[[str, Any], None]
     ) -> None:
-        """Listen to changes of declared `parameters`; `apply(name, value)` carries one out."""
+        """Watch declared `parameters`; `apply(name, value)` carries out a change."""
         self._node, self._parameters, self._apply = node, parameters, apply
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._carry_out)
@@ -219,7 +217,7 @@ class Running:
         for parameter in some:
             known = self._parameters.get(parameter.name)
             if known is not None:
-                yield parameter.name, converted(parameter.name, parameter.value, known)
+                yield parameter.name, convert(parameter.name, parameter.value, known)
 
 
 def _is_number(value: Any) -> bool:

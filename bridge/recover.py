@@ -19,7 +19,7 @@ from phy124.io.files import move_to
 
 from . import bag
 from .sinks.mcap import CHUNK, PART
-from .topics import MAIN, recorded
+from .topics import MAIN, find_recorded
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -47,8 +47,8 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
         output: Where to write the repaired copy; None: in place.
 
     Raises:
-        InputError: There is no recording, it was not made by the bridge, not even its beginning can
-            be read, or the disk is full; the damaged file stays as it was.
+        InputError: There is no recording, it was not made by the bridge, even its beginning is
+            unreadable, or the disk is full; the damaged file stays unchanged.
     """
     target = Path(output) if output else Path(path)
     source = _damaged_file(Path(path))
@@ -133,7 +133,7 @@ def _inspect(file: Path) -> tuple[bool, int]:
             frames += record.channel_id == points
         elif isinstance(record, Footer):
             footer = True
-        elif isinstance(record, Channel) and recorded(record.topic) is None:
+        elif isinstance(record, Channel) and find_recorded(record.topic) is None:
             limit = f"It holds the topic {record.topic}, so this program did not record it."
             raise InputError("recover", file, limit, "Use `ros2 bag reindex -s mcap` for it.")
         elif isinstance(record, Header) and record.profile != bag.PROFILE:
@@ -167,8 +167,8 @@ def _copy_records(source: Path, writer: Writer) -> bag.Counts:
 
     counts = bag.Counts()
     # The summary of a finished file repeats the channels, in case their first chunk is damaged.
-    found = {record.id: record.topic for record in records(source) if isinstance(record, Channel)}
-    known = {number: recorded(name) for number, name in found.items()}
+    names = {record.id: record.topic for record in records(source) if isinstance(record, Channel)}
+    known = {number: find_recorded(name) for number, name in names.items()}
     topics = {number: topic for number, topic in known.items() if topic is not None}
     counts.announce(list(topics.values()))
     channels = {number: bag.register(writer, topic) for number, topic in topics.items()}

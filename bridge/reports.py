@@ -13,7 +13,7 @@ from typing import Any
 from .cdr import encode
 from .cdr import time as ros_time
 from .encoder import FrameEncoder
-from .playback import Playback
+from .sink import Playback
 from .topics import CLOCK, DIAGNOSTICS, STATUS, Message, Topic
 
 CLOCK_RATE = 40.0

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,9 +13,7 @@ from typing import Any
 
 from phy124.errors import InputError
 
-from .controls import PLAYER
-from .ros_log import logged_by
-from .topics import NAMESPACE
+from .topics import NAMESPACE, PLAYER
 
 
 @contextmanager
@@ -26,8 +25,8 @@ def ros_node(args: list[str] | None = None, name: str = PLAYER) -> Iterator[Any]
 
     try:
         # ROS's own handlers would end its context at once, before the last frames have arrived.
-        _accepted(lambda: rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO))
-        node = _accepted(lambda: Node(name, namespace=NAMESPACE))
+        _start(lambda: rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO))
+        node = _start(lambda: Node(name, namespace=NAMESPACE))
         try:
             with logged_by(node):
                 yield node
@@ -37,7 +36,7 @@ def ros_node(args: list[str] | None = None, name: str = PLAYER) -> Iterator[Any]
         rclpy.try_shutdown()
 
 
-def _accepted(start: Callable[[], Any]) -> Any:
+def _start(start: Callable[[], Any]) -> Any:
     """The result of `start`; if ROS rejects the arguments, raises InputError with one sentence."""
     try:
         return start()
@@ -46,3 +45,39 @@ def _accepted(start: Callable[[], Any]) -> Any:
         limit = f"ROS 2 refuses it ({said})."
         remedy = "Numbers of one list must all have a point or none; see `ros2 run --help`."
         raise InputError("--ros-args", " ".join(sys.argv[1:]), limit, remedy) from error
+
+
+class RosHandler(logging.Handler):
+    """Passes records to the logger of a node, which publishes them on /rosout."""
+
+    def __init__(self, logger: Any) -> None:
+        super().__init__()
+        self._logger = logger
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Log one record. Each level has its own call, since rclpy ties a severity to a caller."""
+        text = self.format(record)
+        if record.levelno >= logging.CRITICAL:
+            self._logger.fatal(text)
+        elif record.levelno >= logging.ERROR:
+            self._logger.error(text)
+        elif record.levelno >= logging.WARNING:
+            self._logger.warning(text)
+        elif record.levelno >= logging.INFO:
+            self._logger.info(text)
+        else:
+            self._logger.debug(text)
+
+
+@contextmanager
+def logged_by(node: Any) -> Iterator[None]:
+    """Within this context, everything logged goes through the node instead of elsewhere."""
+    root = logging.getLogger()
+    before, level = root.handlers[:], root.level
+    root.handlers[:] = [RosHandler(node.get_logger())]
+    root.setLevel(min(level, logging.INFO))
+    try:
+        yield
+    finally:
+        root.handlers[:] = before
+        root.setLevel(level)

@@ -1,17 +1,35 @@
-"""The services of the node: those of rosbag2's player, and three triggers."""
+"""The services of a ROS 2 node: three triggers, those of rosbag2's player, and those of simulators.
+
+Requests are served on the thread that spins the node. The steps of an action are made between other
+callbacks, so that it can be cancelled.
+"""
+
+# rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
+# pyright: reportMissingImports=false
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Mapping
 from importlib import import_module
 from typing import Any
 
+from phy124.errors import InputError
+
 from .cdr import NANO
-from .playback import Playback
+from .sink import Playback
+from .steering.standard import PACKAGE, Code, result
+from .topics import Controls, Service
 
 TRIGGERS = ("play", "pause", "restart")
 log = logging.getLogger(__name__)
+MISSING = (
+    f"{PACKAGE} is not installed: ~/step and ~/reset (std_srvs/Trigger) replace its services, "
+    "in addition to ~/play and ~/pause."
+)
+INSTALL = "sudo apt install ros-${ROS_DISTRO}-simulation-interfaces"
+FALLBACK = {"step": "next", "reset": "restart"}
+"""Name of a service -> command."""
 
 
 class Services:
@@ -56,7 +74,7 @@ class Services:
         return response
 
     def _set_rate(self, request: Any, response: Any) -> Any:
-        # What rosbag2 calls the rate is called speed here: clip seconds per second.
+        # rosbag2's rate is our speed: clip seconds per second.
         response.success = self._ask(f"speed {request.rate!r}") is None
         return response
 
@@ -75,3 +93,86 @@ class Services:
         del request
         response.success = self._ask("next") is None
         return response
+
+
+def offer_standard(node: Any, controls: Controls, ask: Callable[[str], str | None]) -> None:
+    """Offer the services of `controls`, if it has any.
+
+    Args:
+        node: The node.
+        controls: The services.
+        ask: Carries out a command; returns why it was refused, or None.
+    """
+    if not controls.services:
+        return
+    try:
+        kinds = import_module(f"{PACKAGE}.srv")
+    except ImportError:
+        log.warning("%s `%s` brings it.", MISSING, INSTALL)
+        trigger = import_module("std_srvs.srv").Trigger
+        for name, command in FALLBACK.items():
+            node.create_service(trigger, f"~/{name}", _serve_trigger(ask, command))
+        return
+    for service in controls.services:
+        kind = getattr(kinds, service.type.rsplit("/", 1)[1])
+        node.create_service(kind, service.name, _serve_with(service))
+    if controls.steps is not None:
+        _offer_action(node, controls.steps)
+
+
+def fill(message: Any, content: Mapping[str, Any]) -> Any:
+    """Set the members of a message, including those of inner messages."""
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            fill(getattr(message, name), value)
+        else:
+            setattr(message, name, value)
+    return message
+
+
+def _serve_with(service: Service) -> Callable[[Any, Any], Any]:
+    return lambda request, response: fill(response, service.serve(request))
+
+
+def _serve_trigger(ask: Callable[[str], str | None], command: str) -> Callable[[Any, Any], Any]:
+    def serve(request: Any, response: Any) -> Any:
+        del request
+        response.message = ask(command) or ""
+        response.success = not response.message
+        return response
+
+    return serve
+
+
+def _offer_action(node: Any, steps: Callable[[int], Any]) -> None:
+    """Offer the action SimulateSteps; rclpy keeps it as long as the node."""
+    from rclpy.action import ActionServer, CancelResponse
+
+    kind = import_module(f"{PACKAGE}.action").SimulateSteps
+
+    async def execute(goal: Any) -> Any:
+        asked, answer = goal.request.steps, kind.Result()
+        try:
+            for done in steps(asked):
+                if goal.is_cancel_requested:
+                    goal.canceled()
+                    said = f"Cancelled after {done} of {asked} steps."
+                    return fill(answer, {"result": result(Code.OPERATION_FAILED, said)})
+                feedback = {"completed_steps": done, "remaining_steps": asked - done}
+                goal.publish_feedback(fill(kind.Feedback(), feedback))
+                await _Others()
+        except InputError as error:
+            goal.abort()
+            return fill(answer, {"result": result(Code.OPERATION_FAILED, str(error))})
+        goal.succeed()
+        return fill(answer, {"result": result(Code.OK)})
+
+    cancel: Any = lambda goal: CancelResponse.ACCEPT  # noqa: E731
+    ActionServer(node, kind, "~/simulate_steps", execute, cancel_callback=cancel)
+
+
+class _Others:
+    """When awaited, lets the executor serve other callbacks first."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield

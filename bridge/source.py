@@ -1,4 +1,4 @@
-"""A running simulation as a stream of frames."""
+"""Opens clips, and runs simulations as streams of frames."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """What to simulate with `--live`."""
+    """Options of a simulation with `--live`."""
 
     live: bool = False
     """The source is a picture or a file of Gaussians, to be simulated while it is shown."""
@@ -72,11 +72,11 @@ class LiveRun:
     """A simulation whose frames are not kept, so that they may exceed the memory."""
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
-        """Ready to `prepare`.
+        """Check the source and the scene.
 
         Args:
             source: A picture or a file of Gaussians.
-            options: What to simulate.
+            options: Options of the simulation.
             progress: Called with (stage, done, total); may raise Cancelled.
 
         Raises:
@@ -87,7 +87,7 @@ class LiveRun:
         self._source, self._options, self._progress = source, options, progress
         self._simulation: Simulation | None = None
         self.stopped: str | None = None
-        """Why it ended early, if it did."""
+        """Reason for an early end, if any."""
 
     def __len__(self) -> int:
         return self.scene.time.frames
@@ -104,10 +104,10 @@ class LiveRun:
     def prepare(self) -> Simulation:
         """Make the object and its solver unless they exist; raises InputError."""
         if self._simulation is None:
-            self._simulation = self._made()
+            self._simulation = self._make()
         return self._simulation
 
-    def _made(self) -> Simulation:
+    def _make(self) -> Simulation:
         import warp
 
         from phy124.runtime.context import RunContext
@@ -115,11 +115,11 @@ class LiveRun:
         from phy124.simulation import Simulation, prepare
 
         device = pick_device(self._options.device)
-        # A user need not see Warp's messages while it compiles.
+        # Hides Warp's messages during compilation.
         warp.config.log_level = warp.LOG_ERROR
         made = make_object(self._source, self._options, self.scene, device, self._progress)
         self.scene = made.scene
-        # The sinks have each frame; keeping them would limit the run by memory.
+        # Sinks take each frame; keeping all would limit the run by memory.
         context = RunContext(device=device, progress=self._progress)
         setup = prepare(made.gaussians, made.scene, context, crop=made.crop, keep=False)
         return Simulation(setup)
@@ -132,7 +132,7 @@ class LiveRun:
 
 
 def refuse_unopened(source: Path) -> None:
-    """Make sure that a picture, a file of Gaussians or a clip can be opened.
+    """Refuse a source that cannot be opened.
 
     Raises:
         InputError: It cannot.
@@ -142,8 +142,8 @@ def refuse_unopened(source: Path) -> None:
         raise InputError("source", source, limit[0].upper() + limit[1:], remedy)
 
 
-def opened(path: str | Path) -> Clip:
-    """Open a clip; logs which of its values cannot be shown."""
+def open_clip(path: str | Path) -> Clip:
+    """Open a clip; logs values that cannot be shown."""
     clip = Clip.load(path)
     for flaw in clip.flaws():
         log.warning(flaw)

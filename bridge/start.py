@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from .importing import importing
+from .__main__ import importing, main
 
 
 def player() -> None:
@@ -29,6 +29,4 @@ def simulate() -> None:
 
 def live() -> int:
     """`ros2 run phy124_bridge live photo.png`: a run that is steered, as of the command line."""
-    from .__main__ import main
-
     return main(["live", *sys.argv[1:]])

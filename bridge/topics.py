@@ -1,30 +1,37 @@
-"""The topics of the bridge and their quality of service.
+"""The topics of the bridge with their quality of service, and the services of a node.
 
-They are reliable and transient local, so that every kind of subscriber matches and a late one gets
-the last messages (REP-2003 asks publishers of sensor data to be reliable if they can).
+Topics are reliable and transient local by default, so that every subscriber matches, and a late one
+gets the last messages (REP-2003 asks publishers of sensor data to be reliable if possible).
+To add a topic, declare it here (also in `RECORDED`, if recordings have it) and send it where its
+content is computed: `encoder`, `reports` or `steering/loop`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 NAMESPACE = "phy124"
 STEERED = "live"
 """Name of the node of a run that is steered."""
+Hear = Callable[[Any], None]
+"""Takes one message, whose members are attributes."""
+PLAYER = "player"
+"""Name of the node that plays clips."""
 
 
 @dataclass(frozen=True)
 class Topic:
     """A topic, its message type and the quality of service its publisher offers.
 
-    A name that begins with a tilde is below that of the node, as in ROS 2.
+    A name that begins with a tilde is relative to the node, as in ROS 2.
     """
 
     name: str
     type: str
     depth: int
-    """Number of the last messages that are kept for late subscribers."""
+    """Number of last messages kept for late subscribers."""
     reliable: bool = True
     transient_local: bool = True
 
@@ -42,7 +49,7 @@ class Message(NamedTuple):
 POINTS = Topic("/phy124/points", "sensor_msgs/msg/PointCloud2", depth=5)
 ELLIPSOIDS = Topic("/phy124/ellipsoids", "visualization_msgs/msg/MarkerArray", depth=1)
 TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", depth=1)
-# ROS publishes the clock as best effort and volatile, so that is what subscribers expect.
+# Subscribers expect the clock to be best effort and volatile, as ROS publishes it.
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", depth=1, reliable=False, transient_local=False)
 STATUS = Topic("~/status", "diagnostic_msgs/msg/DiagnosticStatus", depth=1)
 DIAGNOSTICS = Topic(
@@ -57,22 +64,22 @@ GRAB = Topic("~/grab", "geometry_msgs/msg/PointStamped", depth=10, transient_loc
 FACTOR = Topic("~/real_time_factor", "std_msgs/msg/Float64", depth=1)
 SPLATS = Topic("/phy124/gaussian_splats", "splat_interfaces/msg/SplatArray", depth=1)
 MAIN = (POINTS.name, SPLATS.name)
-"""Names of the topics of which one has the Gaussians of every frame."""
+"""Names of the two topics of Gaussians; one of them has every frame."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS, SPLATS, TF)}
-"""Topics in recordings, besides those of `contact`. The clock is not among them, as it would
+"""Topics in recordings, besides those of `contact`. The clock is not recorded, since it would
 conflict with that of `ros2 bag play --clock`."""
 
 
 def contact(at: str) -> Topic:
-    """Where the force on a wall, or of an object on another one, is published, by its name."""
-    name = at.replace("-", "_")  # ROS takes no hyphens
+    """The topic of the force on a wall, or of one object on another, by its name."""
+    name = at.replace("-", "_")  # ROS allows no hyphens
     return Topic(
         f"~/contact/{name}", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False
     )
 
 
-def recorded(name: str) -> Topic | None:
-    """The topic that has this full name in recordings; None if there is none."""
+def find_recorded(name: str) -> Topic | None:
+    """Return the recorded topic of a full name, or None."""
     node, _, wall = name.partition("/contact/")
     if node.startswith(f"/{NAMESPACE}/") and wall:
         return replace(contact(wall), name=name)
@@ -80,5 +87,35 @@ def recorded(name: str) -> Topic | None:
 
 
 def full_name(name: str, node: str) -> str:
-    """The name of a topic or service of a node, without tilde."""
+    """Resolve the tilde in the name of a node's topic or service."""
     return name.replace("~", f"/{NAMESPACE}/{node}", 1) if name.startswith("~") else name
+
+
+@dataclass(frozen=True)
+class Service:
+    """A service, served on the thread that calls the sink's `listen`."""
+
+    name: str
+    type: str
+    """`package/srv/Name`."""
+    serve: Callable[[Any], dict[str, Any]]
+    """Takes the request, whose members are attributes; returns the members of the response."""
+
+
+@dataclass(frozen=True)
+class Controls:
+    """Topics and services of a sink besides frames; by default those of a clip's player."""
+
+    node: str = PLAYER
+    published: tuple[Topic, ...] = ()
+    """Topics published besides those of the frames."""
+    heard: Mapping[Topic, Hear] = field(default_factory=dict)
+    services: tuple[Service, ...] = ()
+    steps: Callable[[int], Any] | None = None
+    """Makes N steps, one for each item of the iterator that it returns."""
+    refused: Callable[[str], object] = lambda sentence: None
+    """Takes a sentence about a refusal."""
+    clock: bool = False
+    """Whether /clock is published."""
+    values: Callable[[], Mapping[str, Any]] = dict
+    """Values of the diagnostics besides the state of playback."""

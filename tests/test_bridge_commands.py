@@ -75,7 +75,7 @@ def test_record_info_and_recover(clip, capsys):
     assert main(["recover", str(bag)]) == 0
     assert "repaired, 6 frames" in capsys.readouterr().out
     assert main(["recover", str(bag)]) == 0
-    assert "complete already, 6 frames" in capsys.readouterr().out
+    assert "already complete, 6 frames" in capsys.readouterr().out
 
 
 def test_recording_keeps_scene_and_report(clip):

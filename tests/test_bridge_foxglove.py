@@ -21,19 +21,17 @@ from support.steered import steered
 pytest.importorskip("foxglove")
 
 from bridge import live
-from bridge.controls import Controls
 from bridge.encoder import FrameEncoder
-from bridge.json_messages import from_json, schema
 from bridge.layout import points
 from bridge.messages import definition
 from bridge.options import Options
 from bridge.player import Player
 from bridge.sinks.foxglove import FoxgloveSink
-from bridge.sinks.foxglove_clients import FLOOD, Clients
+from bridge.sinks.foxglove_clients import FLOOD, Clients, from_json, schema
 from bridge.steering import loop
 from bridge.steering.loop import controls
-from bridge.steering.states import State
-from bridge.topics import PUSH, full_name
+from bridge.steering.run import State
+from bridge.topics import PUSH, Controls, full_name
 from phy124.errors import InputError
 
 HERE = Path(__file__).parent

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from bridge.listener import Listener
+from bridge.live import Listener
 from bridge.sink import LiveSink
 
 

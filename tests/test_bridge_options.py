@@ -47,5 +47,5 @@ def test_live_limit_applies_only_where_none_was_chosen():
     assert Options().max_points is None
     assert Options().live().max_points == LIVE_POINTS == 32_768
     assert Options(max_points=65_536).live().max_points == 65_536
-    assert (Options().live().profile, Options().recorded().profile) == ("viz", "full")
+    assert (Options().live().profile, Options().for_recording().profile) == ("viz", "full")
     assert Options(profile="ply").live().profile == "ply"

@@ -18,9 +18,8 @@ from ruamel.yaml import YAML
 
 import phy124
 from bridge import parameters, topics
-from bridge.controls import PLAYER
 from bridge.options import Options
-from bridge.topics import ELLIPSOIDS, POINTS
+from bridge.topics import ELLIPSOIDS, PLAYER, POINTS
 
 ROOT = Path(__file__).parents[1]
 BRIDGE = ROOT / "bridge"
@@ -68,8 +67,6 @@ def test_package_xml_names_all_ros_dependencies():
         "ros_node.py",
         "parameters.py",
         "services.py",
-        "standard_services.py",
-        "ros_log.py",
         "sinks/rclpy.py",
     ]
     used = set().union(*map(imported, [*map(BRIDGE.joinpath, files), LAUNCH]))

@@ -6,12 +6,11 @@ import pytest
 
 from bridge import delivery, live
 from bridge.backends import open_sink
-from bridge.controls import Controls, Service
 from bridge.options import Options
 from bridge.player import Player
 from bridge.reports import CLOCK_RATE
 from bridge.sinks.rclpy import RclpySink, require_rclpy
-from bridge.topics import POINTS, PUSH, Message, contact
+from bridge.topics import POINTS, PUSH, Controls, Message, Service, contact
 from phy124.errors import InputError
 from support import ros_double
 from support.clips import random_clip

@@ -2,7 +2,7 @@
 
 import logging
 
-from bridge.ros_log import logged_by
+from bridge.ros_node import logged_by
 
 
 def test_log_levels_keep_severity_and_handlers_return(ros):

@@ -7,10 +7,10 @@ from bridge import cdr
 from bridge.bag import SUFFIX
 from bridge.encoder import FrameEncoder
 from bridge.info import describe
+from bridge.layout import splat_array
 from bridge.options import LIVE_SPLATS, Options
 from bridge.recover import recover
 from bridge.sinks.mcap import McapSink
-from bridge.splats import splat_array
 from bridge.topics import SPLATS
 from support.clips import random_clip
 

@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 import setuptools
 
-from bridge.__main__ import main
-from bridge.importing import importing
+from bridge.__main__ import importing, main
 from support.clips import random_clip
 
 ROOT = Path(__file__).parents[1]
@@ -55,7 +54,7 @@ def clip(tmp_path):
         ("doctor", "numpy"),
         pytest.param("doctor", "cyclonedds", marks=pytest.mark.slow),
         pytest.param("record CLIP", EXEC, marks=pytest.mark.slow),
-        ("record CLIP", "bridge.importing"),
+        ("record CLIP", "phy124.runtime.signals"),
         pytest.param("record CLIP", "pydantic_core", marks=pytest.mark.slow),
         ("record CLIP", "mcap.writer"),
         pytest.param("play CLIP --backend dds", EXEC, marks=pytest.mark.slow),
@@ -131,7 +130,7 @@ def test_the_script_of_the_command_line_is_quick_as_well(executables):
     assert (status, said) == (130, ["bridge: stopped"])
 
 
-@pytest.mark.parametrize("module", ["__main__", "start", "importing", "__init__"])
+@pytest.mark.parametrize("module", ["__main__", "start", "__init__"])
 def test_what_takes_long_is_imported_where_ctrl_c_is_caught(module):
     imports = set()
     for node in ast.parse((BRIDGE / f"{module}.py").read_text()).body:
@@ -139,7 +138,7 @@ def test_what_takes_long_is_imported_where_ctrl_c_is_caught(module):
             imports |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             imports.add((node.module or ".").split(".")[0])
-    assert imports <= {"__future__", "os", "sys", "collections", "contextlib", "importing"}
+    assert imports <= {"__future__", "os", "sys", "collections", "contextlib", "__main__"}
 
 
 def test_ctrl_c_before_the_handler_stands(monkeypatch, capsys):

@@ -25,7 +25,7 @@ from bridge.discovery import Discovery
 from bridge.idl import idl_type, service_type
 from bridge.sinks.dds import DdsSink
 from bridge.steering.loop import controls, steer
-from bridge.steering.states import State
+from bridge.steering.run import State
 
 QOS = Qos(
     Policy.Reliability.Reliable(100_000_000),

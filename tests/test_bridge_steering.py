@@ -12,11 +12,10 @@ from bridge.__main__ import main
 from bridge.encoder import FrameEncoder
 from bridge.recover import recover
 from bridge.sinks.mcap import McapSink
-from bridge.steering.contacts import contact_messages
-from bridge.steering.loop import controls
-from bridge.steering.remarks import Remarks
+from bridge.steering.inputs import Remarks
+from bridge.steering.loop import contact_messages, controls
+from bridge.steering.run import State
 from bridge.steering.standard import Code, Feature, Standard
-from bridge.steering.states import State
 from bridge.steering.transforms import Transforms
 from bridge.topics import FACTOR
 from phy124.accuracy.ball import ball

@@ -25,7 +25,7 @@ PARAMETERS = {
     "profile": (str, "Numbers per point: viz, full, small, ply or splats."),
     "frame_id": (str, "Coordinate frame of the object's world."),
     "speed": (float, "Clip seconds per second."),
-    "rate": (float, "At most so many frames per second; 0: every frame."),
+    "rate": (float, "Largest number of frames per second; 0: every frame."),
     "loop": (bool, "Start again after the last frame."),
 }
 """Name -> type and description; an empty value leaves that of the parameter file."""
@@ -57,17 +57,17 @@ def generate_launch_description():
 
 
 def _nodes(context):
-    """The node for the arguments given, and RViz if it is installed."""
-    given = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
-    if bool(given["clip"]) == bool(given["source"]):
-        said = "Give clip:=/path/clip.safetensors, or source:=/path/photo.png."
-        return [LogInfo(msg=said), EmitEvent(event=Shutdown(reason=said))]
+    """The node for the launch arguments, and RViz if it is installed."""
+    values = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
+    if bool(values["clip"]) == bool(values["source"]):
+        text = "Give clip:=/path/clip.safetensors, or source:=/path/photo.png."
+        return [LogInfo(msg=text), EmitEvent(event=Shutdown(reason=text))]
     namespace = "/" + LaunchConfiguration("namespace").perform(context).strip("/")
-    executable, names = ("simulate", SIMULATED) if given["source"] else ("player", PLAYER)
+    executable, names = ("simulate", SIMULATED) if values["source"] else ("player", PLAYER)
     parameters = {
         name: ParameterValue(LaunchConfiguration(name), value_type=PARAMETERS[name][0])
         for name in names
-        if given[name]
+        if values[name]
     }
     node = Node(
         package=PACKAGE,
@@ -76,7 +76,7 @@ def _nodes(context):
         namespace=namespace,
         parameters=[LaunchConfiguration("config"), parameters],
         output="screen",
-        # When the node ends there is nothing to look at, and RViz alone would stay for ever.
+        # RViz would otherwise stay open after the node has ended.
         on_exit=EmitEvent(event=Shutdown(reason="the player has ended")),
     )
     return [node, *_rviz(namespace)]

@@ -9,31 +9,35 @@ from __future__ import annotations
 
 import logging
 import os
+import struct
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.runtime.installation import install_command
 
-from ..cdr import encode
-from ..controls import Controls, Hear
+from ..cdr import ENCAPSULATION, encode
 from ..delivery import Delivery
 from ..discovery import Discovery
 from ..encoder import FrameEncoder
+from ..messages import HASHES
 from ..options import Options
-from ..playback import Playback
 from ..reports import Audience, Reports
-from ..sink import Obey
-from ..topics import COMMAND, NAMESPACE, Message, Topic, full_name
-from .dds_quality import quality
-from .dds_services import DdsServices
+from ..sink import Obey, Playback
+from ..topics import COMMAND, NAMESPACE, Controls, Hear, Message, Service, Topic, full_name
 
 DISCOVERY = Topic("ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo", depth=1)
 MANY = 1000
 """Largest number of participants whose nodes are examined."""
 URI = "CYCLONEDDS_URI"
 log = logging.getLogger(__name__)
+DEPTH = 10
+AT_ONCE = 4
+"""Largest number of requests of one service served in turn."""
+HEADER = struct.Struct("<Qq")
+"""Identity of the client, number of the request; 16 bytes, so what follows stays aligned."""
 
 
 class DdsSink:
@@ -64,11 +68,15 @@ class DdsSink:
         self._controls = controls or Controls()
         self._node = self._controls.node
         self._reports = Reports(
-            self._encoder, self.send, self._audience, node=f"/{NAMESPACE}/{self._node}",
-            clock=self._controls.clock, values=self._controls.values,
-        )  # fmt: skip
+            self._encoder,
+            self.send,
+            self._audience,
+            node=f"/{NAMESPACE}/{self._node}",
+            clock=self._controls.clock,
+            values=self._controls.values,
+        )
         self._delivery = Delivery(
-            self._acknowledged, self._encoder.main.depth, self._reports.send_due
+            self._wait_acknowledged, self._encoder.main.depth, self._reports.send_due
         )
 
     def __enter__(self) -> DdsSink:
@@ -137,7 +145,7 @@ class DdsSink:
         """Number of current readers of the points."""
         return len(self._writers[self._encoder.main.name].get_matched_subscriptions())
 
-    def _acknowledged(self, seconds: float) -> bool:
+    def _wait_acknowledged(self, seconds: float) -> bool:
         try:
             return self._writers[self._encoder.main.name].wait_for_acks(int(seconds * 1e9))
         except AttributeError:
@@ -158,7 +166,7 @@ class DdsSink:
         self._writers = {topic.name: self._writer(topic) for topic in topics}
         heard: dict[Topic, Hear] = {COMMAND: self._command, **self._controls.heard}
         self._heard = [(self._reader(topic), hear) for topic, hear in heard.items()]
-        # All nodes write to this topic, and it has no key to distinguish them.
+        # All nodes write to this topic; it has no key to distinguish them.
         self._nodes = self._reader(replace(DISCOVERY, depth=MANY))
         self._waitset = WaitSet(self._participant)
         unread = SampleState.NotRead | ViewState.Any | InstanceState.Any
@@ -174,7 +182,7 @@ class DdsSink:
 
         from ..idl import encoded_type
 
-        dds_topic = DdsTopic(self._participant, self._mangled(topic), encoded_type(topic.type))
+        dds_topic = DdsTopic(self._participant, self._mangle(topic), encoded_type(topic.type))
         return DataWriter(self._participant, dds_topic, qos=quality(topic))
 
     def _reader(self, topic: Topic) -> Any:
@@ -183,10 +191,10 @@ class DdsSink:
 
         from ..idl import idl_type
 
-        dds_topic = DdsTopic(self._participant, self._mangled(topic), idl_type(topic.type))
+        dds_topic = DdsTopic(self._participant, self._mangle(topic), idl_type(topic.type))
         return DataReader(self._participant, dds_topic, qos=quality(topic, ignore_own=True))
 
-    def _mangled(self, topic: Topic) -> str:
+    def _mangle(self, topic: Topic) -> str:
         name = full_name(topic.name, self._node)
         return name if name == DISCOVERY.name else f"rt{name}"
 
@@ -210,13 +218,13 @@ class DdsSink:
 
     def _namesakes(self) -> int:
         """Number of other participants with a node of this name."""
-        own = self._participant.guid.bytes
+        identity = self._participant.guid.bytes
         for sample in self._nodes.take(MANY):
-            if hasattr(sample, "gid") and bytes(sample.gid.data) != own:
+            if hasattr(sample, "gid") and bytes(sample.gid.data) != identity:
                 names = {(n.node_namespace, n.node_name) for n in sample.node_entities_info_seq}
                 writer = sample.sample_info.publication_handle
                 self._others[writer] = (f"/{NAMESPACE}", self._node) in names
-        # cyclonedds gives the one kind of handles signed and the other unsigned.
+        # cyclonedds returns one kind of handle signed, the other unsigned.
         here = {handle % 2**64 for handle in self._nodes.get_matched_publications()}
         return sum(named for writer, named in self._others.items() if writer in here)
 
@@ -251,3 +259,96 @@ def _domain(domain: int, discovery: Discovery) -> Any:
 
 def _gid(entity: Any) -> dict[str, bytes]:
     return {"data": entity.guid.bytes}
+
+
+class _Offered(NamedTuple):
+    service: Service
+    reader: Any
+    writer: Any
+
+
+class DdsServices:
+    """The services of one node."""
+
+    def __init__(self, participant: Any, services: Sequence[Service], node: str) -> None:
+        """Offer services.
+
+        Args:
+            participant: The participant in the DDS domain.
+            services: What is offered.
+            node: Name of the node.
+        """
+        self._offered = [_offer(participant, service, node) for service in services]
+
+    @property
+    def readers(self) -> list[Any]:
+        """Readers of the requests."""
+        return [offered.reader for offered in self._offered]
+
+    @property
+    def writers(self) -> list[Any]:
+        """Writers of the replies."""
+        return [offered.writer for offered in self._offered]
+
+    def serve(self) -> None:
+        """Answer the waiting requests."""
+        for offered in self._offered:
+            for request in offered.reader.take(AT_ONCE):
+                if request.sample_info.valid_data:
+                    _answer(offered, request)
+
+
+def _answer(offered: _Offered, request: Any) -> None:
+    from ..idl import sample
+
+    name = f"{offered.service.type}_Response"
+    body = encode(name, offered.service.serve(request))[len(ENCAPSULATION) :]
+    header = HEADER.pack(request.client, request.number)
+    offered.writer.write(sample(name, ENCAPSULATION + header + body))
+
+
+def _offer(participant: Any, service: Service, node: str) -> _Offered:
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic as DdsTopic
+
+    from ..idl import encoded_type, service_type
+
+    name = full_name(service.name, node)
+    asked, answered = f"{service.type}_Request", f"{service.type}_Response"
+    # The identity tells a waiting client which reader and writer belong together.
+    identity = ".".join(f"{byte:x}" for byte in participant.guid.bytes[:12])
+    topics = {kind: Topic(name, kind, DEPTH, transient_local=False) for kind in (asked, answered)}
+    qos = {kind: quality(topic, also=f"serviceid={identity};") for kind, topic in topics.items()}
+    requests = DdsTopic(participant, f"rq{name}Request", service_type(asked))
+    replies = DdsTopic(participant, f"rr{name}Reply", encoded_type(answered))
+    return _Offered(
+        service,
+        DataReader(participant, requests, qos=qos[asked]),
+        DataWriter(participant, replies, qos=qos[answered]),
+    )
+
+
+def quality(topic: Topic, *, also: str = "", ignore_own: bool = False) -> Any:
+    """The DDS quality of service of a topic, including the type hash.
+
+    Args:
+        topic: The topic.
+        also: Further user data.
+        ignore_own: Whether to ignore messages from this program.
+    """
+    from cyclonedds.qos import Policy, Qos
+    from cyclonedds.util import duration
+
+    last = Policy.History.KeepLast(topic.depth)
+    kept = Policy.DurabilityService(0, last, -1, -1, -1)
+    reliable = Policy.Reliability.Reliable(duration(milliseconds=100))
+    transient = [Policy.Durability.TransientLocal, kept]
+    return Qos(
+        reliable if topic.reliable else Policy.Reliability.BestEffort,
+        *(transient if topic.transient_local else [Policy.Durability.Volatile]),
+        last,
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+        Policy.Userdata(f"typehash={HASHES[topic.type]};{also}".encode()),
+        *([Policy.IgnoreLocal.Participant] if ignore_own else []),
+    )

@@ -1,7 +1,7 @@
 """FoxgloveSink: a websocket that Foxglove and Lichtblick open directly, with playback control.
 
-It sends the same CDR messages and ros2msg schemas as the other sinks; the package is foxglove-sdk,
-which Foxglove keeps. Who steers a run publishes and calls services as `foxglove_clients` says.
+It sends the same CDR messages and ros2msg schemas as the other sinks, through Foxglove's package
+foxglove-sdk. `foxglove_clients` receives the messages and service calls that steer a run.
 """
 
 from __future__ import annotations
@@ -16,14 +16,12 @@ from phy124.runtime.installation import install_command
 
 from ..bag import ENCODING
 from ..cdr import NANO
-from ..controls import Controls
 from ..encoder import FrameEncoder
 from ..messages import definition
 from ..options import Options
-from ..playback import Playback
 from ..reports import Audience, Reports
-from ..sink import Obey
-from ..topics import NAMESPACE, Message, Topic, full_name
+from ..sink import Obey, Playback
+from ..topics import NAMESPACE, Controls, Message, Topic, full_name
 from .foxglove_clients import ENCODING as JSON
 from .foxglove_clients import Clients, Job
 
@@ -85,7 +83,7 @@ class FoxgloveSink:
                 context=self._context,
                 server_listener=_listener(self),
                 playback_time_range=self._range(),
-                **self._steered(),
+                **self._steering_options(),
             )
         except RuntimeError as error:
             limit = f"The websocket cannot be opened ({error})."
@@ -146,11 +144,11 @@ class FoxgloveSink:
         return f"Open ws://{there}:{self.port} in Foxglove."
 
     def post(self, job: Job) -> None:
-        """Called by the server's threads with what the thread that listens shall do."""
+        """Queue a job from the server's threads for the thread that listens."""
         self._jobs.put(job)
 
-    def gone(self, topic: str) -> None:
-        """Called by the server's thread when a viewer subscribes no more."""
+    def forget(self, topic: str) -> None:
+        """Called by the server's thread when a viewer unsubscribes."""
         self._viewers -= topic == self._encoder.main.name
 
     def newcomer(self, topic: str) -> None:
@@ -182,12 +180,16 @@ class FoxgloveSink:
 
     def _reporting(self, controls: Controls) -> Reports:
         return Reports(
-            self._encoder, self.send, lambda: Audience(self._viewers, 0),
-            node=f"/{NAMESPACE}/{controls.node}", clock=controls.clock, values=controls.values,
-        )  # fmt: skip
+            self._encoder,
+            self.send,
+            lambda: Audience(self._viewers, 0),
+            node=f"/{NAMESPACE}/{controls.node}",
+            clock=controls.clock,
+            values=controls.values,
+        )
 
-    def _steered(self) -> dict[str, Any]:
-        """What the server is told if viewers steer the run."""
+    def _steering_options(self) -> dict[str, Any]:
+        """Options of the server if viewers steer the run."""
         from foxglove.websocket import Capability
 
         if self._controls is None:
@@ -195,7 +197,7 @@ class FoxgloveSink:
         return {
             "capabilities": [Capability.ClientPublish, Capability.Services],
             "supported_encodings": [JSON],
-            "services": self.clients.offered(),
+            "services": self.clients.list_services(),
         }
 
     def _channel(self, topic: Topic) -> Any:
@@ -225,7 +227,7 @@ def _listener(sink: FoxgloveSink) -> Any:
 
         def on_unsubscribe(self, client: Any, channel: Any) -> None:
             del client
-            sink.gone(channel.topic)
+            sink.forget(channel.topic)
 
         def on_client_advertise(self, client: Any, channel: Any) -> None:
             sink.clients.advertise(client.id, channel.id, channel.topic, channel.encoding)

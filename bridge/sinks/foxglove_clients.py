@@ -7,25 +7,29 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as NotYet
+from types import SimpleNamespace
 from typing import Any
 
 from phy124.errors import InputError
 
-from ..controls import Controls, Hear, Service
-from ..json_messages import from_json, schema
+from ..messages import DEFINITIONS, Field, fields
 from ..sink import Obey
-from ..topics import COMMAND, Topic, full_name
+from ..topics import COMMAND, Controls, Hear, Service, Topic, full_name
 
 ENCODING = "json"
 BACKLOG = 100
-"""Messages that wait; older ones are dropped."""
-FLOOD = f"Messages come faster than they are heard: of more than {BACKLOG} the newest count."
+"""Largest number of waiting messages; the oldest are dropped."""
+FLOOD = f"Messages arrive faster than they are read: only the newest {BACKLOG} count."
 OFTEN = 0.2
-"""Time between two looks whether the sink has been closed [s]."""
+"""Interval between two checks whether the sink was closed [s]."""
 Job = Callable[[Obey], object]
+INTEGERS = ("byte", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
+WORDS = {bool: "boolean", str: "string", int: "integer", float: "number"}
+"""Python type -> that of JSON Schema."""
+REMEDY = "Send JSON with the members of the message; those left out are zero or empty."
 
 
 class Clients:
@@ -46,9 +50,9 @@ class Clients:
         self._waiting: deque[tuple[str, bytes]] = deque(maxlen=BACKLOG)
         self._refused = controls.refused
         self._flooded = False
-        """Whether it was said that messages are left out."""
+        """Whether the flood has been reported."""
         self.closed = False
-        """Whether calls are answered no more."""
+        """Whether calls are no longer answered."""
 
     def advertise(self, client: int, channel: int, topic: str, encoding: str) -> None:
         """A viewer is going to publish on a topic.
@@ -69,7 +73,7 @@ class Clients:
             self._channels[client, channel] = topic
 
     def unadvertise(self, client: int, channel: int) -> None:
-        """A viewer is not going to publish any more."""
+        """A viewer stops publishing."""
         self._channels.pop((client, channel), None)
 
     def message(self, client: int, channel: int, data: bytes) -> None:
@@ -85,7 +89,7 @@ class Clients:
         if first:
             self._post(_wake)
 
-    def offered(self) -> list[Any]:
+    def list_services(self) -> list[Any]:
         """The services, for the server."""
         from foxglove import MessageSchema, Schema, ServiceSchema
         from foxglove import Service as Offered
@@ -123,7 +127,7 @@ class Clients:
         return handle
 
     def hear(self, obey: Obey) -> None:
-        """Pass on the messages that wait."""
+        """Pass on the waiting messages."""
         for _ in range(len(self._waiting)):
             name, data = self._waiting.popleft()
             topic, hear = self._heard[name]
@@ -139,5 +143,77 @@ class Clients:
 
 
 def _wake(obey: Obey) -> None:
-    """Nothing, so that who waits for a job hears the messages."""
+    """Do nothing: wakes the thread that waits for a job, so that it reads the messages."""
     del obey
+
+
+def from_json(name: str, data: bytes) -> Any:
+    """A message whose members are attributes; those that are left out are zero, empty or false.
+
+    NaN and Infinity, which JSON does not have, are read as Python writes them.
+
+    Raises:
+        InputError: It is no JSON, or a member is unknown or of the wrong kind.
+    """
+    try:
+        content = json.loads(data or b"{}")
+    except (ValueError, RecursionError) as error:
+        raise InputError(name, data[:40], f"it is no JSON ({error}).", REMEDY) from None
+    return _message(name, content, name)
+
+
+def schema(name: str) -> dict[str, Any]:
+    """The JSON Schema of a message."""
+    members = {member.name: _schema(member) for member in fields(name)}
+    return {"type": "object", "properties": members}
+
+
+def _message(name: str, content: Any, where: str) -> Any:
+    if not isinstance(content, Mapping):
+        raise InputError(where, content, "it must be an object.", REMEDY)
+    known = fields(name)
+    if unknown := sorted(content.keys() - {member.name for member in known}):
+        limit = f"{name} has no {', '.join(map(str, unknown))}."
+        raise InputError(where, unknown[0], limit, REMEDY)
+    return SimpleNamespace(
+        **{member.name: _member(member, content, f"{where}.{member.name}") for member in known}
+    )
+
+
+def _member(member: Field, content: Mapping[str, Any], where: str) -> Any:
+    value = content.get(member.name)
+    if member.length is None:
+        return _value(member.base, value, where)
+    items = [] if value is None else value
+    if not isinstance(items, list):
+        raise InputError(where, value, "it must be a list.", REMEDY)
+    return [_value(member.base, item, where) for item in items]
+
+
+def _value(base: str, value: Any, where: str) -> Any:
+    if base in DEFINITIONS:
+        return _message(base, {} if value is None else value, where)
+    kinds, zero = _kind(base)
+    if value is None:
+        return zero
+    if isinstance(value, bool) is not (base == "bool") or not isinstance(value, kinds):
+        raise InputError(where, value, f"it must be a {base}.", REMEDY)
+    return value
+
+
+def _kind(base: str) -> tuple[tuple[type, ...], Any]:
+    """The Python types of a primitive, and its zero."""
+    if base == "bool":
+        return (bool,), False
+    if base == "string":
+        return (str,), ""
+    return ((int,), 0) if base in INTEGERS else ((int, float), 0.0)
+
+
+def _schema(member: Field) -> dict[str, Any]:
+    if member.base in DEFINITIONS:
+        inner = schema(member.base)
+    else:
+        kinds, _ = _kind(member.base)
+        inner = {"type": WORDS[kinds[-1]]}
+    return inner if member.length is None else {"type": "array", "items": inner}

@@ -18,18 +18,15 @@ from typing import Any
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 
-from ..controls import Controls
 from ..delivery import Delivery
 from ..encoder import FrameEncoder
 from ..options import Options, live_points
 from ..parameters import RUNNING, Parameter, Running, declare
-from ..playback import Playback
 from ..reports import Audience, Reports
 from ..ros_node import ros_node
-from ..services import Services
-from ..sink import Obey
-from ..standard_services import offer_standard
-from ..topics import COMMAND, NAMESPACE, Message, Topic
+from ..services import Services, offer_standard
+from ..sink import Obey, Playback
+from ..topics import COMMAND, NAMESPACE, Controls, Message, Topic
 
 
 class RclpySink:
@@ -63,7 +60,7 @@ class RclpySink:
         require_rclpy()
         self._encoder = FrameEncoder((options or Options()).live())
         self._controls = controls or Controls(clock=clock)
-        self._given, self._args = node, args
+        self._external, self._args = node, args
         self._parameters, self._running = running, None
         self._playback: Playback | None = None
         self._obey: Obey = self._remember
@@ -75,22 +72,26 @@ class RclpySink:
         from rclpy.executors import SingleThreadedExecutor
 
         with ExitStack() as stack:
-            own = self._controls
-            self._node = self._given or stack.enter_context(ros_node(self._args, own.node))
+            controls = self._controls
+            self._node = self._external or stack.enter_context(ros_node(self._args, controls.node))
             self._name = self._node.get_fully_qualified_name()
             self._reports = Reports(
-                self._encoder, self.send, self._audience, node=self._name, clock=own.clock,
-                values=own.values,
-            )  # fmt: skip
+                self._encoder,
+                self.send,
+                self._audience,
+                node=self._name,
+                clock=controls.clock,
+                values=controls.values,
+            )
             tick = self._reports.send_due
-            self._delivery = Delivery(self._acknowledged, self._encoder.main.depth, tick)
-            topics = [*self._encoder.topics, *self._reports.topics, *own.published]
+            self._delivery = Delivery(self._wait_acknowledged, self._encoder.main.depth, tick)
+            topics = [*self._encoder.topics, *self._reports.topics, *controls.published]
             self._publishers = {topic.name: self._publisher(topic) for topic in topics}
             for message in self._encoder.static():
                 self.send(message)
             Services(self._node, self._ask, lambda: self._playback)
-            offer_standard(self._node, own, self._ask)
-            for topic, hear in {COMMAND: self._heard, **own.heard}.items():
+            offer_standard(self._node, controls, self._ask)
+            for topic, hear in {COMMAND: self._heard, **controls.heard}.items():
                 self._node.create_subscription(
                     message_class(topic.type), relative(topic), hear, quality(topic)
                 )
@@ -118,7 +119,7 @@ class RclpySink:
             self.send(message)
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Spin the node for at most so many seconds; raises KeyboardInterrupt if ROS shuts down."""
+        """Spin the node for at most `seconds`; raises KeyboardInterrupt if ROS shuts down."""
         self._obey = obey
         while self._wishes:
             obey(self._wishes.pop(0))
@@ -170,7 +171,7 @@ class RclpySink:
         with self._until_shutdown():
             self._publishers[message.topic.name].publish(message.data)
 
-    def _acknowledged(self, seconds: float) -> bool:
+    def _wait_acknowledged(self, seconds: float) -> bool:
         from rclpy.duration import Duration
 
         return self._publishers[self._encoder.main.name].wait_for_all_acked(

@@ -1,7 +1,7 @@
-"""Inputs: what peers do to the object, from messages, applied between two frames.
+"""Inputs of peers: messages that push and grab the object, applied between two frames.
 
-Of several messages between two frames the newest counts: the last wrench of each frame of
-reference, and the last place of the grab. However many come, the work with them is the same.
+Between two frames, only the newest wrench of each frame of reference and the newest grab count, so
+the work does not depend on the number of messages.
 """
 
 from __future__ import annotations
@@ -14,19 +14,23 @@ import numpy as np
 
 from phy124.errors import InputError
 
-from ..controls import Hear
 from ..options import Options
-from ..topics import GRAB, PUSH, TF, TF_STATIC, Topic
-from .remarks import Remarks
+from ..topics import GRAB, PUSH, TF, TF_STATIC, Hear, Topic
 from .transforms import Transforms
 
 if TYPE_CHECKING:
     from phy124.live import Live
+import logging
+import math
+import time
 
 MOST = 16
-"""Frames of reference from which the object is pushed between two frames."""
+"""Largest number of frames of reference that push the object between two frames."""
 READER_DEPTH = 100
-"""Messages of /tf_static that are read at once: each node that sends some has one."""
+"""Depth of the reader of /tf_static: each publishing node has a message."""
+EVERY = 1.0
+"""Shortest time between two lines of the log [s]: peers may send thousands of messages."""
+log = logging.getLogger(__name__)
 
 
 def centre_frame(options: Options) -> str:
@@ -40,16 +44,16 @@ def object_frame(options: Options, name: str) -> str:
 
 
 class Inputs:
-    """Wrenches, a grab and transforms that peers sent."""
+    """Wrenches, a grab and transforms from peers."""
 
     def __init__(self, live: Live, options: Options, seconds: float, remarks: Remarks) -> None:
-        """Nothing heard yet.
+        """Start without inputs.
 
         Args:
-            live: What they act on.
+            live: The run that they act on.
             options: Names of the frames.
-            seconds: How long a wrench acts if no other follows [s].
-            remarks: Where it is said what was refused.
+            seconds: Duration of a wrench unless another one follows [s].
+            remarks: Takes refusals.
         """
         self._live, self._seconds, self._remarks = live, seconds, remarks
         self._transforms = Transforms(options.frame_id)
@@ -74,8 +78,9 @@ class Inputs:
         if frame in self._pushes or len(self._pushes) < MOST:
             self._pushes[frame] = message
         else:
-            said = f"more than {MOST} frames push at once; {frame!r} is left out."
-            self._remarks.add(f"~/push: {said}")
+            self._remarks.add(
+                f"~/push: more than {MOST} frames push at once; {frame!r} is ignored."
+            )
 
     def grab(self, message: Any) -> None:
         """Take a PointStamped; one without a frame lets go."""
@@ -87,7 +92,7 @@ class Inputs:
         self._attempt(lambda: self._transforms.hear(message))
 
     def apply(self) -> None:
-        """Do to the object what was asked since the last frame."""
+        """Apply the inputs since the last frame."""
         if self._let_go:
             self._live.release()
         for message in self._pushes.values():
@@ -97,7 +102,7 @@ class Inputs:
         self.clear()
 
     def clear(self) -> None:
-        """Forget what was asked since the last frame."""
+        """Discard the inputs since the last frame."""
         self._pushes, self._grab, self._let_go = {}, None, False
 
     def _push(self, message: Any) -> None:
@@ -117,7 +122,7 @@ class Inputs:
         )
 
     def _hold(self) -> None:
-        """Take hold of the object, or draw what is held; a frame of an object names it."""
+        """Grab the object, or move the grab's target; an object's frame selects the object."""
         frame = self._grab.header.frame_id
         name = self._objects.get(frame)
         place = self._transforms.pose(frame) if name is None else self._at(name)
@@ -128,30 +133,30 @@ class Inputs:
             self._live.grab(target, object=name)
 
     def _at(self, name: str) -> np.ndarray:
-        """Where an object is now, with the axes of the world [4,4]."""
+        """Pose of an object's centre, with the axes of the world [4,4]."""
         place = np.eye(4)
         place[:3, 3] = self._live.centres.get(name, np.full(3, np.nan))
         return place
 
     def _attempt(self, action: Callable[[], None]) -> None:
-        """Do something; if it is refused, the run goes on, and the reason is said."""
+        """Carry out an action; a refusal is only remarked."""
         try:
-            # A huge number may become infinite on the way, which the run refuses.
+            # A huge number may become infinite, which the run refuses.
             with np.errstate(over="ignore", invalid="ignore"):
                 action()
         except InputError as error:
             self._remarks.add(str(error))
 
 
-def _numbers(field: str, given: Any) -> np.ndarray:
-    """The three finite numbers of a vector or point; raises InputError."""
+def _numbers(field: str, point: Any) -> np.ndarray:
+    """Check and return the three numbers of a vector or point; raises InputError."""
     from phy124.live.limits import check_vector
 
-    return np.array(check_vector(field, (given.x, given.y, given.z)))
+    return np.array(check_vector(field, (point.x, point.y, point.z)))
 
 
 def _static(options: Options) -> Any:
-    """The TFMessage that the sinks publish, as they would hear it."""
+    """The TFMessage that the sinks publish, as an input."""
     x, y, z = options.translation
     qx, qy, qz, qw = options.rotation
     transform = SimpleNamespace(
@@ -159,5 +164,24 @@ def _static(options: Options) -> Any:
         rotation=SimpleNamespace(x=qx, y=qy, z=qz, w=qw),
     )
     header = SimpleNamespace(frame_id=options.parent_frame)
-    one = SimpleNamespace(header=header, child_frame_id=options.frame_id, transform=transform)
-    return SimpleNamespace(transforms=[one])
+    link = SimpleNamespace(header=header, child_frame_id=options.frame_id, transform=transform)
+    return SimpleNamespace(transforms=[link])
+
+
+class Remarks:
+    """Sentences about refused inputs: counted, logged at intervals, kept for diagnostics."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.count = 0
+        """Number of sentences so far."""
+        self.last = ""
+        """The last sentence."""
+        self._clock, self._logged = clock, -math.inf
+
+    def add(self, sentence: str) -> None:
+        """Keep a sentence."""
+        self.count, self.last = self.count + 1, sentence
+        now = self._clock()
+        if now - self._logged >= EVERY:
+            self._logged = now
+            log.warning(sentence)

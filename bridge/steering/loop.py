@@ -1,23 +1,30 @@
-"""The loop of a steered run: frames when they are due, and in between what peers send."""
+"""The loop of a steered run: makes due frames, sends their messages, and reads inputs."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 
-from ..controls import Controls
+from .. import cdr
 from ..options import Options
 from ..sink import LONGEST_WAIT, LiveSink, Recorder
-from ..topics import FACTOR, STEERED, TF, contact
-from .contacts import contact_messages, factor_message
+from ..topics import FACTOR, STEERED, TF, Controls, Message, contact
+from .inputs import centre_frame, object_frame
 from .run import SteeredRun
 from .standard import Standard
 
+if TYPE_CHECKING:
+    from phy124.live import Live
+
 ROUNDS = 8
-"""How often a sink is listened to between two frames, however late the next one is."""
+"""Number of reads from a sink between two frames, even if the next one is late."""
 
 
 def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
@@ -62,8 +69,8 @@ def steer(
         run: The run.
         sink: Where it is shown and from where it is steered, opened with its `controls`.
         options: How frames become messages, with an epoch.
-        records: Recordings that get each frame and the wrenches.
-        frames: End after so many frames; None: when it is quit.
+        records: Recordings of the frames and wrenches.
+        frames: Number of frames after which to end; None: when it is quit.
     """
     from phy124.live import RealTime
 
@@ -108,7 +115,7 @@ class _Listening:
         self._run, self._sink = run, sink
 
     def once(self, seconds: float) -> None:
-        """Until something comes, at most so many seconds."""
+        """Wait for an input for at most `seconds`."""
         self._sink.listen(seconds, self._obey)
 
     def briefly(self) -> None:
@@ -117,7 +124,7 @@ class _Listening:
             self.once(0.0)
 
     def during(self, seconds: float) -> None:
-        """For so many seconds."""
+        """Wait for `seconds`."""
         until = time.perf_counter() + seconds
         while (left := until - time.perf_counter()) > 0:
             self.once(min(left, LONGEST_WAIT))
@@ -129,3 +136,61 @@ class _Listening:
             self._run.remarks.add(str(error))
             return str(error)
         return None
+
+
+def contact_messages(live: Live, options: Options, seconds: float) -> list[Message]:
+    """Force and torque on each wall, and of each object on each other one, with their frames.
+
+    Wrenches on a wall are about the centre of mass of all objects, wrenches on an object about that
+    object's centre; the header names the frame.
+
+    Args:
+        live: The run, after a frame.
+        options: Names of the frames, and the epoch.
+        seconds: Time of the frame since the epoch [s].
+    """
+    stamp, centre = stamp_of(options, seconds), live.centre
+    when, whole = cdr.time(stamp), centre_frame(options)
+    centres = live.centres if live.scene.objects else {}
+    frames = {whole: centre} | {object_frame(options, name): at for name, at in centres.items()}
+    header = {"stamp": when, "frame_id": options.frame_id}
+    links = [
+        {"header": header, "child_frame_id": child, "transform": _standing(at)}
+        for child, at in frames.items()
+    ]
+    messages = [_message(TF, stamp, {"transforms": links})]
+    for name, (force, torque) in live.contacts().items():
+        acted_on = live.pairs.get(name)
+        frame = whole if acted_on is None else object_frame(options, acted_on)
+        torque = torque + np.cross(centre - frames[frame], force)
+        content = {
+            "header": {"stamp": when, "frame_id": frame},
+            "wrench": {"force": force.tolist(), "torque": torque.tolist()},
+        }
+        messages.append(_message(contact(name), stamp, content))
+    return messages
+
+
+def _standing(at: NDArray[np.float64]) -> dict[str, Any]:
+    """The transform to a position [3], m, with the axes of the world."""
+    return {"translation": at.tolist(), "rotation": (0.0, 0.0, 0.0, 1.0)}
+
+
+def factor_message(factor: float, options: Options, seconds: float) -> Message:
+    """Simulated seconds per second.
+
+    Args:
+        factor: The number.
+        options: The epoch.
+        seconds: Time of the frame since the epoch [s].
+    """
+    return _message(FACTOR, stamp_of(options, seconds), {"data": factor})
+
+
+def stamp_of(options: Options, seconds: float) -> int:
+    """Time stamp [ns since 1970] of a time since the epoch [s]."""
+    return round((options.epoch or 0.0) * cdr.NANO) + round(seconds * cdr.NANO)
+
+
+def _message(topic: Any, stamp: int, content: dict[str, Any]) -> Message:
+    return Message(topic, stamp, cdr.encode(topic.type, content))

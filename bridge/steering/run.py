@@ -1,8 +1,7 @@
-"""SteeredRun: a live run with a state, whose frames go out as they are made.
+"""A live run with a state, steered by peers.
 
-It is not thread-safe: sinks call it from `listen`, on the thread that also makes the frames. What
-peers ask for acts from the next frame on, so the same requests at the same frames give the same
-bytes.
+It is not thread-safe: sinks call it from `listen`, on the thread that also makes the frames.
+Requests act from the next frame on, so the same requests at the same frames give the same bytes.
 """
 
 from __future__ import annotations
@@ -17,22 +16,23 @@ from phy124.gaussians import Frame
 from ..live import number, unknown
 from ..options import Options
 from ..player import checked_speed
-from .inputs import Inputs
-from .remarks import Remarks
-from .states import MOST_STEPS, State
+from .inputs import Inputs, Remarks
 
 if TYPE_CHECKING:
     from phy124.live import Live
+from enum import IntEnum
 
 WORDS = ("play", "pause", "toggle", "next", "restart")
 """Commands without a value."""
 DURATIONS = (0.001, 3600.0)
 """Shortest and longest time that a wrench acts [s]."""
 KNOWN = f"{', '.join(WORDS)}, step COUNT, speed FACTOR"
+MOST_STEPS = 100_000
+"""Largest number of steps of one call."""
 
 
 def checked_duration(seconds: float) -> float:
-    """How long a wrench acts [s].
+    """Check the duration of a wrench [s].
 
     Raises:
         InputError: It is out of range.
@@ -65,7 +65,7 @@ class SteeredRun:
         Args:
             live: The run.
             options: How frames become messages.
-            push_seconds: How long a wrench acts if no other follows [s].
+            push_seconds: Duration of a wrench unless another one follows [s].
             speed: Simulated seconds per second.
             paused: Start paused.
 
@@ -78,7 +78,7 @@ class SteeredRun:
         self.speed = checked_speed(speed)
         self.shown, self.position = 0, 0.0
         self.show: Callable[[Frame], object] = lambda frame: None
-        """Takes each frame, whose time is that since the start or the last reset of time."""
+        """Takes each frame; its time counts from the start or the last reset of time."""
         self.changed: Callable[[], object] = lambda: None
         """Called when the state or the speed has changed."""
         self._ticks, self._note = 0, ""
@@ -113,7 +113,7 @@ class SteeredRun:
         self.show(replace(frame, time=self.position))
 
     def steps(self, count: float) -> Iterator[int]:
-        """Make so many frames, as fast as they come; an item after each: how many there were.
+        """Make `count` frames as fast as possible; yields their number after each.
 
         Raises:
             InputError: It is not paused, or the number is out of range.
@@ -133,16 +133,16 @@ class SteeredRun:
             raise InputError("steps", count, limit, "Pause it first.")
 
     def enter(self, state: State) -> None:
-        """Go to another state; to be stopped is to be reset and to wait."""
+        """Go to another state; stopping resets the run."""
         if state is State.STOPPED:
-            self._begin_anew(time=True)
+            self._restart(time=True)
         self.state = state
         self.changed()
 
     def reset(self, *, time: bool = True, state: bool = True) -> None:
-        """Begin anew: the object at rest where it was at the start, the time at 0, or both."""
+        """Reset the object to its start, the time to 0, or both."""
         if state:
-            self._begin_anew(time=time)
+            self._restart(time=time)
         elif time:
             self._ticks, self.position = 0, 0.0
         self.changed()
@@ -151,7 +151,7 @@ class SteeredRun:
         """Carry out a command of `/phy124/command`.
 
         Raises:
-            InputError: There is none like it, or it cannot be carried out now.
+            InputError: It is unknown, or impossible now.
         """
         word, *values = text.split() or [""]
         if word in WORDS and not values:
@@ -175,7 +175,7 @@ class SteeredRun:
             plays = word == "play" or (word == "toggle" and self.paused)
             self.enter(State.PLAYING if plays else State.PAUSED)
 
-    def _begin_anew(self, *, time: bool) -> None:
+    def _restart(self, *, time: bool) -> None:
         self.live.reset()
         self.inputs.clear()
         if time:
@@ -183,8 +183,17 @@ class SteeredRun:
         self.advance()
 
     def _say_notes(self) -> None:
-        """Say what the run had to note since the last frame."""
+        """Pass on the run's notes since the last frame."""
         newest = self.live.notes[-1] if self.live.notes else ""
         if newest != self._note:
             self._note = newest
             self.remarks.add(newest)
+
+
+class State(IntEnum):
+    """`simulation_interfaces/msg/SimulationState`."""
+
+    STOPPED = 0
+    PLAYING = 1
+    PAUSED = 2
+    QUITTING = 3

@@ -1,4 +1,4 @@
-"""What is steered: a picture, a file of Gaussians or a clip's object, on a grid that keeps up."""
+"""Makes the live run that is steered, from a picture, a file of Gaussians or a clip."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from ..source import LiveOptions, make_object, opened, refuse_unopened
+from ..source import LiveOptions, make_object, open_clip, refuse_unopened
 
 if TYPE_CHECKING:
     from phy124.gaussians import Gaussians
@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class SteeredOptions(LiveOptions):
-    """What is simulated, and how exactly."""
+    """Options of a steered run."""
 
     live: tyro.conf.Suppress[bool] = True
     scene: str = ""
@@ -35,17 +35,17 @@ class SteeredOptions(LiveOptions):
     enough or not; default: the finest grid that keeps up with time."""
 
 
-def steered(
+def make_live(
     source: Path, options: SteeredOptions, *, speed: float, velocities: bool
 ) -> tuple[Live, str]:
-    """A live run of a source, and a sentence on how exact it is.
+    """Make a live run, and a sentence about its accuracy.
 
     The grid is chosen for this machine, unless the options name an accuracy.
 
     Args:
         source: A picture, a file of Gaussians or a clip.
-        options: What is simulated.
-        speed: Simulated seconds per second that are wanted.
+        options: Scene and accuracy.
+        speed: Requested simulated seconds per second.
         velocities: Whether frames have velocities.
 
     Raises:
@@ -83,9 +83,9 @@ def _object(source: Path, options: SteeredOptions, device: str) -> tuple[Gaussia
 
     changes = parse_changes(options.set)
     if source.suffix == CLIP:
-        clip = opened(source)
-        own = Scene.from_data(clip.scene) if clip.scene and not options.scene else None
-        scene = own or Scene.named(options.scene or "drop")
+        clip = open_clip(source)
+        stored = Scene.from_data(clip.scene) if clip.scene and not options.scene else None
+        scene = stored or Scene.named(options.scene or "drop")
         return clip.frame(0).gaussians, scene.replaced(changes)
     scene = Scene.named(options.scene or "drop").replaced(changes)
     made = make_object(source, options, scene, device, silent)

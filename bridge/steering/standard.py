@@ -1,7 +1,6 @@
 """The standard services of simulators: simulation_interfaces 2.1.0, for a run that is steered.
 
-A run has one object and one scene, so of the standard's features it has those of time: states,
-steps and resets.
+A run has one fixed scene, so it supports only the features of time: states, steps and resets.
 """
 
 from __future__ import annotations
@@ -11,9 +10,8 @@ from typing import Any
 
 from phy124.errors import InputError
 
-from ..controls import Service
-from .run import SteeredRun
-from .states import State
+from ..topics import Service
+from .run import State, SteeredRun
 
 PACKAGE = "simulation_interfaces"
 
@@ -68,15 +66,15 @@ class Standard:
         )
 
     def features(self, request: Any) -> dict[str, Any]:
-        """What it can do."""
+        """List the supported features."""
         del request
         left_out = () if self._action else (Feature.STEP_SIMULATION_ACTION,)
-        found = [int(feature) for feature in Feature if feature not in left_out]
-        said = "phy124: one deformable object; ~/push, ~/grab (docs/guide/steering.md)"
-        return {"features": {"features": found, "spawn_formats": [], "custom_info": said}}
+        features = [int(feature) for feature in Feature if feature not in left_out]
+        text = "phy124: one deformable object; ~/push, ~/grab (docs/guide/steering.md)"
+        return {"features": {"features": features, "spawn_formats": [], "custom_info": text}}
 
     def state(self, request: Any) -> dict[str, Any]:
-        """Whether it plays."""
+        """Return the state."""
         del request
         return {"state": {"state": int(self._run.state)}, "result": result(Code.OK)}
 
@@ -101,7 +99,7 @@ class Standard:
         return {"result": result(Code.OK)}
 
     def reset(self, request: Any) -> dict[str, Any]:
-        """Begin anew, the time, the state of the object, or both."""
+        """Reset the time, the object, or both."""
         scope = request.scope
         if scope != SCOPE_DEFAULT and not scope & (SCOPE_TIME | SCOPE_STATE):
             said = f"Of the scopes there are time (1) and state (2) here, not {scope}."

@@ -1,4 +1,4 @@
-"""Transforms: where the frames of messages are, from what was heard on /tf and /tf_static.
+"""Keeps the transforms from /tf and /tf_static, and computes poses of frames.
 
 Only the latest transform of each frame is kept; times are not interpolated.
 """
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 
 MOST = 1000
-"""Frames that are kept."""
+"""Largest number of frames."""
 DEEPEST = 64
-"""Links from a frame to the root of its tree."""
+"""Largest number of links from a frame to the root of its tree."""
 Pose = NDArray[np.float64]
 """Rotation and translation as a matrix [4,4], m."""
 
@@ -33,18 +33,18 @@ class Transforms:
         Raises:
             InputError: One of them is no rotation, is not finite, or there are too many frames.
         """
-        for one in message.transforms:
-            child = one.child_frame_id
+        for link in message.transforms:
+            child = link.child_frame_id
             if child not in self._links and len(self._links) >= MOST:
                 limit = f"{MOST} frames are known already."
                 raise InputError("tf", child, limit, "Publish fewer frames.")
-            self._links[child] = one.header.frame_id, _pose(child, one.transform)
+            self._links[child] = link.header.frame_id, _pose(child, link.transform)
 
     def pose(self, frame: str) -> Pose:
-        """Where a frame is in the world.
+        """Return the pose of a frame in the world.
 
         Raises:
-            InputError: No transform says where.
+            InputError: No transform leads to it.
         """
         root, there = self._up(frame)
         base, here = self._up(self.world)
@@ -55,7 +55,7 @@ class Transforms:
         return np.linalg.inv(here) @ there
 
     def _up(self, frame: str) -> tuple[str, Pose]:
-        """The root of a frame's tree, and where the frame is in it."""
+        """Return the root of a frame's tree, and the frame's pose in it."""
         pose = np.eye(4)
         for _ in range(DEEPEST):
             if frame not in self._links:
