@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
-from phy124.generators.depth_map import DepthMap
+from phy124.generators.extras import DepthMap, OtherViews
 from phy124.generators.options import GeneratorOptions
-from phy124.generators.other_views import OtherViews
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutting import Cutting
 from phy124.io.clip import Clip

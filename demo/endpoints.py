@@ -12,8 +12,7 @@ from gradio.components import Component
 from pydantic import BaseModel, ConfigDict
 
 from phy124.errors import InputError
-from phy124.generators.depth_map import DepthMap
-from phy124.generators.other_views import OtherViews
+from phy124.generators.extras import DepthMap, OtherViews
 from phy124.pipeline import check_sources
 from phy124.scene import PRESETS, Scene, ViewName, preset_names
 from phy124.schema.refusals import shorten

@@ -10,7 +10,7 @@ import pytest
 from bridge import node, parameters
 from bridge.options import LIVE_POINTS, Options
 from bridge.sinks.rclpy import RclpySink
-from phy124.generators.depth_map import DepthMap
+from phy124.generators.extras import DepthMap
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutting import Cutting
 from support.clips import random_clip

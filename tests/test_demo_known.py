@@ -14,8 +14,7 @@ from demo.source import Cutout
 from demo.visitors import Visitors
 from demo.work import made_gaussians
 from phy124.errors import InputError
-from phy124.generators.depth_map import DepthMap
-from phy124.generators.other_views import OtherViews
+from phy124.generators.extras import DepthMap, OtherViews
 from phy124.generators.ply_file import Reading
 from phy124.generators.relief import relief
 from phy124.runtime.isolated import Deadline

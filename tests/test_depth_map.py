@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.generators.depth_map import DepthMap, read
+from phy124.generators.extras import DepthMap, read_depth
 
 RAMP = np.arange(12 * 20).reshape(12, 20)
 
@@ -16,7 +16,7 @@ def test_values_survive_every_format(tmp_path):
     Image.fromarray(RAMP.astype(np.uint8)).save(tmp_path / "plain.png")
     np.save(tmp_path / "float.npy", RAMP[None] / 1000)
     for name, scale in (("deep.png", 250), ("plain.png", 1), ("float.npy", 1e-3)):
-        np.testing.assert_allclose(read(tmp_path / name), RAMP * scale, rtol=1e-6)
+        np.testing.assert_allclose(read_depth(tmp_path / name), RAMP * scale, rtol=1e-6)
 
 
 def spoiled(folder):
@@ -38,7 +38,7 @@ def spoiled(folder):
 def test_other_files_are_refused(tmp_path):
     for name, why in spoiled(tmp_path).items():
         with pytest.raises(InputError, match=why):
-            read(tmp_path / name)
+            read_depth(tmp_path / name)
 
 
 def test_only_for_generators_that_use_one(tmp_path):
@@ -51,7 +51,7 @@ def test_only_for_generators_that_use_one(tmp_path):
     def deep(image, *, seed, progress, depth=None):
         return depth
 
-    with pytest.raises(InputError, match=r"lgm does not use one.*relief"):
-        chosen.given_to(flat, "lgm")
-    assert DepthMap().given_to(flat, "lgm") is flat
-    np.testing.assert_array_equal(chosen.given_to(deep, "relief")(0, seed=0, progress=0), -RAMP)
+    with pytest.raises(InputError, match=r"lgm does not use a depth map.*relief"):
+        chosen.bind(flat, "lgm")
+    assert DepthMap().bind(flat, "lgm") is flat
+    np.testing.assert_array_equal(chosen.bind(deep, "relief")(0, seed=0, progress=0), -RAMP)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phy124.errors import InputError
-from phy124.generators.shapes import shape
+from phy124.generators.shapes import make_shape
 from phy124.materials import Metal, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.dissipation import Dissipation
@@ -22,7 +22,7 @@ def bar_after_a_period(damping):
     E, density, dx = 1e4, 1000.0, 1 / 24
     wave, speed = math.pi, math.sqrt(E / density)
     z = (np.arange(48) + 0.5) * dx / 2
-    x, v, C = (np.zeros((len(z), *shape)) for shape in ((3,), (3,), (3, 3)))
+    x, v, C = (np.zeros((len(z), *make_shape)) for make_shape in ((3,), (3,), (3, 3)))
     x[:, 2], v[:, 2] = z, 1e-4 * np.cos(wave * z)
     C[:, 2, 2] = -1e-4 * wave * np.sin(wave * z)
     material = NeoHookean(E=E, nu=0.0, density=density, damping=damping)
@@ -118,7 +118,7 @@ def sliding():
 @pytest.mark.slow
 def test_a_sliding_block_loses_friction_times_weight_times_way():
     run = Simulation(
-        prepare(shape("box", (1, 1, 0.5), (0.5, 0.5, 0.5)), sliding(), RunContext(threads=1))
+        prepare(make_shape("box", (1, 1, 0.5), (0.5, 0.5, 0.5)), sliding(), RunContext(threads=1))
     )
     energy = run.run().report["energy"]
     way = float((run.solver.state.x.numpy() - run.setup.particles.x).mean(axis=0)[0])
@@ -133,7 +133,7 @@ def test_a_sliding_block_loses_friction_times_weight_times_way():
 @pytest.mark.slow
 def test_a_paused_run_goes_on_with_the_same_sums(tmp_path):
     scene = sliding().replaced({"accuracy.cells": 8, "time.frames": 5})
-    body = shape("box", (1, 1, 0.5), (0.5, 0.5, 0.5))
+    body = make_shape("box", (1, 1, 0.5), (0.5, 0.5, 0.5))
     whole = Simulation(prepare(body, scene, RunContext(threads=1))).run()
     run = Simulation(prepare(body, scene, RunContext(threads=1)))
     for frame in run:

@@ -10,23 +10,26 @@ import torch
 
 from phy124.errors import Cancelled, InputError
 from phy124.generators.neural import splatting
-from phy124.generators.neural.dreamgaussian import density as density_module
-from phy124.generators.neural.dreamgaussian.density import (
-    Density,
-    Pull,
-    densify,
-    prune,
-    reset_opacity,
-)
+from phy124.generators.neural.dreamgaussian import splats as density_module
+from phy124.generators.neural.dreamgaussian import zero123
 from phy124.generators.neural.dreamgaussian.generator import (
     DreamGaussian,
     Settings,
     fit,
-    framed,
+    frame_cutout,
     start,
 )
-from phy124.generators.neural.dreamgaussian.guidance import Pose, timestep, zero123
-from phy124.generators.neural.dreamgaussian.splats import Rates, Splats, ball
+from phy124.generators.neural.dreamgaussian.guidance import Pose, timestep
+from phy124.generators.neural.dreamgaussian.splats import (
+    Density,
+    Pull,
+    Rates,
+    Splats,
+    ball,
+    densify,
+    prune,
+    reset_opacity,
+)
 from phy124.generators.neural.orbit import orbit, to_opencv
 from phy124.generators.neural.splatting import View, orbit_view, project
 from phy124.generators.ply_file import PlyFile, Reading
@@ -135,7 +138,7 @@ def test_noise_levels_and_pose_embedding_equal_the_original(expected):
 
 def test_picture_preparation_equals_the_original(folder):
     ops = np.load(folder / "image_ops.npz")
-    np.testing.assert_array_equal(framed(ops["rembg_putalpha"]), ops["dg_process_256"])
+    np.testing.assert_array_equal(frame_cutout(ops["rembg_putalpha"]), ops["dg_process_256"])
 
 
 def test_ply_of_the_original_enters_at_our_size(folder, expected):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.errors import InputError
-from phy124.generators.shapes import shape
+from phy124.generators.shapes import make_shape
 from phy124.io.ply import write_ply
 from phy124.pipeline import static
 from phy124.runtime.context import RunContext
@@ -118,7 +118,7 @@ def test_a_motion_that_tells_a_value_gives_it_on_draft_grids(
 ):
     """Truth 0.3 on 24 cells, fitted on 12 and 16."""
     scene = Scene.from_data({**data, "time": {"frames": 14, "fps": 24.0}})
-    box = shape("box", sides, (0.5, 0.5, 0.5))
+    box = make_shape("box", sides, (0.5, 0.5, 0.5))
     write_points(tmp_path / "points.csv", twin(box, scene, 24), seed=1)
     write_ply(tmp_path / "object.ply", box)
     (tmp_path / "scene.toml").write_text(scene.to_toml())

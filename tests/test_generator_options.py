@@ -11,8 +11,7 @@ from phy124.__main__ import main
 from phy124.accuracy.forecast import Forecast
 from phy124.accuracy.probe import SubstepCost
 from phy124.errors import InputError
-from phy124.generators.effort import Effort, Work, effort_of
-from phy124.generators.options import GeneratorOptions
+from phy124.generators.options import Effort, GeneratorOptions, Work, effort_of
 from phy124.pipeline import static
 from support.shapes import ball
 
@@ -194,7 +193,7 @@ def test_the_processor_says_whether_it_multiplies_bfloat16(monkeypatch):
 
 def test_speed_is_measured_by_kind():
     torch = pytest.importorskip("torch")
-    from phy124.generators import effort
+    from phy124.generators import options as effort
 
     kinds = []
     with pytest.MonkeyPatch.context() as patched:
@@ -210,9 +209,8 @@ def test_the_work_of_the_networks_is_what_torch_counts():
     torch = pytest.importorskip("torch")
     from torch.utils.flop_counter import FlopCounterMode
 
-    from phy124.generators.neural.imagedream import encoders
+    from phy124.generators.neural.imagedream import AROUND, PARAMETERS, STEP, encoders
     from phy124.generators.neural.imagedream.unet import Config, MultiViewUNet
-    from phy124.generators.neural.imagedream.work import AROUND, PARAMETERS, STEP
     from phy124.generators.neural.lgm.generator import WORK
     from phy124.generators.neural.lgm.model import OPTIONS, LgmModel
 

@@ -10,7 +10,7 @@ from phy124 import generators
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, joined
 from phy124.generators import neural
-from phy124.generators.ply_file import PlyFile, Reading, normalised, robust_bounds
+from phy124.generators.ply_file import PlyFile, Reading, normalise_size, robust_bounds
 from phy124.io.ply import write_ply
 from phy124.weights.store import KNOWN
 
@@ -103,4 +103,4 @@ def test_ply_without_an_object_is_refused(tmp_path, rng):
     with pytest.raises(InputError, match=r"fainter than 0.005.*visible object"):
         PlyFile(str(tmp_path / "faint.ply"))()
     with pytest.raises(InputError, match="in one point"):
-        normalised(box(rng, 1))
+        normalise_size(box(rng, 1))

@@ -9,15 +9,15 @@ import torch
 from safetensors.torch import save_file
 
 from phy124.errors import InputError
+from phy124.generators.neural.dreamgaussian import zero123
 from phy124.generators.neural.dreamgaussian.generator import WITH_IMAGEDREAM, fit, start
 from phy124.generators.neural.dreamgaussian.guidance import (
     Pose,
+    add_noise,
     alphas_cumprod,
-    noised,
     sds,
-    zero123,
 )
-from phy124.generators.neural.dreamgaussian.guidance.multiview import MultiView
+from phy124.generators.neural.dreamgaussian.multiview import MultiView
 from phy124.generators.neural.imagedream.unet import load_unet
 from reference import formula
 
@@ -41,7 +41,7 @@ def test_noise_schedule_is_that_of_the_sampler(folder):
     np.testing.assert_allclose(alphas_cumprod(), golden, rtol=1e-4)
     x, n = torch.ones(2), torch.full((2,), 2.0)
     alpha = float(golden[500])
-    torch.testing.assert_close(noised(x, n, 500), x * alpha**0.5 + n * (1 - alpha) ** 0.5)
+    torch.testing.assert_close(add_noise(x, n, 500), x * alpha**0.5 + n * (1 - alpha) ** 0.5)
 
 
 SMALL = {
@@ -105,7 +105,7 @@ def test_zero123_networks_load_from_files(small_zero123, tmp_path, monkeypatch):
     assert weights.is_complete("zero123", tmp_path)
     # Full-size networks refuse the small files by name.
     with pytest.raises(InputError, match="not those of Zero123's U-Net, which has 686"):
-        zero123.trained(tmp_path, "cpu", torch.float32)
+        zero123.load_trained(tmp_path, "cpu", torch.float32)
 
 
 class SeenParts:

@@ -13,16 +13,17 @@ from transformers import CLIPTextConfig, CLIPTextModel, CLIPVisionConfig, CLIPVi
 
 from phy124.errors import Cancelled, InputError
 from phy124.generators.neural.imagedream import encoders, pipeline
-from phy124.generators.neural.imagedream.cameras import cameras
 from phy124.generators.neural.imagedream.pipeline import (
+    SCHEDULE,
     Condition,
     ImageDream,
+    cameras,
     decode,
     denoise,
     encode,
     predict,
+    scheduler_of,
 )
-from phy124.generators.neural.imagedream.sampling import SCHEDULE, scheduler_of
 from phy124.generators.neural.imagedream.unet import (
     Config,
     MultiViewUNet,

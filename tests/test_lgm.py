@@ -13,17 +13,28 @@ from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.generators.neural.lgm import generator as generator_module
 from phy124.generators.neural.lgm import model as lgm_model
-from phy124.generators.neural.lgm.align import four_views, front
 from phy124.generators.neural.lgm.generator import (
     Lgm,
-    framed,
+    find_front,
+    four_views,
+    frame_cutout,
     network_input,
     over_white,
     to_gaussians,
 )
-from phy124.generators.neural.lgm.model import OPTIONS, LgmModel, Option, activate, load
-from phy124.generators.neural.lgm.rays import four_rays, pluecker
-from phy124.generators.neural.lgm.rotations import NOT_ROTATED, draw, judge, unrotated
+from phy124.generators.neural.lgm.model import (
+    NOT_ROTATED,
+    OPTIONS,
+    LgmModel,
+    Option,
+    activate,
+    draw_rows,
+    four_rays,
+    judge,
+    load,
+    pluecker,
+    remove_rotations,
+)
 from phy124.generators.neural.lgm.unet import UNet
 from phy124.generators.neural.orbit import orbit, to_opencv
 from phy124.generators.neural.splatting import View, project
@@ -236,10 +247,10 @@ def test_unknown_generation_is_judged_by_what_it_draws(rng):
     rows[:, 3], rows[:, 4:7] = 0.9, torch.tensor([0.1, 0.02, 0.02])
     rows[:, 7:11] = torch.from_numpy(rng.normal(size=(n, 4)))
     rows[:, 11:] = torch.from_numpy(rng.random((n, 3)))
-    for truth, meaning in ((rows, "each"), (unrotated(rows), "all")):
-        views = torch.stack([draw(truth, azimuth, 128) for azimuth in (0, 90, 180, 270)])
+    for truth, meaning in ((rows, "each"), (remove_rotations(rows), "all")):
+        views = torch.stack([draw_rows(truth, azimuth, 128) for azimuth in (0, 90, 180, 270)])
         assert judge(rows, views) == meaning
-    assert unrotated(rows)[0, 7:11].tolist() == list(NOT_ROTATED)
+    assert remove_rotations(rows)[0, 7:11].tolist() == list(NOT_ROTATED)
 
 
 def test_front_is_found_where_the_picture_was_taken(rng):
@@ -247,9 +258,9 @@ def test_front_is_found_where_the_picture_was_taken(rng):
     rows[:, :3] = torch.from_numpy(rng.normal(size=(60, 3)) * 0.3)
     rows[:, 3:7], rows[:, 7] = torch.tensor([0.9, 0.06, 0.06, 0.06]), 1
     rows[:, 11:] = torch.from_numpy(rng.random((60, 3)))
-    assert front(rows, draw(rows, 130, 64), step=10, side=32) == 130
+    assert find_front(rows, draw_rows(rows, 130, 64), step=10, side=32) == 130
     views = four_views(rows, 130, 32)
-    torch.testing.assert_close(views[1], draw(rows, 220, 32))
+    torch.testing.assert_close(views[1], draw_rows(rows, 220, 32))
 
 
 def test_front_view_arrives_as_our_front(rng):
@@ -314,16 +325,16 @@ def test_cut_out_is_laid_over_white():
     torch.testing.assert_close(white[:, 0, 0] * 255, torch.tensor([10.0, 20.0, 30.0]))
     assert white[:, 3, 3].tolist() == [1, 1, 1]
     with pytest.raises(InputError, match="four channels"):
-        framed(image[..., :3])
+        frame_cutout(image[..., :3])
     with pytest.raises(InputError, match="no object"):
-        framed(np.zeros((4, 4, 4), np.uint8))
+        frame_cutout(np.zeros((4, 4, 4), np.uint8))
 
 
 def test_preparation_of_the_picture_equals_the_original(golden_lgm):
     ops = np.load(golden_lgm / "image_ops.npz")
     ours = over_white(ops["recenter_uint8"]).permute(1, 2, 0)
     np.testing.assert_allclose(ours, ops["lgm_white_bg"], **CLOSE)
-    square = framed(ops["rembg_putalpha"])
+    square = frame_cutout(ops["rembg_putalpha"])
     np.testing.assert_array_equal(square, ops["lgm_pre_recentered"])
     np.testing.assert_allclose(over_white(square).permute(1, 2, 0), ops["lgm_pre_final"], **CLOSE)
 

@@ -6,7 +6,7 @@ from PIL import Image
 
 from phy124 import pipeline
 from phy124.errors import InputError
-from phy124.generators.other_views import OtherViews
+from phy124.generators.extras import OtherViews
 
 
 def save_ellipse(path, half_width, half_height):

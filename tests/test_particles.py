@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, joined, quaternions
-from phy124.generators.shapes import shape
+from phy124.generators.shapes import make_shape
 from phy124.particles import (
     clean,
     compute_bounds,
@@ -207,7 +207,7 @@ def test_thin_pieces_get_denser_carriers_not_fillers(rng):
 
 def test_what_is_three_cells_wide_has_the_lattice_alone():
     """Denser particles there made a pressed duck err by up to two fifths more."""
-    box = shape("box", (1, 1, 0.3), (0.5, 0.5, 0.5))
+    box = make_shape("box", (1, 1, 0.3), (0.5, 0.5, 0.5))
     spacing = 0.05
     particles = make_particles(box, density=1000, spacing=spacing, binding="lattice")
     assert len(particles) < 1.05 * len(fill(box, spacing))

@@ -9,9 +9,8 @@ import torch
 
 from phy124.gaussians import Gaussians
 from phy124.generators import GENERATORS, make
-from phy124.generators.neural.dreamgaussian.density import Density
 from phy124.generators.neural.dreamgaussian.generator import DreamGaussian, Settings
-from phy124.generators.neural.dreamgaussian.splats import Splats
+from phy124.generators.neural.dreamgaussian.splats import Density, Splats
 from phy124.generators.neural.lgm.generator import Lgm, to_gaussians
 from phy124.generators.neural.lgm.model import LgmModel, Option, load
 from phy124.generators.neural.orbit import TO_WORLD

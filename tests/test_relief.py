@@ -210,7 +210,7 @@ def test_harmonic_continues_linear_colours():
 def test_points_are_spread_evenly():
     """On a shell, also where the surface is steep, spacing hardly varies on the front."""
     silhouette = Silhouette.of(np.clip(80.5 - np.hypot(X - 96, Y - 96), 0, 1))
-    surface = Surface.of(silhouette.extended(silhouette.poisson(4.0)))
+    surface = Surface.of(silhouette.extend(silhouette.poisson(4.0)))
     points, normals, spacing, pitch = spread(surface, (), 20_000, np.random.default_rng(0))
     front = normals[:, 2] > 0
     assert np.std(spacing[front]) < 0.1 * np.mean(spacing[front])
@@ -341,9 +341,9 @@ def test_a_plane_depth_map_gives_a_plane_front():
 @pytest.mark.parametrize(
     ("depth", "why"),
     [
-        (-ramp(), "farther away than what surrounds it.*--near black"),
+        (-ramp(), "farther away than its surroundings.*--near black"),
         (ramp()[:, :100], "has 100 x 192 pixels, the picture 192 x 192"),
-        (np.ones((192, 192)), "one and the same value"),
+        (np.ones((192, 192)), "constant"),
     ],
 )
 def test_depth_maps_that_cannot_be_meant_are_refused(depth, why):

@@ -132,7 +132,10 @@ def test_highlights_are_removed_and_white_paint_is_not():
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ({"side": picture(ellipse(60) & (abs(Y - 80) > 20))}, "side.*other nothing.*upright"),
+        (
+            {"side": picture(ellipse(60) & (abs(Y - 80) > 20))},
+            "side.*only one of front and side.*upright",
+        ),
         ({"side": picture(ellipse(70, 5))}, "side.*14 times as deep.*whole object"),
         ({"side": picture(ellipse(60)), "thickness": 0.5}, "thickness = 0.5.*one of the two"),
         ({"side": picture(ellipse(60)), "depth": X}, "depth = map.*one of the two"),

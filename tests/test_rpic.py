@@ -8,7 +8,7 @@ import pytest
 from phy124.accuracy.promises import promise
 from phy124.budget.cost import longest_substeps
 from phy124.errors import InputError
-from phy124.generators.shapes import shape
+from phy124.generators.shapes import make_shape
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Scheme
@@ -128,7 +128,7 @@ def bar_after_a_period(rate, cells=24):
     E, density, dx = 1e4, 1000.0, 1 / cells
     wave, speed = math.pi, math.sqrt(E / density)
     z = (np.arange(2 * cells) + 0.5) * dx / 2
-    x, v, C = (np.zeros((len(z), *shape)) for shape in ((3,), (3,), (3, 3)))
+    x, v, C = (np.zeros((len(z), *make_shape)) for make_shape in ((3,), (3,), (3, 3)))
     x[:, 2], v[:, 2] = z, 1e-4 * np.cos(wave * z)
     C[:, 2, 2] = -1e-4 * wave * np.sin(wave * z)
     solver = make_solver(
@@ -197,7 +197,7 @@ def test_no_error_is_promised_and_viscous_work_is_not_split():
 @pytest.mark.slow
 def test_rpic_loss_is_numerical_and_threads_agree():
     """A ball that bounces: nothing rubs, so that all that is lost more is the damping."""
-    ball, lost = shape("sphere", (1, 1, 1), (0.5, 0.5, 0.5)), []
+    ball, lost = make_shape("sphere", (1, 1, 1), (0.5, 0.5, 0.5)), []
     for rate, threads in ((0, 1), (30, 1), (30, 2)):
         scene = Scene.from_data(
             {

@@ -10,7 +10,7 @@ import pytest
 from phy124 import Live, pipeline
 from phy124.errors import InputError
 from phy124.gaussians import Frame, as_objects
-from phy124.generators.shapes import shape
+from phy124.generators.shapes import make_shape
 from phy124.io.clip import Clip
 from phy124.io.formats.usd import write_usd
 from phy124.io.ply import read_ply, write_ply
@@ -104,7 +104,7 @@ def test_the_entry_that_names_most_decides_about_a_pair():
 
 @pytest.mark.parametrize("name", ["sphere", "box", "capsule"])
 def test_a_shape_is_as_large_as_asked_and_faces_outwards(name):
-    made = shape(name, (0.5, 1.0, 0.5), (1, 0, 0))
+    made = make_shape(name, (0.5, 1.0, 0.5), (1, 0, 0))
     low, high = compute_bounds(made)
     assert np.allclose(high, [0.25, 0.5, 0.25], atol=0.02) and np.allclose(low, -high, atol=0.02)
     assert 900 < len(made) < 1300
@@ -352,7 +352,7 @@ def test_an_object_with_a_motion_is_a_wall_where_it_is_drawn(changes, lower, upp
     *_, wall = told.with_solids().boundaries
     np.testing.assert_allclose(wall.extent(None), [lower, upper], atol=1e-12)
     assert (wall.friction, wall.contact) == (0.3, "separate")
-    drawn = shape(told.objects[0].shape, told.objects[0].sides, (1, 1, 1)).means
+    drawn = make_shape(told.objects[0].shape, told.objects[0].sides, (1, 1, 1)).means
     np.testing.assert_allclose(np.ptp(drawn, axis=0), np.subtract(upper, lower), atol=0.06)
     assert told.with_solids().replaced({"objects": []}).names == ("object",)
 

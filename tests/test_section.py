@@ -6,7 +6,7 @@ import pytest
 
 from demo.settings import Settings
 from phy124.errors import InputError
-from phy124.generators.other_views import OtherViews
+from phy124.generators.extras import OtherViews
 from phy124.scene import Scene
 from phy124.scene.files import DEEPEST
 

@@ -49,7 +49,7 @@ def test_nothing_is_said_of_an_object_alone(stretched, rng):
     [
         (sky, "lie around all others like a sky"),
         (wide_sky, "lie around all others like a sky"),
-        (haze, "of what is seen lies"),
+        (haze, "of the visible area lies"),
     ],
 )
 def test_the_place_around_an_object_is_said_with_a_crop(around, words, rng, tmp_path):

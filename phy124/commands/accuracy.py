@@ -16,7 +16,7 @@ from phy124.commands.options import Device, help_of
 from phy124.commands.picture import PictureOptions, told
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.effort import Effort
+from phy124.generators.options import Effort
 from phy124.imaging.cutout import Cutout
 from phy124.io.formats import is_file_of_gaussians
 from phy124.progress import Progress

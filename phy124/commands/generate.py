@@ -21,7 +21,7 @@ from phy124.commands.picture import PictureOptions, told
 from phy124.commands.plan import PlanOptions, announce, predict
 from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.generators import needs_image
-from phy124.generators.effort import Effort
+from phy124.generators.options import Effort
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
 from phy124.imaging.painted import WHOLE

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from phy124.errors import InputError
-from phy124.generators import known
+from phy124.generators import list_names
 from phy124.runtime.device import CHOICES
 from phy124.scene import (
     AccuracyName,
@@ -30,7 +30,7 @@ GeneratorName = Annotated[
     tyro.conf.arg(
         help="What makes the Gaussians: a generator's name, a file of Gaussians, or a "
         "command of your own: 'cmd: PROGRAM {image} {out}'.",
-        help_behavior_hint=lambda given: f"(default: {given}; here: {', '.join(known())})",
+        help_behavior_hint=lambda given: f"(default: {given}; here: {', '.join(list_names())})",
     ),
 ]
 

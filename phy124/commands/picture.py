@@ -11,10 +11,8 @@ from phy124.accuracy.load import Load, format_span
 from phy124.commands.cutout import CutoutOptions
 from phy124.commands.options import GeneratorName
 from phy124.errors import InputError
-from phy124.generators.depth_map import DepthMap
-from phy124.generators.effort import Effort
-from phy124.generators.options import GeneratorOptions
-from phy124.generators.other_views import OtherViews
+from phy124.generators.extras import DepthMap, OtherViews
+from phy124.generators.options import Effort, GeneratorOptions
 from phy124.generators.ply_file import Reading
 from phy124.schema.section import Section
 

@@ -11,7 +11,7 @@ from phy124.accuracy.promises import promise
 from phy124.budget.limits import note_stiffest_part
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.effort import Effort
+from phy124.generators.options import Effort
 from phy124.imaging.painted import Crop
 from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch

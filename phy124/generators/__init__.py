@@ -1,12 +1,12 @@
-"""Generators turn one picture into static Gaussians; this is the table of all of them.
+"""Generators turn a picture into static Gaussians; this module lists and makes them.
 
 A generator is any callable `(image_rgba, *, seed, progress) -> Gaussians`. `image_rgba` is a PIL
 picture or an array [H,W,4] of uint8 with the object cut out, `seed` an integer, and `progress` as
 in `phy124.progress`. The Gaussians are in the world's axes (z up, the object faces +x), centred on
-the origin, with a longest side of 1 m. One that works for minutes also has a method `effort`
-(`phy124.generators.effort`), which tells for how long before it starts. A generator with a trained
-network is a package in `phy124/generators/neural`; one of another package is an entry point of
-`phy124.generators`. An object may also be passed wherever a name is accepted.
+the origin, with a longest side of 1 m. A slow generator also has a
+method `effort` (`phy124.generators.options`), which predicts its time. Generators with a trained
+network are packages in `phy124/generators/neural`; other packages register generators by an entry
+point of `phy124.generators`. A generator may also be passed instead of a name.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Generator(Protocol):
     def __call__(
         self, image_rgba: Image.Image | NDArray[np.uint8], *, seed: int, progress: Progress
     ) -> Gaussians:
-        """Gaussians of the opaque part of the picture; equal seeds give equal Gaussians."""
+        """Make the Gaussians of the picture's opaque part; equal seeds give equal Gaussians."""
         ...
 
 
@@ -65,15 +65,15 @@ GENERATORS: dict[str, Callable[..., Generator]] = {
 }
 """Name -> factory; each imports its generator only when it is called.
 
-A factory's keywords are those fields of `GeneratorOptions` that its generator takes, and `device`
+A factory's keywords are the fields of `GeneratorOptions` that its generator supports, and `device`
 if it can use one.
 """
 WEIGHTS = {name: package.WEIGHTS for package in NEURAL for name in package.GENERATORS}
 """Name of a generator -> names of the trained weights that it reads (`weights.store.KNOWN`)."""
 
 
-def known() -> list[str]:
-    """Names of all generators, those that packages have registered included."""
+def list_names() -> list[str]:
+    """Return the names of all generators, including those that packages have registered."""
     return [*GENERATORS, *(name for name in list_plugins("generators") if name not in GENERATORS)]
 
 
@@ -83,29 +83,29 @@ def make(
     options: GeneratorOptions = UNCHANGED,
     device: str | None = None,
 ) -> Generator:
-    """The generator of a name, of a file of Gaussians, of a command (`cmd: ...`), or itself.
+    """Make the generator for a name, a file of Gaussians, or a command (`cmd: ...`).
 
     Args:
         chosen: Name in `GENERATORS`, path, command or generator.
-        reading: How to interpret a file of Gaussians; None for the conventions of its format.
-        options: How much work it does.
-        device: Where it runs; None: a GPU if there is one.
+        reading: Options for a file of Gaussians; None for the conventions of its format.
+        options: Options of the generator.
+        device: Device of its network; None: a GPU if there is one.
 
     Raises:
-        InputError: If no generator has that name, something it needs is not installed, `reading`
-            is given without a file, or an option that it does not have.
+        InputError: If no generator has that name, a package is not installed, `reading` is given
+            without a file, or the generator lacks an option.
     """
     if not isinstance(chosen, str) or is_command(chosen) or not needs_image(chosen):
-        options.taken_by(lambda: None, _called(chosen))
-        return _given(chosen, reading)
+        options.select(lambda: None, _describe(chosen))
+        return _make_unnamed(chosen, reading)
     if reading is not None:
         reading.refuse("generator", chosen)
     factory = _factory(chosen)
-    given = options.taken_by(factory, chosen)
+    keywords = options.select(factory, chosen)
     if "device" in signature(factory).parameters:
-        given["device"] = device
+        keywords["device"] = device
     try:
-        return factory(**given)
+        return factory(**keywords)
     except ModuleNotFoundError as error:
         if chosen not in GENERATORS or (error.name or "").startswith("phy124"):
             raise
@@ -116,24 +116,24 @@ def make(
 
 
 def _factory(name: str) -> Callable[..., Generator]:
-    """What makes the generator of a name.
+    """Return the factory of a generator.
 
     Raises:
-        InputError: There is none.
+        InputError: No generator has that name.
     """
     factory = GENERATORS.get(name) or load_plugin("generators", name)
     if factory is None:
         limit = "There is no such generator."
         remedy = (
-            f"Choose one of {', '.join(known())}, a file of Gaussians such as .ply or .spz, "
+            f"Choose one of {', '.join(list_names())}, a file of Gaussians such as .ply or .spz, "
             'or "cmd: PROGRAM {image} {out}".'
         )
         raise InputError("generator", name, limit, remedy)
     return factory
 
 
-def _given(chosen: str | Generator, reading: Reading | None) -> Generator:
-    """The generator that is a file, a command or already made."""
+def _make_unnamed(chosen: str | Generator, reading: Reading | None) -> Generator:
+    """Make the generator for a file or command, or return it if it is made already."""
     if not needs_image(chosen):
         from phy124.generators.ply_file import PlyFile
 
@@ -147,20 +147,20 @@ def _given(chosen: str | Generator, reading: Reading | None) -> Generator:
     return cast("Generator", chosen)
 
 
-def _called(chosen: str | Generator) -> str:
-    """What a generator that is not known by a name is called in messages."""
+def _describe(chosen: str | Generator) -> str:
+    """Describe a generator without a name for messages."""
     if isinstance(chosen, str):
         return "A command" if is_command(chosen) else "A file of Gaussians"
     return type(chosen).__name__
 
 
 def is_command(chosen: str | Generator) -> bool:
-    """Whether a generator is a command of the user's (phy124/generators/command.py)."""
+    """Whether a generator is a user's command (phy124/generators/command.py)."""
     return isinstance(chosen, str) and re.match(r"\s*cmd[\s:]", chosen) is not None
 
 
 def needs_image(chosen: str | Generator) -> bool:
-    """Whether the generator looks at the picture; a file of Gaussians does not."""
+    """Whether the generator uses the picture; a file of Gaussians does not."""
     from phy124.io.formats import is_file_of_gaussians
 
     return not isinstance(chosen, str) or is_command(chosen) or not is_file_of_gaussians(chosen)

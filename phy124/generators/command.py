@@ -1,11 +1,10 @@
-"""Runs a generator that the user has installed, as one command: picture in, .ply file out.
+"""Runs a generator that the user has installed, as a command: picture in, .ply file out.
 
     phy124 generate cat.jpg --generator "cmd: triposplat {image} {out}" --dialect triposplat
 
-The command gets a PNG with transparency and writes Gaussians; it never sees anything else of ours,
-and may live in another environment. It runs without a shell, for half an hour at most
-(`cmd 120: ...`: two minutes), and is killed with all it has started when its time is up or the run
-is cancelled.
+The command gets a PNG with transparency and writes Gaussians; it may use another environment. It
+runs without a shell, for half an hour at most (`cmd 120: ...`: two minutes). When its time is over
+or the run is cancelled, it is killed together with all processes that it started.
 """
 
 from __future__ import annotations
@@ -36,25 +35,25 @@ if TYPE_CHECKING:
 
 FORM = re.compile(r"cmd(?:\s+(?P<seconds>[0-9.]+))?\s*:\s*(?P<words>.*)", re.DOTALL)
 LONGEST = 1800.0
-"""Seconds a command may take, if it does not say."""
+"""Default time limit of a command [s]."""
 BEAT = 0.2
-"""Seconds between two looks whether it has ended or the run was cancelled."""
-TOLD = 300
-"""So much of what a failing command has said is repeated, in characters."""
+"""Time between two checks for the end of the command or a cancelled run [s]."""
+LONGEST_MESSAGE = 300
+"""Length of the end of a failed command's output that is repeated [characters]."""
 USAGE = 'Write "cmd: PROGRAM {image} {out}"; {seed} is a number, `cmd 120:` a limit in seconds.'
 
 
 @dataclass(frozen=True)
 class Command:
-    """The generator that is a command of the user's."""
+    """The generator that runs a user's command."""
 
     text: str
     """`cmd: PROGRAM ... {image} ... {out}`, or `cmd SECONDS: ...`."""
     reading: Reading = field(default_factory=Reading)
-    """How the file it writes is interpreted."""
+    """How to interpret the file that the command writes."""
 
     def __post_init__(self) -> None:
-        words, _ = self._parsed()
+        words, _ = self._parse()
         for name in ("{image}", "{out}"):
             if not any(name in word for word in words):
                 raise InputError("generator", self.text, f"It names no {name}.", USAGE)
@@ -66,73 +65,75 @@ class Command:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """The Gaussians of the file that the command writes, with a longest side of 1 m.
+        """Run the command and read its Gaussians, with a longest side of 1 m.
 
         Raises:
             InputError: The command cannot be started, fails, takes too long, or writes no usable
                 file.
         """
-        words, seconds = self._parsed()
+        words, seconds = self._parse()
         with tempfile.TemporaryDirectory(prefix="phy124-") as folder:
-            given, made = Path(folder) / "image.png", Path(folder) / "gaussians.ply"
+            picture_file, output_file = Path(folder) / "image.png", Path(folder) / "gaussians.ply"
             picture = image_rgba
             if not isinstance(picture, Image.Image):
                 picture = Image.fromarray(picture)
-            picture.convert("RGBA").save(given)
-            names = {"{image}": str(given), "{out}": str(made), "{seed}": str(seed)}
-            self._run([_filled(word, names) for word in words], seconds, Path(folder), progress)
-            if not made.is_file():
-                raise self._failed("It ended well but wrote no file to {out}.", USAGE)
-            return PlyFile(str(made), self.reading)(progress=progress)
+            picture.convert("RGBA").save(picture_file)
+            names = {"{image}": str(picture_file), "{out}": str(output_file), "{seed}": str(seed)}
+            self._run([_fill(word, names) for word in words], seconds, Path(folder), progress)
+            if not output_file.is_file():
+                raise self._failure("It ended well but wrote no file to {out}.", USAGE)
+            return PlyFile(str(output_file), self.reading)(progress=progress)
 
-    def _parsed(self) -> tuple[list[str], float]:
-        """Words of the command, and seconds it may take."""
-        found = FORM.fullmatch(self.text.strip())
+    def _parse(self) -> tuple[list[str], float]:
+        """Return the words of the command, and its time limit [s]."""
+        match = FORM.fullmatch(self.text.strip())
         try:
-            words = shlex.split(found["words"]) if found else []
-            seconds = float(found["seconds"] or LONGEST) if found else 0.0
+            words = shlex.split(match["words"]) if match else []
+            seconds = float(match["seconds"] or LONGEST) if match else 0.0
         except ValueError as error:
-            raise self._failed(f"It cannot be read ({error}).", USAGE) from None
+            raise self._failure(f"It cannot be read ({error}).", USAGE) from None
         if not words or not seconds > 0:
-            raise self._failed("It is no command.", USAGE)
+            raise self._failure("It is no command.", USAGE)
         return words, seconds
 
     def _run(self, words: list[str], seconds: float, folder: Path, progress: Progress) -> None:
         end = monotonic() + seconds
-        with open(folder / "said", "w+b") as said:
+        with open(folder / "said", "w+b") as output:
             try:
-                process = _started(words, said)
+                process = _start(words, output)
             except OSError as error:
                 limit = f"It cannot be started ({error.strerror})."
-                raise self._failed(limit, "Is it installed, and its path right?") from None
+                raise self._failure(
+                    limit, "Check that it is installed and that its path is right."
+                ) from None
             with _killed_at_last(process):
                 while process.poll() is None:
                     progress("generate", 0, 1)
                     if monotonic() > end:
                         limit = f"It took longer than {seconds:g} s and was ended."
-                        raise self._failed(limit, "Give it more: `cmd SECONDS: ...`.")
+                        raise self._failure(limit, "Give it more: `cmd SECONDS: ...`.")
                     with suppress(subprocess.TimeoutExpired):
                         process.wait(BEAT)
             if process.returncode:
-                said.seek(0)
-                last = said.read().decode("utf-8", "replace").strip()[-TOLD:]
-                raise self._failed(f"It failed with exit status {process.returncode}: {last}", "")
+                output.seek(0)
+                last = output.read().decode("utf-8", "replace").strip()[-LONGEST_MESSAGE:]
+                raise self._failure(f"It failed with exit status {process.returncode}: {last}", "")
         progress("generate", 1, 1)
 
-    def _failed(self, limit: str, remedy: str) -> InputError:
+    def _failure(self, limit: str, remedy: str) -> InputError:
         return InputError("generator", self.text, limit, remedy)
 
 
-def _filled(word: str, names: dict[str, str]) -> str:
+def _fill(word: str, names: dict[str, str]) -> str:
     for name, value in names.items():
         word = word.replace(name, value)
     return word
 
 
-def _started(words: list[str], said: Any) -> subprocess.Popen[bytes]:
-    """The process, in a group of its own, so that what it starts can be ended with it."""
+def _start(words: list[str], output: Any) -> subprocess.Popen[bytes]:
+    """Start a process in a new group, so that its child processes can be killed with it."""
     return subprocess.Popen(
-        words, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
+        words, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
     )
 
 

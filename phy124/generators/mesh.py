@@ -1,7 +1,7 @@
 """Meshes: triangles from a file, covered with flat Gaussians in the colours of their surface.
 
-trimesh reads the file, in a process of its own that can be killed. The inside is filled as that of
-every object (phy124/particles/solid.py), so a mesh need be neither closed nor without faults.
+trimesh reads the file in a separate process that can be killed. The inside is filled as for every
+object (phy124/particles/solid.py), so a mesh may have holes and faults.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.shapes import covered
+from phy124.generators.shapes import cover_surface
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.content import AGAIN, Y_UP, describe_coarseness, step_of
 from phy124.io.opening import obstacle
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
-"""Kinds of files that are read, and their usual directions up and to the front."""
+"""Kinds of files, and their usual directions up and to the front."""
 STL_HEAD, STL_ROW = 84, 50
-"""Bytes of a binary STL before its triangles, the last four of which count them, and of each."""
+"""Sizes of a binary STL's header, which ends with the number of triangles, and of a triangle."""
 LARGEST = 200_000_000
-"""Bytes of a file; larger ones are refused before they are read."""
+"""Largest file [bytes]; larger ones are refused before they are read."""
 MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
-"""How long reading may take."""
+"""Time limit for reading."""
 COUNT = 24_000
-"""About how many Gaussians a mesh has: enough for edges that look straight."""
+"""Approximate number of Gaussians, which is enough for edges that look straight."""
 TRIES = 6
-"""Points tried for each Gaussian, of which those are left that lie apart."""
+"""Random points per Gaussian, of which an evenly spaced subset is used."""
 SMALLEST = 1e-6
 """Smallest area of a mesh, in squares of its longest side."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]
@@ -49,15 +49,15 @@ Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | N
 
 
 def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
-    """The Gaussians of a mesh around the origin, z up, with a longest side of 1 m.
+    """Make the Gaussians of a mesh around the origin, z up, with a longest side of 1 m.
 
     Args:
         path: A .glb, .gltf, .obj, .stl or .ply file.
         colour: Red, green and blue, 0..1, of a mesh that has no colours.
-        seed: Of the places of the Gaussians.
+        seed: Seed of the Gaussians' positions.
 
     Raises:
-        InputError: It cannot be read, is too large, or has no triangles to speak of.
+        InputError: The mesh cannot be read, is too large, or has no area.
     """
     _refuse(path)
     kind = _kind(path)
@@ -73,15 +73,15 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
     points, normals, colours = drawn
     rgb = np.broadcast_to(np.asarray(colour, float), points.shape) if colours is None else colours
     low, high = points.min(axis=0), points.max(axis=0)
-    made = covered((points - (low + high) / 2) / (high - low).max(), normals, rgb)
+    made = cover_surface((points - (low + high) / 2) / (high - low).max(), normals, rgb)
     return rotate_gaussians(made, orientation(*UPRIGHT[kind]))
 
 
 def _kind(path: Path) -> str:
-    """The kind of a file, by its first bytes if they tell, else by its ending.
+    """Return the kind of a file, by its first bytes if possible, else by its ending.
 
     Raises:
-        InputError: It is an STL that is cut short.
+        InputError: An STL file is cut short.
     """
     with open(path, "rb") as file:
         head = file.read(STL_HEAD)
@@ -100,14 +100,16 @@ def _kind(path: Path) -> str:
 
 
 def _refuse(path: Path) -> None:
-    """Make sure that there is a file of meshes, and what reads it.
+    """Refuse a file that is no mesh or unreadable, or if trimesh is missing.
 
     Raises:
-        InputError: There is not.
+        InputError: The file or package is missing or unusable.
     """
     if path.suffix.lower().removeprefix(".") not in UPRIGHT:
         known = ", ".join(f".{name}" for name in UPRIGHT)
-        raise _unusable(path, "it is no kind of mesh that is read.", f"Give one of {known}.")
+        raise _unusable(
+            path, "it is no mesh in a format that phy124 reads.", f"Give one of {known}."
+        )
     if hindrance := obstacle(path):
         raise _unusable(path, *hindrance)
     size = path.stat().st_size
@@ -124,36 +126,36 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
 
 
 def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
-    """Points all over a mesh, and a sentence if its file is too coarse; called in another process.
+    """Sample points of a mesh, and check its resolution; called in another process.
 
     Raises:
-        ValueError: It cannot be used; the message has a limit and a remedy.
+        ValueError: The mesh is unusable; the message has a limit and a remedy.
     """
     try:
-        scene = _loaded(path, kind)
+        scene = _load(path, kind)
         shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-        triangles = sum(len(getattr(one, "faces", ())) for one in shapes)
+        triangles = sum(len(getattr(piece, "faces", ())) for piece in shapes)
         pieces = scene.dump() if triangles <= MOST_TRIANGLES else []
     except MemoryError:
-        raise ValueError("it needs more memory than there is.; Give a simpler mesh.") from None
+        raise ValueError("it needs more memory than is free.; Give a simpler mesh.") from None
     except Exception as error:
-        said = f"{type(error).__name__}: {error}"[:200]
-        raise ValueError(f"it cannot be read as a mesh ({said}).") from None
+        message = f"{type(error).__name__}: {error}"[:200]
+        raise ValueError(f"it cannot be read as a mesh ({message}).") from None
     if not triangles:
         remedy = "A file of Gaussians or points belongs to `file`."
         raise ValueError(f"it has no triangles.; {remedy}")
     if triangles > MOST_TRIANGLES:
         limit = f"it has {triangles:,} triangles, and {MOST_TRIANGLES:,} are allowed."
         raise ValueError(f"{limit}; Simplify it in the program that made it.")
-    solids: Any = [one for one in pieces if len(getattr(one, "faces", ()))]
-    drawn = _drawn(solids, seed)
-    # Before its node moves it, a shape has the numbers of the file.
-    largest: Any = max(shapes, key=lambda one: len(getattr(one, "faces", ())))
+    solids: Any = [piece for piece in pieces if len(getattr(piece, "faces", ()))]
+    drawn = _sample_surface(solids, seed)
+    # Shapes have the file's coordinates, before their nodes transform them.
+    largest: Any = max(shapes, key=lambda piece: len(getattr(piece, "faces", ())))
     return drawn, describe_coarseness(largest.vertices, step_of(largest.vertices))
 
 
-def _loaded(path: str, kind: str) -> Any:
-    """The scene of a file, in which trimesh may stumble over words and lines that mean nothing."""
+def _load(path: str, kind: str) -> Any:
+    """Load the scene of a file, without comments and blank lines if trimesh fails on them."""
     import trimesh
     from trimesh.resolvers import FilePathResolver
 
@@ -162,15 +164,15 @@ def _loaded(path: str, kind: str) -> Any:
     except ValueError:
         if kind != "ply":
             raise
-        beside = FilePathResolver(path)
-        scene = trimesh.load_scene(_legible(path), file_type=kind, resolver=beside, process=False)
-        if not any(len(getattr(one, "faces", ())) for one in scene.geometry.values()):
+        files = FilePathResolver(path)
+        scene = trimesh.load_scene(_legible(path), file_type=kind, resolver=files, process=False)
+        if not any(len(getattr(piece, "faces", ())) for piece in scene.geometry.values()):
             raise
         return scene
 
 
 def _legible(path: str) -> BytesIO:
-    """A PLY without comments of any bytes and without blank lines."""
+    """Return a PLY without unreadable comments and blank lines."""
     head, end, body = Path(path).read_bytes().partition(b"end_header")
     lines = [line for line in head.splitlines() if line.strip() and _is_text(line)]
     if b"format ascii 1.0" in lines:
@@ -184,37 +186,37 @@ def _is_text(line: bytes) -> bool:
     return False
 
 
-def _drawn(pieces: list[Trimesh], seed: int) -> Drawn:
-    """Points that lie apart on all pieces of a mesh together.
+def _sample_surface(pieces: list[Trimesh], seed: int) -> Drawn:
+    """Sample evenly spaced points on all pieces of a mesh.
 
     Raises:
         ValueError: A corner is not finite or is missing, or the pieces have no area.
     """
-    for one in pieces:
-        if one.faces.min() < 0 or one.faces.max() >= len(one.vertices):
+    for piece in pieces:
+        if piece.faces.min() < 0 or piece.faces.max() >= len(piece.vertices):
             raise ValueError("a triangle has a corner that is not in the file.")
-        if not np.isfinite(one.vertices[one.faces]).all():
+        if not np.isfinite(piece.vertices[piece.faces]).all():
             raise ValueError("a corner of a triangle is NaN or infinite.")
-    corners = np.concatenate([one.triangles.reshape(-1, 3) for one in pieces])
+    corners = np.concatenate([piece.triangles.reshape(-1, 3) for piece in pieces])
     side = float(np.ptp(corners, axis=0).max())
-    areas = np.concatenate([one.area_faces for one in pieces])
+    areas = np.concatenate([piece.area_faces for piece in pieces])
     if not areas.sum() > SMALLEST * side * side > 0:
         raise ValueError("its triangles have no area.")
-    # Which way most triangles face: those of a mesh turned inside out face inwards.
-    away = np.concatenate([one.triangles_center for one in pieces]) - corners.mean(axis=0)
-    normals = np.concatenate([one.face_normals for one in pieces])
+    # Most triangles of an inverted mesh face inwards.
+    away = np.concatenate([piece.triangles_center for piece in pieces]) - corners.mean(axis=0)
+    normals = np.concatenate([piece.face_normals for piece in pieces])
     sign = 1.0 if (areas * (away * normals).sum(axis=1)).sum() >= 0 else -1.0
     some = np.random.default_rng(seed)
-    found = some.choice(len(areas), TRIES * COUNT, p=areas / areas.sum())
-    weights = some.dirichlet((1.0, 1.0, 1.0), len(found))
-    points = np.einsum("nc,nci->ni", weights, corners.reshape(-1, 3, 3)[found])
+    chosen = some.choice(len(areas), TRIES * COUNT, p=areas / areas.sum())
+    weights = some.dirichlet((1.0, 1.0, 1.0), len(chosen))
+    points = np.einsum("nc,nci->ni", weights, corners.reshape(-1, 3, 3)[chosen])
     kept = _apart(points, np.sqrt(areas.sum() / COUNT))
-    found, weights = found[kept], weights[kept]
-    return points[kept], sign * normals[found], _colours(pieces, found, weights)
+    chosen, weights = chosen[kept], weights[kept]
+    return points[kept], sign * normals[chosen], _colours(pieces, chosen, weights)
 
 
 def _apart(points: NDArray, width: float) -> NDArray[np.int64]:
-    """One point of each cube of a width, that nearest to its middle: indices."""
+    """Return the index of the point nearest to the middle of each cube of a width."""
     cubes = np.floor(points / width)
     off = np.linalg.norm(points / width - cubes - 0.5, axis=1)
     order = np.lexsort((off, *cubes.T))
@@ -224,39 +226,41 @@ def _apart(points: NDArray, width: float) -> NDArray[np.int64]:
 
 
 def _colours(
-    pieces: list[Trimesh], found: NDArray[np.int64], weights: NDArray
+    pieces: list[Trimesh], chosen: NDArray[np.int64], weights: NDArray
 ) -> NDArray[np.float64] | None:
-    """Colours [N,3] of points in triangles, of all pieces numbered on; None if none has any.
+    """Return colours [N,3] of points in triangles; None if no piece has colours.
 
     Args:
-        pieces: Parts of the mesh.
-        found: The triangle of each point [N].
-        weights: Where in its triangle each is [N,3].
+        pieces: Pieces of the mesh, whose triangles are numbered consecutively.
+        chosen: The triangle of each point [N].
+        weights: Barycentric coordinates of each point [N,3].
     """
-    ends = np.cumsum([0, *(len(one.faces) for one in pieces)])
-    rgb, any_colour = np.full((len(found), 3), 0.8), False
-    for one, start, stop in zip(pieces, ends, ends[1:], strict=False):
-        own = (found >= start) & (found < stop)
-        given = _coloured(one, found[own] - start, weights[own]) if own.any() else None
-        if given is not None:
-            rgb[own], any_colour = np.asarray(given, float)[:, :3] / 255, True
+    ends = np.cumsum([0, *(len(piece.faces) for piece in pieces)])
+    rgb, any_colour = np.full((len(chosen), 3), 0.8), False
+    for piece, start, stop in zip(pieces, ends, ends[1:], strict=False):
+        within = (chosen >= start) & (chosen < stop)
+        if not within.any():
+            continue
+        colours = _colour_piece(piece, chosen[within] - start, weights[within])
+        if colours is not None:
+            rgb[within], any_colour = np.asarray(colours, float)[:, :3] / 255, True
     return rgb if any_colour else None
 
 
-def _coloured(one: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[Any] | None:
-    """Colours [N,3 or 4] from 0 to 255 of points on a piece; None if it has none."""
-    visual: Any = one.visual
+def _colour_piece(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[Any] | None:
+    """Return colours [N,3 or 4] from 0 to 255 of points on a piece; None if it has none."""
+    visual: Any = piece.visual
     if visual.kind == "face":
         return visual.face_colors[triangles]
     if visual.kind == "vertex":
-        return np.einsum("nc,nci->ni", weights, visual.vertex_colors[one.faces[triangles]])
+        return np.einsum("nc,nci->ni", weights, visual.vertex_colors[piece.faces[triangles]])
     if visual.kind != "texture":
         return None
     material: Any = visual.material
     tint = np.asarray(material.main_color, float)[None, :3]
-    if visual.uv is None or len(visual.uv) != len(one.vertices):
+    if visual.uv is None or len(visual.uv) != len(piece.vertices):
         return np.repeat(tint, len(triangles), axis=0)
-    uv = np.einsum("nc,nci->ni", weights, visual.uv[one.faces[triangles]])
+    uv = np.einsum("nc,nci->ni", weights, visual.uv[piece.faces[triangles]])
     texture = material.to_color(np.nan_to_num(uv)) if np.ndim(uv) == 2 else None
     if texture is None or np.ndim(texture) == 1:
         return np.repeat(tint, len(triangles), axis=0)

@@ -1,14 +1,17 @@
-"""What a user may choose of a generator: each is declared once, for all generators.
+"""The options of generators, declared once for all, and the forecast of a generator's time.
 
-A generator takes those that its factory has as keywords (`phy124.generators.make`); any other that
-is set is refused.
+A generator supports the options that its factory has as keywords (`phy124.generators.make`); other
+options are refused. The time is the networks' arithmetic over this machine's measured speed.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from inspect import signature
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -17,46 +20,118 @@ from phy124.schema.section import Section
 
 Sampler = Literal["ddim", "dpmsolver++"]
 SAMPLER: Sampler = "ddim"
-"""What the paper and LGM use."""
+"""The sampler of the paper and of LGM."""
 Precision = Literal["float32", "bfloat16", "float16"]
 
 
 class GeneratorOptions(Section):
-    """How much work a generator does; what is absent is its own choice."""
+    """Options of a generator; the generator chooses those that are absent."""
 
     steps: int | None = Field(
         default=None,
         ge=1,
         le=500,
         description="Steps of the generator's diffusion (lgm: 30) or of its fit (dreamgaussian: "
-        "500); fewer take less time and are less exact.",
+        "500); fewer steps are faster and less exact.",
     )
     sampler: Sampler | None = Field(
         default=None,
-        description="How lgm's diffusion takes its steps: ddim, of first order, which the paper "
-        "uses, or dpmsolver++, of second order.",
+        description="Solver of lgm's diffusion: ddim, of first order, as in the paper, or "
+        "dpmsolver++, of second order.",
     )
     precision: Precision | None = Field(
         default=None,
-        description="Numbers that the network of lgm's diffusion computes with. Default: float16 "
-        "on a GPU, bfloat16 on a processor that multiplies it, float32 otherwise.",
+        description="Precision of the network of lgm's diffusion. Default: float16 on a GPU, "
+        "bfloat16 on a processor that supports it, float32 otherwise.",
     )
 
-    def taken_by(self, factory: Callable[..., Any], name: str) -> dict[str, Any]:
-        """The options that are set, as keywords for a generator's factory.
+    def select(self, factory: Callable[..., Any], name: str) -> dict[str, Any]:
+        """Return the options that are set, as keywords for a generator's factory.
 
         Raises:
             InputError: The factory has no such keyword.
         """
-        given, known = self.model_dump(exclude_none=True), signature(factory).parameters
-        for option, value in given.items():
+        options, known = self.model_dump(exclude_none=True), signature(factory).parameters
+        for option, value in options.items():
             if option not in known:
                 others = [other for other in type(self).model_fields if other in known]
                 limit = f"{name} has no such option."
                 remedy = f"It has {', '.join(others)}." if others else "It has none: leave it out."
                 raise InputError(option, value, limit, remedy)
-        return given
+        return options
 
 
 UNCHANGED = GeneratorOptions()
-"""Every generator's own choice."""
+"""No option is set."""
+
+
+ROUNDS = 2
+"""Number of measurements of each kind of arithmetic, after a warm-up."""
+
+
+class Work(NamedTuple):
+    """Floating point operations by kind, or their rates per second."""
+
+    linear: float
+    convolution: float
+    attention: float
+
+    def at(self, speed: Work) -> float:
+        """Return the time at a speed [s]."""
+        return sum(work / rate for work, rate in zip(self, speed, strict=True))
+
+    def times(self, count: float) -> Work:
+        """Multiply the work by a number."""
+        return Work(*(count * work for work in self))
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The forecast of a generator for an object."""
+
+    seconds: float
+    """Predicted time without reading the weights [s]."""
+    settings: dict[str, Any]
+    """The options in effect, for the report."""
+    words: str
+    """The options in effect, in words."""
+
+
+def effort_of(generator: Any) -> Effort | None:
+    """Return the forecast of a generator; None for fast generators, which have none."""
+    effort: Callable[[], Effort] | None = getattr(generator, "effort", None)
+    return effort() if effort is not None else None
+
+
+def speed_of(device: str, dtype: Any) -> Work:
+    """Measure torch's floating point operations per second by kind, under the current load.
+
+    This takes about a second, on arrays as large as in the networks.
+    """
+    import torch
+    from torch.nn import functional as F
+
+    on: dict[str, Any] = {"device": device, "dtype": dtype}
+    rows, wide = torch.ones(1280, 1280, **on), torch.ones(2560, 1280, **on)
+    maps, filters = torch.ones(5, 640, 16, 16, **on), torch.ones(640, 640, 3, 3, **on)
+    heads = torch.ones(1, 5, 2560, 64, **on)
+    kinds: list[tuple[float, Callable[[], Any]]] = [
+        (2 * 1280 * 1280 * 2560, lambda: F.linear(rows, wide)),
+        (2 * 9 * 640 * 640 * 5 * 16 * 16, lambda: F.conv2d(maps, filters, padding=1)),
+        (4 * 5 * 2560**2 * 64, lambda: F.scaled_dot_product_attention(heads, heads, heads)),
+    ]
+    gpu = device.startswith("cuda")
+    wait = partial(torch.cuda.synchronize, device) if gpu else (lambda: None)
+    with torch.inference_mode():
+        return Work(*(operations / _seconds(work, wait) for operations, work in kinds))
+
+
+def _seconds(work: Callable[[], Any], wait: Callable[[], Any]) -> float:
+    """Return the mean duration of some work after a warm-up [s]."""
+    work()
+    wait()
+    start = time.perf_counter()
+    for _ in range(ROUNDS):
+        work()
+    wait()
+    return (time.perf_counter() - start) / ROUNDS

@@ -1,4 +1,4 @@
-"""Reads Gaussians that another program made, and brings them to the default place and size."""
+"""Reads the Gaussians of a file, and brings them to the default position and size."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from PIL import Image
 
 MIN_OPACITY = 0.005
-"""Fainter Gaussians are dropped, as LGM does when it saves."""
+"""Gaussians with a lower opacity are dropped, as LGM does when it saves."""
 TAIL = 0.005
-"""Fraction of the opacity that may lie beyond either end when the core of the object is found."""
+"""Fraction of the opacity beyond each end of the object's core."""
 MARGIN = 0.5
-"""Distance from that core, in its sizes, up to which a Gaussian belongs to the object."""
+"""Largest distance of the object's Gaussians from the core, relative to its size."""
 
 
 class Reading(Section):
@@ -38,24 +38,24 @@ class Reading(Section):
     up: str | None = Field(
         default=None,
         description="Direction of the file of Gaussians that points up: x, y, z, -x, -y, -z, or "
-        "three numbers such as 0.1,-1,0.2; absent: as its dialect or format has it.",
+        "three numbers such as 0.1,-1,0.2; default: that of its dialect or format.",
     )
     front: str | None = Field(
-        default=None, description="Direction of that file that the object faces, likewise."
+        default=None, description="Direction of the file that the object faces, in the same form."
     )
     dialect: str | None = Field(
         default=None,
-        description="Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ...; absent: "
-        "the axes that its format has.",
+        description="Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ...; default: "
+        "the axes of its format.",
     )
     rotate: str | None = Field(
         default=None,
-        description="Turns the file before that: degrees about x, then y, then z, such as "
+        description="Rotation applied to the file first: degrees about x, then y, then z, such as "
         "10,0,-25; or a quaternion w,x,y,z.",
     )
     crop: str | None = Field(
         default=None,
-        description="Keeps only what is in a box, x,y,z,X,Y,Z, in the file's own units and axes.",
+        description="Keeps only the Gaussians in a box, x,y,z,X,Y,Z, in the file's units and axes.",
     )
     floor: bool = Field(
         default=False,
@@ -64,21 +64,20 @@ class Reading(Section):
     )
 
     def refuse(self, name: str, source: object) -> None:
-        """Check that options for reading a file are not given without a file.
+        """Refuse options for reading a file if there is no file.
 
         Raises:
             InputError: If any option is set although `source` is no file.
         """
-        told = [f"--{option}" for option in self.model_dump(exclude_defaults=True)]
-        if told:
-            limit = (
-                f"{' and '.join(told)} {'is' if len(told) == 1 else 'are'} for a file of Gaussians."
-            )
+        options = [f"--{option}" for option in self.model_dump(exclude_defaults=True)]
+        if options:
+            verb = "is" if len(options) == 1 else "are"
+            limit = f"{' and '.join(options)} {verb} for a file of Gaussians."
             raise InputError(name, source, limit, "Give such a file, or leave that out.")
 
 
-UNTOLD = Reading().model_dump(include={"up", "front", "dialect", "rotate"})
-"""What a reading says of the axes if the user has said nothing."""
+NO_AXES = Reading().model_dump(include={"up", "front", "dialect", "rotate"})
+"""The options about axes, if none is set."""
 
 
 class Opened(NamedTuple):
@@ -87,25 +86,24 @@ class Opened(NamedTuple):
     gaussians: Gaussians
     """The visible Gaussians in our axes, in the file's units."""
     rotation: NDArray[np.float64]
-    """From the file's axes to ours [3,3]."""
+    """Rotation from the file's axes to ours [3,3]."""
     cleaning: list[str]
-    """A sentence for each reason why some were dropped."""
+    """A sentence for each reason why Gaussians were dropped."""
     axes: tuple[str, str | None] = Y_DOWN
-    """Directions of the file that point up and to the front, as the file or its format has them."""
+    """Directions of the file or its format that point up and to the front."""
     notes: tuple[str, ...] = ()
-    """Sentences about what of the file is read in another way than usual, passed over, or seems to
-    be no part of the object."""
+    """Sentences about ignored columns, columns read in an unusual way, and surroundings."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Place in the file, in its axes, that is the Gaussians' origin."""
+    """Position of the Gaussians' origin in the file, in its axes."""
     coarse: bool = False
-    """Whether the file's numbers are too coarse for places so far away."""
+    """Whether the file's numbers are too coarse at its distance from the origin."""
 
 
 @dataclass(frozen=True)
 class PlyFile:
-    """The generator that reads a file instead of looking at the picture.
+    """The generator that reads a file and ignores the picture.
 
-    `phy124.pipeline.capture`, which knows the scene, finds the floor and what stands on it.
+    `phy124.pipeline.capture`, which knows the scene, separates the floor and the object on it.
     """
 
     path: str
@@ -118,65 +116,62 @@ class PlyFile:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """The file's Gaussians with a longest side of 1 m; picture and seed are ignored.
+        """Read the file's Gaussians, with a longest side of 1 m; picture and seed are ignored.
 
         Raises:
             InputError: As `read_gaussians`, or if all are nearly transparent or at one point.
         """
         del image_rgba, seed
         if self.reading.floor:
-            limit = "A floor is part of a scene, and there is none here."
-            raise InputError(
-                "floor", "wanted", limit, "Call phy124.pipeline.capture.capture instead."
-            )
+            limit = "A floor is part of a scene, and there is no scene here."
+            remedy = "Call phy124.pipeline.capture.capture instead."
+            raise InputError("floor", "wanted", limit, remedy)
         opened = self.open(progress)
         for note in opened.notes:
             warnings.warn(f"{self.path}: {note}", stacklevel=2)
-        return normalised(opened.gaussians, self.path)
+        return normalise_size(opened.gaussians, self.path)
 
     def open(self, progress: Progress = silent) -> Opened:
-        """The file's visible Gaussians, rotated upright and cropped.
+        """Read the file's visible Gaussians, rotated upright and cropped.
 
         Raises:
             InputError: As `read_gaussians`, or if the options contradict each other or leave no
                 Gaussians.
         """
         progress("read", 0, 1)
-        told = self.reading
-        orientation(
-            told.up, told.front, told.dialect, told.rotate
-        )  # refuses before the file is read
+        axes = self.reading.up, self.reading.front, self.reading.dialect, self.reading.rotate
+        orientation(*axes)  # refuses before the file is read
         box = self._box()
         content = read_as_is(self.path)
         self._hint(content)
-        found, dropped = content.gaussians, content.dropped
-        rotation = rotation_of(content, told.up, told.front, told.dialect, told.rotate)
-        inside = np.ones(len(found), bool)
+        everything, dropped = content.gaussians, content.dropped
+        rotation = rotation_of(content, *axes)
+        inside = np.ones(len(everything), bool)
         if box is not None:
             box = box - content.origin
-            inside = ((found.means >= box[0]) & (found.means <= box[1])).all(axis=1)
+            inside = ((everything.means >= box[0]) & (everything.means <= box[1])).all(axis=1)
             if not inside.any():
                 raise self._empty(content)
-        faint = inside & (found.opacities < MIN_OPACITY)
-        gaussians = found.select(inside & ~faint)
+        faint = inside & (everything.opacities < MIN_OPACITY)
+        gaussians = everything.select(inside & ~faint)
         if not len(gaussians):
             limit = f"All its Gaussians are fainter than {MIN_OPACITY}."
             raise InputError("file", self.path, limit, "Give a file with a visible object.")
-        given = len(found) + dropped
+        total = len(everything) + dropped
         left_out = {
             "had NaN or infinite values": dropped,
             "lie outside the box": int((~inside).sum()),
             f"were fainter than {MIN_OPACITY}": int(faint.sum()),
         }
         notes = content.remarks(gaussians)
-        if box is None and not told.floor:
+        if box is None and not self.reading.floor:
             notes = [*notes, *surroundings(gaussians, content.origin)]
         progress("read", 1, 1)
         return Opened(
             rotate_gaussians(gaussians, rotation),
             rotation,
             [
-                f"{count} of {given} Gaussians of the file {why} and were dropped."
+                f"{count} of {total} Gaussians of the file {why} and were dropped."
                 for why, count in left_out.items()
                 if count
             ],
@@ -187,44 +182,40 @@ class PlyFile:
         )
 
     def _hint(self, content: Content) -> None:
-        """Warn if the file looks like one of another dialect, and nothing was said of its axes."""
-        told = self.reading.model_dump(include={"up", "front", "dialect", "rotate"})
-        if told != UNTOLD or content.axes != Y_DOWN or recognise(Path(self.path)).name != "ply":
+        """Warn if the file seems to have another dialect, and no option about its axes is set."""
+        axes = self.reading.model_dump(include={"up", "front", "dialect", "rotate"})
+        if axes != NO_AXES or content.axes != Y_DOWN or recognise(Path(self.path)).name != "ply":
             return
         likely = likely_dialect(Path(self.path))
         if likely is not None:
             dialect, why = likely
             warnings.warn(
                 f"{self.path} may be a file of {why}. If it lies down or looks away, give "
-                f"--dialect {dialect}; `phy124 orient` draws all ways up.",
+                f"--dialect {dialect}; `phy124 orient` draws all six up axes.",
                 stacklevel=2,
             )
 
     def _box(self) -> NDArray[np.float64] | None:
-        """Lowest and highest corner [2,3] of the crop."""
+        """Return the lowest and highest corner [2,3] of the crop."""
         crop = self.reading.crop
         if crop is None:
             return None
         values = parse_numbers(crop, 6)
         if values is None or (values[:3] >= values[3:]).any():
-            raise InputError(
-                "crop", crop, "A box has six numbers, each of the first three the lower.",
-                "Write x,y,z,X,Y,Z, such as -1,-1,-1,1,1,1.",
-            )  # fmt: skip
+            limit = "A box has six numbers; the first three are the lower corner."
+            raise InputError("crop", crop, limit, "Write x,y,z,X,Y,Z, such as -1,-1,-1,1,1,1.")
         return values.reshape(2, 3)
 
     def _empty(self, content: Content) -> InputError:
         ends = np.array(robust_bounds(content.gaussians)) + content.origin
         digits = 10 if any(content.origin) else 3
         low, high = (",".join(f"{v:.{digits}g}" for v in corner) for corner in ends)
-        return InputError(
-            "crop", self.reading.crop, "No Gaussian is in this box.",
-            f"The file's Gaussians reach from {low} to {high}.",
-        )  # fmt: skip
+        remedy = f"The file's Gaussians reach from {low} to {high}."
+        return InputError("crop", self.reading.crop, "No Gaussian is in this box.", remedy)
 
 
-def normalised(gaussians: Gaussians, name: str = "") -> Gaussians:
-    """Gaussians centred on the origin with a longest side of 1 m; outliers do not count.
+def normalise_size(gaussians: Gaussians, name: str = "") -> Gaussians:
+    """Centre Gaussians on the origin and scale their longest side to 1 m, ignoring outliers.
 
     Raises:
         InputError: If all centres lie in one point.
@@ -238,10 +229,10 @@ def normalised(gaussians: Gaussians, name: str = "") -> Gaussians:
 
 
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest and highest centre along each axis [3], m, without outliers.
+    """Return the lowest and highest centre along each axis [3], m, without outliers.
 
-    The core contains all but a fraction `TAIL` of the opacity at either end; bounds are those of
-    all Gaussians within `MARGIN` core sizes of it, so that a clean object loses nothing.
+    The core contains all but a fraction `TAIL` of the opacity at each end. The bounds are those of
+    all Gaussians within `MARGIN` core sizes of it, so that an object without outliers is unchanged.
     """
     means = gaussians.means.astype(np.float64)
     core = np.stack([_quantiles(axis, gaussians.opacities) for axis in means.T], axis=1)

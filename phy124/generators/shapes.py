@@ -11,35 +11,35 @@ from numpy.typing import NDArray
 from phy124.gaussians import Gaussians, quaternions, spread_directions
 
 COUNT = 8000
-"""About how many Gaussians a shape has."""
+"""Approximate number of Gaussians of a shape."""
 FLATNESS = 0.15
 """Thickness of the discs on its surface, relative to their width."""
 LIGHT = (0.35, 0.25, 0.9)
-"""Where the light comes from that its colours are shaded for."""
+"""Direction towards the light of its shading."""
 AMBIENT = 0.72
-"""Brightness of what faces away from it."""
+"""Brightness of surfaces that face away from the light."""
 CHECKS, CONTRAST = 8, 0.05
-"""Squares along the longest side, which show how it turns and bends, and how much they differ."""
+"""Number of squares along the longest side, which make motion visible, and their contrast."""
 Surface = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Points [N,3] and outward normals [N,3]."""
 
 
-def shape(name: str, sides: Sequence[float], colour: Sequence[float]) -> Gaussians:
-    """The Gaussians of a shape around the origin.
+def make_shape(name: str, sides: Sequence[float], colour: Sequence[float]) -> Gaussians:
+    """Make the Gaussians of a shape around the origin.
 
     Args:
         name: sphere (an ellipsoid if the sides differ), box, or capsule (along its longest side).
-        sides: Its sides along x, y and z, m.
+        sides: Sides along x, y and z, m.
         colour: Red, green and blue, 0..1.
     """
     half = np.asarray(sides, np.float64) / 2
     x, normals = {"sphere": _sphere, "box": _box, "capsule": _capsule}[name](half)
     squares = np.floor(CHECKS * x / (2 * half.max()) + 0.25).sum(axis=1) % 2
     width = 0.75 * float(np.sqrt(_area(half) / len(x)))
-    return covered(x, normals, np.asarray(colour), width=width, bright=1 - CONTRAST * squares)
+    return cover_surface(x, normals, np.asarray(colour), width=width, bright=1 - CONTRAST * squares)
 
 
-def covered(
+def cover_surface(
     points: NDArray,
     normals: NDArray,
     rgb: NDArray,
@@ -47,32 +47,30 @@ def covered(
     width: float | None = None,
     bright: NDArray | float = 1.0,
 ) -> Gaussians:
-    """Flat Gaussians on a surface, gently shaded.
+    """Cover a surface with flat Gaussians, slightly shaded.
 
     Args:
-        points: Where they are [N,3], m.
-        normals: Unit normals, out of the solid [N,3].
-        rgb: Colours [N,3], or one for all [3], 0..1.
-        width: Their standard deviation along the surface [m]; None: as far as the next ones are.
+        points: Centres [N,3], m.
+        normals: Outward unit normals [N,3].
+        rgb: Colours [N,3], or a colour for all [3], 0..1.
+        width: Standard deviation along the surface [m]; None: the distance of neighbours.
         bright: Factor on the colours [N].
     """
     wide = _spread(points) if width is None else np.full(len(points), width)
     scales = np.stack([wide, wide, FLATNESS * wide], axis=1)
     lit = AMBIENT + (1 - AMBIENT) * (normals @ LIGHT / np.linalg.norm(LIGHT)).clip(-1, 1)
-    return Gaussians.from_rgb(
-        points, _facing(normals), scales, np.full(len(points), 0.95),
-        ((lit * bright)[:, None] * rgb).clip(0, 1),
-    )  # fmt: skip
+    colours, opacities = ((lit * bright)[:, None] * rgb).clip(0, 1), np.full(len(points), 0.95)
+    return Gaussians.from_rgb(points, _facing(normals), scales, opacities, colours)
 
 
 def _spread(points: NDArray) -> NDArray[np.float64]:
-    """Mean distance of each point to its six nearest [N], m, times 0.75."""
+    """Return 0.75 times the mean distance of each point to its six nearest neighbours [N], m."""
     nearest = scipy.spatial.KDTree(points).query(points, k=min(7, len(points)))[0]
     return 0.75 * np.maximum(np.asarray(nearest)[:, 1:].mean(axis=1), 1e-9)
 
 
 def _area(half: NDArray) -> float:
-    """Area of the box of half sides [3], m^2: no less than that of the other shapes."""
+    """Return the area of a box with half sides [3], m^2; other shapes have a smaller one."""
     a, b, c = 2 * half
     return float(2 * (a * b + b * c + c * a))
 
@@ -92,7 +90,7 @@ def _box(half: NDArray) -> Surface:
         grid = [
             ((np.arange(n) + 0.5) / n * 2 - 1) * half[i] for n, i in zip(steps, others, strict=True)
         ]
-        u, v = (one.ravel() for one in np.meshgrid(*grid, indexing="ij"))
+        u, v = map(np.ravel, np.meshgrid(*grid, indexing="ij"))
         for side in (-1.0, 1.0):
             face, outward = np.empty((len(u), 3)), np.zeros((len(u), 3))
             face[:, others[0]], face[:, others[1]], face[:, axis] = u, v, side * half[axis]
@@ -103,7 +101,7 @@ def _box(half: NDArray) -> Surface:
 
 
 def _capsule(half: NDArray) -> Surface:
-    """A cylinder with a half sphere at each end, spread evenly along and around its axis."""
+    """Distribute points evenly over a cylinder with a half sphere at each end."""
     axis = int(np.argmax(half))
     across = np.delete(half, axis)
     radius, length = float(across.max()), float(half[axis] - across.max())
@@ -125,7 +123,7 @@ def _capsule(half: NDArray) -> Surface:
 
 
 def _facing(normals: NDArray) -> NDArray[np.float64]:
-    """Quaternions [N,4] of discs whose third axis is the normal."""
+    """Return quaternions [N,4] of discs whose third axis is the normal."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.7, [[0.0, 0, 1]], [[1.0, 0, 0]])
     along = np.cross(helper, normals)
     along /= np.linalg.norm(along, axis=1, keepdims=True)

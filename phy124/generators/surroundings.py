@@ -1,7 +1,7 @@
-"""What is in a file of Gaussians besides an object: a background far around it, a sky.
+"""Recognises the surroundings of an object in a file of Gaussians: a background, a sky.
 
-A capture of an object often holds the place, too. Then the object is a small part of the box that
-decides the size, and everything in it would fall together.
+A capture of an object often contains its surroundings, too. Then the object is a small part of the
+box that determines the size, and object and surroundings would move as a single body.
 """
 
 from __future__ import annotations
@@ -48,25 +48,25 @@ def surroundings(
         return []
     some, _ = clean(gaussians.select(visible[:: 1 + len(visible) // SAMPLE]))
     means = some.means.astype(np.float64)
-    found = _sky(means) or _place(means, visible_area(some))
-    if found is None:
+    around = _sky(means) or _place(means, visible_area(some))
+    if around is None:
         return []
-    corners = np.array(found.box) + origin
+    corners = np.array(around.box) + origin
     digits = 10 if np.any(origin) else 4
     box = ",".join(f"{value:.{digits}g}" for value in corners.ravel())
-    return [f"{found.words} --crop={box} leaves the rest out."]
+    return [f"{around.words} --crop={box} leaves the rest out."]
 
 
 class _Around(NamedTuple):
-    """What is around an object."""
+    """Surroundings of an object."""
 
     words: str
     box: tuple[NDArray[np.float64], NDArray[np.float64]]
-    """Corners of what is the object [3], [3]."""
+    """Lower and upper corner of the object [3], [3]."""
 
 
 def _sky(means: NDArray[np.float64]) -> _Around | None:
-    """What is said if the outer ones of all centres [N,3] form a shell far around the others."""
+    """Describe a sky: outer centres [N,3] that form a shell far around the others."""
     places = means - np.median(means, axis=0)
     distances = np.linalg.norm(places, axis=1)
     far = distances > np.quantile(distances, 1 - MANY / 2) / 2
@@ -80,18 +80,18 @@ def _sky(means: NDArray[np.float64]) -> _Around | None:
     grown = (AROUND - 1) / 2 * (high - low).max()
     words = (
         f"{far.mean():.0%} of the Gaussians lie around all others like a sky, "
-        f"{shell.mean() / reach:.0f} times as far out as most of them, and are taken for a part of "
-        "the object."
+        f"{shell.mean() / reach:.0f} times as far out as most of them, and are treated as a part "
+        "of the object."
     )
     return _Around(words, (low - grown, high + grown))
 
 
 def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
-    """What is said if most of what is seen lies in a small part of the box.
+    """Describe a background: most of the visible area is in a small part of the box.
 
     Args:
         means: Centres [N,3].
-        seen: How much each shows [N].
+        seen: Visible area of each Gaussian [N].
     """
     low, high = _part(means, seen)
     whole = np.ptp(np.quantile(means, [TAIL, 1 - TAIL], axis=0), axis=0).max()
@@ -100,8 +100,8 @@ def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
         return None
     grown = (AROUND - 1) / 2 * side
     words = (
-        f"{MOST:.0%} of what is seen lies within {side / whole:.0%} of the longest side, and all "
-        "is taken for the object."
+        f"{MOST:.0%} of the visible area lies within {side / whole:.0%} of the longest side, and "
+        "everything is treated as the object."
     )
     return _Around(words, (low - grown, high + grown))
 
@@ -109,7 +109,7 @@ def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
 def _part(
     means: NDArray[np.float64], seen: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of a small box around `MOST` of what is seen [N]."""
+    """Return the corners of a small box around a fraction `MOST` of the visible area [N]."""
     part = np.ones(len(means), bool)
     for _ in range(ROUNDS):
         middle = np.array([_median(axis, seen[part]) for axis in means[part].T])

@@ -15,10 +15,8 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
-from phy124.generators.depth_map import DepthMap
-from phy124.generators.effort import Effort, effort_of
-from phy124.generators.options import UNCHANGED, GeneratorOptions
-from phy124.generators.other_views import OtherViews
+from phy124.generators.extras import DepthMap, OtherViews
+from phy124.generators.options import UNCHANGED, Effort, GeneratorOptions, effort_of
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
 from phy124.imaging.objects import Point
@@ -97,12 +95,12 @@ def static(
     watch, scene = watch or Stopwatch(), scene or Scene()
     name = generator if isinstance(generator, str) else type(generator).__name__
     make = with_count(make_generator(generator, reading, options, device), count)
-    make = depth.given_to(make, name) if depth else make
+    make = depth.bind(make, name) if depth else make
     deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
     if views:
         way = method if mask is None else "auto"
         cut = partial(_cut_view, method=way, deadline=deadline, looked=looked, watch=watch)
-        make = views.given_to(make, name, cut)
+        make = views.bind(make, name, cut)
     cutout, picture = None, Image.new("RGBA", (1, 1))
     if needs_image(generator):
         with watch.stage("image"):

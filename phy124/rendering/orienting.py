@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from phy124.camera import Camera
 from phy124.gaussians import Gaussians
-from phy124.generators.ply_file import PlyFile, Reading, normalised
+from phy124.generators.ply_file import PlyFile, Reading, normalise_size
 from phy124.io.axes import FRONTS, orientation, rotate_gaussians
 from phy124.particles.thinning import thin
 from phy124.rendering.render import Renderer
@@ -36,7 +36,7 @@ def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
     """
     opened = PlyFile(path, UNTURNED).open()
     few = thin(opened.gaussians, ENOUGH, seed=0)
-    return normalised(few, path), opened.notes
+    return normalise_size(few, path), opened.notes
 
 
 def draw_oriented(
@@ -53,6 +53,6 @@ def draw_oriented(
     Raises:
         InputError: If all centres lie in one point.
     """
-    standing = normalised(rotate_gaussians(gaussians, orientation(reading.up, reading.front)))
+    standing = normalise_size(rotate_gaussians(gaussians, orientation(reading.up, reading.front)))
     image = renderer(standing, Camera.orbit(20.0, 15.0, 1.6, size))[..., :3]
     return (np.clip(image, 0, 1) * 255).round().astype(np.uint8)

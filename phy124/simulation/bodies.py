@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, as_objects
-from phy124.generators.shapes import shape
+from phy124.generators.shapes import make_shape
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.materials import AnyMaterial
 from phy124.particles import Cleaning, Particles, clean, make_particles
@@ -156,7 +156,7 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
     if len(own) or not isinstance(one, SceneObject):
         return own
     if one.shape is not None:
-        return shape(one.shape, one.sides, one.colour)
+        return make_shape(one.shape, one.sides, one.colour)
     if not one.waits:
         remedy = "Make the Gaussians by `phy124.pipeline.static`, which reads what a scene names."
         raise InputError("gaussians", "missing", "nobody has read its file yet.", remedy)

@@ -82,9 +82,12 @@ def samplers(device: str) -> dict:
     DDIM. `mixture`: the exact noise of eight pictures, two of them meant, against 500 of
     DPM-Solver++.
     """
-    from phy124.generators.neural.imagedream.cameras import cameras
-    from phy124.generators.neural.imagedream.pipeline import Condition, guided
-    from phy124.generators.neural.imagedream.sampling import scheduler_of
+    from phy124.generators.neural.imagedream.pipeline import (
+        Condition,
+        cameras,
+        predict_guided,
+        scheduler_of,
+    )
     from phy124.generators.neural.imagedream.unet import load_unet
 
     golden = Path(os.environ.get("PHY124_GOLDEN", "../shared/golden")) / "generators"
@@ -123,7 +126,7 @@ def samplers(device: str) -> dict:
     cases = {
         "mixture": (mixture, torch.randn(5, 4, 8, 8, dtype=torch.float64), "dpmsolver++", 500),
         "formula": (
-            lambda x, t: guided(unet, x, t, told, 5.0),
+            lambda x, t: predict_guided(unet, x, t, told, 5.0),
             e["init_latents"][..., :8, :8],
             "ddim",
             200,

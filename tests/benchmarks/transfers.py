@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from phy124.boundaries import Ground
-from phy124.generators.shapes import shape
+from phy124.generators.shapes import make_shape
 from phy124.materials import NeoHookean, Rigid
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Model, Scheme, Solver, State
@@ -65,7 +65,7 @@ def bar(scheme, cells=24, periods=5):
     E, density = 1e4, 1000.0
     dx, wave, speed = 1 / cells, math.pi, math.sqrt(E / density)
     z = (np.arange(cells * 2) + 0.5) * dx / 2
-    x, v, C = (np.zeros((len(z), *shape)) for shape in ((3,), (3,), (3, 3)))
+    x, v, C = (np.zeros((len(z), *make_shape)) for make_shape in ((3,), (3,), (3, 3)))
     x[:, 2], v[:, 2] = z, 1e-4 * np.cos(wave * z)
     C[:, 2, 2] = -1e-4 * wave * np.sin(wave * z)
     soft = NeoHookean(E=E, nu=0.0, density=density)
@@ -113,7 +113,7 @@ def pressed(cells, **transfer):
     accuracy = {"cells": cells, **transfer}
     scene = Scene.named("press").replaced({"accuracy": accuracy, "time.sleep": False})
     run = Simulation(
-        prepare(shape("sphere", (1, 1, 1), (0.5, 0.5, 0.5)), scene, RunContext(threads=1))
+        prepare(make_shape("sphere", (1, 1, 1), (0.5, 0.5, 0.5)), scene, RunContext(threads=1))
     )
     return run, run.run()
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from phy124.camera import Camera
 from phy124.generators.relief.hull import Hull
-from phy124.generators.relief.surface import Surface, settled
+from phy124.generators.relief.surface import Surface, settle
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import energies
 from phy124.rendering.compose.colours import Adjoint
@@ -163,7 +163,7 @@ def spread() -> None:
     points = np.random.default_rng(0).normal(size=(500, 3)) * 6
     hull = Hull.of(ball, ball, y[:, 0], (True, False))
     for surface, middle in ((Surface.of(ball), (15, 15, 0)), (hull, (0, 0, 0))):
-        settled(surface, points + middle, lambda normals: np.full(len(normals), 1.5))
+        settle(surface, points + middle, lambda normals: np.full(len(normals), 1.5))
         surface.inset(points + middle, 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Where a generator's networks run, and the numbers they compute with."""
+"""The device and precision of a generator's networks."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from phy124.generators.options import Precision
 from phy124.runtime.memory import free_memory
 
 SPARE = 0.8
-"""Largest fraction of the free memory that a network may take."""
+"""Largest fraction of the free memory that a network may use."""
 FLAGS = ("avx512_bf16", "amx_bf16")
 """Processor features that multiply bfloat16, by their names in Linux and in torch."""
 
 
 def torch_device(name: str | None) -> str:
-    """torch's name of a device; None: a GPU if torch can use one."""
+    """Return torch's name of a device; None: a GPU if torch can use it."""
     usable = torch.cuda.is_available()
     if name is None:
         return "cuda" if usable else "cpu"
     number = int(name.partition(":")[2] or 0) if name.startswith("cuda") else -1
     if number >= (torch.cuda.device_count() if usable else 0):
-        told = f"This torch cannot use {name}: the generator runs on the CPU."
-        warnings.warn(told, stacklevel=2)
+        message = f"This torch cannot use {name}: the generator runs on the CPU."
+        warnings.warn(message, stacklevel=2)
         return "cpu"
     return name
 
 
 def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dtype:
-    """The precision asked for, or the fastest that is exact enough and fits into memory.
+    """Return the requested precision, or the fastest that is exact enough and fits into memory.
 
     Args:
-        precision: What the user asks for.
-        device: Where the network runs.
-        numbers: How many the network has.
+        precision: The user's choice.
+        device: Device of the network.
+        numbers: Number of the network's parameters.
     """
     if precision is not None:
         return getattr(torch, precision)
@@ -46,7 +46,7 @@ def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dt
 
 
 def is_short(needed: float, device: str = "cpu") -> bool:
-    """Whether so many bytes would take nearly all the memory that a device has left."""
+    """Whether a number of bytes exceeds the usable fraction of a device's free memory."""
     gpu = device.startswith("cuda")
     return needed > SPARE * (torch.cuda.mem_get_info(device)[0] if gpu else free_memory())
 
@@ -57,7 +57,7 @@ def multiplies_bfloat16() -> bool:
     if features:
         return any(features.get(flag, False) for flag in FLAGS)
     try:
-        told = Path("/proc/cpuinfo").read_text("utf-8").split()
+        words = Path("/proc/cpuinfo").read_text("utf-8").split()
     except OSError:
         return False
-    return any(flag in told for flag in FLAGS)
+    return any(flag in words for flag in FLAGS)

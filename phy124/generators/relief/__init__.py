@@ -1,9 +1,9 @@
 """relief: inflates a picture with alpha into a closed shell of flat Gaussians, without weights.
 
-It is a guess, not a reconstruction: the silhouette becomes the solid that it most plainly suggests
-(`phy124.generators.relief.solids`), the front shows the picture, and the back what the picture's
-rim suggests. A picture from the side replaces the guess (`phy124.generators.relief.hull`). How
-close that comes to solids known from all sides is in docs/lab/relief.md.
+It is a guess, not a reconstruction: the silhouette becomes the most plausible solid
+(`phy124.generators.relief.solids`), the front shows the picture, and the back continues the colours
+of the picture's rim. A picture from the side replaces the guess (`phy124.generators.relief.hull`).
+docs/lab/relief.md compares the results with solids that are known from all sides.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from PIL import Image
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.relief.highlights import matte
-from phy124.generators.relief.picture import Given, opened
+from phy124.generators.relief.picture import Given, open_picture
 from phy124.generators.relief.several import Facing, from_sides
 from phy124.generators.relief.single import from_front
-from phy124.generators.relief.view import VIEW_DISTANCE as VIEW_DISTANCE
+from phy124.generators.relief.surface import VIEW_DISTANCE as VIEW_DISTANCE
 from phy124.kernels.implicit import HULL, INFLATED, push
 from phy124.progress import Progress, silent
 from phy124.runtime.compiling import compile_missing
@@ -43,23 +43,22 @@ def relief(
 ) -> Gaussians:
     """Inflate the opaque part of a picture.
 
-    A camera `VIEW_DISTANCE` in front sees its silhouette with a longest side of 1 m at x = 0; the
-    object faces +x with its middle near there. If a picture from the side shows more than that, its
-    longest side is 1 m instead. Equal seeds give equal Gaussians.
+    The object faces +x. A camera at `VIEW_DISTANCE` in front sees its silhouette with a longest
+    side of 1 m at x = 0. If the picture from the side shows a longer side, that one is 1 m.
+    Equal seeds give equal Gaussians.
 
     Args:
         image_rgba: The picture [H,W,4].
-        seed: Of the random positions.
+        seed: Seed of the random positions.
         progress: Called as in `phy124.progress`.
         count: Approximate number of Gaussians.
         depth: Depth map of the picture [H,W] in any unit, near is large; None: the front is
             inflated, too.
-        side: The object from one side, cut out as well: it says how deep the object is.
-        facing: Which way the object looks in that picture.
-        back: The object from behind, cut out as well.
-        thickness: Depth relative to what the silhouette suggests; None: as it suggests.
-
-        highlights: Whether highlights are painted on the object, with which they turn.
+        side: Cut-out of the object from one side, which determines its depth.
+        facing: Direction of the object's front in that picture.
+        back: Cut-out of the object from behind.
+        thickness: Depth relative to the guess from the silhouette; None: 1.
+        highlights: Whether to paint highlights on the object, which then move with it.
 
     Raises:
         InputError: If nothing in a picture is opaque, the depth map does not fit the picture, or
@@ -71,21 +70,33 @@ def relief(
     def step(done: int) -> None:
         progress("relief", done, STAGES)
 
-    def shown(given: Given, field: str) -> Image.Image:
-        picture = opened(given, field)
+    def prepare(image: Given, field: str) -> Image.Image:
+        picture = open_picture(image, field)
         return matte(picture) if highlights == "remove" else picture
 
     step(0)
-    front, behind = shown(image_rgba, "image"), None if back is None else shown(back, "back")
+    front = prepare(image_rgba, "image")
+    behind = None if back is None else prepare(back, "back")
     if side is None:
         shell = from_front(
-            front, count=count, rng=rng, step=step, depth=depth, back=behind,
+            front,
+            count=count,
+            rng=rng,
+            step=step,
+            depth=depth,
+            back=behind,
             thickness=1.0 if thickness is None else thickness,
-        )  # fmt: skip
+        )
     else:
         _refuse_double(depth, thickness)
         shell = from_sides(
-            front, shown(side, "side"), facing=facing, back=behind, count=count, rng=rng, step=step
+            front,
+            prepare(side, "side"),
+            facing=facing,
+            back=behind,
+            count=count,
+            rng=rng,
+            step=step,
         )
     gaussians = shell.gaussians()
     step(STAGES)
@@ -93,8 +104,8 @@ def relief(
 
 
 def _refuse_double(depth: NDArray | None, thickness: float | None) -> None:
-    limit = "The picture from the side says already how deep the object is."
-    for field, given in (("depth", depth), ("thickness", thickness)):
-        if given is not None:
-            value = "map" if field == "depth" else given
+    limit = "The picture from the side determines the object's depth already."
+    for field, option in (("depth", depth), ("thickness", thickness)):
+        if option is not None:
+            value = "map" if field == "depth" else option
             raise InputError(field, value, limit, "Give one of the two.")

@@ -1,6 +1,9 @@
-"""Colours of the inflated object: the picture in front, what its rim suggests on the back."""
+"""Colours of the object: from all its pictures, and like the picture's rim on an unknown back."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -11,23 +14,23 @@ from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
 INSET = 0.03
-"""How far inside the rim its colour is read, in picture sizes."""
+"""Distance from the rim at which its colour is read, in picture sizes."""
 REACH = 0.2
-"""How far round the rim the picture continues, in picture sizes."""
+"""Distance around the rim to which the picture continues, in picture sizes."""
 SHORTER = 6.0
-"""How decidedly the back follows the shorter of row and column: a power of their ratio."""
+"""Preference for the shorter of row and column on the back, as a power of their ratio."""
 FRINGE = 2.0
-"""Width of the edge whose colours are not trusted, pixels."""
+"""Width of the edge whose colours are ignored, pixels."""
 
 
 def clean_picture(rgba: Field) -> Field:
-    """Colours [H,W,3] without the background that shines through half-transparent edge pixels.
+    """Return colours [H,W,3] without the background in half-transparent edge pixels.
 
-    Those pixels, and everything outside, take the colour of the nearest opaque pixel.
+    These pixels, and all pixels outside, get the colour of the nearest opaque pixel.
     """
     solid = rgba[..., 3] > 0.5
     clean = nearest_of(rgba[..., 3] <= 0.95)[0] > FRINGE
-    # Parts too thin to have clean pixels keep their middle.
+    # Parts that are too thin for clean pixels use their middle line.
     depth, _ = nearest_of(~solid)
     ridge = depth >= scipy.ndimage.maximum_filter(depth, size=3)
     lost = nearest_of(clean)[0] > 2 * FRINGE + 1 if clean.any() else solid
@@ -36,9 +39,10 @@ def clean_picture(rgba: Field) -> Field:
 
 
 def back_picture(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
-    """Colours of the back [H,W,3]: those just inside the rim at both ends of each row and column.
+    """Imagine the back [H,W,3] from the colours near the rim, at the ends of rows and columns.
 
-    So a stripe goes round, and nothing inside the silhouette (eyes, a beak) appears a second time.
+    So stripes continue around the object, and features inside the silhouette (eyes, a beak) are not
+    repeated.
     """
     depth, _ = nearest_of(~inside)
     ridge = scipy.ndimage.maximum_filter(depth, size=2 * int(INSET * size) + 1)
@@ -54,7 +58,7 @@ def back_picture(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
 
 
 def _thickness(depth: Field) -> Field:
-    """Radius of the largest disc within the silhouette that covers each pixel [H,W], in steps."""
+    """Return the radius of the largest inscribed disc that covers each pixel [H,W], in steps."""
     thick = np.ones_like(depth)
     for radius in np.geomspace(1.5, max(2.0, float(depth.max())), 8)[:-1]:
         thick[nearest_of(depth >= radius)[0] <= radius] = radius
@@ -62,9 +66,9 @@ def _thickness(depth: Field) -> Field:
 
 
 def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
-    """Colours [H,W,3] interpolated between both ends of each run of a row; its length [H,W].
+    """Interpolate colours [H,W,3] between both ends of each run of a row; also return its length.
 
-    The colour of a thin part (a beak) reaches less far.
+    The colours of thin parts (a beak) have a shorter range.
     """
     columns = np.arange(inside.shape[1])
     before = np.maximum.accumulate(np.where(inside, 0, columns), axis=1)
@@ -79,21 +83,21 @@ def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tu
     return total / weights, (ends[1] - before).astype(np.float64)
 
 
-def colour(
+def colour_points(
     points: Field, surface: Surface, inside: NDArray[np.bool_], front: Field, back: Field, size: int
 ) -> Field:
-    """Colours [N,3] of surface points: the picture where it shows them, going round its rim.
+    """Colour surface points [N,3] by the front picture, continued around its rim.
 
-    Beyond the rim the picture is continued by its mirror image, at the distance along the surface,
+    Beyond the rim, the picture is continued by its mirror image at the distance along the surface,
     and fades into the back.
 
     Args:
         points: Positions [N,3], pixels.
-        surface: What they lie on.
+        surface: The surface.
         inside: The silhouette [H,W].
         front: Colours of the front [H,W,3].
         back: Colours of the back [H,W,3].
-        size: Of the object, pixels.
+        size: Size of the object, pixels.
     """
     _, nearest = nearest_of(~inside)
     place = points[:, 1::-1].T
@@ -103,17 +107,88 @@ def colour(
     far = np.maximum(np.linalg.norm(inward, axis=0), 0.5)
     way = np.hypot(far, surface.middle(rim[::-1].T) - points[:, 2])
     hidden = points[:, 2] < surface.middle(points)
-    around = _sampled(scipy.ndimage.gaussian_filter(front, (2, 2, 0)), rim + inward / far * way)
-    shown = np.where(hidden, around, _sampled(front, place))
+    around = _sample(scipy.ndimage.gaussian_filter(front, (2, 2, 0)), rim + inward / far * way)
+    shown = np.where(hidden, around, _sample(front, place))
     fraction = np.where(hidden, np.clip(way / (REACH * size), 0, 1), 0.0)
     fraction = fraction * fraction * (3 - 2 * fraction)
-    return (shown * (1 - fraction) + _sampled(back, place) * fraction).T
+    return (shown * (1 - fraction) + _sample(back, place) * fraction).T
 
 
-def _sampled(picture: Field, place: Field) -> Field:
-    """Colours [3,N] at places (y, x)."""
+def _sample(picture: Field, place: Field) -> Field:
+    """Return colours [3,N] at positions (y, x)."""
     channels = [
         scipy.ndimage.map_coordinates(picture[..., c], place, order=1, mode="nearest")
         for c in range(3)
     ]
     return np.stack(channels)
+
+
+FACING = 4.0
+"""Weight of a picture by its angle to the surface, as a power of the cosine."""
+HIDDEN = 0.02
+"""Weight of a picture in which the point is hidden."""
+BEHIND = 8.0
+"""Distance behind the visible surface from which a point is hidden, pixels."""
+CELL = 2.0
+"""Size of the cells of the visibility test, pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A picture of the object from one side."""
+
+    rgb: Field
+    """Colours [H,W,3], continued beyond the silhouette."""
+    middle: tuple[float, float]
+    """Column and row of the object's middle."""
+    towards: Field
+    """Unit vector towards its camera [3]."""
+    across: Field
+    """Unit vector along its rows [3]."""
+    weight: float = 1.0
+    """Weight relative to a real picture."""
+
+    def colours(self, points: Field, distance: float) -> Field:
+        """Return the colours [N,3] of points [N,3] as seen by a camera at a distance."""
+        column, row = self._places(points, distance)
+        place = np.stack([row + self.middle[1], column + self.middle[0]])
+        channels = [
+            scipy.ndimage.map_coordinates(self.rgb[..., c], place, order=1, mode="nearest")
+            for c in range(3)
+        ]
+        return np.stack(channels, axis=1)
+
+    def weights(self, points: Field, normals: Field, distance: float) -> Field:
+        """Return the weight of the picture for each point [N]."""
+        facing = np.maximum(normals @ self.towards, 0.0) ** FACING
+        return self.weight * facing * np.where(self._seen(points, distance), 1.0, HIDDEN) + 1e-6
+
+    def _seen(self, points: Field, distance: float) -> NDArray[np.bool_]:
+        cells = np.floor(self._places(points, distance) / CELL).astype(int)
+        cells -= cells.min(axis=1, keepdims=True)
+        nearest = np.full(cells.max(axis=1) + 1, -np.inf)
+        along = points @ self.towards
+        np.maximum.at(nearest, tuple(cells), along)
+        return along > nearest[tuple(cells)] - BEHIND
+
+    def _places(self, points: Field, distance: float) -> Field:
+        """Return column and row [2,N] relative to the middle."""
+        near = 1 - points @ self.towards / distance
+        return np.stack([points @ self.across, points[:, 1]]) / near
+
+
+def blend_pictures(
+    points: Field, normals: Field, pictures: Sequence[Shown], distance: float
+) -> Field:
+    """Blend the colours [N,3] of points from the pictures that show them.
+
+    Args:
+        points: Points around the object's middle [N,3], pixels.
+        normals: Normals of the surface [N,3].
+        pictures: Pictures of the object.
+        distance: Distance of every camera, pixels.
+    """
+    weights = np.stack([picture.weights(points, normals, distance) for picture in pictures])
+    weights /= weights.sum(axis=0)
+    colours = np.stack([picture.colours(points, distance) for picture in pictures])
+    return np.einsum("vn,vnc->nc", weights, colours)

@@ -1,9 +1,9 @@
-"""The flat ends of an object: what it stands on, and where it is cut off.
+"""The flat ends of an object: the base on which it stands, and a flat top.
 
-Where an object stands, its lowest line in the picture is straight or, with perspective, an arc
-between two corners; closing the solid there like at any other rim would give it a keel. So the
-silhouette is inflated together with its mirror image below that line, as if it continued, and then
-cut off flat. The same holds for its top.
+The lowest line of a standing object in a picture is straight or, with perspective, an arc between
+two corners. Closing the solid there like at any other rim would give it a keel. So the silhouette
+is inflated together with its mirror image below that line, and then cut off flat. Flat tops are
+treated in the same way.
 """
 
 from __future__ import annotations
@@ -15,32 +15,32 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
 MIRRORED = 0.25
-"""Height of the mirror image, in picture heights; farther away it no longer affects the object."""
+"""Height of the mirror image, in picture heights; beyond, it does not affect the object."""
 FLAT = 0.2
-"""Fraction of the object's width that a flat end must have."""
+"""Smallest width of a flat end, as a fraction of the object's width."""
 ARC = 0.15
-"""Largest height of the arc in which it may end, as a fraction of its width."""
+"""Largest height of an end's arc, as a fraction of its width."""
 CORNERED = 0.92
-"""Width where the arc begins to that twice as high up, at least; a ball has 0.74."""
+"""Smallest ratio of the width where the arc begins to that twice as high up; a ball has 0.74."""
 TALL = 0.8
-"""Height of what rises from a flat end to its width, at least: less is a thing that lies there."""
+"""Smallest ratio of height to width above a flat end; flatter objects lie instead of standing."""
 
 
 @dataclass(frozen=True)
 class End:
-    """One flat end, in rows of the picture from above."""
+    """A flat end, in rows of the picture from above."""
 
     corner: float
-    """Where the sides end and the arc begins; the mirror image is taken here."""
+    """Row where the sides end and the arc begins; the silhouette is mirrored here."""
     outermost: float
-    """Where the arc ends."""
+    """Row where the arc ends."""
     sign: int
     """1: the bottom, -1: the top."""
     divided: bool = False
-    """Whether it is no arc but the outlines of several round feet."""
+    """True for the outlines of several round feet instead of an arc."""
 
     def beyond(self, y: Field, by: float = 0.0) -> NDArray[np.bool_]:
-        """Which rows lie farther out than the end, by so many pixels."""
+        """Whether rows are beyond the end by more than a number of pixels."""
         return (y - self.outermost) * self.sign > by
 
 
@@ -55,21 +55,21 @@ class Continued:
     ends: tuple[End, ...]
 
     @property
-    def own(self) -> NDArray[np.bool_]:
+    def object_mask(self) -> NDArray[np.bool_]:
         """Pixels of the object itself [H,W]."""
         return self.rgba[..., 3] > 0.5
 
 
-def continued(rgba: Field, padding: int) -> Continued:
-    """The picture [H,W,4], whose border of `padding` pixels is transparent, with its ends."""
+def continue_silhouette(rgba: Field, padding: int) -> Continued:
+    """Continue the silhouette of a picture [H,W,4] with a border of `padding` pixels."""
     alpha, ends = rgba[..., 3], []
     for sign in (1, -1):
         upright = alpha[::sign]
         rows = _arc(upright > 0.5)
         if not rows or not _rises(upright > 0.5, rows):
             continue
-        if sign < 0 and _parted(upright > 0.5, rows):
-            continue  # between two ears, say
+        if sign < 0 and _is_parted(upright > 0.5, rows):
+            continue  # such as between two ears
         last = int(np.flatnonzero((upright > 0.5).any(axis=1))[-1])
         corner = last - rows + 1
         upper = upright[: corner + 1]
@@ -88,9 +88,9 @@ def continued(rgba: Field, padding: int) -> Continued:
 
 
 def _arc(solid: NDArray[np.bool_]) -> int:
-    """In how many rows the silhouette [H,W] reaches the corners of its lowest end; 0: it has none.
+    """Return the number of rows of the silhouette's [H,W] lowest end; 0: it has no flat end.
 
-    Below a corner the sides are steep, so that the width hardly changes farther up.
+    The sides above a corner are steep, so the width hardly changes.
     """
     solid = solid[::-1][np.flatnonzero(solid[::-1].any(axis=1))[0] :]
     widths = np.count_nonzero(solid, axis=1)
@@ -105,26 +105,26 @@ def _arc(solid: NDArray[np.bool_]) -> int:
 
 
 def _widest(row: NDArray[np.bool_]) -> int:
-    """Length of the longest run of a row."""
+    """Return the length of the longest run of a row."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
     return int((edges[1::2] - edges[::2]).max())
 
 
 def _divides(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether the lowest end has more runs somewhere than where it begins."""
+    """Whether the lowest end has a row with more runs than its first row."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     runs = np.count_nonzero(np.diff(solid[last - rows + 1 : last + 1].astype(int)) > 0, axis=1)
     return bool(runs.max() > runs[0])
 
 
-def _parted(solid: NDArray[np.bool_], rows: int) -> bool:
+def _is_parted(solid: NDArray[np.bool_], rows: int) -> bool:
     """Whether a row of the lowest end has several runs."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     return any(_widest(row) < np.count_nonzero(row) for row in solid[last - rows + 1 : last + 1])
 
 
 def _rises(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether what stands on the lowest end is at least about as high as wide."""
+    """Whether the object above the lowest end is at least about as high as wide."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     row = solid[last - rows + 1]
     columns = solid[: last - rows + 2, row][::-1]

@@ -1,4 +1,4 @@
-"""Laplace's equation within a silhouette, whose rim lies where its alpha is one half."""
+"""Laplace's equation within a silhouette, whose rim is where its alpha is 1/2."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ THETA_MIN = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """A Laplace operator on the pixels inside, whose rim is located within pixels by the alpha.
+    """A Laplace operator on the pixels inside; the alpha locates the rim within pixels.
 
-    The rim is where alpha is one half. A neighbour outside at rim distance theta has weight
+    The rim is where alpha is 1/2. A neighbour outside at rim distance theta has weight
     1/theta, the symmetric second-order scheme of Gibou et al. 2002.
     """
 
@@ -30,10 +30,10 @@ class Silhouette:
 
     @classmethod
     def of(cls, alpha: Field) -> Silhouette:
-        """From alpha [H,W] in 0..1 whose outermost pixels are transparent."""
+        """Return the operator of an alpha [H,W] in 0..1 with a transparent border."""
         inside = alpha > 0.5
         weights = np.stack([_rim_weight(alpha, inside, shift) for shift in NEIGHBOURS])
-        # With wider panels than one column it takes half as long again.
+        # Panels wider than one column take 1.5 times as long.
         factors = scipy.sparse.linalg.splu(
             _laplacian(inside, weights), "MMD_AT_PLUS_A", panel_size=1, relax=1
         )
@@ -54,8 +54,8 @@ class Silhouette:
         filled[self.inside] = self.factors.solve(np.ascontiguousarray(known[self.inside]))
         return filled
 
-    def extended(self, u: Field) -> Field:
-        """`u` continued linearly across the rim: negative outside, lower farther out."""
+    def extend(self, u: Field) -> Field:
+        """Continue `u` linearly across the rim: negative outside, decreasing outwards."""
         total, count = np.zeros_like(u), np.zeros_like(u)
         for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
             mirrored = -u * np.maximum(weight - 1, 0.02)
@@ -63,13 +63,13 @@ class Silhouette:
             count += np.roll(weight > 0, (dy, dx), (0, 1))
         ghost = count > 0
         outside = np.where(ghost, total / np.maximum(count, 1), 0)
-        # Further out only the sign and the way back matter.
+        # Farther out, only the sign and the direction to the rim matter.
         far, nearest = nearest_of(ghost)
         return np.where(self.inside, u, outside[nearest] * (1 + far))
 
 
 def nearest_of(wanted: NDArray[np.bool_]) -> tuple[Field, tuple[NDArray, NDArray]]:
-    """Distance from each pixel to the nearest wanted one, pixels, and where that one is."""
+    """Return the distance from each pixel to the nearest wanted pixel, and its position."""
     distance, (y, x) = scipy.ndimage.distance_transform_edt(~wanted, return_indices=True)  # pyright: ignore
     return distance, (y, x)
 

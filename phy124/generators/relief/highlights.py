@@ -1,9 +1,9 @@
-"""Highlights taken out of a picture: else they turn with the object.
+"""Removes highlights from a picture, since they would move with the object.
 
-A highlight adds the light's own colour, white, to that of the surface: what a small bright spot has
-more than its surroundings is the same in red, green and blue, unless one of them is at its end.
-White paint on a coloured ground adds the colours that the ground lacks. On a grey ground both look
-alike, so that those are left alone.
+A highlight adds white light to the colour of the surface: compared with its surroundings, a small
+bright spot has equal amounts of red, green and blue added, unless a channel is clipped. White paint
+on a coloured surface adds the colours that the surface lacks. On a grey surface, highlights and
+paint cannot be distinguished, so grey surfaces are left unchanged.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ Field = NDArray[np.float64]
 LARGEST = 0.065
 """Radius of the largest highlight, in picture sizes."""
 SMALLEST = 3
-"""Radius of the smallest highlight, pixels; narrower ones are edges between colours."""
+"""Radius of the smallest highlight, pixels; narrower spots are edges between colours."""
 BRIGHT = 0.08
-"""How much brighter it is than its surroundings, at least."""
+"""Smallest difference of its brightness from the surroundings."""
 NEUTRAL = 0.15
-"""How much the added red, green and blue may differ, relative to the largest of them."""
+"""Largest difference of the added red, green and blue, relative to the largest of them."""
 COLOURED = 0.15
-"""Least saturation of the surroundings."""
+"""Smallest saturation of the surroundings."""
 FULL = 0.985
-"""Value from which a channel may have been cut."""
+"""Value from which a channel may be clipped."""
 RIM = 2
 """Width of the highlight's faint rim, pixels."""
 
 
 def matte(picture: Image.Image) -> Image.Image:
-    """An RGBA picture whose highlights have the colours around them."""
+    """Replace the highlights of an RGBA picture by the colours around them."""
     scale = WORK / max(opaque_size(picture))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
     small = np.asarray(picture.resize(size, Image.Resampling.BILINEAR), np.float64) / 255
@@ -47,10 +47,10 @@ def matte(picture: Image.Image) -> Image.Image:
 
 
 def _light(rgba: Field) -> Field:
-    """The light [H,W,3] that highlights add to a picture [H,W,4], the object `WORK` pixels long."""
+    """Return the light [H,W,3] that highlights add to a picture [H,W,4] of size `WORK`."""
     rgb, inside = clean_picture(rgba).astype(np.float32), rgba[..., 3] > 0.5
     disc = _disc(round(LARGEST * WORK))
-    # The darkest values near by, in spots of that size: what lies under a smaller highlight.
+    # A morphological opening gives the colours under highlights smaller than the disc.
     dark = cv2.erode(np.where(inside[..., None], rgb, np.float32(1)), disc, borderValue=(1, 1, 1))
     under = np.asarray(cv2.dilate(dark, disc, borderValue=(0, 0, 0)), np.float32)
     shine = inside & _white(rgb, under)
@@ -61,11 +61,11 @@ def _light(rgba: Field) -> Field:
 
 
 def _white(rgb: NDArray[np.float32], under: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Where a picture is its underlying colours [H,W,3] and white light [H,W]."""
+    """Return the mask [H,W] where a picture is the sum of colours [H,W,3] and white light."""
     added, full = rgb - under, rgb > FULL
     light = np.where(full, -np.inf, added).max(axis=2, keepdims=True)
     light = np.where(np.isfinite(light), light, added.max(axis=2, keepdims=True))
-    # A channel that was cut has less than the light added.
+    # The added light of a clipped channel is too small.
     apart = np.where(full, np.maximum(added - light, 0), np.abs(added - light)).max(axis=2)
     most = added.max(axis=2)
     coloured = np.ptp(under, axis=2) > COLOURED * np.maximum(under.max(axis=2), 1e-3)

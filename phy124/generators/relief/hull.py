@@ -1,7 +1,7 @@
-"""The closed surface that two silhouettes at right angles, front and side, leave.
+"""The closed surface with two given silhouettes at right angles, from front and side.
 
-At each height the cross-section is as wide as the front picture shows and as deep as the side
-picture shows, and as round as both inflated silhouettes are. Two pairs of legs give four.
+At each height, the front picture determines the width of the cross-section, the side picture its
+depth, and both inflated silhouettes its roundness. Two pairs of legs give four legs.
 Coordinates are pixels around the object's middle: x right, y down, z towards the front's viewer.
 """
 
@@ -17,18 +17,18 @@ import scipy
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.generators.relief.surface import Implicit, relaxed, settled
+from phy124.generators.relief.surface import Implicit, relax, settle
 from phy124.kernels import implicit
 
 Field = NDArray[np.float64]
 COARSE = 4
-"""Cells in which the surface is looked for first, in cells of the final size."""
+"""Size of the cells of the first search for the surface, in final cells."""
 OUTSIDE = -4.0
-"""Lowest value of a normalised silhouette, far outside it."""
-ASTRAY = 0.25
-"""Distance from the surface at which a point is left out, pixels."""
+"""Lower limit of a normalised silhouette, far outside."""
+TOLERANCE = 0.25
+"""Largest distance of a point from the surface, pixels."""
 BEYOND = 3
-"""Rows that the fields have above the object, and below it."""
+"""Rows of the fields above and below the object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,26 +51,26 @@ class Hull(Implicit):
 
     @classmethod
     def of(cls, front: Field, side: Field, y: Field, ends: tuple[bool, bool]) -> Hull:
-        """From squared half thicknesses.
+        """Return the hull of squared half thicknesses.
 
         Args:
-            front: From the front [H,W], columns around the middle, W odd.
-            side: From the side [H,D], its columns growing towards the front's viewer.
-            y: Heights of their rows [H].
+            front: From the front [H,W]; W is odd, around the middle.
+            side: From the side [H,D]; columns increase towards the front's viewer.
+            y: Heights of the rows [H].
             ends: Whether top and bottom are flat.
         """
-        thick, own = front.max(axis=1), side.max(axis=1)
-        share = np.maximum(side / np.maximum(own, 1.0)[:, None] - 1, OUTSIDE)
+        thick, largest = front.max(axis=1), side.max(axis=1)
+        share = np.maximum(side / np.maximum(largest, 1.0)[:, None] - 1, OUTSIDE)
         planes = []
         for sign, at, flat in zip((-1, 1), (BEYOND, -1 - BEYOND), ends, strict=True):
             if flat:
                 planes.append((float(sign), y[at], 2 * float(np.sqrt(max(thick[at], 4.0)))))
         depth = np.maximum(thick, 1.0)[:, None] * share
-        return cls(_sloped(front, y), _sloped(depth, y), y, tuple(planes))
+        return cls(_add_slopes(front, y), _add_slopes(depth, y), y, tuple(planes))
 
     @cached_property
     def struct(self) -> Any:
-        """What kernels read of it."""
+        """The hull's fields for kernels."""
         struct = implicit.Hull()
         struct.front = wp.array(self.front, dtype=wp.float64, device="cpu")
         struct.side = wp.array(self.side, dtype=wp.float64, device="cpu")
@@ -79,42 +79,42 @@ class Hull(Implicit):
         struct.planes = wp.array(planes, dtype=wp.vec3d, device="cpu")
         return struct
 
-    def scattered(self, pitch: float, rng: np.random.Generator) -> Field:
-        """Random points, on average one per pitch^2 of the surface."""
+    def scatter(self, pitch: float, rng: np.random.Generator) -> Field:
+        """Return random points, on average one per pitch^2 of the surface."""
         corners = self._cells(COARSE * pitch)
         offsets = np.stack(np.meshgrid(*[np.arange(COARSE)] * 3, indexing="ij"), -1).reshape(-1, 3)
         corners = (corners[:, None] + offsets * pitch).reshape(-1, 3)
         points = corners + pitch * rng.random(corners.shape)
-        # One point per cube: as many within half a pitch of the surface as it has squares.
+        # With one point per cube, one per square of the surface is within half a pitch of it.
         points = self.project(points[self._near(points, pitch / 2)], rounds=4)
-        return points[self.landed(points)]
+        return points[self.is_near(points)]
 
-    def landed(self, points: Field) -> NDArray[np.bool_]:
-        """Which points [N,3] are not astray."""
+    def is_near(self, points: Field) -> NDArray[np.bool_]:
+        """Whether points [N,3] are on the surface, within `TOLERANCE`."""
         value, gradient = self.gradient(points)
-        near = np.abs(value) < ASTRAY * np.linalg.norm(gradient, axis=1)
+        near = np.abs(value) < TOLERANCE * np.linalg.norm(gradient, axis=1)
         return near & (np.abs(points) <= self._reach()).all(axis=1)
 
     def _reach(self) -> Field:
-        """Half of width, height and depth of the fields [3]."""
+        """Return half of the width, height and depth of the fields [3]."""
         sizes = self.front.shape[1] // 2, float(np.abs(self.y).max()), self.side.shape[1] // 2
         return np.array(sizes, dtype=np.float64)
 
     def _cells(self, size: float) -> Field:
-        """Corners [M,3] of the cubes of a size that the surface may cross."""
+        """Return the corners [M,3] of the cubes that the surface may cross."""
         axes = [np.arange(-half, half, size) for half in self._reach()]
         corners = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         return corners[self._near(corners + size / 2, 1.3 * size)]
 
     def _near(self, points: Field, distance: float) -> NDArray[np.bool_]:
-        """Whether the surface is about so near to points [N,3]."""
+        """Whether the surface is approximately within a distance of points [N,3]."""
         value, gradient = self.gradient(points)
-        # Of r^2 - |p|^2 the distance is value / (r + |p|); far inside the gradient says too little.
+        # For r^2 - |p|^2, the distance is value / (r + |p|); far inside, the gradient is too small.
         slope = np.sqrt((gradient**2).sum(axis=1) / 4 + np.abs(value))
         return np.abs(value) <= 2 * distance * slope
 
 
-def _sloped(w: Field, y: Field) -> Field:
+def _add_slopes(w: Field, y: Field) -> Field:
     dy, dx = np.gradient(scipy.ndimage.gaussian_filter(w, 0.7), y, np.arange(w.shape[1]))
     return np.stack([w, dx, dy], axis=2)
 
@@ -122,23 +122,23 @@ def _sloped(w: Field, y: Field) -> Field:
 def spread_over(
     hull: Hull, count: int, rng: np.random.Generator, alive: Callable[[], None] = lambda: None
 ) -> tuple[Field, Field, Field]:
-    """About `count` points [N,3] spread evenly over the hull, their normals and spacing.
+    """Distribute about `count` points [N,3] evenly over the hull; return normals and spacing, too.
 
     Args:
         hull: The surface.
-        count: How many.
+        count: Approximate number of points.
         rng: Random numbers.
         alive: Called between rounds; may raise.
     """
     trial = 3.0
-    pitch = trial * float(np.sqrt(max(len(hull.scattered(trial, rng)), 1) / count))
-    points = hull.scattered(pitch, rng)
+    pitch = trial * float(np.sqrt(max(len(hull.scatter(trial, rng)), 1) / count))
+    points = hull.scatter(pitch, rng)
 
-    def wanted(normals: Field) -> Field:
+    def spacing_at(normals: Field) -> Field:
         return np.full(len(normals), pitch)
 
-    points = settled(hull, points, wanted, alive)
-    points, spacing = relaxed(hull, points, wanted)
-    landed = hull.landed(points)  # all but a handful
-    points, spacing = points[landed], spacing[landed]
+    points = settle(hull, points, spacing_at, alive)
+    points, spacing = relax(hull, points, spacing_at)
+    is_near = hull.is_near(points)  # all but a handful
+    points, spacing = points[is_near], spacing[is_near]
     return points, hull.normals(points), spacing

@@ -1,8 +1,8 @@
-"""Front and side without perspective: as cameras infinitely far away would take them.
+"""Removes the perspective of the front and side pictures, as if their cameras were infinitely far.
 
-A row of the front is pictured larger the nearer it is, and how near it is the side shows at the
-same height, and the other way round. What counts is the part of the row that appears thickest, and
-at a flat end the nearer edge.
+A row of the front appears larger the nearer it is. The side picture shows its distance at the same
+height, and vice versa. The distance is that of the part of the row that appears thickest or, at a
+flat end, of the nearer edge.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
 ROUNDS = 8
-"""Rounds in which the heights of both are made to agree."""
+"""Number of iterations that match the heights of both pictures."""
 SMOOTHING = 0.04
 """Width over which the depths of rows are smoothed, in heights."""
 END = 0.05
-"""Part of the height that a flat end affects."""
+"""Fraction of the height that a flat end affects."""
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """One inflated silhouette."""
+    """An inflated silhouette."""
 
     w: Field
     """Squared half thickness [H,W], pixels^2, negative outside, continued beyond flat ends."""
@@ -36,11 +36,11 @@ class Profile:
     """Whether top and bottom are flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """How near to the other camera is what it sees in each row, and the nearest edge.
+        """Return how near each row's thickest part and nearest edge are to the other camera.
 
         Args:
             y: Rows from the middle [N].
-            distance: Of the other camera from the middle, pixels.
+            distance: Distance of the other camera from the middle, pixels.
         """
         columns = np.arange(self.w.shape[1]) - self.middle[0]
         far = 1 - columns / distance
@@ -64,7 +64,7 @@ class Profile:
 
 @dataclass(frozen=True)
 class Rows:
-    """Where a picture shows the heights of the object."""
+    """Map from heights of the object to rows of a picture."""
 
     k: Field
     """Pixels of the picture per pixel of the object, at every height [N]."""
@@ -72,46 +72,46 @@ class Rows:
     """Row of height 0, from the middle."""
 
     def rows(self, y: Field) -> Field:
-        """Rows from the middle, of the heights y [N]."""
+        """Return the rows from the middle of heights y [N]."""
         return y * self.k + self.shift
 
 
-def matched(front: Profile, side: Profile, distance: float) -> tuple[Field, Rows, Rows]:
-    """Heights of the object [N], and where both pictures show them.
+def match_heights(front: Profile, side: Profile, distance: float) -> tuple[Field, Rows, Rows]:
+    """Return heights of the object [N], and their rows in both pictures.
 
     Args:
-        front: From the front.
-        side: From the side, its columns growing towards the front's viewer.
-        distance: Of both cameras from the middle, pixels.
+        front: Profile from the front.
+        side: Profile from the side; its columns increase towards the front's viewer.
+        distance: Distance of both cameras from the middle, pixels.
     """
     y = np.arange(-np.ceil(front.half) - 3, np.ceil(front.half) + 4)
-    one, other, scale = Rows(np.ones_like(y)), Rows(np.ones_like(y)), 1.0
+    front_rows, side_rows, scale = Rows(np.ones_like(y)), Rows(np.ones_like(y)), 1.0
     for _ in range(ROUNDS):
-        x, right = front.nearness(one.rows(y), distance)
-        z, near = side.nearness(other.rows(y), distance)
+        x, right = front.nearness(front_rows.rows(y), distance)
+        z, near = side.nearness(side_rows.rows(y), distance)
         ends = _ends(front, side, y)
-        k_front = 1 / (1 - np.where(ends, near, z) / other.k / distance)
-        k_side = 1 / (1 - np.where(ends, right, x) / one.k / distance)
+        k_front = 1 / (1 - np.where(ends, near, z) / side_rows.k / distance)
+        k_side = 1 / (1 - np.where(ends, right, x) / front_rows.k / distance)
         top, bottom = (sign * front.half / k_front[at] for sign, at in ((-1, 3), (1, -4)))
         y = np.linspace(top, bottom, len(y) - 6)
         step = y[1] - y[0]
         y = np.concatenate([top + step * np.arange(-3, 0), y, bottom + step * np.arange(1, 4)])
         upper, lower = top * k_side[3], bottom * k_side[-4]
         scale = 2 * side.half / (lower - upper)
-        one = Rows(k_front)
-        other = Rows(scale * k_side, side.half - scale * lower)
-    return y, one, other
+        front_rows = Rows(k_front)
+        side_rows = Rows(scale * k_side, side.half - scale * lower)
+    return y, front_rows, side_rows
 
 
 def _ends(front: Profile, side: Profile, y: Field) -> NDArray[np.bool_]:
-    """Which heights [N] are near a flat end."""
+    """Whether heights [N] are near a flat end."""
     reach = (y[-1] - y[0]) * END
     top, bottom = (any(flat) for flat in zip(front.ends, side.ends, strict=True))
     return (top & (y < y[0] + reach)) | (bottom & (y > y[-1] - reach))
 
 
-def straightened(profile: Profile, y: Field, rows: Rows) -> Field:
-    """Squared half thickness [N,W] at heights y [N], columns around the middle, W odd."""
+def straighten(profile: Profile, y: Field, rows: Rows) -> Field:
+    """Resample the squared half thickness [N,W] at heights y [N]; W is odd, around the middle."""
     column = np.flatnonzero((profile.w > 0).any(axis=0)) - profile.middle[0]
     reach = int(np.ceil(np.abs(column).max() / rows.k.min())) + 4
     columns = np.arange(-reach, reach + 1)

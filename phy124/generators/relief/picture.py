@@ -1,4 +1,4 @@
-"""The object of a picture, at the size at which `relief` computes."""
+"""The object of a picture, at the resolution of `relief`'s computation."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.generators.depth_map import fitted
-from phy124.generators.relief.front import normalised
+from phy124.generators.extras import fit_to_picture
+from phy124.generators.relief.solids import normalise_depth
 
 Field = NDArray[np.float64]
 Given = Image.Image | NDArray[np.uint8]
@@ -18,13 +18,13 @@ PADDING = 4
 """Width of the transparent border around it, pixels."""
 
 
-def opened(given: Given, field: str = "image") -> Image.Image:
-    """A picture with an alpha channel in which something is opaque.
+def open_picture(image: Given, field: str = "image") -> Image.Image:
+    """Convert a picture to RGBA, with something opaque in it.
 
     Raises:
-        InputError: If nothing is; `field` says in which picture.
+        InputError: If nothing is opaque; `field` names the picture.
     """
-    picture = given if isinstance(given, Image.Image) else Image.fromarray(np.asarray(given))
+    picture = image if isinstance(image, Image.Image) else Image.fromarray(np.asarray(image))
     picture = picture.convert("RGBA")
     if not (np.asarray(picture.getchannel("A")) > 127).any():
         limit = "Nothing in it is opaque."
@@ -33,7 +33,7 @@ def opened(given: Given, field: str = "image") -> Image.Image:
 
 
 def opaque_size(picture: Image.Image) -> tuple[int, int]:
-    """Width and height of the opaque part of a picture."""
+    """Return the width and height of the opaque part of a picture."""
     left, top, right, bottom = _box(picture)
     return 1 + right - left, 1 + bottom - top
 
@@ -41,10 +41,10 @@ def opaque_size(picture: Image.Image) -> tuple[int, int]:
 def work_picture(
     picture: Image.Image, scale: float | None = None, depth: NDArray | None = None
 ) -> Field:
-    """The opaque part [H,W,4] in 0..1, padded by `PADDING`; a depth map is its fifth channel.
+    """Return the opaque part [H,W,4] in 0..1, padded by `PADDING`; channel 5 is the depth map.
 
     Args:
-        picture: A picture that `opened` gave.
+        picture: A picture of `open_picture`.
         scale: Enlargement; None: the longest side becomes `WORK` pixels.
         depth: Depth map of the picture.
     """
@@ -54,12 +54,14 @@ def work_picture(
     distances = None
     if depth is not None:
         alpha = np.asarray(picture.getchannel("A"))
-        distances = Image.fromarray(normalised(fitted(depth, *picture.size), alpha)).crop(box)
+        distances = Image.fromarray(
+            normalise_depth(fit_to_picture(depth, *picture.size), alpha)
+        ).crop(box)
     picture = picture.crop(box)
     scale = scale or WORK / (1 + max(right - left, bottom - top))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
-    # Filters without negative lobes: colours must not overshoot where alpha is cut at 1. Hamming is
-    # the sharper one, but shows the pixels of tiny pictures as squares.
+    # Filters without negative lobes, since colours must not overshoot where alpha is clipped at 1.
+    # Hamming is sharper, but shows the pixels of tiny pictures as squares.
     sharp, smooth = Image.Resampling.HAMMING, Image.Resampling.BILINEAR
     picture = picture.resize(size, sharp if scale < 2 else smooth)
     rgba = np.asarray(picture, dtype=np.float64) / 255

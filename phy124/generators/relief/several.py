@@ -9,25 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124.generators.relief.colours import back_picture, clean_picture
-from phy124.generators.relief.ends import Continued, continued
+from phy124.generators.relief.colours import Shown, back_picture, blend_pictures, clean_picture
+from phy124.generators.relief.ends import Continued, continue_silhouette
 from phy124.generators.relief.height import Silhouette
 from phy124.generators.relief.hull import Hull, spread_over
-from phy124.generators.relief.parallel import Profile, matched, straightened
+from phy124.generators.relief.parallel import Profile, match_heights, straighten
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
 from phy124.generators.relief.shell import DRAWN_IN, Shell
 from phy124.generators.relief.sides import Box, check_side, overlap
-from phy124.generators.relief.single import ACROSS, FRONT, back_shown
+from phy124.generators.relief.single import ACROSS, FRONT, show_back
 from phy124.generators.relief.solids import flat_topped, half_thickness
-from phy124.generators.relief.textures import Shown, blended
-from phy124.generators.relief.view import VIEW_DISTANCE
+from phy124.generators.relief.surface import VIEW_DISTANCE
 
 Field = NDArray[np.float64]
 Facing = Literal["left", "right"]
 IMAGINED = 0.3
-"""Weight of a side that no picture shows."""
+"""Weight of an imagined side."""
 BACK_PLACE = 1
-"""Which of the four sides is the back."""
+"""Index of the back among the four sides."""
 
 
 def from_sides(
@@ -40,12 +39,12 @@ def from_sides(
     rng: np.random.Generator,
     step: Callable[[int], None],
 ) -> Shell:
-    """What both silhouettes leave, with the colours of every picture where it shows them.
+    """Intersect both silhouettes, and colour the result by all pictures.
 
     Args:
         picture: The front.
         side: The object from one side.
-        facing: Which way the object looks there.
+        facing: Direction of the object's front there.
         back: The object from behind.
         count: Approximate number of points.
         rng: Random numbers.
@@ -56,62 +55,62 @@ def from_sides(
     """
     (width, height), (depth, other) = opaque_size(picture), opaque_size(side)
     tall = WORK / max(1.0, width / height, depth / other)
-    front = continued(work_picture(picture, tall / height), PADDING)
+    front = continue_silhouette(work_picture(picture, tall / height), PADDING)
     turned = work_picture(side, tall / other)
-    beside = continued(turned[:, ::-1] if facing == "left" else turned, PADDING)
-    check_side(front.own, beside.own)
+    side_picture = continue_silhouette(turned[:, ::-1] if facing == "left" else turned, PADDING)
+    check_side(front.object_mask, side_picture.object_mask)
     distance = VIEW_DISTANCE * WORK
-    one, two = _profile(front), _profile(beside)
-    y, rows, side_rows = matched(one, two, distance)
-    flat = one.ends[0] or two.ends[0], one.ends[1] or two.ends[1]
-    hull = Hull.of(straightened(one, y, rows), straightened(two, y, side_rows), y, flat)
+    ahead, across = _profile(front), _profile(side_picture)
+    y, rows, side_rows = match_heights(ahead, across, distance)
+    flat = ahead.ends[0] or across.ends[0], ahead.ends[1] or across.ends[1]
+    hull = Hull.of(straighten(ahead, y, rows), straighten(across, y, side_rows), y, flat)
     step(1)
     points, normals, spacing = spread_over(hull, count, rng, lambda: step(1))
     step(2)
     points = points - hull.inset(points, DRAWN_IN) * normals
-    shrunk = _shrinking(points, Box.of(front.own), distance)
+    shrunk = _shrinking(points, Box.of(front.object_mask), distance)
     points, spacing = shrunk * points, shrunk * spacing
-    shown = _shown(front, beside)
+    shown = _show_sides(front, side_picture)
     if back is not None:
-        shown[BACK_PLACE] = back_shown(back, tall / opaque_size(back)[1], front.own)
-    rgb = blended(points, normals, shown, distance)
+        shown[BACK_PLACE] = show_back(back, tall / opaque_size(back)[1], front.object_mask)
+    rgb = blend_pictures(points, normals, shown, distance)
     step(3)
     return Shell(points, normals, spacing, rgb)
 
 
-def _shown(front: Continued, beside: Continued) -> list[Shown]:
-    """What front, back, one side and the other look like.
+def _show_sides(front: Continued, side_picture: Continued) -> list[Shown]:
+    """Return the pictures of front, back, and both sides.
 
-    The more symmetric of both pictures tells the plane of symmetry: the other one, mirrored, shows
-    what is opposite to it. What is opposite to the symmetric one is imagined.
+    The more symmetric picture determines the plane of symmetry: the other picture, mirrored, shows
+    its opposite side. The side opposite to the symmetric picture is imagined.
     """
     pictures = []
-    for picture, towards, across in ((front, FRONT, ACROSS), (beside, ACROSS, FRONT)):
-        rgb, middle = clean_picture(picture.rgba), Box.of(picture.own).middle
-        plain = back_picture(rgb, picture.own, WORK)
+    for picture, towards, across in ((front, FRONT, ACROSS), (side_picture, ACROSS, FRONT)):
+        rgb, middle = clean_picture(picture.rgba), Box.of(picture.object_mask).middle
+        plain = back_picture(rgb, picture.object_mask, WORK)
         mirrored = Shown(rgb, middle, -towards, across)
         imagined = Shown(plain, middle, -towards, across, IMAGINED)
         pictures.append((Shown(rgb, middle, towards, across), mirrored, imagined))
-    facing_us = _symmetry(front.own) >= _symmetry(beside.own)
+    facing_us = _symmetry(front.object_mask) >= _symmetry(side_picture.object_mask)
     (ahead, behind, plain_behind), (near, far, plain_far) = pictures
     return [ahead, plain_behind if facing_us else behind, near, far if facing_us else plain_far]
 
 
-def _symmetry(own: NDArray[np.bool_]) -> float:
-    """Overlap of a silhouette [H,W] with its mirror image."""
-    return overlap(own, own[:, ::-1])
+def _symmetry(object_mask: NDArray[np.bool_]) -> float:
+    """Return the overlap of a silhouette [H,W] with its mirror image."""
+    return overlap(object_mask, object_mask[:, ::-1])
 
 
 def _profile(picture: Continued) -> Profile:
-    silhouette, box = Silhouette.of(picture.alpha), Box.of(picture.own)
+    silhouette, box = Silhouette.of(picture.alpha), Box.of(picture.object_mask)
     half = half_thickness(silhouette, picture, WORK)
-    w = flat_topped(silhouette.inside) if half is None else silhouette.extended(half)
+    w = flat_topped(silhouette.inside) if half is None else silhouette.extend(half)
     signs = {end.sign for end in picture.ends}
     return Profile(w, box.middle, box.size[1] / 2, (-1 in signs, 1 in signs))
 
 
 def _shrinking(points: Field, box: Box, distance: float) -> float:
-    """Factor that makes the front camera see points [N,3] as large as they are pictured."""
+    """Return the factor with which the front camera sees points [N,3] in the pictured size."""
     axis = int(np.argmax(box.size))
     factor = 1.0
     for _ in range(4):

@@ -1,4 +1,4 @@
-"""The shell of flat Gaussians that the object's surface becomes."""
+"""The shell of flat Gaussians on the object's surface."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Field = NDArray[np.float64]
 TANGENT = 0.58
 """Standard deviation along the surface, in spacings: neighbours overlap without holes."""
 BACK_REACH = 1.25
-"""The same on the back, relative to the front."""
+"""Factor of the standard deviation along the surface on the back."""
 NORMAL = 0.12
 """Standard deviation across the surface, in spacings: flat, so that the outline is crisp."""
 OPACITY = 0.97
@@ -27,7 +27,7 @@ class Shell:
     """Points of a surface around the object's middle: x right, y down, z towards the viewer."""
 
     points: Field
-    """[N,3], pixels, already drawn in by `DRAWN_IN`."""
+    """Centres [N,3], pixels, at the depth `DRAWN_IN`."""
     normals: Field
     """Outward unit normals [N,3]."""
     spacing: Field
@@ -36,11 +36,11 @@ class Shell:
     """[N,3]."""
 
     def gaussians(self) -> Gaussians:
-        """In metres, in the axes of the world."""
+        """Return the Gaussians in metres, in the axes of the world."""
         # World x is towards the viewer, y to the right, z up.
         means = self.points[:, [2, 0, 1]] * [1, 1, -1] / WORK
         normals = self.normals[:, [2, 0, 1]] * [1, 1, -1]
-        # Wider behind, where colours are smooth: no gap shows the front from within.
+        # Wider on the back, whose colours are smooth, so that no gap shows the inside of the front.
         reach = TANGENT * self.spacing * np.interp(-normals[:, 0], [0.0, 0.5], [1.0, BACK_REACH])
         scales = np.stack([reach, reach, NORMAL * self.spacing], axis=1) / WORK
         opacities = np.full(len(means), OPACITY)
@@ -51,7 +51,7 @@ class Shell:
 
 
 def _frames(normals: Field) -> Field:
-    """Rotations [N,3,3] whose third column is the normal."""
+    """Return rotations [N,3,3] whose third column is the normal."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     first = np.cross(helper, normals)
     first /= np.linalg.norm(first, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Further pictures of the object, from the side and from behind, brought to the front's scale."""
+"""Checks of further pictures of the object, from the side and from behind."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from phy124.errors import InputError
 Field = NDArray[np.float64]
 Solid = NDArray[np.bool_]
 UNLIKE = 0.5
-"""Least overlap of the front's silhouette with the mirrored one from behind."""
+"""Smallest overlap of the front's silhouette with the mirrored one from behind."""
 EMPTY = 0.05
-"""Largest fraction of the heights at which one picture shows something and the other nothing."""
+"""Largest fraction of heights at which only one of both pictures shows the object."""
 DEEPEST, FLATTEST = 4.0, 0.03
-"""Largest and smallest depth that a side may show, in longest sides of the front."""
+"""Largest and smallest depth, in longest sides of the front."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """Where the object is in a picture, pixels."""
+    """Position of the object in a picture, pixels."""
 
     top: int
     bottom: int
@@ -30,7 +30,7 @@ class Box:
 
     @classmethod
     def of(cls, solid: Solid) -> Box:
-        """From the silhouette [H,W]."""
+        """Return the box of a silhouette [H,W]."""
         rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
         return cls(int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1)
 
@@ -41,18 +41,18 @@ class Box:
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Column and row of the middle, counted from the middle of the first pixel."""
+        """Column and row of the middle, relative to the middle of the first pixel."""
         return (self.left + self.right - 1) / 2, (self.top + self.bottom - 1) / 2
 
 
 def check_side(front: Solid, side: Solid) -> None:
-    """Refuse silhouettes of equal height that no object has from the front and from the side.
+    """Refuse silhouettes of equal height that cannot be of the same object.
 
     Raises:
-        InputError: If the depth is out of proportion, or one is empty where the other is not.
+        InputError: If the depth is out of proportion, or only one shows the object at some heights.
     """
-    one, other = Box.of(front), Box.of(side)
-    depth = other.size[0] / max(one.size)
+    front_box, side_box = Box.of(front), Box.of(side)
+    depth = side_box.size[0] / max(front_box.size)
     if not FLATTEST <= depth <= DEEPEST:
         limit = (
             f"At the height of the front the object would be {depth:.2g} times as deep as its "
@@ -60,22 +60,23 @@ def check_side(front: Solid, side: Solid) -> None:
         )
         remedy = "Give pictures of the whole object, upright in both."
         raise InputError("side", "picture", limit, remedy)
-    height = min(one.size[1], other.size[1])
+    height = min(front_box.size[1], side_box.size[1])
     rows = [
         solid[box.top : box.top + height].any(axis=1)
-        for solid, box in ((front, one), (side, other))
+        for solid, box in ((front, front_box), (side, side_box))
     ]
     if float(np.mean(rows[0] != rows[1])) > EMPTY:
-        limit = "At some heights one of front and side shows the object and the other nothing."
-        raise InputError("side", "picture", limit, "Give both of one object, upright in both.")
+        limit = "At some heights, only one of front and side shows the object."
+        remedy = "Give two pictures of the same object, upright in both."
+        raise InputError("side", "picture", limit, remedy)
 
 
 def check_back(front: Solid, back: Solid) -> None:
-    """Refuse a silhouette from behind that is not about the mirrored one of the front.
+    """Refuse a silhouette from behind that differs from the mirrored silhouette of the front.
 
     Args:
-        front: From the front.
-        back: From behind, already mirrored, of the same height.
+        front: Silhouette from the front.
+        back: Silhouette from behind, already mirrored, of the same height.
 
     Raises:
         InputError: If they differ, or the picture has been mirrored before.
@@ -90,12 +91,12 @@ def check_back(front: Solid, back: Solid) -> None:
     raise InputError("back", "picture", limit, remedy)
 
 
-def overlap(one: Solid, other: Solid) -> float:
-    """Intersection over union of two silhouettes whose boxes' middles are laid on each other."""
-    boxes = Box.of(one), Box.of(other)
+def overlap(first: Solid, second: Solid) -> float:
+    """Return the intersection over union of two silhouettes with aligned middles."""
+    boxes = Box.of(first), Box.of(second)
     width, height = (max(sizes) for sizes in zip(*(box.size for box in boxes), strict=True))
     placed = []
-    for solid, box in zip((one, other), boxes, strict=True):
+    for solid, box in zip((first, second), boxes, strict=True):
         canvas = np.zeros((height, width), bool)
         top, left = (height - box.size[1]) // 2, (width - box.size[0]) // 2
         part = solid[box.top : box.bottom, box.left : box.right]

@@ -1,25 +1,86 @@
-"""The shell of an object whose shape is known from the front alone."""
+"""The shell of an object that is known only from the front."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124.generators.relief.caps import cap
-from phy124.generators.relief.colours import back_picture, clean_picture, colour
-from phy124.generators.relief.ends import End, continued
-from phy124.generators.relief.front import with_front
+from phy124.generators.relief.colours import (
+    Shown,
+    back_picture,
+    blend_pictures,
+    clean_picture,
+    colour_points,
+)
+from phy124.generators.relief.ends import End, continue_silhouette
 from phy124.generators.relief.height import Silhouette
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
 from phy124.generators.relief.shell import DRAWN_IN, Shell
 from phy124.generators.relief.sides import Box, check_back
-from phy124.generators.relief.solids import inflated
-from phy124.generators.relief.surface import Surface, spread
-from phy124.generators.relief.textures import Shown, blended
-from phy124.generators.relief.view import VIEW_DISTANCE, View
+from phy124.generators.relief.solids import RIM, apply_depth, inflate
+from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
+
+SEEN = 0.7
+"""Fraction of the thickness at which an end's plane meets the picture's lowest line. (The plane of
+feet meets that line at the front.)"""
+
+
+@dataclass(frozen=True)
+class Cap:
+    """The flat face at an end."""
+
+    points: Field
+    """Lattice of points on it [M,3], pixels."""
+    normals: Field
+    """Normals before projection [M,3]."""
+    level: float
+    """Projected y of its plane, pixels; everything beyond is cut off."""
+    sign: int
+
+    def within(self, y: Field, by: float) -> NDArray[np.bool_]:
+        """Whether projected heights are inside by at least a number of pixels."""
+        return (self.level - y) * self.sign >= by
+
+
+def make_cap(surface: Surface, view: View, end: End, pitch: float) -> Cap:
+    """Make the flat face of an end, at the height at which the front camera sees it on the line.
+
+    Args:
+        surface: The inflated solid.
+        view: The front camera.
+        end: The end.
+        pitch: Spacing of the points, pixels.
+    """
+    thick = _thick(surface, end.corner - 0.5 * end.sign)
+    feet = _thick(surface, end.outermost - RIM * end.sign) if end.divided else thick
+    near = (end.outermost - view.middle[1]) * view.k(np.array(feet))
+    seen = 1.0 if end.divided else SEEN
+    level = float(seen * near + (1 - seen) * (end.corner - view.middle[1]))
+    width = surface.w.shape[1]
+    x = np.arange(-width / 2, width / 2, pitch)
+    z = np.arange(-thick, thick + pitch, pitch * 3**0.5 / 2)
+    gx, gz = np.meshgrid(x, z)
+    # A triangular lattice: every second line is shifted by half a step.
+    gx = gx + np.where(np.arange(len(z)) % 2, pitch / 2, 0.0)[:, None]
+    drawn = np.stack([gx.ravel(), np.full(gx.size, level), gz.ravel()], axis=1)
+    points = view.unproject(drawn)
+    value, gradient = surface.gradient(points)
+    points = points[value > 0.5 * np.linalg.norm(gradient, axis=1)]
+    depth = points[:, 2]
+    tilt = -level / view.distance / view.k(depth) ** 2
+    normals = end.sign * np.stack([np.zeros_like(tilt), np.ones_like(tilt), tilt], axis=1)
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return Cap(points, normals, level, end.sign)
+
+
+def _thick(surface: Surface, row: float) -> float:
+    """Return the largest half thickness in a row, pixels."""
+    return float(np.sqrt(max(surface.w[int(row)].max(), 0.0)))
+
 
 Field = NDArray[np.float64]
 Step = Callable[[int], None]
@@ -36,7 +97,7 @@ def from_front(
     back: Image.Image | None,
     thickness: float,
 ) -> Shell:
-    """The silhouette inflated; the back as the picture's rim suggests it, or as pictured.
+    """Inflate the silhouette; colour the back by its picture, or like the front picture's rim.
 
     Args:
         picture: The front.
@@ -45,41 +106,41 @@ def from_front(
         step: Called with the number of steps done, also between them.
         depth: Depth map of the picture; None: the front is inflated, too.
         back: The object from behind.
-        thickness: Of the object, relative to what its silhouette suggests.
+        thickness: Depth relative to the guess from the silhouette.
     """
-    work = continued(work_picture(picture, depth=depth), PADDING)
+    work = continue_silhouette(work_picture(picture, depth=depth), PADDING)
     silhouette = Silhouette.of(work.alpha)
-    view = View.of(work.own, VIEW_DISTANCE * WORK)
-    surface = inflated(silhouette, work, view, WORK, thickness)
+    view = View.of(work.object_mask, VIEW_DISTANCE * WORK)
+    surface = inflate(silhouette, work, view, WORK, thickness)
     if depth is not None:
-        surface = with_front(surface, work.rgba[..., 4], work.own)
+        surface = apply_depth(surface, work.rgba[..., 4], work.object_mask)
     step(1)
     points, normals, spacing = _points(surface, view, work.ends, count, rng, lambda: step(1))
     step(2)
     front = clean_picture(work.rgba[..., :4])
     inner = points - surface.inset(points, DRAWN_IN) * normals
-    drawn, turned = view.drawn(inner, normals)
+    drawn, turned = view.project_points(inner, normals)
     if back is None:
         imagined = back_picture(front, silhouette.inside, WORK)
-        rgb = colour(points, surface, silhouette.inside, front, imagined, WORK)
+        rgb = colour_points(points, surface, silhouette.inside, front, imagined, WORK)
     else:
-        scale = Box.of(work.own).size[1] / opaque_size(back)[1]
+        scale = Box.of(work.object_mask).size[1] / opaque_size(back)[1]
         middle = float(view.middle[0]), float(view.middle[1])
-        shown = Shown(front, middle, FRONT, ACROSS), back_shown(back, scale, work.own)
-        rgb = blended(drawn, turned, shown, view.distance)
+        shown = Shown(front, middle, FRONT, ACROSS), show_back(back, scale, work.object_mask)
+        rgb = blend_pictures(drawn, turned, shown, view.distance)
     step(3)
     return Shell(drawn, turned, spacing, rgb)
 
 
-def back_shown(back: Image.Image, scale: float, own: NDArray[np.bool_]) -> Shown:
-    """A picture from behind, mirrored; `own` is the front's silhouette [H,W].
+def show_back(back: Image.Image, scale: float, object_mask: NDArray[np.bool_]) -> Shown:
+    """Return a picture from behind, mirrored; `object_mask` is the front's silhouette [H,W].
 
     Raises:
         InputError: If the silhouettes differ.
     """
     rgba = work_picture(back, scale)[:, ::-1]
     solid = rgba[..., 3] > 0.5
-    check_back(own, solid)
+    check_back(object_mask, solid)
     return Shown(clean_picture(rgba), Box.of(solid).middle, BACK, ACROSS)
 
 
@@ -91,10 +152,10 @@ def _points(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field]:
-    """Points, normals and spacing of the walls between the flat ends, and of those."""
+    """Return points, normals and spacing of the walls and the flat ends."""
     points, normals, spacing, pitch = spread(surface, ends, count, rng, alive)
-    caps = [cap(surface, view, end, pitch) for end in ends]
-    height = view.drawn(points, normals)[0][:, 1]
+    caps = [make_cap(surface, view, end, pitch) for end in ends]
+    height = view.project_points(points, normals)[0][:, 1]
     kept = np.ones(len(points), bool)
     for face in caps:
         kept &= face.within(height, DRAWN_IN)

@@ -1,9 +1,9 @@
-"""Which solid a silhouette is taken for, and how thick that is behind each pixel.
+"""The solid that is assumed for a silhouette: round, turned on a lathe, or a slab.
 
-Round parts are as deep as they are wide: the union of all balls that fit inside, so a disc gives a
-ball and a limb a cylinder. What looks turned on a lathe (every row one run about one axis, with a
-waist) is as deep in each row as it is wide there. A figure of straight edges without shading is a
-slab.
+Round parts are as deep as wide: the union of all balls that fit inside, so a disc gives a ball and
+a limb a cylinder. An object that looks turned on a lathe (each row is a single run about the same
+axis, with a waist) is as deep in each row as it is wide there. An unshaded shape with straight
+edges is assumed to be a flat slab. A depth map replaces the assumed shape of the front.
 """
 
 from __future__ import annotations
@@ -13,61 +13,64 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from phy124.errors import InputError
 from phy124.generators.relief.ends import Continued
 from phy124.generators.relief.height import Silhouette, nearest_of
-from phy124.generators.relief.surface import Surface
-from phy124.generators.relief.view import View
+from phy124.generators.relief.surface import Surface, View
 
 Field = NDArray[np.float64]
 SMOOTHING = 0.02
 """Width over which thicknesses are smoothed, in picture sizes."""
 CENTRED = 0.06
-"""How far rows may be off the axis of what is turned on a lathe, in half widths."""
+"""Largest distance of a row's middle from the axis of a lathe, in half widths."""
 EVERY = 0.97
-"""Fraction of the rows that must be so."""
+"""Smallest fraction of the rows that must fit the lathe."""
 WAISTED = 0.97
-"""Area to that of the convex hull below which there is a waist."""
+"""Ratio of the area to that of the convex hull below which there is a waist."""
 OVERHANG = 3.0
-"""Largest depth to height of a brim of what is turned; a wing is thinner."""
+"""Largest ratio of depth to height of a turned brim; a wing is thinner."""
 STRAIGHT = 0.98
-"""Overlap with a polygon of few corners from which the outline counts as straight."""
+"""Smallest overlap with a polygon of few corners for an outline of straight edges."""
 CORNERS = 12
 ROUNDED = 0.1
 """Radius of a block's edges, in half widths."""
 RIM = 3.0
-"""Width over which the outline of a foot is rounded off, pixels."""
+"""Width over which the outline of a foot is rounded, pixels."""
 SHADED = 0.1
-"""Change of brightness over a round side, relative to the mean, that shows that it is round."""
+"""Smallest change of brightness across a shaded round object, relative to the mean."""
 
 
-def inflated(
+def inflate(
     silhouette: Silhouette, picture: Continued, view: View, size: int, thickness: float = 1.0
 ) -> Surface:
-    """The surface of the solid that a silhouette is taken for.
+    """Return the surface of the solid that is assumed for a silhouette.
 
     Args:
-        silhouette: With its continuation beyond flat ends.
-        picture: Colours, and where the object itself is.
+        silhouette: The silhouette, continued beyond flat ends.
+        picture: Colours, and mask of the object.
         view: The front camera.
-        size: Of the object, pixels.
-        thickness: Depth relative to what the silhouette suggests.
+        size: Size of the object, pixels.
+        thickness: Depth relative to the assumption.
     """
     half = half_thickness(silhouette, picture, size)
     if half is None:
         return _slab(picture, view, thickness)
-    surface = Surface.seen(silhouette.extended(thickness**2 * half), view.middle, view.distance)
+    surface = Surface.seen(silhouette.extend(thickness**2 * half), view.middle, view.distance)
     if any(end.divided for end in picture.ends):
         return Surface.of(_with_feet(surface.w, picture), surface.m)
     return surface
 
 
 def _with_feet(w: Field, picture: Continued) -> Field:
-    """Squared half thicknesses where round feet are as deep as what stands on them.
+    """Return squared half thicknesses with round feet, which are as deep as the object above them.
 
-    Beyond the corners there is their outline instead of the mirror image's; its rim is round.
+    Beyond the corners, the outline is that of the feet instead of the mirror image, with a round
+    rim.
     """
     distance = np.where(
-        picture.own, nearest_of(~picture.own)[0] - 0.5, 0.5 - nearest_of(picture.own)[0]
+        picture.object_mask,
+        nearest_of(~picture.object_mask)[0] - 0.5,
+        0.5 - nearest_of(picture.object_mask)[0],
     )
     feet = np.maximum(w, 1.0) * np.clip(distance / RIM, -4, 1)
     rows = np.arange(len(w))[:, None]
@@ -78,15 +81,15 @@ def _with_feet(w: Field, picture: Continued) -> Field:
 
 
 def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Field | None:
-    """Squared half thicknesses [H,W] of what is round; None of what is taken for a slab.
+    """Return the squared half thicknesses [H,W] of a round object; None for a slab.
 
     Args:
-        silhouette: With its continuation beyond flat ends.
-        picture: Colours, and where the object itself is.
-        size: Of the object, pixels.
+        silhouette: The silhouette, continued beyond flat ends.
+        picture: Colours, and mask of the object.
+        size: Size of the object, pixels.
     """
     round_ = _within(silhouette, _balls(silhouette.inside), 0.3, 1.2, size)
-    if _polygonal(picture.own) and not _shaded(picture, round_):
+    if _polygonal(picture.object_mask) and not _is_shaded(picture, round_):
         return None
     if (lathe := _lathe(picture)) is not None:
         lathe = np.maximum(lathe, round_)
@@ -96,17 +99,17 @@ def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Fie
 
 
 def flat_topped(inside: NDArray[np.bool_]) -> Field:
-    """Squared half thickness [H,W] of a block as wide as the silhouette, negative outside."""
+    """Return the squared half thickness [H,W] of a block as wide as the silhouette."""
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
     widest = float(distance.max())
     return widest**2 * np.clip(distance / max(2.0, ROUNDED * widest), -4, 1)
 
 
 def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size: int) -> Field:
-    """Squared half thicknesses, smooth and zero exactly on the rim.
+    """Return squared half thicknesses that are smooth and exactly zero on the rim.
 
-    The solution u of -Laplace(u) = 4 is so (on a disc it is the ball); it is scaled by the smoothed
-    ratio to what is wanted.
+    The solution u of -Laplace(u) = 4 has these properties (on a disc it is the ball). It is scaled
+    by the smoothed ratio of the wanted thickness to u.
     """
     u = silhouette.poisson(4.0)
     ratio = np.clip(wanted / np.maximum(u, 1e-9), low, high)
@@ -114,7 +117,7 @@ def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size
 
 
 def _balls(inside: NDArray[np.bool_]) -> Field:
-    """Squared half thickness of the union of all balls that fit behind the silhouette.
+    """Return the squared half thickness of the union of all balls in the silhouette.
 
     It is the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim: a
     separable upper envelope of parabolas.
@@ -129,15 +132,18 @@ def _balls(inside: NDArray[np.bool_]) -> Field:
 
 
 def _lathe(picture: Continued) -> Field | None:
-    """Squared half thicknesses if the object looks turned about a vertical axis."""
-    own = picture.own
-    rows = np.flatnonzero(own.any(axis=1))
-    low, high = own[rows].argmax(axis=1), own.shape[1] - own[rows, ::-1].argmax(axis=1)
+    """Return squared half thicknesses if the object looks turned about a vertical axis."""
+    object_mask = picture.object_mask
+    rows = np.flatnonzero(object_mask.any(axis=1))
+    low, high = (
+        object_mask[rows].argmax(axis=1),
+        object_mask.shape[1] - object_mask[rows, ::-1].argmax(axis=1),
+    )
     middle, half = (low + high) / 2, (high - low) / 2
     axis = np.average(middle, weights=half)
-    single = np.count_nonzero(own[rows], axis=1) == high - low
+    single = np.count_nonzero(object_mask[rows], axis=1) == high - low
     good = single & (np.abs(middle - axis) < CENTRED * half.max())
-    if good.mean() < EVERY or _solidity(own) > WAISTED:
+    if good.mean() < EVERY or _solidity(object_mask) > WAISTED:
         return None
     inside = picture.alpha > 0.5
     x = np.arange(inside.shape[1])
@@ -148,40 +154,42 @@ def _lathe(picture: Continued) -> Field | None:
 
 
 def _runs(inside: NDArray[np.bool_]) -> Field:
-    """Length of the vertical run of pixels that each pixel inside belongs to."""
+    """Return the length of each inside pixel's vertical run."""
     rows = np.arange(len(inside))[:, None]
     above = np.maximum.accumulate(np.where(inside, -1, rows), axis=0)
     below = np.minimum.accumulate(np.where(inside, len(rows), rows)[::-1], axis=0)[::-1]
     return (below - above - 1).astype(np.float64)
 
 
-def _outline(own: NDArray[np.bool_]) -> NDArray:
-    outlines, _ = cv2.findContours(own.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+def _outline(object_mask: NDArray[np.bool_]) -> NDArray:
+    outlines, _ = cv2.findContours(
+        object_mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
     return max(outlines, key=len)
 
 
-def _solidity(own: NDArray[np.bool_]) -> float:
-    """Area to that of the convex hull."""
-    hull = cv2.convexHull(_outline(own))
-    return float(np.count_nonzero(own) / max(cv2.contourArea(hull), 1.0))
+def _solidity(object_mask: NDArray[np.bool_]) -> float:
+    """Return the ratio of the area to that of the convex hull."""
+    hull = cv2.convexHull(_outline(object_mask))
+    return float(np.count_nonzero(object_mask) / max(cv2.contourArea(hull), 1.0))
 
 
-def _polygonal(own: NDArray[np.bool_]) -> bool:
+def _polygonal(object_mask: NDArray[np.bool_]) -> bool:
     """Whether the outline consists of few straight lines."""
-    outline = _outline(own)
+    outline = _outline(object_mask)
     corners = cv2.approxPolyDP(outline, 0.01 * cv2.arcLength(outline, closed=True), closed=True)
-    drawn = cv2.fillPoly(np.zeros(own.shape, np.uint8), [corners], 1) > 0
-    overlap = np.count_nonzero(drawn & own) / np.count_nonzero(drawn | own)
+    drawn = cv2.fillPoly(np.zeros(object_mask.shape, np.uint8), [corners], 1) > 0
+    overlap = np.count_nonzero(drawn & object_mask) / np.count_nonzero(drawn | object_mask)
     return 3 <= len(corners) <= CORNERS and bool(overlap > STRAIGHT)
 
 
-def _shaded(picture: Continued, round_: Field) -> bool:
-    """Whether brightness changes across the object as it would on a round one.
+def _is_shaded(picture: Continued, round_: Field) -> bool:
+    """Whether brightness changes across the object as on a round object.
 
-    Brightness is fitted as a linear function of the round solid's normals. Only the part across and
-    towards the viewer counts: colours often differ from bottom to top.
+    Brightness is fitted by a linear function of the round solid's normals. Only the components
+    across and towards the viewer count, since colours often differ from bottom to top.
     """
-    seen = np.asarray(scipy.ndimage.binary_erosion(picture.own, iterations=4), bool)
+    seen = np.asarray(scipy.ndimage.binary_erosion(picture.object_mask, iterations=4), bool)
     if not seen.any():
         return True
     slopes = np.asarray(np.gradient(scipy.ndimage.gaussian_filter(round_, 1.0)))
@@ -196,18 +204,18 @@ def _shaded(picture: Continued, round_: Field) -> bool:
 
 
 def _slab(picture: Continued, view: View, thickness: float) -> Surface:
-    """A flat front and back with walls between: a square gives a cube, others are thinner."""
-    own = picture.own
-    rows, columns = np.flatnonzero(own.any(axis=1)), np.flatnonzero(own.any(axis=0))
+    """Return a slab with flat front and back: a square gives a cube, other shapes are thinner."""
+    object_mask = picture.object_mask
+    rows, columns = np.flatnonzero(object_mask.any(axis=1)), np.flatnonzero(object_mask.any(axis=0))
     sides = np.ptp(rows) + 1, np.ptp(columns) + 1
-    aspect, full = min(sides) / max(sides), np.count_nonzero(own) / (sides[0] * sides[1])
+    aspect, full = min(sides) / max(sides), np.count_nonzero(object_mask) / (sides[0] * sides[1])
     inside = picture.alpha > 0.5
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
     h = float(distance.max() * aspect**3 * full) * thickness
-    h /= 1 + h / view.distance  # The front is nearer than the middle, and so seen larger.
-    # The camera sees the walls' front edges on the rim; farther back they lie behind the front.
+    h /= 1 + h / view.distance  # the front is nearer than the middle, so it appears larger
+    # The camera sees the walls' front edges on the rim, and the front hides the walls behind them.
     dy, dx = np.gradient(scipy.ndimage.gaussian_filter(distance, 1.0))
-    y, x = np.mgrid[: own.shape[0], : own.shape[1]]
+    y, x = np.mgrid[: object_mask.shape[0], : object_mask.shape[1]]
     out = -(dx * (x - view.middle[0]) + dy * (y - view.middle[1]))
     wall = (out + distance) * (1 - h / view.distance) / np.maximum(out, 1e-9)
     far = np.clip(np.where(out > 1, view.distance * (1 - wall), -h), -h, h)
@@ -221,7 +229,57 @@ def _slab(picture: Continued, view: View, thickness: float) -> Surface:
 
 
 def _smooth(values: Field, inside: NDArray[np.bool_], width: float) -> Field:
-    """Gaussian smoothing restricted to the pixels inside."""
+    """Smooth the values of the pixels inside by a Gaussian."""
     fraction = scipy.ndimage.gaussian_filter(inside.astype(np.float64), width)
     smooth = scipy.ndimage.gaussian_filter(np.where(inside, values, 0.0), width)
     return np.where(inside, smooth / np.maximum(fraction, 1e-9), 0.0)
+
+
+MIXED_RIM = 8.0
+"""Width along the rim where depth maps mix object and background, pixels."""
+PLANE = 0.01
+"""Spread over the object, as a fraction of the map's range, below which the front is flat."""
+THINNEST = 2.0
+"""Smallest half thickness behind the rim, pixels."""
+
+
+def normalise_depth(depth: NDArray, alpha: NDArray) -> NDArray[np.float32]:
+    """Normalise a depth map to 0..1, and check it against the object's alpha [H,W].
+
+    Raises:
+        InputError: If it is constant, or the object is behind its surroundings.
+    """
+    low, high = float(depth.min()), float(depth.max())
+    if high - low <= 1e-6 * max(abs(low), abs(high), 1e-30):
+        limit = "It is constant."
+        raise InputError("depth", "map", limit, "Give the network's output before any rounding.")
+    inside, outside = alpha > 127, alpha == 0
+    if outside.any() and float(depth[inside].mean()) < float(depth[outside].mean()):
+        limit = "The object is farther away than its surroundings."
+        remedy = "If black is near, add --near black; if white is near, leave it out."
+        raise InputError("depth", "map", limit, remedy)
+    return ((depth - low) / (high - low)).astype(np.float32)
+
+
+def apply_depth(surface: Surface, depth: Field, object_mask: NDArray[np.bool_]) -> Surface:
+    """Replace the front of a surface by a depth map [H,W] in 0..1; near is 1.
+
+    Its scale and offset are unknown, so its mean and spread are set to those of the inflated front,
+    unless the map is flat. The back is unchanged.
+    """
+    far, _ = nearest_of(~object_mask)
+    known = far > min(MIXED_RIM / 2, 0.5 * float(far.max()))
+    half = np.sqrt(np.maximum(surface.w, 0.0))
+    front, back = surface.m + half, surface.m - half
+    spread = float(depth[known].std())
+    scale = float(front[known].std()) / spread if spread > PLANE else 0.0
+    shaped = (depth - depth[known].mean()) * scale + front[known].mean()
+    part = np.clip((far - 1) / MIXED_RIM, 0, 1)
+    part = part * part * (3 - 2 * part)
+    shaped = scipy.ndimage.gaussian_filter((1 - part) * front + part * shaped, 1.0)
+    thickness = np.maximum((shaped - back) / 2, np.minimum(half, THINNEST))
+    inside = surface.w > 0
+    w = np.where(inside & object_mask, thickness**2, surface.w)
+    return Surface.of(
+        w, np.where(inside & object_mask, back + np.sqrt(np.maximum(w, 0)), surface.m)
+    )

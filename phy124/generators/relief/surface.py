@@ -21,16 +21,58 @@ from phy124.generators.relief.ends import End
 from phy124.generators.relief.height import nearest_of
 from phy124.kernels import implicit
 
+VIEW_DISTANCE = 2.0
+"""Distance of the front camera that sees exactly the picture, in longest sides."""
+
+
+@dataclass(frozen=True)
+class View:
+    """The perspective of the front camera, which sees each point at its pixel.
+
+    x' = x k(z), y' = y k(z) around the middle, with k = 1 - z / distance.
+    """
+
+    middle: Field
+    """Pixel that the camera looks at [3], z = 0."""
+    distance: float
+    """Distance of the camera, pixels."""
+
+    @classmethod
+    def of(cls, object_mask: NDArray[np.bool_], distance: float) -> View:
+        """Return the camera that looks at the middle of the object's pixels [H,W]."""
+        y, x = np.nonzero(object_mask)
+        return cls(np.array([x.min() + x.max(), y.min() + y.max(), 0.0]) / 2, distance)
+
+    def k(self, z: Field) -> Field:
+        """Return the scale factor at depth z."""
+        return 1 - z / self.distance
+
+    def project_points(self, points: Field, normals: Field) -> tuple[Field, Field]:
+        """Project points [N,3], relative to the middle, and unit normals."""
+        flat, z = (points - self.middle)[:, :2], points[:, 2:]
+        k = self.k(z)
+        across = normals[:, :2] / k
+        along = normals[:, 2:] + (flat * across).sum(axis=1, keepdims=True) / self.distance
+        turned = np.concatenate([across, along], axis=1)
+        turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+        return np.concatenate([flat * k, z], axis=1), turned
+
+    def unproject(self, points: Field) -> Field:
+        """Return the pixels [N,3] of projected points [N,3]."""
+        flat, z = points[:, :2], points[:, 2:]
+        return np.concatenate([flat / self.k(z), z], axis=1) + self.middle
+
+
 Field = NDArray[np.float64]
 Neighbours = NDArray[np.int32]
 BACK_PITCH = 1.5
-"""Spacing of points on the back relative to the front; its colours are smooth."""
+"""Spacing of points on the back relative to the front, since its colours are smooth."""
 OVERHANG = 5.0
-"""How far beyond the ends points continue while they are spread, pixels."""
+"""Distance beyond the ends up to which points are distributed, pixels."""
 ROUNDS = 6
 """Number of relaxation rounds; the spacing is even to about 10 % after five."""
 ALIKE = 3
-"""Number of rounds in which the same points count as neighbours; finding them takes longest."""
+"""Number of rounds with the same neighbours, since their search takes most of the time."""
 
 
 class Implicit(ABC):
@@ -44,27 +86,27 @@ class Implicit(ABC):
         """What kernels read of it."""
 
     def gradient(self, points: Field) -> tuple[Field, Field]:
-        """F [N] and its gradient [N,3] at points [N,3]."""
+        """Return F [N] and its gradient [N,3] at points [N,3]."""
         values, gradients = np.empty(len(points)), np.empty(points.shape)
         inputs, outputs = [self.struct, vectors(points)], [numbers(values), vectors(gradients)]
         launch(self.kernels.evaluate, len(points), inputs, outputs)
         return values, gradients
 
     def normals(self, points: Field) -> Field:
-        """Outward unit normals [N,3]."""
+        """Return outward unit normals [N,3]."""
         normals = np.empty(points.shape)
         launch(self.kernels.orient, len(points), [self.struct, vectors(points)], [vectors(normals)])
         return normals
 
     def inset(self, points: Field, depth: float) -> Field:
-        """`depth`, limited to a third of the local radius [N,1], pixels."""
+        """Limit `depth` to a third of the local radius [N,1], pixels."""
         _, gradient = self.gradient(points)
         # On a ball F = r^2 - |x|^2, whose gradient is twice the radius.
         radius = 0.5 * np.linalg.norm(gradient, axis=1, keepdims=True)
         return np.minimum(depth, radius / 3)
 
     def project(self, points: Field, rounds: int = 2) -> Field:
-        """Points moved onto the surface by Newton steps of at most one pixel each."""
+        """Move points onto the surface by Newton steps of at most one pixel each."""
         points = np.array(points, np.float64, order="C")
         launch(self.kernels.project, len(points), [self.struct, rounds, vectors(points)])
         return points
@@ -85,14 +127,14 @@ class Surface(Implicit):
 
     @classmethod
     def of(cls, w: Field, m: Field | None = None) -> Surface:
-        """From squared half thicknesses and middles [H,W], pixels^2 and pixels."""
+        """Return the surface of squared half thicknesses and middles [H,W], pixels^2 and pixels."""
         m = np.zeros_like(w) if m is None else m
         slopes = [np.gradient(scipy.ndimage.gaussian_filter(field, 0.7))[::-1] for field in (w, m)]
         return cls(w, m, np.asarray(slopes))
 
     @classmethod
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
-        """As the camera of `View` sees round parts: it sees less than half of each.
+        """Return the surface as seen by the camera of `View`, which sees less than half of a ball.
 
         In pixels, along the rays, a circle of radius h about c is centred at z = p (p - c) / d,
         with p relative to the picture's middle; and p - c is -grad(w) / 2.
@@ -114,17 +156,17 @@ class Surface(Implicit):
         return struct
 
     def middle(self, points: Field) -> Field:
-        """m at points [N,3 or 2]."""
+        """Return m at points [N,3 or 2]."""
         return scipy.ndimage.map_coordinates(self.m, points[:, 1::-1].T, order=1, mode="nearest")
 
     def section(self, y: float) -> float:
-        """Area of the horizontal cross-section of the object at y, pixels^2."""
+        """Return the area of the object's horizontal cross-section at y, pixels^2."""
         row = self.w[min(int(y), len(self.w) - 1)]
         return float(2 * np.sqrt(np.maximum(row, 0)).sum())
 
 
 def pitch_factor(normals: Field) -> Field:
-    """Wanted spacing relative to the front [N]: 1 where visible from the front, wider elsewhere."""
+    """Return the wanted spacing [N]: 1 if visible from the front, else wider."""
     return np.interp(-normals[:, 2], [0.0, 0.5], [1.0, BACK_PITCH])
 
 
@@ -135,18 +177,18 @@ def spread(
     rng: np.random.Generator,
     alive: Callable[[], None] = lambda: None,
 ) -> tuple[Field, Field, Field, float]:
-    """Points spread evenly over the part between the flat ends.
+    """Distribute points evenly over the surface between the flat ends.
 
     Args:
         surface: The surface.
-        ends: Where the object is cut off flat.
-        count: Number of points that walls and flat ends together get, approximately.
+        ends: The flat ends.
+        count: Approximate number of points of walls and flat ends.
         rng: Random numbers.
         alive: Called between rounds; may raise.
 
     Returns:
         Positions [N,3], unit normals [N,3], spacing [N] and the front's spacing, pixels. A few
-            points lie beyond the ends, where the caller cuts.
+            points are beyond the ends, which the caller removes.
     """
     trial = _scatter(surface, 1.0, rng)
     walls = np.count_nonzero(_between(trial, ends))
@@ -155,16 +197,16 @@ def spread(
     points = _scatter(surface, pitch, rng)
     points = points[_between(points, ends, OVERHANG)]
 
-    def wanted(normals: Field) -> Field:
+    def spacing_at(normals: Field) -> Field:
         return pitch * pitch_factor(normals)
 
-    points = settled(surface, points, wanted, alive)
-    _, spacing = relaxed(surface, points, wanted)
+    points = settle(surface, points, spacing_at, alive)
+    _, spacing = relax(surface, points, spacing_at)
     return points, surface.normals(points), spacing, pitch
 
 
 def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.bool_]:
-    """Which points lie at most so many pixels beyond the ends."""
+    """Whether points are at most a number of pixels beyond the ends."""
     kept = np.ones(len(points), bool)
     for end in ends:
         kept &= ~end.beyond(points[:, 1], by)
@@ -198,7 +240,7 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
 
 
 def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
-    """Square columns that meet the surface: corner [M,2], lowest and highest |z| in each [M]."""
+    """Return square columns that meet the surface: corners [M,2], and least and largest |z| [M]."""
     height, width = w.shape
     x, y = np.arange(0, width - 1 - pitch, pitch), np.arange(0, height - 1 - pitch, pitch)
     # At the corners of all squares, and halfway between them.
@@ -212,13 +254,13 @@ def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
     return np.stack([x[column], y[row]], axis=1), nearest, deepest
 
 
-def settled(
+def settle(
     surface: Implicit,
     points: Field,
     spacing_at: Callable[[Field], Field],
     alive: Callable[[], None] = lambda: None,
 ) -> Field:
-    """Points [N,3] after all rounds of relaxation.
+    """Relax points [N,3] in several rounds.
 
     Args:
         surface: The surface.
@@ -230,24 +272,24 @@ def settled(
         near = neighbours(points)
         for _ in range(ALIKE):
             alive()
-            points, _ = relaxed(surface, points, spacing_at, near)
+            points, _ = relax(surface, points, spacing_at, near)
     alive()
     return points
 
 
-def relaxed(
+def relax(
     surface: Implicit,
     points: Field,
     spacing_at: Callable[[Field], Field],
     near: Neighbours | None = None,
 ) -> tuple[Field, Field]:
-    """Points [N,3] pushed apart along a surface, and the mean distance to their neighbours [N].
+    """Push points [N,3] apart along a surface; also return the mean distance of neighbours [N].
 
     Args:
         surface: The surface.
         points: The points.
         spacing_at: The wanted spacing [N] where the surface has these normals [N,3].
-        near: Their neighbours, if they are known.
+        near: Neighbours of each point, if they are known.
     """
     near = neighbours(points) if near is None else near
     normals = surface.normals(points)
@@ -258,19 +300,19 @@ def relaxed(
 
 
 def neighbours(points: Field) -> Neighbours:
-    """The seven nearest to each point [N,7], nearest first; fewer if there are fewer points."""
+    """Return the seven nearest neighbours of each point [N,7], nearest first."""
     tree = scipy.spatial.KDTree(points, leafsize=16, balanced_tree=False)  # half the time to build
     near = tree.query(points, k=min(8, len(points)), workers=-1)[1]
     return np.ascontiguousarray(np.asarray(near)[:, 1:], np.int32)
 
 
 def vectors(points: Field) -> wp.array:
-    """Points [N,3] as kernels take them; what they write is in the same memory."""
+    """Wrap points [N,3] for kernels, in the same memory."""
     return wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device="cpu", copy=False)
 
 
 def numbers(values: Field) -> wp.array:
-    """Numbers [N] as kernels take them; what they write is in the same memory."""
+    """Wrap numbers [N] for kernels, in the same memory."""
     return wp.array(values, dtype=wp.float64, device="cpu", copy=False)
 
 
@@ -280,7 +322,7 @@ def launch(kernel: Any, count: int, inputs: list[Any], outputs: Sequence[Any] = 
     Args:
         kernel: The kernel.
         count: The number of points.
-        inputs: Its first arguments.
-        outputs: The other ones, which it writes.
+        inputs: The input arguments.
+        outputs: The output arguments.
     """
     wp.launch(kernel, count, inputs=inputs, outputs=[*outputs], device="cpu")

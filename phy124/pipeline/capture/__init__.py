@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, joined, quaternions, rotation_matrices
-from phy124.generators.ply_file import Opened, PlyFile, normalised, robust_bounds
+from phy124.generators.ply_file import Opened, PlyFile, normalise_size, robust_bounds
 from phy124.io.axes import rotate_gaussians, upright
 from phy124.particles import clean
 from phy124.particles.thinning import thin
@@ -108,7 +108,7 @@ class _Read:
 
 def _alone(opened: Opened, name: str) -> _Read:
     """Without a floor: everything is the object."""
-    placed = normalised(opened.gaussians, name)
+    placed = normalise_size(opened.gaussians, name)
     low, high = robust_bounds(opened.gaussians)
     scale = 1 / float((high - low).max())
     about = {"rotation": opened.rotation.tolist(), "floor": None}

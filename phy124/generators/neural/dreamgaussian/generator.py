@@ -21,19 +21,21 @@ from torch.nn.functional import interpolate
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.neural.dreamgaussian.density import (
+from phy124.generators.neural.dreamgaussian.guidance import Guidance, Pose
+from phy124.generators.neural.dreamgaussian.splats import (
     Density,
     Pull,
+    Rates,
+    Splats,
+    ball,
     densify,
     normal_draw,
     prune,
     reset_opacity,
 )
-from phy124.generators.neural.dreamgaussian.guidance import Guidance, Pose
-from phy124.generators.neural.dreamgaussian.splats import Rates, Splats, ball
 from phy124.generators.neural.precision import torch_device
 from phy124.generators.neural.splatting import View, orbit_view
-from phy124.generators.ply_file import normalised
+from phy124.generators.ply_file import normalise_size
 from phy124.imaging.u2net import multiply_mask
 from phy124.progress import Progress, silent
 from phy124.weights.store import require
@@ -108,7 +110,7 @@ class DreamGaussian:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Gaussians of the cut-out `image_rgba [H,W,4]` with a longest side of 1 m.
+        """Make the Gaussians of the cut-out `image_rgba [H,W,4]` with a longest side of 1 m.
 
         `progress` is called before every step; if it raises Cancelled, that passes through.
 
@@ -116,7 +118,7 @@ class DreamGaussian:
             InputError: If weights are missing or the picture is not a cut-out.
         """
         settings = self.settings
-        pixels = torch.from_numpy(framed(np.asarray(image_rgba)).astype(np.float32) / 255)
+        pixels = torch.from_numpy(frame_cutout(np.asarray(image_rgba)).astype(np.float32) / 255)
         pixels = pixels.permute(2, 0, 1).to(self.device)
         rgb, alpha = pixels[:3] * pixels[3:] + (1 - pixels[3:]), pixels[3]
         guidance = (self.guidance or self._zero123)(rgb)
@@ -124,24 +126,21 @@ class DreamGaussian:
         splats = start(settings, draw, self.device)
         fit(splats, guidance, settings, draw, known=(rgb, alpha), progress=progress)
         if not len(splats):
-            raise InputError(
-                "generator",
-                "dreamgaussian",
-                "no Gaussian was left: all became transparent or too large.",
-                "Use more points or steps, or another seed.",
-            )
-        return normalised(splats.gaussians(), "DreamGaussian")
+            limit = "no Gaussian was left: all became transparent or too large."
+            remedy = "Use more points or steps, or another seed."
+            raise InputError("generator", "dreamgaussian", limit, remedy)
+        return normalise_size(splats.gaussians(), "DreamGaussian")
 
     def _zero123(self, image: Tensor) -> Guidance:
         require("zero123", self.weights)  # before the libraries, which take seconds
-        from phy124.generators.neural.dreamgaussian.guidance.zero123 import Zero123, trained
+        from phy124.generators.neural.dreamgaussian.zero123 import Zero123, load_trained
 
         dtype = torch.float16 if self.device.startswith("cuda") else torch.float32
-        return Zero123(image, trained(self.weights, self.device, dtype))
+        return Zero123(image, load_trained(self.weights, self.device, dtype))
 
 
 def start(settings: Settings, draw: torch.Generator, device: str = "cpu") -> Splats:
-    """Grey Gaussians spread in a ball, with a little colour noise as in the original."""
+    """Return grey Gaussians in a ball, with a little colour noise as in the original."""
     points = ball(settings.points, settings.ball_radius, draw).to(device)
     colors = 0.5 + torch.rand(len(points), 3, generator=draw).to(device) / 255
     return Splats.from_points(points, colors, settings.rates)
@@ -191,7 +190,7 @@ def fit(
 def _known_loss(
     splats: Splats, settings: Settings, ratio: float, known: tuple[Tensor, Tensor] | None
 ) -> Tensor:
-    """Difference from the picture, with a weight that grows over time."""
+    """Return the difference from the picture, with a weight that grows over time."""
     zero = splats.parameters["xyz"].new_zeros(())
     if known is None or not settings.known_size:
         return zero
@@ -208,7 +207,7 @@ def _known_loss(
 def _guided_loss(
     splats: Splats, guidance: Guidance, settings: Settings, ratio: float, draw: torch.Generator
 ) -> tuple[Tensor, list]:
-    """The guidance's loss for new views, and their renderings."""
+    """Return the guidance's loss for new views, and their renderings."""
     low, high = settings.elevations
     elevation = int(torch.randint(low, high + 1, (), generator=draw))
     azimuth = int(torch.randint(-180, 180, (), generator=draw))
@@ -229,8 +228,8 @@ def _view(pose: Pose, settings: Settings, size: int) -> View:
     return orbit_view(pose.elevation, pose.azimuth, settings.radius + pose.radius, size)
 
 
-def framed(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:
-    """The cut-out [H,W,4] in the middle of a square [size,size,4], as process.py makes it.
+def frame_cutout(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:
+    """Put the cut-out [H,W,4] into the middle of a square [size,size,4], as process.py does.
 
     Unlike LGM's it is resampled in 8 bits. rembg gives colours multiplied by alpha.
 

@@ -19,6 +19,66 @@ from transformers import CLIPTextConfig, CLIPTextModel, CLIPVisionConfig, CLIPVi
 
 from phy124.weights.checkpoints import fill, read_tensors, strip_prefix
 
+HEADS, HEAD_WIDTH = 12, 64
+
+
+class PerceiverAttention(nn.Module):
+    """Attention from latents [B,K,C] to the picture's tokens and to the latents themselves."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        inner = HEADS * HEAD_WIDTH
+        self.norm1 = nn.LayerNorm(channels)
+        self.norm2 = nn.LayerNorm(channels)
+        self.to_q = nn.Linear(channels, inner, bias=False)
+        self.to_kv = nn.Linear(channels, 2 * inner, bias=False)
+        self.to_out = nn.Linear(inner, channels, bias=False)
+
+    def forward(self, x: Tensor, latents: Tensor) -> Tensor:
+        """x [B,M,C], latents [B,K,C] -> [B,K,C]."""
+        x, latents = self.norm1(x), self.norm2(latents)
+        k, v = self.to_kv(torch.cat([x, latents], dim=1)).chunk(2, dim=-1)
+        q, k, v = (t.unflatten(-1, (HEADS, -1)).transpose(1, 2) for t in (self.to_q(latents), k, v))
+        # Half of the scale on each side and softmax in float32 keep half precision in range.
+        scale = HEAD_WIDTH**-0.25
+        weights = ((q * scale) @ (k * scale).transpose(-2, -1)).float().softmax(dim=-1).to(v.dtype)
+        return self.to_out((weights @ v).transpose(1, 2).flatten(2))
+
+
+def _feed_forward(channels: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.LayerNorm(channels),
+        nn.Linear(channels, 4 * channels, bias=False),
+        nn.GELU(),
+        nn.Linear(4 * channels, channels, bias=False),
+    )
+
+
+class Resampler(nn.Module):
+    """Tokens of a picture [B,M,inputs] -> [B,K,C]."""
+
+    def __init__(self, inputs: int, channels: int, tokens: int, depth: int = 4) -> None:
+        super().__init__()
+        self.latents = nn.Parameter(torch.randn(1, tokens, channels) / channels**0.5)
+        self.proj_in = nn.Linear(inputs, channels)
+        self.proj_out = nn.Linear(channels, channels)
+        self.norm_out = nn.LayerNorm(channels)
+        self.layers = nn.ModuleList(
+            nn.ModuleList([PerceiverAttention(channels), _feed_forward(channels)])
+            for _ in range(depth)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Start from the learnt latents and attend to the picture `depth` times."""
+        latents = self.latents.expand(len(x), -1, -1)
+        x = self.proj_in(x)
+        for layer in self.layers:
+            attention, feed_forward = layer  # pyright: ignore[reportGeneralTypeIssues]
+            latents = attention(x, latents) + latents
+            latents = feed_forward(latents) + latents
+        return self.norm_out(self.proj_out(latents))
+
+
 VAE: dict[str, Any] = {
     "down_block_types": ["DownEncoderBlock2D"] * 4,
     "up_block_types": ["UpDecoderBlock2D"] * 4,
@@ -55,22 +115,24 @@ CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
 
 def vae(path: Path | None = None, **changes: Any) -> AutoencoderKL:
     """The autoencoder, filled from `path` if given."""
-    return filled(lambda: AutoencoderKL(**{**VAE, **changes}), path, "", "the VAE")
+    return build_filled(lambda: AutoencoderKL(**{**VAE, **changes}), path, "", "the VAE")
 
 
 def text_encoder(path: Path | None = None, **changes: Any) -> CLIPTextModel:
     """Stable Diffusion 2.1's text encoder, filled from `path` if given."""
     config = CLIPTextConfig(**{**TEXT, **changes})
-    return filled(lambda: CLIPTextModel(config), path, "text_model.", "the text encoder")
+    return build_filled(lambda: CLIPTextModel(config), path, "text_model.", "the text encoder")
 
 
 def image_encoder(path: Path | None = None, **changes: Any) -> CLIPVisionModel:
     """CLIP's image encoder, ViT-H/14, filled from `path` if given."""
     config = CLIPVisionConfig(**{**VISION, **changes})
-    return filled(lambda: CLIPVisionModel(config), path, "vision_model.", "the picture encoder")
+    return build_filled(
+        lambda: CLIPVisionModel(config), path, "vision_model.", "the picture encoder"
+    )
 
 
-def filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) -> Any:
+def build_filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) -> Any:
     """Build a network and, given a path, fill it strictly from that file, in the file's precision.
 
     transformers 5 has no `prefix` in memory, although the files have it; older releases keep it.

@@ -12,22 +12,71 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
+import numpy as np
 import torch
+from diffusers.schedulers.scheduling_ddim import DDIMScheduler
+from diffusers.schedulers.scheduling_dpmsolver_multistep import DPMSolverMultistepScheduler
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from phy124.generators.neural.imagedream import encoders
-from phy124.generators.neural.imagedream.cameras import cameras
-from phy124.generators.neural.imagedream.sampling import scheduler_of
+from phy124.generators.neural.imagedream import PARAMETERS, STEPS, encoders
 from phy124.generators.neural.imagedream.unet import load_unet
-from phy124.generators.neural.imagedream.work import PARAMETERS, STEPS
+from phy124.generators.neural.orbit import orbit
 from phy124.generators.neural.precision import is_short
 from phy124.generators.options import Sampler
 from phy124.progress import Progress, silent
 from phy124.weights.store import require
 
-BESIDE = 2.0
-"""Room that must be left for the picture's encoder to be kept, in U-Nets."""
+NOISE: dict[str, Any] = {
+    "beta_start": 0.00085,
+    "beta_end": 0.012,
+    "beta_schedule": "scaled_linear",
+    "num_train_timesteps": 1000,
+    "steps_offset": 1,
+    "prediction_type": "epsilon",
+    "timestep_spacing": "leading",
+}
+SCHEDULE = {**NOISE, "clip_sample": False, "set_alpha_to_one": False}
+"""ImageDream's own, for DDIM."""
+
+
+def scheduler_of(sampler: Sampler, steps: int) -> Any:
+    """Return the scheduler of diffusers for a number of steps, ready for the first."""
+    if sampler == "ddim":
+        scheduler: Any = DDIMScheduler(**SCHEDULE)
+    else:
+        # Its last step ends at the same little noise as DDIM's.
+        scheduler = DPMSolverMultistepScheduler(
+            **{**NOISE, "timestep_spacing": "linspace"},
+            use_lu_lambdas=True,
+            final_sigmas_type="sigma_min",
+        )
+    scheduler.set_timesteps(steps)
+    return scheduler
+
+
+AZIMUTHS = (0, 90, 180, 270)
+"""Azimuths of the four views, degrees."""
+
+
+def cameras(elevation: float = 0.0) -> NDArray[np.float32]:
+    """Camera to world of the four views, and zeros for the picture itself [5,16], row by row.
+
+    A positive elevation [degrees] is below the object, as in all of these networks.
+    """
+    rows = [pose_row(elevation, azimuth) for azimuth in AZIMUTHS]
+    return np.array([*rows, [0.0] * 16], dtype=np.float32)
+
+
+def pose_row(elevation: float, azimuth: float) -> list[float]:
+    """Camera-to-world transform of one view at distance 1, 16 numbers; y up becomes z up."""
+    pose = orbit(elevation, azimuth, 1.0)[[0, 2, 1, 3]]
+    return (pose * np.array([1.0, -1.0, 1.0, 1.0])[:, None]).reshape(16).tolist()
+
+
+SPARE_UNETS = 2.0
+"""Free memory above which the picture's encoder is kept, in sizes of the U-Net."""
 FRAMES = 5
 """Number of frames: four views and the picture."""
 SIZE = 256
@@ -36,7 +85,7 @@ SIZE = 256
 
 @dataclass(frozen=True)
 class Condition:
-    """What the noise prediction depends on, without and with the picture."""
+    """Inputs of the noise prediction, without and with the picture."""
 
     text: Tensor
     """Text tokens [2,77,D]: negative prompt, prompt."""
@@ -48,8 +97,8 @@ class Condition:
     """Poses [5,16]."""
 
     def to(self, dtype: torch.dtype) -> Condition:
-        """The same in a network's precision."""
-        return Condition(*(given.to(dtype) for given in vars(self).values()))
+        """Convert to a network's precision."""
+        return Condition(*(tensor.to(dtype) for tensor in vars(self).values()))
 
 
 class Parts(Protocol):
@@ -70,9 +119,8 @@ class Parts(Protocol):
 class TrainedParts:
     """The public networks; the encoders are read before the U-Net.
 
-    The encoder of pictures is kept for the next one if there is room for the U-Net beside it.
-    Otherwise it is released after use, so that neither is in memory together with another. The
-    text is always the same and is encoded once.
+    The picture's encoder is kept for the next picture if it fits into memory together with the
+    U-Net. Otherwise it is released after use. The text is always the same and is encoded once.
     """
 
     def __init__(
@@ -111,7 +159,7 @@ class TrainedParts:
         if encoder is None:
             encoder = encoders.image_encoder(self._files["image_encoder/model.safetensors"])
             encoder = encoder.to(**self._place)
-        room = BESIDE * PARAMETERS * (self._unet_dtype.itemsize)
+        room = SPARE_UNETS * PARAMETERS * (self._unet_dtype.itemsize)
         self._vision = None if is_short(room, str(self._place["device"])) else encoder
         return encoders.picture_tokens(encoder, image)
 
@@ -221,13 +269,15 @@ def denoise(
     """
     scheduler = scheduler_of(sampler, steps)
     for t in scheduler.timesteps:
-        noise = guided(unet, latents, t, condition, guidance)
+        noise = predict_guided(unet, latents, t, condition, guidance)
         latents = scheduler.step(noise, t, latents, return_dict=False)[0]
         yield latents
 
 
-def guided(unet: Any, latents: Tensor, t: Tensor, condition: Condition, guidance: float) -> Tensor:
-    """Noise [5,4,h,w] predicted with the picture, pushed away from the prediction without it.
+def predict_guided(
+    unet: Any, latents: Tensor, t: Tensor, condition: Condition, guidance: float
+) -> Tensor:
+    """Extrapolate the noise [5,4,h,w] from the prediction without the picture to that with it.
 
     Args:
         unet: Predicts noise.
@@ -241,7 +291,7 @@ def guided(unet: Any, latents: Tensor, t: Tensor, condition: Condition, guidance
 
 
 def predict(unet: Any, latents: Tensor, t: Tensor, condition: Condition) -> Tensor:
-    """Noise [10,4,h,w] in the latents' precision: five frames without the picture, then with it.
+    """Predict the noise [10,4,h,w]: of five frames without the picture, then of five with it.
 
     Args:
         unet: Predicts noise.

@@ -17,9 +17,15 @@ import torch
 from torch import Tensor, nn
 
 from phy124.errors import InputError
-from phy124.generators.neural.imagedream.attention import GROUPS, SpatialTransformer
-from phy124.generators.neural.imagedream.blocks import Downsample, ResBlock, Stage, Upsample
-from phy124.generators.neural.imagedream.resampler import Resampler
+from phy124.generators.neural.imagedream.attention import (
+    GROUPS,
+    Downsample,
+    ResBlock,
+    SpatialTransformer,
+    Stage,
+    Upsample,
+)
+from phy124.generators.neural.imagedream.encoders import Resampler
 from phy124.weights.checkpoints import StateDict, fill, read_tensors, strip_prefix
 
 CLIP_WIDTH = 1280

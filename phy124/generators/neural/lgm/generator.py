@@ -19,16 +19,21 @@ from torch.nn.functional import interpolate
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.effort import Effort, Work, speed_of
-from phy124.generators.neural.imagedream.work import AROUND, PARAMETERS, STEP, STEPS
-from phy124.generators.neural.lgm.align import four_views, front
-from phy124.generators.neural.lgm.model import LgmModel, Option, load
-from phy124.generators.neural.lgm.rays import four_rays
-from phy124.generators.neural.lgm.rotations import judge, unrotated
+from phy124.generators.neural.imagedream import AROUND, PARAMETERS, STEP, STEPS
+from phy124.generators.neural.lgm.model import (
+    AZIMUTHS,
+    LgmModel,
+    Option,
+    draw_rows,
+    four_rays,
+    judge,
+    load,
+    remove_rotations,
+)
 from phy124.generators.neural.orbit import to_world
 from phy124.generators.neural.precision import dtype_of, is_short, torch_device
-from phy124.generators.options import SAMPLER, Precision, Sampler
-from phy124.generators.ply_file import normalised
+from phy124.generators.options import SAMPLER, Effort, Precision, Sampler, Work, speed_of
+from phy124.generators.ply_file import normalise_size
 from phy124.imaging.image import recenter
 from phy124.imaging.u2net import multiply_mask
 from phy124.progress import Progress, silent
@@ -46,7 +51,7 @@ OLD_GENERATION = (
     "corrected ones."
 )
 WORK = Work(98.8e9, 1486.6e9, 194.9e9)
-"""Arithmetic of the option `big`, counted as in `phy124.generators.neural.imagedream.work`."""
+"""Arithmetic of the option `big`, counted as in `phy124.generators.neural.imagedream`."""
 MEMORY = 650_000_000
 """Numbers that the option `big` keeps in memory, weights and intermediate ones."""
 Views = Callable[..., Tensor]
@@ -97,14 +102,14 @@ class Lgm:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Gaussians of the cut-out `image_rgba [H,W,4]` with a longest side of 1 m.
+        """Make the Gaussians of the cut-out `image_rgba [H,W,4]` with a longest side of 1 m.
 
         If `progress` raises Cancelled, that passes through.
 
         Raises:
             InputError: If weights are missing or the picture is not a cut-out.
         """
-        image = over_white(framed(np.asarray(image_rgba)))
+        image = over_white(frame_cutout(np.asarray(image_rgba)))
         self._prepare_multiview()
         assert self.multiview is not None
         views = self.multiview(image, seed=seed, progress=progress)
@@ -114,7 +119,7 @@ class Lgm:
     def from_views(
         self, views: Tensor, *, image: Tensor | None = None, progress: Progress = silent
     ) -> Gaussians:
-        """Gaussians from `views [4,3,H,W]` over white in 0..1: front, then quarter turns.
+        """Make Gaussians from `views [4,3,H,W]` over white in 0..1: front, then quarter turns.
 
         The longest side is 1 m. Alignment compares with `image [3,H,W]`; without it nothing is
         aligned.
@@ -125,10 +130,10 @@ class Lgm:
         self._prepare_model()
         rows, views = self._reconstruct(views, progress)
         if self.align and image is not None:
-            azimuth = front(rows, image, step=self.align_step, progress=progress)
+            azimuth = find_front(rows, image, step=self.align_step, progress=progress)
             if azimuth:
                 rows, _ = self._reconstruct(four_views(rows, azimuth, views.shape[-1]), progress)
-        return normalised(to_gaussians(rows.float().cpu().numpy()), "LGM")
+        return normalise_size(to_gaussians(rows.float().cpu().numpy()), "LGM")
 
     @torch.inference_mode()
     def _reconstruct(self, views: Tensor, progress: Progress) -> tuple[Tensor, Tensor]:
@@ -145,24 +150,24 @@ class Lgm:
         if model.rotations == "all":
             warnings.warn(OLD_GENERATION, stacklevel=2)
         progress("lgm", 1, 1)
-        return (unrotated(rows) if model.rotations == "all" else rows), views
+        return (remove_rotations(rows) if model.rotations == "all" else rows), views
 
     def _prepare_model(self) -> None:
         if self.model is None:
             self.model = load(self._file(), self.option, device=self.device, dtype=self.dtype)
 
     def _file(self) -> Path:
-        """LGM's weights.
+        """Return the file of LGM's weights.
 
         Raises:
-            InputError: There are none.
+            InputError: There is none.
         """
         single = is_complete("lgm-fp32", self.weights) and not is_complete("lgm", self.weights)
         (path,) = require("lgm-fp32" if single else "lgm", self.weights).values()
         return path
 
     def _prepare_multiview(self) -> None:
-        """Make sure of all weights before anything large is read; LGM's is read last."""
+        """Check for all weights before anything large is read; LGM's are read last."""
         if self.multiview is not None:
             return
         require("imagedream", self.weights)
@@ -171,33 +176,35 @@ class Lgm:
         from phy124.generators.neural.imagedream.pipeline import ImageDream
 
         self.multiview = ImageDream(
-            weights=self.weights, device=self.device, dtype=self.dtype,
-            unet_dtype=self.diffusion_dtype, steps=self.steps, sampler=self.sampler,
-        )  # fmt: skip
+            weights=self.weights,
+            device=self.device,
+            dtype=self.dtype,
+            unet_dtype=self.diffusion_dtype,
+            steps=self.steps,
+            sampler=self.sampler,
+        )
 
     def effort(self) -> Effort:
-        """What making one object will take."""
+        """Forecast the time for an object."""
         fast = speed_of(self.device, self.diffusion_dtype)
         exact = fast if self.dtype == self.diffusion_dtype else speed_of(self.device, self.dtype)
         seconds = STEP.times(self.steps).at(fast)
         seconds += AROUND.at(exact) + WORK.times(1 + self.align).at(exact)
         precision = str(self.diffusion_dtype).removeprefix("torch.")
-        settings = {
-            "steps": self.steps, "sampler": self.sampler, "precision": precision,
-            "device": self.device,
-        }  # fmt: skip
+        settings = {"steps": self.steps, "sampler": self.sampler}
+        settings |= {"precision": precision, "device": self.device}
         words = f"{self.steps} steps of {self.sampler} in {precision} on {self.device}"
         return Effort(seconds, settings, words)
 
     def _make_room(self) -> None:
-        """Release ImageDream's networks if LGM's would not fit beside them."""
+        """Release ImageDream's networks if LGM's would not fit into memory, too."""
         room = MEMORY * self.dtype.itemsize
         if self._finds_views and self.model is None and is_short(room, self.device):
             self.multiview = None
 
 
-def framed(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The cut-out [H,W,4] in the middle of a square [S,S,4], as LGM's program makes it.
+def frame_cutout(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Put the cut-out [H,W,4] into the middle of a square [S,S,4], as LGM's program does.
 
     That program receives colours already multiplied by alpha and multiplies them again later, which
     darkens soft edges. The network was used that way, so this is kept.
@@ -228,8 +235,44 @@ def network_input(views: Tensor) -> Tensor:
 
 
 def to_gaussians(rows: NDArray, *, opacity_min: float = OPACITY_MIN) -> Gaussians:
-    """Our Gaussians from LGM's rows [N,14], without those fainter than `opacity_min`."""
+    """Convert LGM's rows [N,14] to Gaussians, without those fainter than `opacity_min`."""
     rows = rows[rows[:, 3] >= opacity_min]
     return to_world(
         Gaussians.from_rgb(rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14])
     )
+
+
+COMPARED_SIDE = 128
+"""Side of the pictures that are compared, pixels."""
+
+
+def find_front(
+    rows: Tensor,
+    image: Tensor,
+    *,
+    step: int = 1,
+    side: int = COMPARED_SIDE,
+    progress: Progress = silent,
+) -> int:
+    """Return the azimuth [degrees] from which the Gaussians resemble the picture best.
+
+    Args:
+        rows: LGM's Gaussians [N,14].
+        image: The picture over white [3,H,W].
+        step: Spacing of the azimuths tried, degrees.
+        side: Side of the pictures that are compared, pixels.
+        progress: Called as in `phy124.progress`.
+    """
+    wanted = interpolate(image[None].float(), (side, side), mode="area")[0].to(rows)
+    azimuths = range(0, 360, step)
+    errors = []
+    for i, azimuth in enumerate(azimuths):
+        progress("align", i, len(azimuths))
+        errors.append(float(((draw_rows(rows, azimuth, side) - wanted) ** 2).mean()))
+    progress("align", len(azimuths), len(azimuths))
+    return azimuths[int(torch.tensor(errors).argmin())]
+
+
+def four_views(rows: Tensor, azimuth: float, size: int) -> Tensor:
+    """Draw pictures [4,3,S,S] over white from `azimuth` on, a quarter turn apart."""
+    return torch.stack([draw_rows(rows, azimuth + turn, size) for turn in AZIMUTHS])

@@ -9,14 +9,44 @@ import os
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from phy124.errors import InputError
 from phy124.generators.neural.lgm.unet import UNet
+from phy124.generators.neural.orbit import FOV_Y, focal, orbit
+from phy124.generators.neural.splatting import orbit_view, rasterize
 from phy124.weights.checkpoints import StateDict, fill, read_tensors
 from phy124.weights.store import compute_sha256
+
+RADIUS = 1.5
+"""Distance of the four cameras from the origin."""
+AZIMUTHS = (0, 90, 180, 270)
+"""Azimuths of the views, degrees: the front, then counter-clockwise seen from above."""
+
+
+def pluecker(camera_to_world: NDArray, size: int, fov_y: float = FOV_Y) -> NDArray[np.float32]:
+    """Ray of every pixel [6,S,S]: moment o x d, then the unit direction d.
+
+    `camera_to_world` is [4,4] in OpenGL axes; pixel centres lie at half integers.
+    """
+    f = focal(size, fov_y)
+    x = (np.arange(size) - size / 2 + 0.5) / f
+    right, up = np.meshgrid(x, -x)
+    directions = np.stack([right, up, np.full_like(right, -1)], axis=-1) @ camera_to_world[:3, :3].T
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    moments = np.cross(np.broadcast_to(camera_to_world[:3, 3], directions.shape), directions)
+    rays = np.concatenate([moments, directions], axis=-1)
+    return rays.transpose(2, 0, 1).astype(np.float32)
+
+
+def four_rays(size: int, *, elevation: float = 0.0) -> NDArray[np.float32]:
+    """Rays of LGM's four views [4,6,S,S]; a positive elevation [degrees] looks from below."""
+    return np.stack([pluecker(orbit(elevation, a, RADIUS), size) for a in AZIMUTHS])
+
 
 Rotations = Literal["each", "all"]
 """Over what quaternions are normalised: each Gaussian alone, or all Gaussians of an object.
@@ -146,3 +176,46 @@ def _option(option: str | Option) -> Option:
             "The public weights are those of `big`.",
         )
     return OPTIONS[option]
+
+
+NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
+SIDE = 128
+"""Side of the pictures that are compared, pixels."""
+MARGIN = 0.98
+"""Ratio of errors that the old interpretation must beat, since the new generation is usual."""
+
+
+def remove_rotations(rows: Tensor) -> Tensor:
+    """Gaussians [N,14] with identity quaternions, as the first generation was drawn."""
+    rows = rows.clone()
+    rows[:, 7:11] = rows.new_tensor(NOT_ROTATED)
+    return rows
+
+
+def judge(rows: Tensor, images: Tensor) -> Rotations:
+    """Which reading of the quaternions in `rows [N,14]` redraws `images [4,3,H,W]` better."""
+    pictures = torch.nn.functional.interpolate(images, (SIDE, SIDE), mode="area")
+    each, none = error(rows, pictures), error(remove_rotations(rows), pictures)
+    return "all" if none < MARGIN * each else "each"
+
+
+def error(rows: Tensor, pictures: Tensor) -> float:
+    """Mean squared error of the four redrawn views against `pictures [4,3,S,S]` over white."""
+    drawn = [draw_rows(rows, azimuth, pictures.shape[-1]) for azimuth in AZIMUTHS]
+    return float(((torch.stack(drawn) - pictures) ** 2).mean())
+
+
+@torch.no_grad()
+def draw_rows(rows: Tensor, azimuth: float, size: int, *, elevation: float = 0.0) -> Tensor:
+    """Picture [3,S,S] over white of Gaussians seen from LGM's orbit.
+
+    Args:
+        rows: LGM's Gaussians [N,14].
+        azimuth: Degrees.
+        size: Side of the picture, pixels.
+        elevation: Degrees; positive is below the object.
+    """
+    rows = rows.float()
+    view = orbit_view(elevation, azimuth, RADIUS, size)
+    parts = rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14]
+    return rasterize(*parts, view, rows.new_ones(3)).rgb.permute(2, 0, 1).clamp(0, 1)

@@ -19,7 +19,7 @@ BETAS = (0.00085, 0.012)
 
 
 class Pose(NamedTuple):
-    """Where a picture is taken from, relative to the known view."""
+    """Position of a camera, relative to the known view."""
 
     elevation: float
     """Degrees; positive is below the object."""
@@ -48,7 +48,7 @@ class Guidance(Protocol):
 
 
 def timestep(ratio: float) -> int:
-    """Noise level of the guidance when the optimisation is at `ratio`, 0..1."""
+    """Return the guidance's noise level at the progress `ratio` of the optimisation, 0..1."""
     return min(max(round((1 - ratio) * STEPS), T_MIN), T_MAX)
 
 
@@ -59,19 +59,19 @@ def alphas_cumprod() -> Tensor:
     return torch.cumprod(1 - betas, dim=0)
 
 
-def noised(latents: Tensor, noise: Tensor, level: int) -> Tensor:
-    """Latents with noise of a level added, keeping unit variance."""
+def add_noise(latents: Tensor, noise: Tensor, level: int) -> Tensor:
+    """Add noise of a level to latents, keeping unit variance."""
     alpha = float(alphas_cumprod()[level])
     return alpha**0.5 * latents + (1 - alpha) ** 0.5 * noise
 
 
 def sds(latents: Tensor, predicted: Tensor, noise: Tensor, weight: float) -> Tensor:
-    """Scalar loss whose gradient by the latents is `weight * (predicted - noise)`.
+    """Return a scalar loss whose gradient by the latents is `weight * (predicted - noise)`.
 
     .5 |z - stopgrad(z - w (eps - n))|^2, as DreamGaussian writes it, so that it has a value.
 
     Args:
-        latents: What is optimised.
+        latents: The optimised latents.
         predicted: Noise that the model predicts.
         noise: Noise that was added.
         weight: Weight of the gradient.

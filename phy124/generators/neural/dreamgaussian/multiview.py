@@ -7,15 +7,22 @@ loss is divided by the number of views.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from phy124.generators.neural.dreamgaussian.guidance import Pose, noised, sds, timestep
-from phy124.generators.neural.imagedream.cameras import pose_row
-from phy124.generators.neural.imagedream.pipeline import SIZE, Condition, Parts, guided, look
+from phy124.generators.neural.dreamgaussian.guidance import Pose, add_noise, sds, timestep
+from phy124.generators.neural.imagedream.pipeline import (
+    SIZE,
+    Condition,
+    Parts,
+    look,
+    pose_row,
+    predict_guided,
+)
 
 
 class MultiView:
@@ -42,7 +49,7 @@ class MultiView:
         latents = self._latents(images, draw)
         noise = torch.randn(latents.shape, generator=draw).to(latents)
         with torch.no_grad():
-            predicted = self._noise(noised(latents, noise, level), level, poses)
+            predicted = self._noise(add_noise(latents, noise, level), level, poses)
         return sds(latents, predicted, noise, 1.0) / self.views
 
     def _latents(self, images: Tensor, draw: torch.Generator) -> Tensor:
@@ -54,9 +61,9 @@ class MultiView:
     def _noise(self, latents: Tensor, level: int, poses: Sequence[Pose]) -> Tensor:
         rows = [pose_row(pose.elevation, pose.azimuth) for pose in poses]
         cameras = torch.tensor([*rows, [0.0] * 16]).to(self.condition.cameras)
-        told = Condition(
-            self.condition.text, self.condition.tokens, self.condition.latents, cameras
-        )
+        condition = replace(self.condition, cameras=cameras)
         # The fifth frame is replaced by the picture inside the network; its noise is not used.
         frames = torch.cat([latents, self.condition.latents])
-        return guided(self.unet, frames, torch.tensor(level), told, self.guidance)[: self.views]
+        return predict_guided(self.unet, frames, torch.tensor(level), condition, self.guidance)[
+            : self.views
+        ]

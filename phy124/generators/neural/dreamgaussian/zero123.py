@@ -19,8 +19,8 @@ from transformers import CLIPVisionConfig, CLIPVisionModelWithProjection
 
 from phy124.generators.neural.dreamgaussian.guidance import (
     Pose,
+    add_noise,
     alphas_cumprod,
-    noised,
     sds,
     timestep,
 )
@@ -113,7 +113,7 @@ class Zero123:
         latents = self._latents(images, draw)
         noise = torch.randn(latents.shape, generator=draw).to(latents)
         with torch.no_grad():
-            predicted = self._noise(noised(latents, noise, level), level, poses)
+            predicted = self._noise(add_noise(latents, noise, level), level, poses)
         return sds(latents, predicted, noise, 1 - float(alphas_cumprod()[level]))
 
     def _latents(self, images: Tensor, draw: torch.Generator) -> Tensor:
@@ -142,31 +142,33 @@ class Zero123:
 def unet(path: Path | None = None, **changes: Any) -> UNet2DConditionModel:
     """Zero123's U-Net, filled from `path` if given."""
     config = {**UNET, **changes}
-    return encoders.filled(lambda: UNet2DConditionModel(**config), path, "", "Zero123's U-Net")
+    return encoders.build_filled(
+        lambda: UNet2DConditionModel(**config), path, "", "Zero123's U-Net"
+    )
 
 
 def vision(path: Path | None = None, **changes: Any) -> CLIPVisionModelWithProjection:
     """CLIP ViT-L/14 with its projection, filled from `path` if given."""
     config = CLIPVisionConfig(**{**VISION, **changes})
-    return encoders.filled(
+    return encoders.build_filled(
         lambda: CLIPVisionModelWithProjection(config), path, "", "Zero123's picture encoder"
     )
 
 
-def trained(
+def load_trained(
     weights: str | os.PathLike[str] | None, device: str, dtype: torch.dtype
 ) -> dict[str, Any]:
-    """The public networks, by the names that `Zero123` expects.
+    """Load the public networks, by the names that `Zero123` expects.
 
     Raises:
-        InputError: If one is missing.
+        InputError: If a file is missing.
     """
-    files = {path.split("/")[0]: found for path, found in require("zero123", weights).items()}
+    files = {name.split("/")[0]: path for name, path in require("zero123", weights).items()}
     networks = {
         "unet": unet(files["unet"]),
         "vae": encoders.vae(files["vae"]),
         "vision": vision(files["image_encoder"]),
-        "projection": encoders.filled(
+        "projection": encoders.build_filled(
             CameraProjection, files["clip_camera_projection"], "", "Zero123's camera projection"
         ),
     }

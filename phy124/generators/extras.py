@@ -1,0 +1,158 @@
+"""Optional inputs besides the front picture: a depth map, and pictures from other sides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from inspect import signature
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from pydantic import Field
+
+from phy124.errors import InputError
+from phy124.imaging.cutout import Cutout
+from phy124.imaging.decoding import MAX_PIXELS
+from phy124.imaging.image import open_levels
+from phy124.io.opening import obstacle
+from phy124.schema.section import Section
+
+ASPECT = 0.02
+"""Largest relative difference of its aspect ratio from the picture's."""
+
+
+class DepthMap(Section):
+    """A depth map and its convention."""
+
+    depth: Path | None = Field(
+        default=None,
+        description="Depth map of the picture, from any network: a grey PNG of 8 or 16 bits, or a "
+        ".npy file; it determines the shape of the front that relief makes.",
+    )
+    near: Literal["white", "black"] = Field(
+        default="white",
+        description="What is near in the depth map: white (large values, as MiDaS and Depth "
+        "Anything write them) or black (as in metres).",
+    )
+
+    def bind(self, generator: Any, name: str) -> Any:
+        """Bind the depth map, if there is one, to a generator.
+
+        Raises:
+            InputError: If the generator cannot use a depth map, or the file is unusable.
+        """
+        if self.depth is None:
+            return generator
+        if "depth" not in signature(generator).parameters:
+            limit = f"{name} does not use a depth map."
+            raise InputError("depth", self.depth, limit, "Leave it out, or choose relief.")
+        values = read_depth(self.depth)
+        return partial(generator, depth=values if self.near == "white" else -values)
+
+
+def read_depth(path: Path) -> NDArray[np.float32]:
+    """Read the values [H,W] of a depth map.
+
+    Raises:
+        InputError: If it is missing, broken, no single picture, or not finite.
+    """
+    values = _array(path) if path.suffix.lower() == ".npy" else open_levels(path, field="depth")
+    if values.ndim != 2 or min(values.shape) < 2 or values.dtype.kind not in "fiu":
+        limit = f"It contains {values.dtype} values of shape {values.shape}."
+        raise InputError("depth", path, limit, "Save one number per pixel, [height, width].")
+    if not np.isfinite(values).all():
+        limit = "Some of its values are not finite."
+        raise InputError("depth", path, limit, "Replace them, for example by the farthest value.")
+    return values.astype(np.float32)
+
+
+def fit_to_picture(depth: NDArray, width: int, height: int) -> NDArray[np.float32]:
+    """Resize a depth map to the picture [H,W].
+
+    Raises:
+        InputError: If it has another aspect ratio.
+    """
+    rows, columns = depth.shape
+    if abs(columns * height / (rows * width) - 1) > ASPECT:
+        limit = f"It has {columns} x {rows} pixels, the picture {width} x {height}."
+        raise InputError("depth", "map", limit, "Give the depth map of the whole picture.")
+    small = Image.fromarray(np.ascontiguousarray(depth, np.float32))
+    return np.asarray(small.resize((width, height), Image.Resampling.BILINEAR))
+
+
+def _array(path: Path) -> NDArray:
+    if hindrance := obstacle(path):
+        raise InputError("depth", path, *hindrance)
+    try:
+        if path.stat().st_size > 8 * MAX_PIXELS:
+            raise ValueError("it is too large")
+        values = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        limit = f"It is no array ({error})."
+        raise InputError("depth", path, limit, "Save it with numpy.save.") from error
+    return np.squeeze(values)
+
+
+class OtherViews(Section):
+    """Optional inputs about the object's other sides."""
+
+    side: Path | None = Field(
+        default=None,
+        description="Picture of the same object from one side, at its level: relief takes the "
+        "object's depth from it, at each height.",
+    )
+    facing: Literal["left", "right"] = Field(
+        default="left",
+        description="Direction of the object's front in the picture from the side: left (as in "
+        "view `right`) or right.",
+    )
+    back: Path | None = Field(
+        default=None,
+        description="Picture of the same object from straight behind, for relief's back.",
+    )
+    thickness: float | None = Field(
+        default=None,
+        ge=0.05,
+        le=4.0,
+        description="Depth of the object, relative to relief's guess: 0.6 makes a fish flat.",
+    )
+
+    highlights: Literal["keep", "remove"] = Field(
+        default="keep",
+        description="Highlights of the pictures: keep (relief paints them on the object, and they "
+        "move with it) or remove.",
+    )
+
+    @property
+    def pictures(self) -> dict[str, Path]:
+        """Paths of the pictures, by option."""
+        files = {"side": self.side, "back": self.back}
+        return {name: path for name, path in files.items() if path is not None}
+
+    def bind(self, generator: Any, name: str, cut: Callable[[str, Path], Cutout]) -> Any:
+        """Bind these inputs to a generator.
+
+        Args:
+            generator: The generator.
+            name: Its name.
+            cut: Opens the picture of an option and cuts the object out.
+
+        Raises:
+            InputError: If the generator cannot use an input, or a picture is unusable.
+        """
+        known = signature(generator).parameters
+        options: dict[str, Any] = dict(self.pictures)
+        if self.thickness is not None:
+            options["thickness"] = self.thickness
+        if self.highlights == "remove":
+            options["highlights"] = self.highlights
+        for field, value in options.items():
+            if field not in known:
+                limit = f"{name} does not use it."
+                raise InputError(field, value, limit, "Leave it out, or choose relief.")
+        cuts = {field: cut(field, path).picture for field, path in self.pictures.items()}
+        facing = {"facing": self.facing} if self.side else {}
+        return partial(generator, **{**options, **cuts, **facing}) if options else generator
