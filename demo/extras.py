@@ -14,8 +14,7 @@ from pydantic import Field, ValidationError
 
 from phy124.errors import InputError
 from phy124.generators import make as make_generator
-from phy124.generators.depth_map import DepthMap
-from phy124.generators.other_views import OtherViews
+from phy124.generators.extras import DepthMap, OtherViews
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import cut_out as open_view
 from phy124.io.axes import orientation
@@ -105,10 +104,8 @@ class ExtraInputs:
         """Make the generator with a name, or for a file, with these inputs."""
         if self.reading != NO_READING:
             return make_generator(name, self.reading)
-        generator = self.depth.given_to(make_generator(name), name)
-        return self.views.given_to(
-            generator, name, lambda field, path: open_view(path, field=field)
-        )
+        generator = self.depth.bind(make_generator(name), name)
+        return self.views.bind(generator, name, lambda field, path: open_view(path, field=field))
 
     def data(self) -> list[Any]:
         """Inputs that Gaussians depend on, as plain data; file names stand for their content."""

@@ -9,7 +9,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.ply_file import PlyFile, normalised
+from phy124.generators.ply_file import PlyFile, normalise_size
 from phy124.imaging.objects import Point
 from phy124.io import ply
 from phy124.io.dialect import Axes, likely_axes
@@ -134,7 +134,7 @@ def _open_gaussians(path: Path, out: Path, count: int) -> GaussianFile:
     if len(kept) < len(file.gaussians):
         text = f"Its {len(file.gaussians):,} Gaussians were reduced to {count:,} larger ones"
         notes.append(f"{text}, the most that this page takes.")
-    few = normalised(thin(kept, ENOUGH), path.name)
+    few = normalise_size(thin(kept, ENOUGH), path.name)
     with staging(out) as folder:
         _draw(few, folder)
         with replacing(folder / "gaussians.ply") as temporary:
