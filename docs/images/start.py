@@ -96,9 +96,9 @@ def blender(frames: Path) -> Image.Image:
     scene = bpy.context.scene
     scene.world = bpy.data.worlds.new("sky")
     scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.5, 0.53, 0.56, 1)
     lamp = bpy.data.lights.new("sun", "SUN")
-    lamp.energy = 3.0
+    lamp.energy = 2.0
     camera = bpy.data.cameras.new("camera")
     for data, location, turn in (
         (lamp, (0, 0, 3), (0.6, 0.3, 0.4)),
@@ -109,6 +109,7 @@ def blender(frames: Path) -> Image.Image:
         scene.collection.objects.link(placed)
     scene.camera = bpy.data.objects["camera"]
     bpy.ops.mesh.primitive_plane_add(size=20)
+    scene.view_settings.view_transform = "Standard"
     scene.render.engine, scene.cycles.samples = "CYCLES", 32
     scene.render.resolution_x = scene.render.resolution_y = HEIGHT
     images = []
