@@ -30,7 +30,7 @@ class BuildModules(build_py):
     def find_package_modules(self, package: str, package_dir: str) -> list[tuple[str, str, str]]:
         """Package, module and file of each module."""
         found = super().find_package_modules(package, package_dir)
-        return [module for module in found if module[1] != "setup"]
+        return [module for module in found if module[:2] != ("phy124_bridge", "setup")]
 
 
 setup(

@@ -91,6 +91,9 @@ def test_the_wheel_holds_our_packages_and_what_they_read(wheel):
     for name, folder in FOLDERS.items():
         packages = find_packages(str(ROOT), include=[folder, f"{folder}.*"])
         assert {package.replace(folder, name, 1) for package in packages} <= inside
+        modules = {path.relative_to(ROOT) for path in (ROOT / folder).rglob("*.py")}
+        modules -= {Path("bridge/setup.py")}
+        assert {f"{name}/{path.relative_to(folder).as_posix()}" for path in modules} <= set(names)
     data = [*(ROOT / "phy124/presets").iterdir(), *(ROOT / "demo/static").iterdir()]
     data += [*(ROOT / "demo/previews").iterdir(), *(ROOT / "demo/examples").iterdir()]
     data += (ROOT / "phy124/kernels/native").glob("*.h")
