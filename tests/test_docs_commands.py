@@ -23,25 +23,8 @@ from support.pages import BLOCK, PAGES, ROOT, blocks
 NOT_RUN = {"ros2", "own", "network", "long", "server"}
 """Why a block is only parsed: it needs ROS 2, the reader's files, the network, hours, or Ctrl-C."""
 INLINE = re.compile(r"`((?:\.venv/bin/[^\s`]+|phy124|phy124-bridge|python -m bridge|make) [^`]*)`")
-FOREIGN = (
-    "git",
-    "uv",
-    "pipx",
-    "docker",
-    "blender",
-    "docker",
-    "pipx",
-    "uv",
-    "ros2",
-    "rviz2",
-    "colcon",
-    "pip",
-    "mkdir",
-    "ln",
-    "cd",
-    ".",
-    "source",
-)
+FOREIGN = {"git", "blender", "docker", "pipx", "uv", "ros2", "rviz2", "colcon", "pip", "source"}
+FOREIGN |= {"mkdir", "ln", "cd", "."}
 """Programs that are not of this repository."""
 
 
