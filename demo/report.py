@@ -79,7 +79,7 @@ def _pareto(report: dict[str, Any], promise: Promise, stops: Sequence[Stop]) -> 
     ]
     line = " ".join(f"{x(a):.1f},{y(b):.1f}" for a, b in points)
     here = f'<circle class="reached" cx="{x(run[0]):.1f}" cy="{y(run[1]):.1f}" r="5.5"/>'
-    how = "about" if promise.own else "at most about"
+    how = "about" if promise.of_scene else "at most about"
     label = f"this run: {run[0]:.1f} s, error {how} {run[1]:.1%} of the size"
     return _section(
         "Accuracy over time",

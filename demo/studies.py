@@ -67,13 +67,13 @@ class Measurement(BaseModel):
         """Return the error on a grid; none is promised if the object may have torn on any grid."""
         torn = [level.name for level in self.levels if level.torn]
         if torn:
-            return promises.none(f"{promises.torn(torn)}.")
+            return promises.refuse_promise(f"{promises.torn(torn)}.")
         errors = {level.cells: level.error for level in self.levels if level.error is not None}
         error = error_on(cells, errors, self.order)
         if error is None:
             why = ". ".join([self.why_not or "no grid this coarse was measured", *self.skipped])
-            return promises.none(f"{why.rstrip('.')}.")
-        return promises.measured(error, cells, sorted(errors), self.until)
+            return promises.refuse_promise(f"{why.rstrip('.')}.")
+        return promises.promise_measured(error, cells, sorted(errors), self.until)
 
     def table(self) -> str:
         """Format grid, seconds and error as HTML."""

@@ -78,7 +78,7 @@ def test_the_promise_of_a_run_with_a_goal_is_its_own(quick, goal):
     reached = reach(Goal.error(goal), ball(600), quick)
     about = reached.about
     said = promise(reached.simulation.scene, 0.5, {"goal": about, "complete": True})
-    assert said.own and said.error == about["fraction"]
+    assert said.of_scene and said.error == about["fraction"]
     assert about["fraction"] == pytest.approx(about["error"] / UNIT[about["unit"]](quick))
     assert said.sentence.startswith(f"Error of this scene: about {about['fraction']:.1%}")
     unknown = about | {"error": None, "fraction": None, "why_not": "not converging"}

@@ -10,8 +10,7 @@ from phy124.__main__ import main
 from phy124.accuracy import Forecaster
 from phy124.accuracy import forecast as module
 from phy124.accuracy.forecast import Forecast, pixels_per_size
-from phy124.accuracy.pilot import CELLS, Pilot, coarsen, run_pilot
-from phy124.accuracy.probe import SubstepCost
+from phy124.accuracy.probe import CELLS, Pilot, SubstepCost, coarsen, run_pilot
 from phy124.accuracy.promises import Promise
 from phy124.rendering.nearest import ROOM
 from phy124.scene import PRESETS, Scene
@@ -121,7 +120,7 @@ def test_compared_counts_only_what_was_predicted():
         {"simulate": 2.0, "render": 1.0}, (), 10, 20, 30, {"elastic": 1.0}, SubstepCost(1.0, 1.0)
     ).with_measured("generate", 5.0)
     assert made.seconds == 8.0
-    report = made.compared({"generate": 50.0, "simulate": 3.0, "render": 1.0, "image": 9.0})
+    report = made.compare({"generate": 50.0, "simulate": 3.0, "render": 1.0, "image": 9.0})
     assert report["predicted"] == 3.0
     assert report["spent"] == 4.0
     assert report["ratio"] == pytest.approx(4 / 3)

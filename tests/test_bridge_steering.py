@@ -18,8 +18,8 @@ from bridge.steering.run import State
 from bridge.steering.standard import Code, Feature, Standard
 from bridge.steering.transforms import Transforms
 from bridge.topics import FACTOR
-from phy124.accuracy.ball import ball
 from phy124.errors import InputError
+from phy124.generators.shapes import ball
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare

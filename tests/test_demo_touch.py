@@ -23,8 +23,8 @@ from demo.touch import Table, lattice, relay, socket_route
 from demo.touch.lattice import Lattice, Walls
 from demo.touch.player import BINDING, FRAME, HEAD, Player
 from demo.touch.table import FORCES, limits_of, shorten_session
-from phy124.accuracy.ball import ball
 from phy124.errors import InputError
+from phy124.generators.shapes import ball
 from phy124.live import Live
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.accuracy.pilot import run_pilot
+from phy124.accuracy.probe import run_pilot
 from phy124.boundaries import Ground, Press
 from phy124.forces import Acceleration, Gravity, Wind
 from phy124.materials import NeoHookean, Sand

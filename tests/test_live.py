@@ -6,9 +6,9 @@ import runpy
 import numpy as np
 import pytest
 
-from phy124.accuracy.ball import ball
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.shapes import ball
 from phy124.live import Live, RealTime, choose, held_rate
 from phy124.live.inputs import GrabRecord, Inputs
 from phy124.runtime.context import RunContext

@@ -7,8 +7,7 @@ from typing import Any
 
 import gradio as gr
 
-from phy124.accuracy.forecast import GUESS
-from phy124.accuracy.load import format_span
+from phy124.accuracy.forecast import GUESS, format_span
 from phy124.errors import InputError
 from phy124.scene import Scene
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import phy124
-from phy124.accuracy.ball import ball
+from phy124.generators.shapes import ball
 from phy124.studies.validation.accuracy.plots import save_picture
 from phy124.studies.validation.accuracy.study import Study
 

@@ -12,7 +12,7 @@ The web page and other callers need three calls:
     #   .forecast  the whole Forecast (seconds by stage, particles, substeps)
 
     forecast = forecaster.forecast(gaussians, scene)   # one setting, scene.accuracy
-    forecast.compared(spent)                           # predicted, spent, ratio by stage
+    forecast.compare(spent)                            # predicted, spent, ratio by stage
 
 `gaussians` are the generator's output, of any size. The first call takes a few seconds; a second
 call with the same Gaussians and law takes a fraction of a second. The report of a run with a

@@ -242,12 +242,7 @@ def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
 
 
 def _report(
-    goal: Goal,
-    cells: int,
-    error: float | None,
-    result: Convergence,
-    runs: _Runs,
-    refined: bool,
+    goal: Goal, cells: int, error: float | None, result: Convergence, runs: _Runs, refined: bool
 ) -> dict[str, Any]:
     """Return the goal and the result, in the goal's unit, for the report."""
     levels, met = runs.whole, error is not None and error <= goal.value

@@ -163,7 +163,7 @@ class ShowAccuracy:
     ) -> tuple[Gaussians, Scene, Crop]:
         """The Gaussians to study, the scene meant for them, and where they are in the picture."""
         if self.image is None:
-            from phy124.accuracy.ball import ball
+            from phy124.generators.shapes import ball
 
             self.making.refuse_without_picture()
             return ball(), scene, WHOLE

@@ -274,7 +274,7 @@ class Making:
         """A report with the time spent and the files made by now."""
         report = {**report, **circumstances(self.device, self.watch), "files": sorted(made)}
         if self.predicted is not None:
-            report["forecast"] = self.predicted.compared(self.watch.seconds)
+            report["forecast"] = self.predicted.compare(self.watch.seconds)
         if interrupted:
             report["stopped"] = report["stopped"] or INTERRUPTED
         return {**report, "interrupted": interrupted}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from phy124.accuracy.ball import ball
+from phy124.generators.shapes import ball
 from phy124.kernels.implicit import HULL, INFLATED, push
 from phy124.kernels.splat import shadow, stage
 from phy124.kernels.splat.arrange import arrange

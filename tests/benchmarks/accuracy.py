@@ -17,12 +17,12 @@ import warp as wp
 
 from phy124 import pipeline
 from phy124.accuracy import choose
-from phy124.accuracy.ball import ball
 from phy124.accuracy.choose import CELLS, Goal, reach
 from phy124.accuracy.convergence import distances
 from phy124.accuracy.difference import pixel_distance, video
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.shapes import ball
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.metrics import psnr

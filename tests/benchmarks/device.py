@@ -19,7 +19,7 @@ import numpy as np
 import warp as wp
 from mpm import cube
 
-from phy124.accuracy.ball import ball
+from phy124.generators.shapes import ball
 from phy124.materials import FixedCorotated
 from phy124.mpm import Solver
 from phy124.runtime.context import RunContext

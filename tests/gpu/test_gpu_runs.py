@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.accuracy.pilot import run_pilot
+from phy124.accuracy.probe import run_pilot
 from phy124.errors import Cancelled
 from phy124.pipeline import resume
 from phy124.runtime.context import RunContext

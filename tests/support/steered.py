@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from bridge.options import Options
 from bridge.steering.run import SteeredRun
-from phy124.accuracy.ball import ball
+from phy124.generators.shapes import ball
 from phy124.live import Live
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene

@@ -19,7 +19,7 @@ import numpy as np
 from phy124.accuracy.convergence import TRUSTED, Convergence, distances, longest_convergence
 from phy124.accuracy.difference import Difference, difference
 from phy124.accuracy.forecast import QUIET, Forecaster, pixels_per_size
-from phy124.accuracy.promises import kept, promise, torn
+from phy124.accuracy.promises import check_promise, promise, torn
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
@@ -458,7 +458,7 @@ def kept_promises(
             sentences[name] = f"cannot be judged: {convergence.why_not}"
         else:
             promised = promise(scene.model_copy(update={"accuracy": name}), thickness)
-            sentences[name] = kept(promised, row.error, until)
+            sentences[name] = check_promise(promised, row.error, until)
     return sentences
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from phy124.accuracy.ball import FLATNESS, ball
 from phy124.gaussians import rotation_matrices
+from phy124.generators.shapes import FLATNESS, ball
 
 
 @pytest.mark.parametrize("diameter", [0.3, 2.0])
