@@ -275,6 +275,7 @@ def test_interrupted_capture_resumes_with_the_same_command(tmp_path, capsys):
 
     path = saved(tmp_path, captured(8, floor=1500))
     changes = {"time.frames": 4, "time.sleep": False, "view.size": 32, "view.views": ["front"]}
+    changes["view.stage"] = "studio"  # as the command has it
     chosen = Scene.named("drop").replaced({"accuracy": {"cells": 8}} | changes)
     read = capture(PlyFile(path, FLOOR), chosen)
     pipeline.simulate(read.gaussians, read.scene, tmp_path / "out", progress=cancel, keep=True)
@@ -303,7 +304,8 @@ def test_a_study_reads_captures_as_a_simulation_does(tmp_path, capsys):
         'accuracy = {cells = 6}\ntime = {frames = 2}\nview = {size = 32, views = ["front"]}\n'
     )
     out = str(tmp_path / "o")
-    study = ["accuracy", str(tmp_path / "s.toml"), "--levels", "6", "--device", "cpu", "--out", out]
+    study = ["accuracy", str(tmp_path / "s.toml"), "--device", "cpu", "--out", out]
+    study += ["--levels", "6", "7", "8"]
     assert main([*study, "--image", path, "--floor"]) == 0
     assert "D/6" in capsys.readouterr().out
     assert main([*study, "--floor"]) == 2
@@ -329,6 +331,7 @@ def test_an_interrupted_generator_that_is_a_capture_goes_on(tmp_path):
 
     path = saved(tmp_path, captured(8, floor=1500))
     changes = {"time.frames": 4, "time.sleep": False, "view.size": 32, "view.views": ["front"]}
+    changes["view.stage"] = "studio"  # as the command has it
     chosen = Scene.named("drop").replaced({"accuracy": {"cells": 8}} | changes)
     out, told = tmp_path / "out", {"generator": path, "reading": FLOOR}
     pipeline.generate("any.png", chosen, out, **told, progress=cancel, keep=True)
