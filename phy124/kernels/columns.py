@@ -71,7 +71,7 @@ def coulomb(along: Any, pressed: Any, friction: Any):
     return friction * pressed / wanted
 
 
-NARROWING = wp.constant(1.5)
+NARROWING = wp.constant(1.45)
 """Power between the ratios of neighbouring nodes: 1.1 to 1.3 of an edge, 1.2 to 1.6 of a cone."""
 OUT_OF_REACH = wp.constant(-1.25)
 """Distance [cells] of a node behind a wall from which on it has nothing of a body in front of it:
