@@ -21,7 +21,7 @@ from phy124.progress import Progress, silent
 
 if TYPE_CHECKING:
     from phy124.imaging.cutout import Cutout
-    from phy124.pipeline import Static
+    from phy124.pipeline import StaticObject
     from phy124.scene import Scene
     from phy124.simulation import Simulation
 
@@ -151,7 +151,7 @@ def open_clip(path: str | Path) -> Clip:
 
 def make_object(
     source: Path, options: LiveOptions, scene: Scene, device: str, progress: Progress
-) -> Static:
+) -> StaticObject:
     """Gaussians from a picture or a file of Gaussians, and the scene for them; raises InputError.
 
     Args:
@@ -161,7 +161,7 @@ def make_object(
         device: Where the generator runs.
         progress: Called with (stage, done, total); may raise Cancelled.
     """
-    from phy124.pipeline import static
+    from phy124.pipeline import make_gaussians
 
     def look(cutout: Cutout) -> None:
         for note in cutout.notes:
@@ -172,7 +172,7 @@ def make_object(
             for sentence in (*cutout.warnings, f"{see}; {mend}"):
                 log.warning(sentence)
 
-    made = static(
+    made = make_gaussians(
         [source, *options.more],
         scene,
         generator=str(source) if is_file_of_gaussians(source) else options.generator,
@@ -181,8 +181,8 @@ def make_object(
         depth=options.depth,
         views=options.views,
         **options.cutting.arguments(),
-        looked=look,
-        announce=lambda effort: log.info(
+        on_cutout=look,
+        on_estimate=lambda effort: log.info(
             "%s: %s; about %.0f s", options.generator, effort.words, effort.seconds
         ),
         device=device,

@@ -17,6 +17,7 @@ from phy124.accuracy.promises import Promise, promise, why_broken
 from phy124.budget.cost import GAUSSIANS, Rates, Work, count_particles
 from phy124.budget.limits import duration
 from phy124.gaussians import Gaussians
+from phy124.runtime.context import RunContext
 from phy124.scene import PRESETS, Scene
 
 from .rates import Learned
@@ -223,7 +224,7 @@ def probe_estimate(gaussians: Gaussians, scene: Scene, device: str, rest: float)
         device: Warp device.
         rest: Time of all other stages [s].
     """
-    probe = Forecaster(device).forecast(gaussians, scene)
+    probe = Forecaster(RunContext(device=device)).forecast(gaussians, scene)
     return Estimate(
         probe.seconds + rest,
         probe.substeps,

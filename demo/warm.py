@@ -16,6 +16,7 @@ from phy124 import pipeline
 from phy124.gaussians import Gaussians
 from phy124.imaging.cutout import foreground
 from phy124.pipeline.warming import warm
+from phy124.runtime.context import RunContext
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, preset_names
 
@@ -25,7 +26,8 @@ EXAMPLE = Path(__file__).parent / "examples/duck.png"
 
 def warm_up(device: str) -> None:
     """Compile and load what all presets need."""
-    warm([Scene.named(name) for name in preset_names()], pick_device(device))
+    scenes = [Scene.named(name) for name in preset_names()]
+    warm(scenes, RunContext(device=pick_device(device)))
 
 
 def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:

@@ -65,7 +65,7 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
         stack.enter_context(warnings.catch_warnings())
         warnings.showwarning = _note
         with _no_collection():
-            command = _parsed(arguments)
+            command = _parse(arguments)
         if "warp" in sys.modules:  # Some commands, as `weights`, do without.
             _start(talkative=verbose and "--json" not in split_operands(arguments)[0])
         if quiet:
@@ -103,8 +103,8 @@ def _start(*, talkative: bool) -> None:
     wp.config.log_level = wp.LOG_INFO if talkative else wp.LOG_ERROR
 
 
-def _parsed(arguments: list[str]) -> Any:
-    """The command with its options; the list of all commands is printed instead, and ends this."""
+def _parse(arguments: list[str]) -> Any:
+    """Return the command with its options; a request for all commands prints them and exits."""
     from phy124.commands import COMMANDS, outline
     from phy124.schema.arguments.parsing import asks_for_commands, parse
 
@@ -129,14 +129,14 @@ def _report(problem: BaseException, *, as_json: bool, verbose: bool) -> int:
     """Print what a problem means, as JSON on standard output for scripts; returns the status."""
     from phy124.runtime.installation import with_program
 
-    found = failure(problem)
-    message = with_program(found.sentence)
+    cause = failure(problem)
+    message = with_program(cause.sentence)
     if as_json:
         print(json.dumps({"error": message}))
     print(f"phy124: {message}", file=sys.stderr)
     if verbose:
         traceback.print_exception(problem)
-    return found.status
+    return cause.status
 
 
 if __name__ == "__main__":

@@ -126,25 +126,25 @@ class Gaussians:
         )
 
     def of_object(self, index: int) -> Gaussians:
-        """Those of one object, numbered no more; none if there is no such object."""
+        """Return the Gaussians of one object, without `object_id`; empty if there are none."""
         if self.object_id is None:
             return self if index == 0 else self.select(np.zeros(0, int))
         return replace(self.select(self.object_id == index), object_id=None)
 
-    def moved(self, scale: float, offset: NDArray) -> Gaussians:
-        """A copy scaled about the origin, then shifted by `offset [3]` m."""
+    def transform(self, scale: float, offset: NDArray) -> Gaussians:
+        """Return a copy scaled about the origin, then shifted by `offset [3]` m."""
         means = self.means * scale + np.asarray(offset)
         return replace(self, means=means, scales=self.scales * scale)
 
     @property
     def longest(self) -> Array:
-        """The largest standard deviation of each [N], m."""
+        """Largest standard deviation of each [N], m."""
         x, y, z = self.scales.T  # several times faster than a maximum over three neighbours
         return np.maximum(np.maximum(x, y), z)
 
     @property
     def cover(self) -> Array:
-        """Opacity times the area of the two longest axes of each [N], m^2: how much it shows."""
+        """Opacity times the product of the two longest axes of each [N], m^2: its visible area."""
         x, y, z = self.scales.T
         return self.opacities * np.maximum(np.maximum(x * y, y * z), z * x)
 
@@ -159,23 +159,26 @@ class Gaussians:
         return axes @ axes.transpose(0, 2, 1)
 
 
-def joined(some: Sequence[Gaussians]) -> Gaussians:
-    """All Gaussians of several sets, in order; their harmonics are those of the highest degree."""
-    most = max(one.sh.shape[1] for one in some)
+def join(sets: Sequence[Gaussians]) -> Gaussians:
+    """Join several sets in order; all get as many harmonics as the set of the highest degree."""
+    most = max(item.sh.shape[1] for item in sets)
 
     def stack(name: str) -> NDArray:
-        return np.concatenate([getattr(one, name) for one in some])
+        return np.concatenate([getattr(item, name) for item in sets])
 
-    sh = [np.pad(one.sh, ((0, 0), (0, most - one.sh.shape[1]), (0, 0))) for one in some]
-    ids = None if any(one.object_id is None for one in some) else stack("object_id")
+    sh = [np.pad(item.sh, ((0, 0), (0, most - item.sh.shape[1]), (0, 0))) for item in sets]
+    ids = None if any(item.object_id is None for item in sets) else stack("object_id")
     means, quats, scales, opacities = map(stack, ("means", "quats", "scales", "opacities"))
     return Gaussians(means, quats, scales, opacities, np.concatenate(sh), ids)
 
 
-def as_objects(some: dict[int, Gaussians]) -> Gaussians:
-    """Objects, by their numbers, as one set in which each Gaussian has the number of its object."""
-    return joined(
-        [replace(one, object_id=np.full(len(one), index, np.int32)) for index, one in some.items()]
+def as_objects(objects: dict[int, Gaussians]) -> Gaussians:
+    """Join objects, given by number; each Gaussian gets the number of its object."""
+    return join(
+        [
+            replace(item, object_id=np.full(len(item), index, np.int32))
+            for index, item in objects.items()
+        ]
     )
 
 
@@ -293,12 +296,12 @@ def spread_directions(count: int) -> NDArray[np.float64]:
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
 
 
-def stacked(frames: Sequence[Frame]) -> NDArray[np.float64]:
-    """The wrenches of frames that have them [T,W,2,3], walls in their order."""
+def stack_wrenches(frames: Sequence[Frame]) -> NDArray[np.float64]:
+    """Return the wrenches of frames that have them [T,W,2,3], in the order of the walls."""
     rows = [[[*wrench] for wrench in (frame.wrenches or {}).values()] for frame in frames]
     return np.array(rows, np.float64).reshape(len(frames), -1, 2, 3)
 
 
 def of_walls(walls: Sequence[str], wrenches: NDArray) -> dict[str, Wrench]:
-    """The wrenches of one frame [W,2,3] by the names of the walls."""
+    """Return the wrenches of one frame [W,2,3] by the names of the walls."""
     return {wall: Wrench(*wrench) for wall, wrench in zip(walls, wrenches, strict=True)}

@@ -14,6 +14,7 @@ from phy124.commands.accuracy import KEPT
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
 from phy124.monitor.tearing import Tearing
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Stopped, prepare
 from phy124.studies.validation.accuracy import plots
@@ -122,7 +123,11 @@ def test_levels_alone_are_run_where_nothing_else_is_asked():
     scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "lattice"})
     told = []
     report = Study(
-        ball(300), scene, levels=(8, 10), thorough=False, progress=lambda *at: told.append(at)
+        ball(300),
+        scene,
+        levels=(8, 10),
+        thorough=False,
+        context=RunContext(progress=lambda *at: told.append(at)),
     ).run()
     assert [row.name for row in report.rows] == ["D/8", "D/10"]
     assert all(row.predicted is None and row.from_finest is None for row in report.rows)
@@ -136,7 +141,9 @@ def test_a_level_that_is_stopped_is_left_out():
         if (stage, done) == ("study", 1):
             raise Stopped("the time is up")
 
-    report = Study(ball(300), scene, levels=(8, 10), thorough=False, progress=progress).run()
+    report = Study(
+        ball(300), scene, levels=(8, 10), thorough=False, context=RunContext(progress=progress)
+    ).run()
     assert [row.name for row in report.rows] == ["D/8"]
     assert report.skipped == ("D/10 is left out: the time is up",)
 
@@ -296,7 +303,7 @@ def test_levels_that_are_done_survive_an_interrupt():
         if told.count(1) == 3:
             raise Cancelled
 
-    options = {"levels": (6, 8), "progress": cancel}
+    options = {"levels": (6, 8), "context": RunContext(progress=cancel)}
     scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32})
     report = Study(ball(300), scene, keep=True, **options).run()
     assert report.interrupted and [row.name for row in report.rows] == ["D/6"]

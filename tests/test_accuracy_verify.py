@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from phy124.__main__ import main
-from phy124.kernels.manufactured import make_vortex
+from phy124.kernels.forces import make_vortex
 from phy124.materials import NeoHookean
 from phy124.studies.validation.accuracy import problems, verify
 from phy124.studies.validation.accuracy.verify import CHECKS, Verdict

@@ -9,12 +9,12 @@ import pytest
 from phy124 import pipeline
 from phy124.__main__ import main
 from phy124.errors import Cancelled, InputError
-from phy124.gaussians import joined, rotation_matrices
+from phy124.gaussians import join, rotation_matrices
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io.axes import orientation
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
-from phy124.pipeline.capture import capture, isolated
+from phy124.pipeline.capture import capture, find_floaters
 from phy124.pipeline.capture.floor import find_floor
 from phy124.rendering.framing import cameras
 from phy124.scene import Scene, View
@@ -150,12 +150,12 @@ def test_floaters_are_told_from_sparse_objects():
     shell = ball(2000)
     rng = np.random.default_rng(0)
     far = ball(2000).select(np.arange(30))
-    far = joined([shell, far.moved(1.0, np.zeros(3))])
+    far = join([shell, far.transform(1.0, np.zeros(3))])
     means = far.means.copy()
     means[2000:] = rng.uniform(1.5, 6, (30, 3))
-    assert isolated(replace(far, means=means)).tolist() == [False] * 2000 + [True] * 30
-    assert not isolated(shell).any()
-    assert not isolated(shell.select(np.arange(3))).any()
+    assert find_floaters(replace(far, means=means)).tolist() == [False] * 2000 + [True] * 30
+    assert not find_floaters(shell).any()
+    assert not find_floaters(shell.select(np.arange(3))).any()
 
 
 def test_a_region_in_the_files_own_units(tmp_path):
@@ -211,9 +211,7 @@ def test_a_region_beyond_everything_is_refused(tmp_path):
     place = captured(7, floaters=0)
     region = {"lower": [8e8, 0, 0], "upper": [9e8, 1, 1], "units": "file"}
     chosen = scene(**{"parts": [{"static": True, "region": region}], "object.size": 100.0})
-    with pytest.raises(
-        InputError, match=r"parts\.0\.region = .* nothing of the object is that far"
-    ):
+    with pytest.raises(InputError, match=r"parts\.0\.region = .* the object is not that far"):
         capture(PlyFile(saved(tmp_path, place)), chosen)
 
 

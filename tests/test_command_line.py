@@ -221,7 +221,7 @@ def test_ctrl_c_while_modules_are_imported(monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("phy124.__main__._parsed", interrupted)
+    monkeypatch.setattr("phy124.__main__._parse", interrupted)
     assert main(["scenes"]) == 130
     assert "Traceback" not in capsys.readouterr().err
 

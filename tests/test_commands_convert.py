@@ -20,7 +20,7 @@ from support.shapes import ball
 
 @pytest.fixture
 def clip(tmp_path, three_gaussians):
-    frames = [Frame(i, i / 8, three_gaussians.moved(1, np.array([i, 0, 0]))) for i in range(3)]
+    frames = [Frame(i, i / 8, three_gaussians.transform(1, np.array([i, 0, 0]))) for i in range(3)]
     Clip.from_frames(frames).save(tmp_path / "clip.safetensors")
     return tmp_path / "clip.safetensors"
 

@@ -55,7 +55,7 @@ def done(visitors, tmp_path, three_gaussians) -> Done:
     clip, films = folder / "clips" / "x", folder / "films" / "x"
     clip.mkdir()
     films.mkdir()
-    frames = [Frame(i, i / 10, three_gaussians.moved(1, np.array([i, 0, 0]))) for i in range(2)]
+    frames = [Frame(i, i / 10, three_gaussians.transform(1, np.array([i, 0, 0]))) for i in range(2)]
     made = Clip.from_frames(frames)
     scene = Scene.named("press").data()
     Clip(**{**vars(made), "scene": scene}).save(clip / "clip.safetensors")
@@ -74,7 +74,9 @@ def test_a_sequence_of_ply_files_is_made_once(export, done):
 @pytest.mark.parametrize("kind", [kind for kind, offer in EXPORTS.items() if offer.available()])
 def test_the_size_that_is_told_is_about_that_of_the_file(export, done, rng, kind):
     g = many(rng, 5000, 0)
-    made = Clip.from_frames([Frame(i, i / 10, g.moved(1, np.array([i, 0, 0]))) for i in range(4)])
+    made = Clip.from_frames(
+        [Frame(i, i / 10, g.transform(1, np.array([i, 0, 0]))) for i in range(4)]
+    )
     made = replace(made, scene=Scene.named("press").data())
     made.save(done.clip / "clip.safetensors")
     size = export(kind).stat().st_size

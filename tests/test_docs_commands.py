@@ -15,7 +15,7 @@ import pytest
 import tyro
 
 from bridge.commands import COMMANDS as BRIDGE
-from phy124.__main__ import _parsed
+from phy124.__main__ import _parse
 from phy124.errors import InputError
 from phy124.schema.arguments.words import join_repeats
 from support.pages import BLOCK, PAGES, ROOT, blocks
@@ -74,7 +74,7 @@ def parse_phy124(rest: list[str]) -> None:
     rest = rest[: rest.index(">")] if ">" in rest else rest
     rest = [word for word in rest if word not in ("--quiet", "--verbose")]
     if rest[0] not in ("--version", "--help", "--tyro-print-completion"):
-        _parsed(rest)
+        _parse(rest)
 
 
 @pytest.mark.parametrize("block", blocks(), ids=lambda b: f"{b.page.name}-{b.text[:30]!r}")

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from phy124 import pipeline
-from phy124.pipeline import earlier
+from phy124.pipeline.run_folder import list_results, remove_results
 from phy124.scene import Scene
 from support.shapes import ball
 
@@ -47,7 +47,7 @@ def test_a_strange_report_removes_nothing(tmp_path, report):
     out = tmp_path / "out"
     out.mkdir()
     (out / "report.json").write_text(report)
-    earlier.remove(out, earlier.listed(out))
+    remove_results(out, list_results(out))
     assert names(tmp_path) == {"kept", "out"} and names(out) == {"report.json"}
 
 
@@ -59,5 +59,5 @@ def test_folders_of_pictures_go_and_links_are_not_followed(tmp_path):
     (out / "front" / "0000.png").touch()
     (out / "left").symlink_to(tmp_path / "mine")
     (out / "report.json").write_text(json.dumps({"files": ["front", "left", "gone.mp4"]}))
-    earlier.remove(out, earlier.listed(out))
+    remove_results(out, list_results(out))
     assert names(out) == {"report.json"} and names(tmp_path / "mine") == {"picture.png"}

@@ -20,7 +20,7 @@ LONG = ("error", "fit", "sweep")
 SMALLER = (
     (r'"accuracy": "draft"', '"accuracy": {"cells": 8}, "time.frames": 3, "view.size": 32'),
     (r'"time\.frames": \d+', '"time.frames": 3'),
-    (r'static\((".*?")\)', r"static(\1, count=2000)"),
+    (r'make_gaussians\((".*?")\)', r"make_gaussians(\1, count=2000)"),
     (r"frames\(24\)", "frames(2)"),
 )
 """Patterns in a program, and what stands there in a quick test."""

@@ -22,7 +22,7 @@ SUPERSPLAT = re.compile(r"(.*?)(\d+)(?:\.compressed)?\.ply$")
 @pytest.fixture
 def clip(three_gaussians) -> Clip:
     frames = [
-        Frame(i, i / 24, three_gaussians.moved(1, np.array([0.1 * i, 0, -0.2 * i])))
+        Frame(i, i / 24, three_gaussians.transform(1, np.array([0.1 * i, 0, -0.2 * i])))
         for i in range(3)
     ]
     return Clip.from_frames(frames)

@@ -43,7 +43,7 @@ STAGES = {
     "cut out": ("generate", "phy124.pipeline.gaussians.cut_out"),
     "read": ("simulate", "phy124.commands.generate.capture"),
     "simulate": ("simulate", "phy124.simulation.Simulation.run"),
-    "film": ("simulate", "phy124.pipeline.making.film"),
+    "film": ("simulate", "phy124.pipeline.run_folder.film"),
     "save": ("simulate", "phy124.pipeline.recording.Recording.finish"),
     "print": ("simulate", "phy124.commands.generate.show"),
 }

@@ -10,10 +10,10 @@ from phy124.__main__ import main
 from phy124.camera import Camera
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
+from phy124.imaging.painted import WHOLE
 from phy124.io.ply import write_ply
 from phy124.progress import silent
 from phy124.scene import Scene
-from phy124.simulation.parts import WHOLE
 from phy124.studies.fit.budget import Budget, Outlook
 from phy124.studies.fit.declaration import Fit, parse_ranges
 from phy124.studies.fit.estimate import estimate

@@ -6,7 +6,7 @@ import pytest
 from phy124.errors import InputError
 from phy124.generators.shapes import make_shape
 from phy124.io.ply import write_ply
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
@@ -21,10 +21,10 @@ def declared(tmp_path, picture, scene, cells, **more):
     # As long as the presets once were; the fit follows the points.
     brief = {"time.frames": 14, "time.fps": 24.0 if scene == "press" else 20.0}
     found = Scene.named(scene).replaced(brief)
-    clip = twin(static(picture, Scene(), count=3000).gaussians, found, cells)
+    clip = twin(make_gaussians(picture, Scene(), count=3000).gaussians, found, cells)
     write_points(tmp_path / "points.csv", clip, seed=1)
     write_forces(tmp_path / "forces.csv", clip, seed=1)
-    write_ply(tmp_path / "object.ply", static(picture, Scene(), count=2000).gaussians)
+    write_ply(tmp_path / "object.ply", make_gaussians(picture, Scene(), count=2000).gaussians)
     data = {
         "target": str(tmp_path / "points.csv"),
         "object": str(tmp_path / "object.ply"),
@@ -77,7 +77,7 @@ def test_a_pressed_duck_does_not_tell_its_poissons_ratio(tmp_path, seen):
     asked, _ = declared(tmp_path, DUCK, "press", 24, find=nu, grids=[12, 16])
     if seen == "clip":
         scene = Scene.named("press").replaced({"accuracy.cells": 24, "time.frames": 14})
-        duck = static(DUCK, Scene(), count=2000).gaussians
+        duck = make_gaussians(DUCK, Scene(), count=2000).gaussians
         Simulation(prepare(duck, scene, RunContext(threads=1))).run().save(
             tmp_path / "clip.safetensors"
         )

@@ -172,7 +172,7 @@ def test_tags_of_a_ply_are_written(tmp_path, three_gaussians):
 
 def test_far_objects_fit_into_spz(tmp_path, three_gaussians):
     for size in (1e-3, 1.0, 1e3, 1e5):
-        wanted = three_gaussians.moved(size, np.zeros(3))
+        wanted = three_gaussians.transform(size, np.zeros(3))
         write_gaussians(tmp_path / "a.spz", wanted)
         found = read_gaussians(tmp_path / "a.spz").gaussians
         reach = np.abs(wanted.means).max()

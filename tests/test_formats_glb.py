@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, joined
+from phy124.gaussians import Gaussians, join
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.formats import glb, read_as_is, read_gaussians, write_gaussians
 from support.quantisation import many
@@ -87,9 +87,9 @@ def test_nodes_of_a_glb_move_turn_and_scale_their_gaussians(tmp_path, rng):
     halves = [found.select(np.arange(50)), found.select(np.arange(50, 100))]
     plain, other = sorted(halves, key=lambda g: g.scales.sum())
     up = np.array([0, 0, 10])
-    assert_same(plain, wanted.moved(1, up))
+    assert_same(plain, wanted.transform(1, up))
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])  # about our z, which is the file's y
-    assert_same(other, rotate_gaussians(wanted, turn).moved(2, up))
+    assert_same(other, rotate_gaussians(wanted, turn).transform(2, up))
 
 
 def _set(path: str, value) -> object:
@@ -204,7 +204,7 @@ def test_glb_reads_in_the_library_of_another_container(tmp_path, rng):
 @pytest.mark.parametrize("logs", [False, True])
 def test_scales_are_told_in_any_unit(tmp_path, unit, logs):
     """In millimetres all logarithms are above 0, too: what covers the object tells."""
-    wanted = ball(3000).moved(unit, np.zeros(3))
+    wanted = ball(3000).transform(unit, np.zeros(3))
     scales = np.maximum(wanted.scales, 1.01) if unit > 1 else wanted.scales
     wanted = replace(wanted, scales=scales)
     written = replace(wanted, scales=np.log(scales)) if logs else wanted
@@ -246,7 +246,7 @@ def test_known_programs_wrote_scales_of_one_kind(tmp_path, three_gaussians, gene
 def test_a_negative_scale_in_one_mesh_tells_of_all(tmp_path, three_gaussians):
     small = replace(three_gaussians, scales=np.log(three_gaussians.scales))
     large = replace(three_gaussians, scales=np.float32([[1, 2, 3]] * 3))
-    write_gaussians(tmp_path / "a.glb", joined([small, large]))
+    write_gaussians(tmp_path / "a.glb", join([small, large]))
 
     def apart(tree):
         """Two meshes that share the values: one shows the first half, the other the second."""

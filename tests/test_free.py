@@ -18,7 +18,7 @@ from phy124.particles.scenery import Scenery
 from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation, prepare, props
+from phy124.simulation import Simulation, bodies, prepare
 from phy124.studies.validation.bodies import lattice, make_solver
 from support.balls import elements, pressed_on_box
 from support.shapes import ball, watch_run
@@ -386,15 +386,15 @@ def test_what_a_free_solid_would_pass_through_is_refused(changes, said):
 
 def test_a_free_solid_is_where_its_gaussians_are():
     two = as_objects({0: ball(50), 1: ball(80)})
-    two = two.moved(1.0, np.array([0.5, -0.25, 1.0]))
-    (one,) = props.free_bodies(scene(pairs=[{"friction": 0.2}]), two)
+    two = two.transform(1.0, np.array([0.5, -0.25, 1.0]))
+    (one,) = bodies.make_free(scene(pairs=[{"friction": 0.2}]), two)
     np.testing.assert_allclose(one.place, two.means[two.object_id == 1].mean(axis=0), atol=1e-6)
     np.testing.assert_allclose(one.half, [0.25, 0.2, 0.15])
     np.testing.assert_allclose(one.axes, euler((10, 20, 30)), atol=1e-12)
     assert (one.density, one.friction, one.sticky) == (400, 0.2, False)
     told = scene(boundaries=[{"kind": "ground"}, {"kind": "container"}, {"kind": "press"}])
-    assert len(props.planes(told)) == 1 + 6 + 1
-    assert props.planes(scene(objects=[])) == []
+    assert len(bodies.planes_for_free(told)) == 1 + 6 + 1
+    assert bodies.planes_for_free(scene(objects=[])) == []
     assert scene().with_solids().boundaries == scene().boundaries, "it is no wall"
 
 

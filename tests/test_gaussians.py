@@ -42,7 +42,7 @@ def test_colours_survive_the_change_to_harmonics(three_gaussians):
 
 
 def test_moving_scales_means_and_scales(three_gaussians):
-    moved = three_gaussians.moved(2.0, np.array([1, 0, 0]))
+    moved = three_gaussians.transform(2.0, np.array([1, 0, 0]))
     assert np.allclose(moved.means, three_gaussians.means * 2 + [1, 0, 0])
     assert np.allclose(moved.scales, three_gaussians.scales * 2)
 

@@ -12,7 +12,7 @@ from phy124.accuracy.forecast import Forecast
 from phy124.accuracy.probe import SubstepCost
 from phy124.errors import InputError
 from phy124.generators.options import Effort, GeneratorOptions, Work, effort_of
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 from support.shapes import ball
 
 STEPS = GeneratorOptions(steps=7)
@@ -73,17 +73,19 @@ def test_the_command_line_refuses_what_cannot_be(picture, capsys):
 
 def test_what_takes_long_is_told_before_and_in_the_report(picture):
     slow, order = Slow(), []
-    made = static(picture, generator=slow, announce=lambda effort: order.append(slow.calls))
+    made = make_gaussians(
+        picture, generator=slow, on_estimate=lambda effort: order.append(slow.calls)
+    )
     assert order == [0] and slow.calls == 1
     assert made.about["effort"] == {"steps": 7, "predicted": 400.0}
-    assert effort_of(static) is None
+    assert effort_of(make_gaussians) is None
 
 
 class Foreseen:
     """A forecaster that forecasts one second of simulation."""
 
-    def __init__(self, device, threads):
-        self.device, self.threads = device, threads
+    def __init__(self, context):
+        self.context = context
 
     def forecast(self, gaussians, scene, *, crop):
         return Forecast({"simulate": 1.0}, (), 1, 1, 1, {}, SubstepCost(1e-9, 1e-9))

@@ -8,7 +8,7 @@ import pytest
 
 from phy124 import generators
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, joined
+from phy124.gaussians import Gaussians, join
 from phy124.generators import neural
 from phy124.generators.ply_file import PlyFile, Reading, normalise_size, robust_bounds
 from phy124.io.ply import write_ply
@@ -83,7 +83,7 @@ def test_ply_is_brought_to_the_default_place(tmp_path, rng):
 def test_outliers_and_faint_gaussians_do_not_count(tmp_path, rng):
     far = Gaussians([[90, 9, 9]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
     faint = box(rng, 100, opacity=0.004)
-    gaussians = joined([box(rng), far, faint])
+    gaussians = join([box(rng), far, faint])
     clean = robust_bounds(box(np.random.default_rng(0)))
     np.testing.assert_allclose(robust_bounds(gaussians), clean, atol=0.02)
     write_ply(tmp_path / "a.ply", gaussians)

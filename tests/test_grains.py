@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phy124.gaussians import Gaussians, joined
+from phy124.gaussians import Gaussians, join
 from phy124.materials import Fluid, NeoHookean, Sand
 from phy124.particles.grains import CLEARANCE, SIZE, add_grains, vary_brightness
 from phy124.particles.seeding import make_particles
@@ -137,7 +137,7 @@ def test_tint_is_of_one_material_of_several():
     two = Scene.named("collide").replaced({"accuracy": {"cells": 8}, "time.frames": 1})
     two = two.replaced({"objects.0.material.tint": [0, 0, 1]})
     body = ball(200)
-    both = replace(joined([body, body]), object_id=np.repeat([0, 1], 200).astype(np.int32))
+    both = replace(join([body, body]), object_id=np.repeat([0, 1], 200).astype(np.int32))
     clip = Simulation(prepare(both, two)).run()
     rgb = clip.frame(0).gaussians.rgb
     assert (rgb[clip.object_id == 1][:, :2] < 0.01).all()

@@ -396,7 +396,9 @@ def test_leftovers_of_killed_processes_are_removed(tmp_path):
 
 def test_a_file_is_no_folder_and_is_refused_before_any_work(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("mine")
-    monkeypatch.setattr(pipeline, "static", lambda *_, **__: pytest.fail("it began to work"))
+    monkeypatch.setattr(
+        pipeline, "make_gaussians", lambda *_, **__: pytest.fail("it began to work")
+    )
     for out in (tmp_path / "file", tmp_path / "file" / "deeper"):
         assert main(["generate", str(DUCK), *OPTIONS, "--out", str(out)]) == 2
         assert f"out = {out}: it " in capsys.readouterr().err

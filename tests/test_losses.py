@@ -21,7 +21,7 @@ from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip
 from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
-from phy124.pipeline import making
+from phy124.pipeline import run_folder
 from phy124.runtime.failures import failure
 from support.runs import RESULTS, SCENE, names
 from support.shapes import ball
@@ -71,7 +71,7 @@ def full(monkeypatch, *folders: Path):
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), ValueError("a plugin")])
 def test_what_is_computed_stays_if_filming_fails(tmp_path, monkeypatch, error, capsys):
-    def fail(clip, view, folder, **options):
+    def fail(clip, view, folder, context):
         (folder / "front.mp4").touch()
         raise error
 
@@ -80,7 +80,7 @@ def test_what_is_computed_stays_if_filming_fails(tmp_path, monkeypatch, error, c
     command = ["simulate", str(tmp_path / "ball.ply"), "--out", str(tmp_path / "out")]
     command += ["--frames", "2", "--accuracy", "draft", "--views", "front", "--size", "32"]
     with monkeypatch.context() as patch:
-        patch.setattr(making, "film", fail)
+        patch.setattr(run_folder, "film", fail)
         assert main(command) == 1
     said = capsys.readouterr().err
     assert f"phy124 render {tmp_path / 'out/clip.safetensors'}" in said and "front.mp4" in said
@@ -147,6 +147,8 @@ def test_finished_sides_stay_if_a_later_one_fails(tmp_path, monkeypatch, capsys,
     )
     written = module.write_mp4
     monkeypatch.setattr(module, "write_mp4", write)
+    if command == "render":
+        monkeypatch.setitem(module.ENCODERS, "mp4", module._encode("mp4", write))
     clip, out = str(tmp_path / "a/clip.safetensors"), tmp_path / "out"
     given = [clip] if command == "render" else [clip, clip]
     options = ["--views", "front", "left", "--size", "32", "--device", "cpu", "--out", str(out)]
@@ -251,6 +253,6 @@ def test_a_folder_that_became_read_only_hides_no_sentence(tmp_path, every_frame,
         def only_in_temporary(clip, path) -> None:
             saved(clip, path) if Path(path).is_relative_to(temporary) else refuse()
 
-        with pytest.raises(Incomplete, match=r"is kept in .*phy124-kept-"):
+        with pytest.raises(Incomplete, match=r"are kept in .*phy124-kept-"):
             pipeline.simulate(ball(300), SCENE, tmp_path / "out", each=each)
     assert list(temporary.glob("phy124-kept-*/clip.safetensors"))

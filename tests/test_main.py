@@ -119,9 +119,8 @@ def test_render_films_again_without_simulating(made, tmp_path, capsys):
 
 def test_render_draws_in_as_many_threads_as_are_asked_for(made, tmp_path, capsys, monkeypatch):
     given = []
-    monkeypatch.setattr(
-        "phy124.commands.render.film", lambda *_, threads, **__: given.append(threads)
-    )
+    film = "phy124.commands.render.film"
+    monkeypatch.setattr(film, lambda *_: given.append(_[-1].threads))
     arguments = ["render", str(made / "clip.safetensors"), "--device", "cpu"]
     for told in ([], ["--threads", "3"]):
         main([*arguments, "--out", str(tmp_path / "none"), *told])

@@ -10,7 +10,7 @@ from phy124.errors import InputError
 from phy124.generators import mesh as meshes
 from phy124.generators.mesh import mesh
 from phy124.particles.solid import find_solid
-from phy124.pipeline.objects import with_others
+from phy124.pipeline.gaussians import with_others
 from phy124.runtime import isolated
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")

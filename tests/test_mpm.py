@@ -11,10 +11,10 @@ from phy124.errors import Cancelled
 from phy124.forces import Acceleration, Gravity, ParticleForce, SetVelocity, TotalForce
 from phy124.kernels import transfer
 from phy124.kernels.build import kernel
-from phy124.kernels.spline import spline
+from phy124.kernels.transfer import spline
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver, Unstable
-from phy124.mpm.maxima import Maxima
+from phy124.mpm.timestep import Maxima
 from phy124.mpm.workers import HOST
 from phy124.schema.region import Region
 from phy124.studies.validation import bodies

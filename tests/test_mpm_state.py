@@ -6,9 +6,8 @@ import pytest
 from phy124.kernels.measure import COUNT
 from phy124.materials import FixedCorotated, Metal, NeoHookean, Sand
 from phy124.mpm import Clock, Model, State
-from phy124.mpm.maxima import Maxima
 from phy124.mpm.stage import launches
-from phy124.mpm.timestep import Extremes
+from phy124.mpm.timestep import Extremes, Maxima
 from phy124.studies.validation.bodies import block
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from phy124.materials import NeoHookean
-from phy124.mpm import slabs, workers
-from phy124.mpm.slabs import GROWN, layers
-from phy124.mpm.workers import MIN_PARTICLES, timed, usable_workers
+from phy124.mpm import workers
+from phy124.mpm.workers import GROWN, MIN_PARTICLES, layers, run_timed, usable_workers
 from phy124.studies.validation.bodies import make_solver
 from support.shapes import cloud
 
@@ -103,7 +102,7 @@ def test_snapshot_includes_recut_slabs():
 
 def test_slabs_of_few_nodes_stay_though_they_overlap(monkeypatch):
     """Lists of indices cost more than overlapping nodes do."""
-    monkeypatch.setattr(slabs, "NODES", 1000)
+    monkeypatch.setattr(workers, "NODES", 1000)
     s = solver(4)
     s.step(1e-4, 1e-4)
     first = s.slabs.share
@@ -124,5 +123,5 @@ def test_workers_are_as_many_as_asked_for_or_as_pay(monkeypatch):
 def test_time_is_added_up_by_name():
     timings = {}
     for _ in range(3):
-        timed(timings, "p2g", lambda: None)
+        run_timed(timings, "p2g", lambda: None)
     assert timings["p2g"][1] == 3 and timings["p2g"][0] >= 0

@@ -24,7 +24,7 @@ def front(tmp_path):
 def test_the_side_is_cut_out_and_makes_the_object_as_deep(front, tmp_path):
     """And the caller sees both cut-outs with their files."""
     views, seen = OtherViews(side=save_ellipse(tmp_path / "side.png", 15, 30)), []
-    made = pipeline.static(front, views=views, count=500, looked=seen.append)
+    made = pipeline.make_gaussians(front, views=views, count=500, on_cutout=seen.append)
     size = np.ptp(made.gaussians.means, axis=0)
     assert size[0] == pytest.approx(size[2] / 2, rel=0.15)
     assert [cutout.file.name for cutout in seen] == ["side.png", "front.png"]
@@ -38,9 +38,9 @@ def test_a_generator_that_does_not_look_at_them_refuses_them(front):
 
     for generator in (other, "no.ply"):
         with pytest.raises(InputError, match=r"(?s)back = .*does not use it"):
-            pipeline.static(front, generator=generator, views=OtherViews(back=front))
+            pipeline.make_gaussians(front, generator=generator, views=OtherViews(back=front))
         with pytest.raises(InputError, match=r"thickness = 0.5.*does not use it"):
-            pipeline.static(front, generator=generator, views=OtherViews(thickness=0.5))
+            pipeline.make_gaussians(front, generator=generator, views=OtherViews(thickness=0.5))
 
 
 def test_a_picture_that_cannot_be_used_is_named(front, tmp_path):
@@ -48,4 +48,4 @@ def test_a_picture_that_cannot_be_used_is_named(front, tmp_path):
     Image.new("RGB", (96, 96), "white").save(empty)
     for path, why in ((tmp_path / "none.png", "no such file"), (empty, "No object was found")):
         with pytest.raises(InputError, match=f"side = .*{path.name}.*{why}"):
-            pipeline.static(front, views=OtherViews(side=path), count=500)
+            pipeline.make_gaussians(front, views=OtherViews(side=path), count=500)

@@ -59,7 +59,7 @@ def sphere(count: int = 20000, radius: float = 0.5) -> Gaussians:
 
 def moving(rest: Gaussians, steps) -> Clip:
     frames = [
-        Frame(i, i / 24, rest.moved(1.0, np.array(step, float))) for i, step in enumerate(steps)
+        Frame(i, i / 24, rest.transform(1.0, np.array(step, float))) for i, step in enumerate(steps)
     ]
     return Clip.from_frames(frames)
 

@@ -97,7 +97,7 @@ def test_bodies_must_come_in_their_order():
     for body in ([0, 1, 0], [1, 1, 2], [0, 2, 2]):
         with pytest.raises(ValueError, match="sorted by body"):
             Model.of(x, volume, [NeoHookean()], dx=1, body=np.array(body))
-    with pytest.raises(ValueError, match="different ones of 2 bodies"):
+    with pytest.raises(ValueError, match="different pairs of 2 bodies"):
         two(1.0, pairs=[Pair(0, 2)])
 
 

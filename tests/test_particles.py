@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, joined, quaternions
+from phy124.gaussians import Gaussians, join, quaternions
 from phy124.generators.shapes import make_shape
 from phy124.particles import (
     clean,
@@ -101,7 +101,7 @@ def test_volume_is_right_to_three_percent_at_every_resolution(name, cells, rng):
 @pytest.mark.parametrize("name", ["ball", "box"])
 def test_a_micrometre_and_a_kilometre_weigh_what_they_should(name, size, rng):
     make, volume = SHAPES[name]
-    gaussians = make(3000, rng).moved(size, np.zeros(3))
+    gaussians = make(3000, rng).transform(size, np.zeros(3))
     for binding in ("particles", "lattice"):
         particles = make_particles(gaussians, density=700, spacing=size / 20, binding=binding)
         assert particles.mass.sum() == pytest.approx(700 * volume * size**3, rel=0.03)
@@ -253,10 +253,10 @@ def test_faint_floaters_are_no_part_of_the_object(rng):
     """Each clump has more than a thousandth of all Gaussians and shows much less."""
     good = ball(20_000, rng)
     places = [0.31, -0.17, 0.4] + directions(25, rng) * rng.uniform(0.8, 1.4, (25, 1))
-    kept, cleaning = clean(joined([good, *(clump(place, rng) for place in places)]))
+    kept, cleaning = clean(join([good, *(clump(place, rng) for place in places)]))
     assert (cleaning.stray, len(kept)) == (750, 20_000)
     opaque = [clump(place, rng, count=90, opacity=0.95) for place in places]
-    assert clean(joined([good, *opaque]))[1].stray == 0, "what shows is a part of it"
+    assert clean(join([good, *opaque]))[1].stray == 0, "what shows is a part of it"
 
 
 def test_a_wide_sky_does_not_make_strays_of_the_object(rng):
@@ -267,7 +267,7 @@ def test_a_wide_sky_does_not_make_strays_of_the_object(rng):
     around = Gaussians.from_rgb(
         ways, quats, np.ones((4000, 3)), np.full(4000, 0.95), np.ones((4000, 3))
     )
-    kept, cleaning = clean(joined([ball(12_000, rng), around]))
+    kept, cleaning = clean(join([ball(12_000, rng), around]))
     assert (cleaning.stray, len(kept)) == (0, 16_000)
 
 
@@ -338,7 +338,7 @@ def test_bounds_leave_out_a_thousandth_of_the_opacity(rng, faint):
 
 
 def test_to_size_sets_the_longest_side_and_the_ground(rng):
-    given = box(40_000, rng).moved(37.0, np.array([5.0, 6, 7]))
+    given = box(40_000, rng).transform(37.0, np.array([5.0, 6, 7]))
     sized = scale_to_size(given, 2.0)
     low, high = compute_bounds(sized)
     assert high - low == pytest.approx(2 * SIDES, rel=0.03)

@@ -7,7 +7,7 @@ from phy124.materials import FixedCorotated, NeoHookean
 from phy124.scene import Part, Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.parts import assign
+from phy124.simulation.materials import assign
 from phy124.studies.validation.bodies import make_solver
 from support.shapes import ball
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from phy124.gaussians import joined
+from phy124.gaussians import join
 from phy124.particles import Particles
 from phy124.scene import Scene
-from phy124.simulation.placing import among_all, belongs, place, placing, renumbered
+from phy124.simulation.placing import belongs, number_among_all, place, placing, renumber_parts
 from support.shapes import ball
 
 SIGMA = 0.05
@@ -17,7 +17,7 @@ SIGMA = 0.05
 def captured():
     """A ball of 2 m off the origin, and 100 Gaussians of its floor."""
     away = np.array([3.0, -1.0, 5.0])
-    return joined([ball(300).moved(2.0, away), ball(100).moved(4.0, away)])
+    return join([ball(300).transform(2.0, away), ball(100).transform(4.0, away)])
 
 
 def scene(**changes) -> Scene:
@@ -25,7 +25,9 @@ def scene(**changes) -> Scene:
 
 
 def test_the_object_stands_at_its_size_over_the_origin():
-    placed = place(ball(300).moved(2.0, np.array([3.0, -1.0, 5.0])), scene(), np.ones(300, bool))
+    placed = place(
+        ball(300).transform(2.0, np.array([3.0, -1.0, 5.0])), scene(), np.ones(300, bool)
+    )
     low, high = placed.means.min(axis=0), placed.means.max(axis=0)
     np.testing.assert_allclose((high - low).max(), 0.5, rtol=2 * SIGMA)
     np.testing.assert_allclose((low + high)[:2], 0, atol=5e-3)
@@ -54,19 +56,19 @@ def test_parts_say_which_gaussians_are_surroundings():
     assert belongs(Scene(), 400).all()
 
 
-def test_particles_know_their_gaussians_by_the_number_among_all():
+def test_particles_know_their_gaussians_by_the_number_number_among_all():
     own = np.array([False, True, False, True, True])
     one = np.ones(4)
     particles = Particles(
         np.zeros((4, 3)), one, one, one.astype(np.int32), np.array([0, 2, -1, 1], np.int32)
     )
-    assert among_all(particles, own).gaussian.tolist() == [1, 4, -1, 3]
-    assert among_all(particles, np.ones(5, bool)) is particles
+    assert number_among_all(particles, own).gaussian.tolist() == [1, 4, -1, 3]
+    assert number_among_all(particles, np.ones(5, bool)) is particles
 
 
 def test_parts_follow_gaussians_that_were_dropped():
     parts = [{"gaussians": (2, 5), "surroundings": True, "static": True}]
     before = Scene().replaced({"parts": parts})
     survivors = np.array([True, False, True, True, False, True])
-    assert renumbered(before, survivors).parts[0].gaussians == (1, 3)
-    assert renumbered(before, None) is before
+    assert renumber_parts(before, survivors).parts[0].gaussians == (1, 3)
+    assert renumber_parts(before, None) is before

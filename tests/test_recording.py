@@ -15,7 +15,7 @@ from phy124.__main__ import main
 from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
-from phy124.pipeline import making, recording
+from phy124.pipeline import recording, run_folder
 from support.runs import RESULTS, SCENE, names, same
 from support.shapes import ball
 from support.waiting import until
@@ -80,10 +80,10 @@ def test_a_run_killed_while_it_is_filmed_goes_on(tmp_path, monkeypatch):
         shutil.copytree(tmp_path / "whole", tmp_path / "killed")
         return filming(*arguments, **options)
 
-    filming = making.film
-    monkeypatch.setattr(making, "film", killed)
+    filming = run_folder.film
+    monkeypatch.setattr(run_folder, "film", killed)
     pipeline.simulate(ball(300), SCENE, tmp_path / "whole", keep=True)
-    monkeypatch.setattr(making, "film", filming)
+    monkeypatch.setattr(run_folder, "film", filming)
     assert len(Clip.load(tmp_path / "killed/clip.safetensors")) == 6
     pipeline.go_on(tmp_path / "killed", SCENE)
     same(tmp_path / "whole", tmp_path / "killed")
@@ -91,7 +91,7 @@ def test_a_run_killed_while_it_is_filmed_goes_on(tmp_path, monkeypatch):
 
 def test_the_cut_out_is_there_after_a_kill(tmp_path, every_frame):
     duck = Path(__file__).parents[1] / "demo/examples/duck.png"
-    seen = pipeline.static(duck, SCENE, count=300)
+    seen = pipeline.make_gaussians(duck, SCENE, count=300)
     copy = copied_at(2, tmp_path / "whole", tmp_path / "killed")
     assert seen.cutout is not None
     about = {"cutout": seen.cutout.data()}
@@ -132,7 +132,7 @@ def test_an_error_leaves_the_frames_so_far(tmp_path, error):
         if frame.index == 3:
             raise error
 
-    with pytest.raises(Incomplete, match=r"4 frames are kept in .*--resume goes on from there"):
+    with pytest.raises(Incomplete, match=r"4 frames are kept in .*--resume continues from there"):
         pipeline.simulate(ball(300), SCENE, tmp_path / "cut", each=each)
     pipeline.simulate(ball(300), SCENE, tmp_path / "whole")
     pipeline.go_on(tmp_path / "cut", SCENE)

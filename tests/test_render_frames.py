@@ -23,7 +23,7 @@ def renderers() -> dict[str, Renderer]:
 
 def moving(rng, count=12) -> list[Frame]:
     g = cloud(rng, 500)
-    return [Frame(i, i / 24, g.moved(1, np.array([0, 0.03 * i, 0]))) for i in range(count)]
+    return [Frame(i, i / 24, g.transform(1, np.array([0, 0.03 * i, 0]))) for i in range(count)]
 
 
 def render_threads() -> list[threading.Thread]:

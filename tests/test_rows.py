@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from phy124.kernels import external_work, grid
+from phy124.kernels import grid, work
 from phy124.kernels.arguments import types
 from phy124.kernels.reduction import along_rows
 
@@ -37,9 +37,9 @@ def measured(before, after, real, device) -> tuple[np.ndarray, np.ndarray]:
     threads, each = along_rows(EXTENT, device)
     read = [each, integers(LOW, EXTENT), integers((0, 0, 0), SIZE)]
     kept = on_device(np.full((*EXTENT, 4), 9.0), real)
-    copy, sums = external_work.make_wall_copy(real), external_work.make_wall_sums(real)
+    copy, sums = work.make_wall_copy(real), work.make_wall_sums(real)
     wp.launch(copy, threads, [*read, on_device(before, real)], [kept], device="cpu")
-    given = wp.zeros(external_work.GIVEN, dtype=wp.float64, device="cpu")
+    given = wp.zeros(work.GIVEN, dtype=wp.float64, device="cpu")
     wp.launch(sums, threads, [*read, on_device(after, real), kept], [given], device="cpu")
     return kept.numpy().reshape(*EXTENT, 4), given.numpy()
 

@@ -158,7 +158,7 @@ def test_what_goes_on_after_a_pause_is_the_same(run, tmp_path):
 
 def test_gaussians_move_with_their_own_object_only():
     """Two that touch, of which one leaves: none of the other's Gaussians goes with it."""
-    sides = [ball(200).moved(1.0, np.array([x, 0, 0])) for x in (-0.5, 0.5)]
+    sides = [ball(200).transform(1.0, np.array([x, 0, 0])) for x in (-0.5, 0.5)]
     both = as_objects(dict(enumerate(sides)))
     x = both.means
     particles = Particles(
@@ -216,16 +216,16 @@ def test_each_object_is_made_from_its_own_file(tmp_path):
     write_ply(tmp_path / "second.ply", ball(500))
     waiting = scene(objects=[{"name": "copy", "place": [0, 2]}])
     one, two = tmp_path / "first.ply", tmp_path / "second.ply"
-    alone = pipeline.static(one, waiting, generator=str(one)).gaussians
+    alone = pipeline.make_gaussians(one, waiting, generator=str(one)).gaussians
     assert np.array_equal(np.unique(alone.object_id), [0])
-    both = pipeline.static([one, two], waiting, generator=str(one)).gaussians
+    both = pipeline.make_gaussians([one, two], waiting, generator=str(one)).gaussians
     assert np.bincount(both.object_id).tolist() == [300, 500]
     named = scene(objects=[{"name": "copy", "place": [0, 2], "file": str(two)}])
-    made = pipeline.static(one, named, generator=str(one))
+    made = pipeline.make_gaussians(one, named, generator=str(one))
     assert len(made.gaussians) == 800 and made.about["sources"]["copy"]["source"] == "second.ply"
     with pytest.raises(InputError, match=r"takes one picture. .*collide, stack"):
-        pipeline.static([one, two], scene(), generator=str(one))
-    with pytest.raises(InputError, match="nobody has read its file yet"):
+        pipeline.make_gaussians([one, two], scene(), generator=str(one))
+    with pytest.raises(InputError, match="its file has not been read"):
         Simulation(prepare(ball(300), named))
     with pytest.raises(InputError, match="are of 3 objects, the scene has 2"):
         Simulation(prepare(as_objects({0: ball(300), 2: ball(300)}), waiting))
@@ -417,7 +417,7 @@ def test_an_object_is_that_of_a_clip(tmp_path):
     write_ply(tmp_path / "first.ply", ball(200))
     first, waiting = tmp_path / "first.ply", {"name": "second", "place": [0, 2]}
     for given, more in (({**waiting, "file": str(path)}, []), (waiting, [path])):
-        made = pipeline.static(
+        made = pipeline.make_gaussians(
             [first, *more], Scene.from_data({"objects": [given]}), generator=str(first)
         )
         second = made.gaussians.of_object(1)
@@ -425,7 +425,7 @@ def test_an_object_is_that_of_a_clip(tmp_path):
         assert made.about["sources"]["second"] == {"source": path.name, "generator": "clip"}
     replace(clip, object_id=np.repeat([0, 1], 150).astype(np.int32)).save(path)
     with pytest.raises(InputError, match=r"objects.0 \(second\).*clip of several objects"):
-        pipeline.static(
+        pipeline.make_gaussians(
             [first, path], Scene.from_data({"objects": [waiting]}), generator=str(first)
         )
 
@@ -435,7 +435,7 @@ def test_a_file_of_more_objects_than_the_scene_has_is_refused(tmp_path):
     write_ply(path, replace(ball(300), object_id=np.arange(300, dtype=np.int32) % 3))
     scene = Scene.from_data({"objects": [{"name": "second", "place": [0, 2]}]})
     with pytest.raises(InputError, match="are of 3 objects, the scene has 2"):
-        pipeline.static(path, scene, generator=str(path))
+        pipeline.make_gaussians(path, scene, generator=str(path))
 
 
 def test_notes_of_every_file_come_into_the_report(tmp_path):
@@ -452,7 +452,7 @@ def test_notes_of_every_file_come_into_the_report(tmp_path):
             "objects": [{"name": "other", "place": [0, 2]}],
         }
     )
-    made = pipeline.static([first, second], scene, generator=str(first))
+    made = pipeline.make_gaussians([first, second], scene, generator=str(first))
     report = pipeline.simulate(
         made.gaussians, made.scene, tmp_path / "out", about=made.about, films=False
     ).report

@@ -13,7 +13,7 @@ from phy124.particles import make_particles
 from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.parts import with_materials
+from phy124.simulation.materials import assign_materials
 from support.shapes import ball
 
 COUNT = 300
@@ -29,7 +29,7 @@ def beside(one: Gaussians, other: Gaussians) -> Gaussians:
 
 def two_balls(times: int = 1) -> Gaussians:
     """A ball of `COUNT` Gaussians on the left, and beside it one with so many in each place."""
-    right = ball(COUNT).moved(1.0, np.array([0, 1.5, 0]))
+    right = ball(COUNT).transform(1.0, np.array([0, 1.5, 0]))
     return beside(ball(COUNT), right.select(np.tile(np.arange(COUNT), times)))
 
 
@@ -136,7 +136,7 @@ def test_all_ways_to_pick_them_and_later_parts_win(tmp_path):
     ]
     scene = drop({"parts": picked})
     particles = make_particles(given, density=1000.0, spacing=0.1, binding="particles")
-    found, moves = with_materials(particles, given.means, scene)
+    found, moves = assign_materials(particles, given.means, scene)
     right = given.means[:, 1] > (given.means[:, 1].min() + given.means[:, 1].max()) / 2
     expected = ~right
     expected[20:25], expected[:10] = False, True

@@ -7,7 +7,7 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.mpm.slabs import layers
+from phy124.mpm.workers import layers
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare

@@ -173,7 +173,7 @@ def test_resume_is_exact_or_names_other_threads(tmp_path, whole, threads):
         assert clip.report["substeps"] == whole.report["substeps"]
     else:
         np.testing.assert_allclose(clip.means, whole.means, rtol=0, atol=1e-5)
-        assert f"paused with 3 CPU thread(s) and went on with {threads}" in said[0]
+        assert f"paused with 3 CPU thread(s) and continued with {threads}" in said[0]
 
 
 def test_a_frame_that_is_taken_back_takes_back_its_slabs(whole):

@@ -36,7 +36,7 @@ def cube() -> Gaussians:
 
 
 def track(profile, start: float = 0.0, end: float = 1e30) -> Track:
-    return Track.scaled(UP, profile, start, end, mean=True)
+    return Track.of_profile(UP, profile, start, end, mean=True)
 
 
 @pytest.mark.parametrize(

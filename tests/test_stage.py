@@ -30,7 +30,7 @@ HERE = Frame(0, 0.0, ball(500))
 
 def staged(boundaries, *, frames=3, every=0.25) -> Stage:
     """The stage of a ball of 1 m above z = 0 that rests for some frames."""
-    still = [Frame(i, every * i, ball(500).moved(1.0, [0, 0, 0.5])) for i in range(frames)]
+    still = [Frame(i, every * i, ball(500).transform(1.0, [0, 0, 0.5])) for i in range(frames)]
     clip = Clip.from_frames(still)
     scene = Scene.from_data({"boundaries": boundaries}).data()
     return make_stage(Clip(**{**vars(clip), "scene": scene}), STUDIO)
@@ -62,7 +62,7 @@ def test_the_floor_is_the_highest_level_plane_that_faces_up():
 
 def test_stage_without_floor_is_under_the_object():
     stage = staged([])
-    lowest = ball(500).moved(1.0, np.array([0, 0, 0.5])).means[:, 2].min()
+    lowest = ball(500).transform(1.0, np.array([0, 0, 0.5])).means[:, 2].min()
     assert at(stage, 2).floor.height == pytest.approx(lowest)
 
 
@@ -171,7 +171,7 @@ class Wind(Boundary):
 
 def test_plugin_boundaries_are_drawn_by_their_shape():
     boundaries = (Slope(), Cushion(), Wind())
-    clip = Clip.from_frames([Frame(0, 0.0, ball(500).moved(1.0, [0, 0, 0.5]))])
+    clip = Clip.from_frames([Frame(0, 0.0, ball(500).transform(1.0, [0, 0, 0.5]))])
     scene = Scene(boundaries=boundaries).data()
     scene["boundaries"].append({"kind": "from a package that is not here"})
     shown = make_stage(replace(clip, scene=scene), STUDIO).at(HERE)
@@ -269,7 +269,7 @@ AROUND = [
 def test_every_form_of_the_renderer_draws_the_same_stage(blend, distance):
     """From outside, and from among the walls, some of which are then behind the camera."""
     stage = staged(AROUND)
-    frame = Frame(0, 0.0, ball(500).moved(1.0, np.array([0, 0, 0.5])))
+    frame = Frame(0, 0.0, ball(500).transform(1.0, np.array([0, 0, 0.5])))
     camera = Camera.orbit(20, 10, distance, (90, 70), (0, 0, 0.5))
     image = Renderer(device="cpu", blend=blend)(frame.gaussians, camera, stage=stage.at(frame))
     other = Renderer(device="cpu")(frame.gaussians, camera, stage=stage.at(frame))

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from phy124.gaussians import Gaussians, joined
+from phy124.gaussians import Gaussians, join
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.generators.surroundings import surroundings
 from phy124.io.ply import write_ply
@@ -53,7 +53,7 @@ def test_nothing_is_said_of_an_object_alone(stretched, rng):
     ],
 )
 def test_the_place_around_an_object_is_said_with_a_crop(around, words, rng, tmp_path):
-    place = joined([ball(12_000), around(rng)])
+    place = join([ball(12_000), around(rng)])
     write_ply(tmp_path / "place.ply", place)
     said = PlyFile(str(tmp_path / "place.ply")).open().notes[-1]
     assert words in said
@@ -64,7 +64,7 @@ def test_the_place_around_an_object_is_said_with_a_crop(around, words, rng, tmp_
 
 
 def test_the_crop_is_in_the_axes_of_a_file_far_from_its_origin(rng):
-    (said,) = surroundings(joined([ball(12_000), sky(rng)]), (500_000.0, 0.0, 4.6e6))
+    (said,) = surroundings(join([ball(12_000), sky(rng)]), (500_000.0, 0.0, 4.6e6))
     corners = np.array(re.search(r"--crop=(\S+)", said)[1].split(","), float).reshape(2, 3)
     assert np.allclose(corners.mean(axis=0), (500_000, 0, 4.6e6), atol=0.1)
     assert np.allclose(np.ptp(corners, axis=0), 1.25, atol=0.1)

@@ -12,6 +12,7 @@ import pytest
 
 from phy124.errors import Cancelled, InputError
 from phy124.io.ply import write_ply
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.studies.sweep import (
     Dataset,
@@ -290,7 +291,8 @@ def test_the_cost_is_told_from_a_few_clips(balls):
             declared(
                 balls, set={**declared(balls).model_dump(by_alias=True)["set"], "material.E": [1e4]}
             )
-        )
+        ),
+        RunContext(),
     )
     assert told.clips == told.tried == 2 and told.seconds[0] > 0
     assert "2 clips of" in told.sentence(workers=4) and told.bytes == 3 * 70 * 40

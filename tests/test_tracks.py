@@ -25,7 +25,7 @@ def sample(track: Track, time: float, kick=0.0, drift=0.0, real: Any = wp.float6
 
 
 def scaled(profile: Table, start: float = 0.0, end: float = 1e30, *, mean: bool = False) -> Track:
-    return Track.scaled((2.0, 0.0, 0.0), profile, start, end, mean=mean)
+    return Track.of_profile((2.0, 0.0, 0.0), profile, start, end, mean=mean)
 
 
 @pytest.mark.parametrize(
@@ -214,9 +214,9 @@ def test_a_wall_that_turns_within_a_substep_keeps_its_way(rng):
 
 def test_uniform_accelerations_add_up_in_slot_zero():
     tracks = Tracks(real=wp.float64, device="cpu")
-    tracks.accelerate(Track.scaled((0, 0, -9.81), Constant(), 0.0, 1e30, mean=True))
+    tracks.accelerate(Track.of_profile((0, 0, -9.81), Constant(), 0.0, 1e30, mean=True))
     tracks.add(scaled(Constant(), mean=True))
-    tracks.accelerate(Track.scaled((4.0, 0, 0), Sine(frequency=1.0), 0.0, 1e30, mean=True))
+    tracks.accelerate(Track.of_profile((4.0, 0, 0), Sine(frequency=1.0), 0.0, 1e30, mean=True))
     assert tracks.vary
     clock = wp.array([1e-3, 1e-3, 0.25], dtype=wp.float64)
     tracks.upload(clock)
@@ -226,7 +226,7 @@ def test_uniform_accelerations_add_up_in_slot_zero():
 
 def test_what_never_changes_is_sampled_once():
     tracks = Tracks(real=wp.float32, device="cpu")
-    tracks.accelerate(Track.scaled((0, 0, -9.81), Constant(), 0.0, 1e30, mean=True))
+    tracks.accelerate(Track.of_profile((0, 0, -9.81), Constant(), 0.0, 1e30, mean=True))
     assert not tracks.vary
     tracks.upload(wp.zeros(3, dtype=wp.float32))
     tracks.record().launch()

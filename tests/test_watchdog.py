@@ -300,7 +300,7 @@ def test_rounding_of_a_stiff_body_is_no_explosion_until_it_shows():
         (100_000, "float64", True),
     ):
         s, watch = followed(v=v, precision=precision)
-        energy = watch._strained(3e-5)
+        energy = watch._strain_energy(3e-5)
         kicked = math.sqrt(2 * energy / s.model.total_mass) * np.where(np.arange(216) % 2, 1, -1)
         s.state.v.assign(v + kicked[:, None] * [1.0, 0, 0])
         s.clock.substeps = substeps
@@ -332,7 +332,7 @@ def test_a_stiff_body_that_turns_slowly_runs_through():
 
 def test_rounding_that_shows_asks_for_more_digits():
     s, watch = followed(v=np.tile([0, 0, 1e-6], (216, 1)))
-    kicked = math.sqrt(2 * watch._strained(1e-3) / s.model.total_mass)
+    kicked = math.sqrt(2 * watch._strain_energy(1e-3) / s.model.total_mass)
     s.state.v.assign(kicked * np.where(np.arange(216) % 2, 1, -1)[:, None] * [1.0, 0, 0])
     s.clock.substeps = 1_000_000
     assert watch.after_attempt().causes == ("precision",)

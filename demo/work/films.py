@@ -70,7 +70,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         report = json.loads((clips / "report.json").read_text("utf-8"))
         report["stages"] = [*report["stages"], *watch.data()]
         report["seconds"] += watch.total
-        report |= pipeline.framed(clip, view) | about
+        report |= pipeline.view_report(clip, view) | about
         if order.photograph and not about:
             left_out.append("the photograph")
         if left_out:

@@ -14,12 +14,12 @@ from phy124 import pipeline
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians, as_objects
 from phy124.generators.relief import relief
+from phy124.imaging.painted import crop_of
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.particles.thinning import with_count
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.simulation import Simulation
-from phy124.simulation.parts import crop_of
 
 from ..pictures import HOW, how_cut
 from ..progress import Reused, Step, Tell

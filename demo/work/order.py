@@ -11,7 +11,7 @@ from PIL import Image
 from phy124.budget.cost import BYTES_PER_GAUSSIAN, GAUSSIANS
 from phy124.generators.ply_file import PlyFile
 from phy124.imaging.image import read_picture_size
-from phy124.pipeline.capture import changed
+from phy124.pipeline.capture import adapt_scene
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
@@ -178,7 +178,7 @@ def order_of(
     cutout = Path(source.path) if isinstance(source, Cutout) else None
     extras = extras.suit(source)
     if cutout is None:
-        scene = changed(PlyFile(source.path, extras.reading), scene)
+        scene = adapt_scene(PlyFile(source.path, extras.reading), scene)
     return Order(
         folder=visitor.folder,
         cutout=cutout,

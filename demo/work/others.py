@@ -9,9 +9,9 @@ from typing import Any
 from PIL import Image
 
 from phy124.errors import InputError
+from phy124.imaging.painted import crop_of
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
-from phy124.simulation.parts import crop_of
 
 from ..pictures import HOW, cut_out, cutout_file, how_cut, viewable
 from ..visitors import Visitor

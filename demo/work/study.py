@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from phy124.errors import InputError
+from phy124.imaging.painted import crop_of
 from phy124.io.files import replacing
-from phy124.simulation.parts import crop_of
+from phy124.runtime.context import RunContext
 from phy124.studies.validation.accuracy.study import Study
 
 from ..progress import Measured, Reused, Step
@@ -40,9 +41,8 @@ def measure(order: Order, limits: Limits) -> Measured:
         limits.tell_simulating(event) if done < total else limits.tell(event)
 
     scene = on_grid(with_crops(order.scene, order.others), order.levels[0])
-    study = Study(
-        gaussians, scene, order.device, order.levels, crop, progress=progress, thorough=False
-    )
+    context = RunContext(device=order.device, progress=progress)
+    study = Study(gaussians, scene, context, order.levels, crop, thorough=False)
     measurement = Measurement.of(study.run())
     if limits.spent > SIMULATING and len(measurement.levels) < len(order.levels):
         limit = f"The {order.seconds:.0f} s of one run were nearly over before all grids were run."

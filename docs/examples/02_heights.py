@@ -1,9 +1,9 @@
 """Heights: run a simulation frame by frame, measure it, and film what was made in Python."""
 
 import phy124
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
-duck = static("demo/examples/duck.png").gaussians
+duck = make_gaussians("demo/examples/duck.png").gaussians
 scene = phy124.Scene.named("drop").replaced(
     {"accuracy": "draft", "time.frames": 30, "view.views": ["front"], "view.stage": "studio"}
 )

@@ -3,12 +3,12 @@
 from pathlib import Path
 
 import phy124
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
 folder = Path("out/file")
 folder.mkdir(parents=True, exist_ok=True)
 # Any file of Gaussians will do; this one is made so that the program is complete.
-phy124.write_gaussians(folder / "teddy.spz", static("demo/examples/teddy.png").gaussians)
+phy124.write_gaussians(folder / "teddy.spz", make_gaussians("demo/examples/teddy.png").gaussians)
 
 teddy = phy124.read_gaussians(folder / "teddy.spz").gaussians
 scene = phy124.Scene.named("jelly").replaced(

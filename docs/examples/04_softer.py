@@ -1,9 +1,9 @@
 """Softer: the same duck under the same plate, with three stiffnesses."""
 
 import phy124
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
-duck = static("demo/examples/duck.png").gaussians
+duck = make_gaussians("demo/examples/duck.png").gaussians
 scene = phy124.Scene.named("press").replaced(
     {"accuracy": "draft", "view.views": ["front"], "view.stage": "studio"}
 )

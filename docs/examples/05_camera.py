@@ -1,11 +1,11 @@
 """Camera: from behind and above, without a background, and in portrait format."""
 
 import phy124
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
 scene = phy124.Scene.named("sway").replaced({"accuracy": "draft"})
 clip = phy124.Simulation(
-    phy124.prepare(static("demo/examples/sunflower.png").gaussians, scene)
+    phy124.prepare(make_gaussians("demo/examples/sunflower.png").gaussians, scene)
 ).run()
 
 views = {

@@ -6,7 +6,7 @@ from pydantic import Field
 
 import phy124
 from phy124.materials import NeoHookean
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
 
 class Rubber(NeoHookean):
@@ -28,6 +28,6 @@ if __name__ == "__main__":
         {"accuracy": "draft", "time.frames": 30, "view.views": ["front"], "view.stage": "studio"}
     )
     scene = scene.model_copy(update={"material": Rubber(shore=10)})
-    chick = static("demo/examples/chick.png").gaussians
+    chick = make_gaussians("demo/examples/chick.png").gaussians
     clip = phy124.Simulation(phy124.prepare(chick, scene)).run()
     phy124.film(clip, scene.view, "out/material")

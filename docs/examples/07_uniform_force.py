@@ -6,7 +6,7 @@ from typing import Literal
 import phy124
 from phy124.forces import Force, Gravity
 from phy124.mpm.tracks import Track
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
 
 class Quake(Force):
@@ -28,6 +28,6 @@ if __name__ == "__main__":
         {"accuracy": "draft", "time.frames": 36, "view.views": ["front"], "view.stage": "studio"}
     )
     scene = scene.model_copy(update={"forces": (Gravity(), Quake())})
-    plant = static("demo/examples/potted_plant.png").gaussians
+    plant = make_gaussians("demo/examples/potted_plant.png").gaussians
     clip = phy124.Simulation(phy124.prepare(plant, scene)).run()
     phy124.film(clip, scene.view, "out/uniform_force")

@@ -9,7 +9,7 @@ import phy124
 from phy124.forces import Force
 from phy124.forces.base import stage
 from phy124.kernels.build import kernel
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
 
 @cache
@@ -42,5 +42,5 @@ if __name__ == "__main__":
         {"accuracy": "draft", "time.frames": 24, "view.views": ["front"], "view.stage": "studio"}
     )
     scene = scene.model_copy(update={"forces": (*scene.forces, Swirl(end=0.5))})
-    cupcake = static("demo/examples/cupcake.png").gaussians
+    cupcake = make_gaussians("demo/examples/cupcake.png").gaussians
     phy124.simulate(cupcake, scene, "out/swirl")  # films, clip and report

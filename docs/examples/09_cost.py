@@ -6,10 +6,10 @@ from matplotlib import pyplot as plt
 
 import phy124
 from phy124.accuracy import Forecaster
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
-duck = static("demo/examples/duck.png").gaussians
-stops = Forecaster("cpu").stops(duck, phy124.Scene.named("press"))
+duck = make_gaussians("demo/examples/duck.png").gaussians
+stops = Forecaster().stops(duck, phy124.Scene.named("press"))
 for name, stop in stops.items():
     error = "unknown" if stop.error is None else f"{100 * stop.error:.1f} % of the size"
     print(f"{name}: {stop.seconds:.1f} s, error {error}")

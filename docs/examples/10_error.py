@@ -8,7 +8,7 @@ from phy124.studies.validation.accuracy.plots import save_picture
 from phy124.studies.validation.accuracy.study import Study
 
 scene = phy124.Scene.named("press").replaced({"time.frames": 8})
-report = Study(ball(), scene, "cpu", (12, 16, 24)).run()
+report = Study(ball(), scene, levels=(12, 16, 24)).run()
 for row in report.rows:
     error = "unknown" if row.error is None else f"{100 * row.error:.2f} % of the size"
     print(f"{row.name}: {row.particles} particles, {row.seconds:.1f} s, error {error}")

@@ -5,10 +5,10 @@ from pathlib import Path
 from matplotlib import pyplot as plt
 
 import phy124
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
 scene = phy124.Scene.named("drop").replaced({"accuracy": "draft", "time.frames": 12})
-duck = static("demo/examples/duck.png").gaussians
+duck = make_gaussians("demo/examples/duck.png").gaussians
 effects = phy124.Simulation(phy124.prepare(duck, scene)).run().report["effects"]
 print("computed:", *effects["ran"], sep="\n  ")
 print("left out:", *(row["effect"] for row in effects["left_out"]), sep="\n  ")

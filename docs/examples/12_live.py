@@ -4,9 +4,9 @@ from pathlib import Path
 
 import phy124
 from phy124.live import held_rate
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
-duck = static("demo/examples/duck.png").gaussians
+duck = make_gaussians("demo/examples/duck.png").gaussians
 chosen = held_rate(duck, phy124.Scene.named("drop"), rate=1.0)
 print(chosen.sentence)  # the finest grid on which the run keeps up with the clock
 

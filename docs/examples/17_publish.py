@@ -6,9 +6,9 @@ from phy124_bridge.backends import choose, open_sink
 from phy124_bridge.options import Options
 
 import phy124
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
-duck = static("demo/examples/duck.png").gaussians
+duck = make_gaussians("demo/examples/duck.png").gaussians
 scene = phy124.Scene.named("press").replaced(
     {"accuracy": "draft", "view.views": ["front"], "view.stage": "studio"}
 )

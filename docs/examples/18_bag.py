@@ -8,10 +8,10 @@ from phy124_bridge.sinks.mcap import McapSink
 from rosbags.highlevel import AnyReader  # pip install rosbags
 
 import phy124
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 
 scene = phy124.Scene.named("drop").replaced({"accuracy": "draft", "time.frames": 24})
-duck = static("demo/examples/duck.png").gaussians
+duck = make_gaussians("demo/examples/duck.png").gaussians
 with McapSink("out/bag", overwrite=True) as sink:
     for frame in phy124.Simulation(phy124.prepare(duck, scene)):
         sink.write(frame)

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import phy124
 from phy124.io.formats.usd import write_usd
-from phy124.pipeline import cameras, static
+from phy124.pipeline import cameras, make_gaussians
 
 scene = phy124.Scene.named("jelly").replaced(
     {"accuracy": "draft", "view.views": ["front"], "view.stage": "studio"}
 )
-pear = static("demo/examples/pear.png").gaussians
+pear = make_gaussians("demo/examples/pear.png").gaussians
 clip = phy124.Simulation(phy124.prepare(pear, scene)).run()
 
 folder = Path("out/export")

@@ -2,7 +2,7 @@
 
 The web page and other callers need three calls:
 
-    forecaster = Forecaster(device)          # keep it: it caches measurements of this machine
+    forecaster = Forecaster(context)         # keep it: it caches measurements of this machine
     stops = forecaster.stops(gaussians, scene)
     # {"draft": Stop, "standard": Stop, "fine": Stop}; each has
     #   .seconds   predicted seconds of particles, simulation, shapes, pictures, video, saving

@@ -14,7 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -37,9 +37,7 @@ from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.monitor.tearing import Tearing
-from phy124.progress import silent
 from phy124.runtime.context import RunContext
-from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
@@ -99,7 +97,7 @@ def reach(
         InputError: No grid meets the goal; the message says what the best one would achieve.
     """
     context = context or RunContext()
-    forecaster = forecaster or Forecaster(context.device, context.threads)
+    forecaster = forecaster or Forecaster(context)
     runs = _Runs(gaussians, scene, context, crop, see)
     if goal.kind == "seconds":
         return _meet_time(goal, runs, forecaster, elapsed)
@@ -346,9 +344,9 @@ def in_time(
     Raises:
         InputError: Even the coarsest grid would take longer; the message says how long.
     """
-    context = replace(context or RunContext(), progress=silent, watch=Stopwatch())
+    context = (context or RunContext()).aside()
     runs = _Runs(gaussians, scene, context, crop)
-    forecaster = forecaster or Forecaster(context.device, context.threads)
+    forecaster = forecaster or Forecaster(context)
     fit = _find_finest(goal, runs, forecaster, elapsed)
     return fit.simulation.scene, fit.forecast
 

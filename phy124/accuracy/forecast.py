@@ -31,13 +31,12 @@ from phy124.accuracy.probe import (
 )
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.rendering.nearest import ROOM
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import cores
-from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.parts import WHOLE, Crop
 
 SPIN = 0.3
 """Time for which threads spin to measure the fraction of a core that each gets [s]."""
@@ -303,14 +302,13 @@ class Stop:
 class Forecaster:
     """Makes forecasts on a device; stores rates and pilots, so that later forecasts are fast."""
 
-    device: str = "cpu"
-    threads: int | None = None
-    """Number of CPU threads; None: chosen automatically."""
+    context: RunContext = field(default_factory=RunContext)
+    """Device and threads of the runs; nothing is reported."""
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
     _meter: LoadMeter = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self._meter = LoadMeter(self.device)
+        self._meter = LoadMeter(self.context.device)
 
     def forecast(self, gaussians: Gaussians, scene: Scene, *, crop: Crop = WHOLE) -> Forecast:
         """Forecast a run of a scene, by its particles and a probe.
@@ -323,17 +321,10 @@ class Forecaster:
         Raises:
             InputError: As `Simulation` does.
         """
-        watch = Stopwatch()
-        simulation = Simulation(
-            prepare(
-                gaussians,
-                scene,
-                RunContext(device=self.device, watch=watch, threads=self.threads),
-                crop=crop,
-            )
-        )
+        context = self.context.aside()
+        simulation = Simulation(prepare(gaussians, scene, context, crop=crop))
         made = self.of(simulation)
-        return made.with_measured("particles", watch.seconds["particles"])
+        return made.with_measured("particles", context.watch.seconds["particles"])
 
     def of(
         self, simulation: Simulation, *, filming: bool = True, load: Load | None = None
@@ -377,7 +368,7 @@ class Forecaster:
 
     def _stop(self, name: AccuracyName, gaussians: Gaussians, scene: Scene) -> Stop:
         chosen = scene.model_copy(update={"accuracy": name})
-        key = (id(gaussians), _physics(chosen), self.device)
+        key = (id(gaussians), _physics(chosen))
         made: Forecast = self._remember(key, lambda: self.forecast(gaussians, chosen), gaussians)
         return Stop.of(chosen, made.seconds, promise(chosen, made.thickness), made)
 
@@ -389,15 +380,13 @@ class Forecaster:
     def _pilot(self, simulation: Simulation) -> Pilot:
         gaussians, scene, crop = simulation.setup.gaussians, simulation.scene, simulation.setup.crop
         key = ("pilot", *_sample(gaussians), _physics(coarsen(scene)), crop)
-        return self._remember(
-            key, lambda: run_pilot(gaussians, scene, device=self.device, crop=crop)
-        )
+        return self._remember(key, lambda: run_pilot(gaussians, scene, self.context, crop=crop))
 
     def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
         """Return the times of pictures, videos and saving [s]."""
         view = scene.view
         key = ("film", len(gaussians), view, scene.time.frames)
-        return self._remember(key, lambda: time_film(gaussians, scene, self.device, self.threads))
+        return self._remember(key, lambda: time_film(gaussians, scene, self.context))
 
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
         """Return a value that is computed once; `keep` is an object whose id is in the key."""

@@ -25,7 +25,6 @@ from phy124.rendering.film import film
 from phy124.runtime.compiling import is_compiled
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import cores
-from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.simulation.deform import Deformer
@@ -148,16 +147,13 @@ def time_shapes(simulation: Simulation) -> float:
     return measure_time(lambda: deform(x, F, index=1, time=0.0, velocities=v))
 
 
-def time_film(
-    gaussians: Gaussians, scene: Scene, device: str, threads: int | None = None
-) -> dict[str, float]:
+def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[str, float]:
     """Predict the times of pictures and videos [s] by filming a few frames in one view.
 
     Args:
         gaussians: The object.
         scene: The scene.
-        device: Warp's name of the device that draws.
-        threads: Number of CPU threads; None: one per core.
+        context: Device and threads; nothing is reported.
     """
     front = scene.view.model_copy(update={"views": ("front",)}).only("front")
     views, frames = len(scene.view.sides), scene.time.frames
@@ -165,11 +161,11 @@ def time_film(
     seconds: dict[int, list[dict[str, float]]] = {few: [], more: []}
     # The first time also loads the kernels.
     for count in (few, *TRIES * FILMED):
-        watch = Stopwatch()
+        probe_context = context.aside()
         with tempfile.TemporaryDirectory() as folder:
             clip = _make_moving_clip(gaussians, scene, count)
-            film(clip, front, folder, watch=watch, device=device, threads=threads)
-        seconds[count].append(watch.seconds)
+            film(clip, front, folder, probe_context)
+        seconds[count].append(probe_context.watch.seconds)
     with tempfile.TemporaryDirectory() as folder:
         clip = _make_moving_clip(gaussians, scene, more)
         saving = measure_time(lambda: clip.save(Path(folder) / "clip.safetensors")) * frames / more
@@ -281,19 +277,20 @@ def min_cells(scene: Scene) -> int:
 
 
 def run_pilot(
-    gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop = WHOLE
+    gaussians: Gaussians, scene: Scene, context: RunContext | None = None, *, crop: Crop = WHOLE
 ) -> Pilot:
     """Run the motion on a coarse grid.
 
     Args:
         gaussians: The object.
         scene: The scene.
-        device: Warp device.
+        context: The device is used; nothing is reported or timed.
         crop: Rectangle of the object in the picture on which masks of parts were painted.
     """
+    context = RunContext(device=(context or RunContext()).device)
     coarse = coarsen(scene)
     cells = coarse.resolution.cells
-    simulation = Simulation(prepare(gaussians, coarse, RunContext(device=device), crop=crop))
+    simulation = Simulation(prepare(gaussians, coarse, context, crop=crop))
     solver, timing = simulation.solver, scene.time
     softening = simulation.find(Softening)
     counts = {name: np.zeros(timing.frames - 1) for name in LIMITERS}

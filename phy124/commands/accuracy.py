@@ -18,12 +18,12 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.options import Effort
 from phy124.imaging.cutout import Cutout
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.formats import is_file_of_gaussians
-from phy124.progress import Progress
+from phy124.runtime.context import RunContext
 from phy124.runtime.device import pick_device
 from phy124.runtime.installation import with_program
 from phy124.scene import Scene, Timing, merge_changes, parse_changes
-from phy124.simulation.parts import WHOLE, Crop
 from phy124.weights.store import search_first
 
 if TYPE_CHECKING:
@@ -96,12 +96,13 @@ class ShowAccuracy:
         from phy124.studies.validation.accuracy.plots import save_page, save_picture
         from phy124.studies.validation.accuracy.study import Study
 
-        device, levels = pick_device(self.device), self._sorted_levels(scene)
+        levels = self._sorted_levels(scene)
         name = Path(str(self.scene)).stem
         out = self.out or Path("out") / f"accuracy-{name}"
         with Bars(quiet=self.json, keeps=True) as bars, staging(out, keeps=True) as folder:
-            gaussians, scene, crop = self._object(scene, device, bars)
-            study = Study(gaussians, scene, device, levels, crop, progress=bars, keep=True)
+            context = RunContext(device=pick_device(self.device), progress=bars)
+            gaussians, scene, crop = self._object(scene, context)
+            study = Study(gaussians, scene, context, levels, crop, keep=True)
             report = study.run()
             bars.ended = study.ended
             bars.close()
@@ -109,7 +110,7 @@ class ShowAccuracy:
             save_page(report, folder / "accuracy.html", title=f"{name}: accuracy and time")
             missing = ""
             try:
-                save_picture(report, folder / "accuracy.png", title=f"{name} on {device}")
+                save_picture(report, folder / "accuracy.png", title=f"{name} on {context.device}")
             except InputError as refusal:
                 missing = str(refusal)
         if self.json:
@@ -158,25 +159,21 @@ class ShowAccuracy:
             f"Try `{command} --levels {' '.join(map(str, grids))} {options}".rstrip() + "`."
         )
 
-    def _object(
-        self, scene: Scene, device: str, progress: Progress
-    ) -> tuple[Gaussians, Scene, Crop]:
-        """The Gaussians to study, the scene meant for them, and where they are in the picture."""
+    def _object(self, scene: Scene, context: RunContext) -> tuple[Gaussians, Scene, Crop]:
+        """Return the Gaussians to study, their scene, and where they are in the picture."""
         if self.image is None:
             from phy124.generators.shapes import ball
 
             self.making.refuse_without_picture()
             return ball(), scene, WHOLE
-        from phy124.pipeline import static
+        from phy124.pipeline import make_gaussians
 
         how = self.making.given()
         if is_file_of_gaussians(self.image):
             how["generator"] = str(self.image)
         with search_first(self.making.cutting.weights):
-            made = static(
-                self.image, scene, **how, looked=self._look, announce=self._announce,
-                device=device, progress=progress,
-            )  # fmt: skip
+            how |= {"on_cutout": self._look, "on_estimate": self._announce}
+            made = make_gaussians(self.image, scene, context, **how)
         return made.gaussians, made.scene, made.crop
 
     def _look(self, cutout: Cutout) -> None:

@@ -28,10 +28,9 @@ from phy124.imaging.painted import WHOLE
 from phy124.io.clip import Clip
 from phy124.io.video import refuse_missing_encoder
 from phy124.particles.thinning import check_count
-from phy124.pipeline.capture import Capture, capture, changed
-from phy124.progress import Progress, silent
-from phy124.runtime.device import pick_device
-from phy124.runtime.stopwatch import Stopwatch
+from phy124.pipeline.capture import Capture, adapt_scene, capture
+from phy124.rendering.compose import compose, photograph_of
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.weights.store import search_first
 
@@ -58,7 +57,6 @@ class Generate:
         """Generate; prints files and durations."""
         scene = self.options.resolve()
         pipeline.check_sources(scene, self.more)
-        device = pick_device(self.options.device)
         out = self.out or default_out(str(self.image), self.options.scene)
         goal = self.plan.goal()
         self._refuse_compose()
@@ -66,41 +64,39 @@ class Generate:
             making = self.making
             if not needs_image(making.generator):
                 file = PlyFile(making.generator, making.reading)
-                scene = changed(file, scene, count=making.gaussians)
+                scene = adapt_scene(file, scene, count=making.gaussians)
             return go_on(out, self.options, scene, goal)
         announce(scene, as_json=self.options.json)
         if self.plan.dry_run:
             with search_first(self.making.cutting.weights):
-                return self._predict(scene, device)
+                return self._predict(scene)
         with (
             search_first(self.making.cutting.weights),
             Bars(quiet=self.options.json, keeps=True) as bars,
         ):
+            context = self.options.context(bars)
             result = pipeline.generate(
                 [self.image, *self.more],
                 scene,
                 out,
+                context,
                 **self._options(bars),
-                device=device,
-                threads=self.options.threads,
-                progress=bars,
                 goal=goal,
-                forecaster=self.plan.forecaster(device, self.options.threads),
+                forecaster=self.plan.forecaster(context),
                 keep=True,
             )
             if self.compose and not result.report["interrupted"]:
-                result = self._composed(result, device, bars)
+                result = self._compose(result, context)
         return show(result, as_json=self.options.json)
 
-    def _composed(self, result: pipeline.Result, device: str, bars: Bars) -> pipeline.Result:
-        """The result with its film in the photograph."""
+    def _compose(self, result: pipeline.Result, context: RunContext) -> pipeline.Result:
+        """Return the result with its film in the photograph."""
         clip = Clip.load(result.folder / "clip.safetensors")
         view = Scene.of_clip(clip.scene).view
         try:
             with pipeline.staging(result.folder) as folder:
-                path, about = pipeline.into_photograph(
-                    clip, view, self.image, result.folder, folder, device=device, progress=bars
-                )
+                photograph = photograph_of(self.image, result.folder)
+                path, about = compose(clip, view, photograph, folder, context)
         except Cancelled:
             raise
         except Exception as error:
@@ -129,23 +125,29 @@ class Generate:
             limit = "a run that is continued has no picture."
             raise InputError("compose", self.image, limit, f"Continue it first, then use {later}.")
 
-    def _predict(self, scene: Scene, device: str) -> int:
+    def _predict(self, scene: Scene) -> int:
         """Make the Gaussians and print how long the remaining stages would take."""
-        watch = Stopwatch()
         with Bars(quiet=self.options.json) as bars:
-            made = pipeline.static(
-                [self.image, *self.more], scene, **self._options(bars), stand_in=True,
-                device=device, progress=bars, watch=watch,
-            )  # fmt: skip
+            context, pictures = self.options.context(bars), [self.image, *self.more]
+            options = self._options(bars)
+            made = pipeline.make_gaussians(
+                pictures, scene, context, preview_with_relief=True, **options
+            )
         return predict(
-            made.gaussians, made.scene, self.plan, device, made.crop, watch,
-            as_json=self.options.json, effort=made.effort, threads=self.options.threads,
-        )  # fmt: skip
+            made.gaussians,
+            made.scene,
+            self.plan,
+            context,
+            made.crop,
+            as_json=self.options.json,
+            effort=made.effort,
+        )
 
     def _options(self, bars: Bars) -> dict[str, Any]:
         """How the Gaussians are made, and what is printed meanwhile."""
-        looks = {"looked": partial(self._look, bars), "announce": partial(self._announce, bars)}
-        return {**self.making.given(), **looks}
+        calls = {"on_cutout": self._look, "on_estimate": self._announce}
+        bound = {name: partial(call, bars) for name, call in calls.items()}
+        return {**self.making.given(), **bound}
 
     def _announce(self, bars: Bars, effort: Effort) -> None:
         if not self.options.json:
@@ -179,50 +181,55 @@ class Simulate:
         """Simulate; prints files and durations."""
         scene = self.options.resolve()
         pipeline.check_sources(scene, self.more)
-        device = pick_device(self.options.device)
         out = self.out or default_out(str(self.file), self.options.scene)
         goal = self.plan.goal()
         file = PlyFile(str(self.file), self.reading)
         if self.plan.resume:
-            return go_on(out, self.options, changed(file, scene, count=self.gaussians), goal)
+            return go_on(out, self.options, adapt_scene(file, scene, count=self.gaussians), goal)
         check_count(self.gaussians)
         announce(scene, as_json=self.options.json)
-        watch = Stopwatch()
         if self.plan.dry_run:
-            return self._predict(file, scene, device)
+            return self._predict(file, scene)
         bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staging(out)
         with bars, place:  # a folder that cannot be used is refused before any work
-            with watch.stage("read"):
-                read = self._read(file, scene, bars)
+            context = self.options.context(bars)
+            with context.watch.stage("read"):
+                read = self._read(file, scene, context)
             about = {
-                "generator": str(self.file), "cleaning": read.cleaning, "notes": [*read.notes],
+                "generator": str(self.file),
+                "cleaning": read.cleaning,
+                "notes": [*read.notes],
                 **read.about,
-            }  # fmt: skip
+            }
             result = pipeline.simulate(
-                read.gaussians, read.scene, out, device=device, threads=self.options.threads,
-                progress=bars, watch=watch, about=about, goal=goal,
-                forecaster=self.plan.forecaster(device, self.options.threads), keep=True,
-            )  # fmt: skip
+                read.gaussians,
+                read.scene,
+                out,
+                context,
+                about=about,
+                goal=goal,
+                forecaster=self.plan.forecaster(context),
+                keep=True,
+            )
         return show(result, as_json=self.options.json)
 
-    def _read(self, file: PlyFile, scene: Scene, progress: Progress = silent) -> Capture:
-        read = capture(file, scene, count=self.gaussians, progress=progress)
-        found = pipeline.with_others(
-            read.gaussians, read.scene, self.more, count=self.gaussians, progress=progress
-        )
-        return replace(
-            read, gaussians=found.gaussians, scene=found.scene, about=read.about | found.about
-        )
+    def _read(self, file: PlyFile, scene: Scene, context: RunContext) -> Capture:
+        read = capture(file, scene, count=self.gaussians, progress=context.progress)
+        count = self.gaussians
+        # The generator of further pictures works on the CPU, and its time counts as "read".
+        context = RunContext(progress=context.progress)
+        every = pipeline.with_others(read.gaussians, read.scene, self.more, context, count=count)
+        about = read.about | every.about
+        return replace(read, gaussians=every.gaussians, scene=every.scene, about=about)
 
-    def _predict(self, file: PlyFile, scene: Scene, device: str) -> int:
+    def _predict(self, file: PlyFile, scene: Scene) -> int:
         """Read the Gaussians and print how long the remaining stages would take."""
-        watch = Stopwatch()
-        with Bars(quiet=self.options.json) as bars, watch.stage("read"):
-            read = self._read(file, scene, bars)
-        return predict(
-            read.gaussians, read.scene, self.plan, device, WHOLE, watch, as_json=self.options.json,
-            threads=self.options.threads,
-        )  # fmt: skip
+        with Bars(quiet=self.options.json) as bars:
+            context = self.options.context(bars)
+            with context.watch.stage("read"):
+                read = self._read(file, scene, context)
+        as_json = self.options.json
+        return predict(read.gaussians, read.scene, self.plan, context, WHOLE, as_json=as_json)
 
 
 def go_on(out: Path, options: SceneOptions, scene: Scene, goal: Goal | None = None) -> int:
@@ -234,16 +241,10 @@ def go_on(out: Path, options: SceneOptions, scene: Scene, goal: Goal | None = No
         scene: The scene that the run must have.
         goal: The goal that the run must have had, if any.
     """
-    device = pick_device(options.device)
     with Bars(quiet=options.json, keeps=True) as bars:
+        any_accuracy = goal is not None
         result = pipeline.go_on(
-            out,
-            scene,
-            any_accuracy=goal is not None,
-            device=device,
-            threads=options.threads,
-            progress=bars,
-            keep=True,
+            out, scene, options.context(bars), any_accuracy=any_accuracy, keep=True
         )
     return show(result, as_json=options.json)
 

@@ -10,7 +10,9 @@ import tyro
 
 from phy124.errors import InputError
 from phy124.generators import list_names
-from phy124.runtime.device import CHOICES
+from phy124.progress import Progress
+from phy124.runtime.context import RunContext
+from phy124.runtime.device import CHOICES, pick_device
 from phy124.scene import (
     AccuracyName,
     Scene,
@@ -156,6 +158,15 @@ class SceneOptions:
         if self.fps is not None and changes.keys().isdisjoint(LENGTH):
             changes["time.seconds"] = scene.time.length
         return scene.replaced(changes)
+
+    def context(self, progress: Progress) -> RunContext:
+        """Return the context of a run with these options.
+
+        Raises:
+            InputError: There is no such device.
+        """
+        device = pick_device(self.device)
+        return RunContext(device=device, threads=self.threads, progress=progress)
 
 
 def default_out(name: str, scene: str) -> Path:

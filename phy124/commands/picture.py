@@ -33,7 +33,7 @@ class PictureOptions:
     views: Annotated[OtherViews, tyro.conf.arg(name="")] = field(default_factory=OtherViews)
 
     def given(self) -> dict[str, Any]:
-        """The options as `phy124.pipeline.static` takes them."""
+        """The options as `phy124.pipeline.make_gaussians` takes them."""
         return {
             "generator": self.generator, "options": self.effort, "reading": self.reading,
             "count": self.gaussians, "depth": self.depth, "views": self.views,

@@ -14,7 +14,6 @@ from phy124.gaussians import Gaussians
 from phy124.generators.options import Effort
 from phy124.imaging.painted import Crop
 from phy124.runtime.context import RunContext
-from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, summarise
 
 STOOD_IN = "The seconds after the generator are those of an object that relief made in its place."
@@ -52,9 +51,9 @@ class PlanOptions:
             return Goal.error(self.max_error)
         return None if self.max_seconds is None else Goal.time(self.max_seconds)
 
-    def forecaster(self, device: str, threads: int | None) -> Forecaster | None:
-        """The forecaster, if the report is to compare its prediction."""
-        return Forecaster(device, threads) if self.forecast else None
+    def forecaster(self, context: RunContext) -> Forecaster | None:
+        """Return the forecaster, if the report is to compare its prediction."""
+        return Forecaster(context) if self.forecast else None
 
 
 def announce(scene: Scene, *, as_json: bool) -> None:
@@ -68,30 +67,33 @@ def announce(scene: Scene, *, as_json: bool) -> None:
 
 
 def predict(
-    gaussians: Gaussians, scene: Scene, plan: PlanOptions, device: str, crop: Crop,
-    watch: Stopwatch, *, as_json: bool, effort: Effort | None = None, threads: int | None = None,
-) -> int:  # fmt: skip
+    gaussians: Gaussians,
+    scene: Scene,
+    plan: PlanOptions,
+    context: RunContext,
+    crop: Crop,
+    *,
+    as_json: bool,
+    effort: Effort | None = None,
+) -> int:
     """Print how long a run would take, the grid chosen for a given time, and the promised error.
 
     Args:
         gaussians: The object.
         scene: The scene.
         plan: The options of the command.
-        device: Warp device.
+        context: Device, threads, and the durations of the stages so far.
         crop: Where the object is in the picture that the masks of parts were painted on.
-        watch: The durations of the stages so far.
         as_json: Print JSON and nothing else.
         effort: What a generator for which `relief` stood in will take.
-        threads: CPU threads; None: as many as suit.
     """
-    forecaster, goal, spent = Forecaster(device, threads), plan.goal(), dict(watch.seconds)
+    forecaster, goal, spent = Forecaster(context), plan.goal(), dict(context.watch.seconds)
     if effort is not None:
         spent.pop("generate")
     if goal is None:
         forecast = forecaster.forecast(gaussians, scene, crop=crop)
     else:
         elapsed = sum(spent.values()) + (effort.seconds if effort else 0.0)
-        context = RunContext(device=device, threads=threads)
         scene, forecast = in_time(
             goal, gaussians, scene, context, elapsed=elapsed, crop=crop, forecaster=forecaster
         )

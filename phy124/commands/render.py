@@ -18,6 +18,7 @@ from phy124.io.files import staging
 from phy124.io.video import refuse_missing_encoder
 from phy124.rendering.film import film, note_if_choppy, refuse_missing_writers
 from phy124.rendering.framing import describe_framing
+from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, merge_changes, parse_changes
@@ -62,11 +63,12 @@ class Render:
         with Bars(quiet=self.json, keeps=True) as bars, staging(out, keeps=True) as folder:
             with suppress(Cancelled):
                 device = pick_device(self.device)
-                film(clip, view, folder, device=device, threads=self.threads, progress=bars)
+                context = RunContext(device=device, threads=self.threads, progress=bars)
+                film(clip, view, folder, context)
                 if photograph is not None:
                     from phy124.rendering.compose import compose
 
-                    compose(clip, view, photograph, folder, device=device, progress=bars)
+                    compose(clip, view, photograph, folder, context)
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
             if bars.cancelled and not files:
                 raise Cancelled
@@ -82,7 +84,7 @@ class Render:
         """The photograph to compose, opened before any film is drawn; None without one."""
         if self.compose is None:
             return None
-        from phy124.pipeline.composing import photograph_of
+        from phy124.rendering.compose import photograph_of
 
         refuse_missing_encoder()
         return photograph_of(self.compose, self.clip.parent)

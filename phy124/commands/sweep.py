@@ -12,6 +12,7 @@ import tyro
 from phy124.commands.bars import Bars
 from phy124.commands.options import Device
 from phy124.errors import InputError
+from phy124.runtime.context import RunContext
 from phy124.runtime.cores import cores
 from phy124.runtime.device import pick_device
 from phy124.studies.sweep import Counts, Plan, forecast_sweep, list_refused, run
@@ -88,7 +89,7 @@ class Sweep:
         """Print what the sweep would take."""
         with Bars(quiet=self.json) as bars:
             bad = list(list_refused(plan, bars))
-            told = forecast_sweep(plan, device, bars)
+            told = forecast_sweep(plan, RunContext(device=device, progress=bars))
         workers = self.workers or cores()
         if self.json:
             rows = [{"index": item.index, "sentence": why} for item, why in bad]

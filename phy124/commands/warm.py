@@ -10,6 +10,7 @@ import tyro
 from phy124.commands.bars import Bars
 from phy124.commands.options import Device
 from phy124.pipeline.warming import warm
+from phy124.runtime.context import RunContext
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, preset_names
 
@@ -25,10 +26,11 @@ class Warm:
     def run(self) -> int:
         """Compile what is missing; prints how much that was."""
         names = self.scenes or preset_names()
-        scenes, device = [Scene.named(name) for name in names], pick_device(self.device)
+        scenes = [Scene.named(name) for name in names]
         start = time.perf_counter()
         with Bars() as bars:
-            compiled = warm(scenes, device, bars)
+            context = RunContext(device=pick_device(self.device), progress=bars)
+            compiled = warm(scenes, context)
         done = f"{compiled} modules compiled" if compiled else "all was compiled already"
         print(f"{', '.join(names)}: {done}; {time.perf_counter() - start:.1f} s")
         return 0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from phy124.errors import InputError
-from phy124.kernels import push as kernels
+from phy124.kernels import forces as kernels
 from phy124.mpm import Grid, Model, Stage, State
 from phy124.mpm.tracks import FOREVER, AnyProfile, Constant, Over, Track, Tracks
 from phy124.schema.bounds import LONGEST, Name
@@ -92,7 +92,7 @@ class Force(Section):
             mean: Whether each substep reads the mean over its duration instead of one instant.
         """
         end = FOREVER if self.end is None else self.end
-        return Track.scaled(value, self.profile, self.start, end, mean=mean)
+        return Track.of_profile(value, self.profile, self.start, end, mean=mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return its stages in each substep; none if it joins the uniform acceleration.

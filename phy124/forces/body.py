@@ -81,7 +81,7 @@ class Impulse(Force):
     def track(self, value: Vector, *, mean: bool = True) -> Track:
         """Return the value times the profile over its duration, zero outside."""
         end = self.start + self.duration
-        track = Track.scaled(value, self.profile, self.start, end, mean=mean)
+        track = Track.of_profile(value, self.profile, self.start, end, mean=mean)
         # A force that starts at time 0 counts as having acted before; a blow at time 0 does not.
         return Track(track.keys, self.start, end, track.origin, track.period, mean)
 

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from phy124.errors import InputError
 from phy124.forces.base import Force, of_object
-from phy124.kernels import held as kernels
+from phy124.kernels import forces as kernels
 from phy124.kernels.reduction import shared_out
 from phy124.mpm import Grid, Model, Stage, State
 from phy124.mpm.tracks import FOREVER, Track, Tracks, check_times

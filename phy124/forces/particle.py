@@ -9,7 +9,7 @@ import warp as wp
 from pydantic import Field, model_validator
 
 from phy124.forces.base import Force, push, stage, within
-from phy124.kernels import push as kernels
+from phy124.kernels import forces as kernels
 from phy124.kernels.arguments import types
 from phy124.mpm import Grid, Model, Stage, State
 from phy124.mpm.tracks import Tracks

@@ -225,7 +225,7 @@ def normalise_size(gaussians: Gaussians, name: str = "") -> Gaussians:
     if not size > 0:
         limit = "All its Gaussians lie in one point."
         raise InputError("file", name, limit, "Give a file with an object in it.")
-    return gaussians.moved(1 / size, -(low + high) / 2 / size)
+    return gaussians.transform(1 / size, -(low + high) / 2 / size)
 
 
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

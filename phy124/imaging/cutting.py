@@ -51,5 +51,5 @@ class Cutting(Section):
         return x, y
 
     def arguments(self) -> dict[str, Any]:
-        """Return the choices as keyword arguments of `phy124.pipeline.static`."""
+        """Return the choices as keyword arguments of `phy124.pipeline.make_gaussians`."""
         return {"method": self.foreground, "mask": self.mask, "pick": self.point}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from phy124.imaging.image import open_mask
 
@@ -38,3 +39,14 @@ def sample_brightness(
     row = (top + down * (bottom - top)) * grey.shape[0]
     i = np.clip(row.astype(int), 0, grey.shape[0] - 1)
     return grey[i, np.clip(column.astype(int), 0, grey.shape[1] - 1)]
+
+
+def crop_of(cutout: Image.Image) -> Crop:
+    """Return where the object is in its picture, an RGBA cut-out."""
+    opaque = np.asarray(cutout.getchannel("A")) > 127
+    rows, columns = np.flatnonzero(opaque.any(axis=1)), np.flatnonzero(opaque.any(axis=0))
+    if not len(rows):
+        return WHOLE
+    height, width = opaque.shape
+    left, right = columns[0] / width, (columns[-1] + 1) / width
+    return float(left), rows[0] / height, float(right), (rows[-1] + 1) / height

@@ -19,7 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from phy124.errors import InputError
-from phy124.gaussians import Array, Frame, Gaussians, of_walls, rotate_sh, stacked
+from phy124.gaussians import Array, Frame, Gaussians, of_walls, rotate_sh, stack_wrenches
 from phy124.io.files import replacing
 from phy124.io.opening import obstacle
 
@@ -118,7 +118,9 @@ class Clip:
             rotations=rotations,
             velocities=stack_if_all("velocities"),
             contacts=stack_if_all("contacts"),
-            wrenches=stacked(frames) if all(f.wrenches is not None for f in frames) else None,
+            wrenches=stack_wrenches(frames)
+            if all(f.wrenches is not None for f in frames)
+            else None,
             walls=tuple(frames[0].wrenches or ()),
             object_id=first.object_id,
         )

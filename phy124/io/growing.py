@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Frame, stacked
+from phy124.gaussians import Frame, stack_wrenches
 from phy124.io import files
 from phy124.io.clip import Clip
 
@@ -231,7 +231,7 @@ class Growing:
 
 def _arrays_of(frame: Frame, rotation: NDArray | None) -> dict[str, NDArray]:
     """Return the arrays of a frame, by their names in a clip."""
-    wrenches = None if frame.wrenches is None else stacked([frame])[0]
+    wrenches = None if frame.wrenches is None else stack_wrenches([frame])[0]
     arrays = {
         "times": np.array(frame.time, np.float64),
         **{name: getattr(frame.gaussians, name) for name in SHAPES},

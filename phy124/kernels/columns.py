@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from phy124.kernels.spline import spline
+from phy124.kernels.transfer import spline
 
 
 @wp.func

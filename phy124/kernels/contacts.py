@@ -16,8 +16,7 @@ from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.grid import row_in_copy, row_in_grid
 from phy124.kernels.reduction import lower_to, raise_to
-from phy124.kernels.spline import spline
-from phy124.kernels.transfer import first_node, in_window
+from phy124.kernels.transfer import first_node, in_window, spline
 
 
 @cache

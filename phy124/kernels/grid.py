@@ -1,7 +1,7 @@
 """The grid update between scatter and gather, and what is done to rows of nodes.
 
 Rows of nodes in a box of the grid are copied, cleared, added and compared by loops in C++ that a
-CPU vectorises (native/rows.h). On a GPU each thread has one node, the part before the loop.
+CPU vectorises (native/reduction.h). On a GPU each thread has one node, the part before the loop.
 """
 
 from functools import cache
@@ -30,7 +30,7 @@ def row_in_copy(box: wp.array(dtype=wp.vec3i), i: int, j: int):
     return (i * count[1] + j) * count[2]
 
 
-@wp.func_native(code("rows:copy_row"))
+@wp.func_native(code("reduction:copy_row"))
 def copy_row(
     nodes: wp.array(dtype=Any), at: int, others: wp.array(dtype=Any), start: int, count: int
 ):
@@ -38,13 +38,13 @@ def copy_row(
     ...
 
 
-@wp.func_native(code("rows:clear_row"))
+@wp.func_native(code("reduction:clear_row"))
 def clear_row(nodes: wp.array(dtype=Any), at: int, count: int):
     """Set nodes that follow each other to zero."""
     ...
 
 
-@wp.func_native(code("rows:add_row"))
+@wp.func_native(code("reduction:add_row"))
 def add_row(
     nodes: wp.array(dtype=Any), at: int, others: wp.array(dtype=Any), start: int, count: int
 ):
@@ -55,7 +55,7 @@ def add_row(
 # Warp forgets the result of a generic native function, so this one has an overload per precision.
 for vec4 in (wp.vec4, wp.vec4d):
 
-    @wp.func_native(code("rows:next_changed"))
+    @wp.func_native(code("reduction:next_changed"))
     def next_changed(
         nodes: wp.array(dtype=vec4),
         at: int,

@@ -1,6 +1,6 @@
 """The maxima over the particles that limit a substep and bound the particles.
 
-`timestep.make_timestep` reads them on the device and phy124/mpm/maxima.py on the host. The lowest
+`timestep.make_timestep` reads them on the device and phy124/mpm/timestep.py on the host. The lowest
 corner is stored as the maximum of -x.
 """
 

@@ -17,9 +17,9 @@ from phy124.kernels import diagnostics as at
 from phy124.kernels.diagnostics import make_energies, make_totals
 from phy124.kernels.reduction import shared_out
 from phy124.mpm import Clock, Model, Solver, State
-from phy124.mpm.state import part_of
+from phy124.mpm.model import part_of
 
-NOBODY = 2**31 - 1
+NO_PARTICLE = 2**31 - 1
 """An index above those of all particles."""
 VECTORS = ("momentum", "angular", "middle")
 """Fields that are vectors."""
@@ -93,7 +93,7 @@ class Totals:
         device, sums = model.device, at.SUMS
         self._numbers = wp.zeros(sums + 2, dtype=wp.float64, device=device)
         self._counts = wp.zeros(4, dtype=int, device=device)
-        self._empty = np.array([0.0] * sums + [-math.inf] * 2), np.array([0, 0] + [NOBODY] * 2)
+        self._empty = np.array([0.0] * sums + [-math.inf] * 2), np.array([0, 0] + [NO_PARTICLE] * 2)
         outputs = [*_split(self._numbers, sums), *_split(self._counts, 2)]
         self._launches = []
         for group in model.groups:

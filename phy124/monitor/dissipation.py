@@ -15,12 +15,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.dissipation import LOST, RUBBED, STRAINED, make_dissipation
 from phy124.kernels.reduction import shared_out
+from phy124.kernels.work import LOST, RUBBED, STRAINED, make_dissipation
 from phy124.monitor.observer import Effect, Observer, Subject
 from phy124.mpm import Model, State
+from phy124.mpm.model import part_of
 from phy124.mpm.stage import Recorded
-from phy124.mpm.state import part_of
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
 

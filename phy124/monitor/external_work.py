@@ -16,13 +16,13 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
-from phy124.kernels import external_work as kernels
 from phy124.kernels import free
+from phy124.kernels import work as kernels
 from phy124.kernels.reduction import shared_out
 from phy124.monitor.measured import Measured, NodesNear
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
-from phy124.mpm.state import part_of
+from phy124.mpm.model import part_of
 from phy124.mpm.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 STAGE = "external work"
 """Name of the stages that sum external work."""
 PUSH, WALL, UNIFORM = "push", "wall", "uniform"
-"""What is summed: forces on particles, walls, and a uniform acceleration that varies."""
+"""Causes of external work: forces on particles, walls, and a varying uniform acceleration."""
 SOURCES = (PUSH, WALL, UNIFORM)
 ROOM = 16
-"""Numbers kept for the sums of one worker, so that no two workers write to one line of cache."""
+"""Numbers reserved for the sums of a worker, so that workers share no cache line."""
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
-"""Where the impulse stands among the sums."""
+"""Position of the impulse among the sums."""
 Sums = NDArray[np.float64]
 
 
@@ -105,11 +105,11 @@ class ExternalWork(Observer):
         """
         self._changes = changes
         self._device: dict[str, wp.array] = {}
-        """Open sums: those of each worker since its launches were recorded last [W,ROOM]."""
+        """Open sums of each worker since its launches were last recorded [W,ROOM]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
-        """Momentum of the object at the start of the frame, without what the open sums hold
-        [kg m/s], and the time up to which velocities had been kicked when counting began [s]."""
+        """Momentum of the object at the start of the frame, without the open sums [kg m/s],
+        and the time to which velocities had advanced when counting began [s]."""
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
         """Return the forces as one, measured before and after they act."""
@@ -125,7 +125,7 @@ class ExternalWork(Observer):
         return [Measured(inner, partial(self._attach_walls, walls))]
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """The stage that ends each substep; none if the uniform acceleration does not vary."""
+        """Return the stage that ends each substep; none if the uniform acceleration is steady."""
         del state
         self._model, self._tracks = model, tracks
         self._base, self._walls_before = (
@@ -175,11 +175,11 @@ class ExternalWork(Observer):
         return Exchange(total[IMPULSES], work, moved, turned)
 
     def of_walls(self) -> float:
-        """Work of the walls so far [J]; of those at rest what friction takes, below zero."""
+        """Return the work of the walls so far [J]; that of walls at rest is friction, negative."""
         return float(self._sum(WALL)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
-        """The state to continue from, as plain data."""
+        """Return the state to continue from, as plain data."""
         return {
             "closed": {name: sums.tolist() for name, sums in self._closed.items()},
             "open": {name: sums.numpy().tolist() for name, sums in self._device.items()},
@@ -201,7 +201,7 @@ class ExternalWork(Observer):
         self._momentum, self._opened = np.array(snapshot["momentum"]), snapshot["opened"]
 
     def _sum(self, *names: str) -> Sums:
-        """Total of all sums so far, or of those named."""
+        """Return the total of all sums so far, or of the named causes."""
         total = np.zeros(kernels.GIVEN)
         for name in names or SOURCES:
             total += self._closed[name]
@@ -210,12 +210,12 @@ class ExternalWork(Observer):
         return total
 
     def _open(self, name: str) -> Sums:
-        """Sums of all workers since their launches were recorded last."""
+        """Return the sums of all workers since their launches were last recorded."""
         rows: NDArray[Any] = self._device[name].numpy()
         return rows[:, : kernels.GIVEN].sum(axis=0)
 
     def _accumulator(self, name: str, grid: Grid) -> wp.array:
-        """Sums that belong to one launch, so that two threads never add to the same ones."""
+        """Return the sums of a single launch, so that two threads never add to the same numbers."""
         if grid.worker == 0:
             if name in self._device:
                 self._closed[name] = self._closed[name] + self._open(name)
@@ -226,13 +226,13 @@ class ExternalWork(Observer):
         return wp.zeros((workers, ROOM), dtype=wp.float64, device=self._model.device)
 
     def _record_uniform(self, grid: Grid) -> wp.Launch | None:
-        """The launch that sums what the uniform acceleration adds, after everything else."""
-        model, tracks, own = self._model, self._tracks, self._accumulator(UNIFORM, grid)
+        """Record the launch that adds the uniform acceleration's impulse and work, the last one."""
+        model, tracks, sums = self._model, self._tracks, self._accumulator(UNIFORM, grid)
         self._set_base()
         others = [self._device.get(name, self._zeros(0)) for name in (PUSH, WALL)]
         inputs = [model.total_mass, tracks.clock, tracks.values, self._base, *others]
         kernel = kernels.make_uniform_sums(model.real)
-        return model.launch(kernel, 1, inputs, [self._walls_before, own])
+        return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
         """Store the momentum without the open sums, which include the walls' last impulse."""
@@ -243,18 +243,18 @@ class ExternalWork(Observer):
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """The stages before and after the `stages` of forces on particles."""
+        """Return the stages before and after the `stages` of forces on particles."""
         keeps_C = all(stage.keeps_C for stage in stages)
-        kept = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
+        copied = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
         copy, sums = push_kernels(model.real, keeps_C)
 
-        def stored(grid: Grid) -> list[wp.array]:
-            """What is stored of the particles that are pushed."""
+        def copies_for(grid: Grid) -> list[wp.array]:
+            """Return the copies of v and C of the particles that are pushed."""
             run = grid.run(len(model))
-            return [part_of(array, run) for array in kept]
+            return [part_of(array, run) for array in copied]
 
         def before(grid: Grid) -> wp.Launch | None:
-            run, copies = grid.run(len(model)), stored(grid)
+            run, copies = grid.run(len(model)), copies_for(grid)
             return model.launch(copy, len(copies[0]), [state.v[run], state.C[run]], copies)
 
         def after(grid: Grid) -> wp.Launch | None:
@@ -262,9 +262,9 @@ class ExternalWork(Observer):
             threads, *fraction = shared_out(run.stop - run.start, model.device)
             inputs = [*fraction, model.mass[run]]
             if keeps_C:
-                inputs += [state.v[run], stored(grid)[0]]
+                inputs += [state.v[run], copies_for(grid)[0]]
             else:
-                inputs += [model.dx, state.v[run], state.C[run], *stored(grid)]
+                inputs += [model.dx, state.v[run], state.C[run], *copies_for(grid)]
             return model.launch(sums, threads, inputs, [self._accumulator(PUSH, grid)])
 
         return Stage(STAGE, before, by_run=True), Stage(STAGE, after, by_run=True)
@@ -272,7 +272,7 @@ class ExternalWork(Observer):
     def _attach_walls(
         self, walls: Sequence[Boundary], stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """The stages before and after the `stages` of walls."""
+        """Return the stages before and after the `stages` of walls."""
         del stages, state
         near, (copy, sums) = NodesNear(walls, model), wall_kernels(model.real)
 
@@ -288,11 +288,11 @@ class ExternalWork(Observer):
 
 
 def push_kernels(real: Any, keeps_C: bool) -> tuple[Any, Any]:
-    """Kernels before and after forces on particles, all of which keep C or not."""
+    """Return the kernels before and after forces on particles, which all keep C or not."""
     sums = kernels.make_push_sums_v(real) if keeps_C else kernels.make_push_sums(real)
     return kernels.make_push_copy(real, keeps_C), sums
 
 
 def wall_kernels(real: Any) -> tuple[Any, Any]:
-    """What measures walls from both sides: before and after they act."""
+    """Return the kernels before and after walls act."""
     return kernels.make_wall_copy(real), kernels.make_wall_sums(real)

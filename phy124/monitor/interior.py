@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from phy124.gaussians import Frame, Gaussians, joined
+from phy124.gaussians import Frame, Gaussians, join
 from phy124.io.clip import Clip
 from phy124.materials import AnyMaterial
 from phy124.monitor.observer import Effect, Observed, Observer, Subject, find
@@ -138,7 +138,7 @@ class Interior(Observer):
         moving = {n: np.concatenate([getattr(clip, n), a], axis=1) for n, a in added.items()}
         rest = (clip.means[0], clip.quats[0], clip.scales[0])
         surface = Gaussians(*rest, clip.opacities, clip.sh, clip.object_id)
-        whole = joined([surface, grains])
+        whole = join([surface, grains])
         fixed = {name: getattr(whole, name) for name in ("opacities", "sh", "object_id")}
         return replace(clip, **moving, **fixed)
 
@@ -162,7 +162,7 @@ class Interior(Observer):
             if len(particles)
         ]
         grains, above, inside, neighbours = zip(*objects, strict=True)
-        self._grains, self._above = joined(grains), np.concatenate(above)
+        self._grains, self._above = join(grains), np.concatenate(above)
         self._inside, self._neighbours = np.concatenate(inside), np.concatenate(neighbours)
 
     def _prepare_object(

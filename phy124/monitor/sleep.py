@@ -177,7 +177,7 @@ class Sleep(Observer):
         if until < last / self._fps:
             last = math.floor(until * self._fps)
         fraction = (last - index + 1) / len(self.speeds)
-        if fraction <= 0 or self._grows() or not self._held():
+        if fraction <= 0 or self._grows() or not self._pins_material():
             return False
         reach = 7 * self.drift * fraction * (1 + fraction)
         return reach + self._hidden(max(self.speeds)) <= self._far
@@ -186,7 +186,7 @@ class Sleep(Observer):
         """Return the amplitude [m] of a vibration of this speed [m/s] that frames do not show."""
         return speed / self._fps / (2 * math.pi)
 
-    def _held(self) -> bool:
+    def _pins_material(self) -> bool:
         """Return whether it stayed in place under a pull: if free, it would move by a t^2 / 8."""
         pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8

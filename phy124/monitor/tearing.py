@@ -22,7 +22,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.gaussians import Frame
-from phy124.kernels.soundness import make_apart
+from phy124.kernels.diagnostics import make_apart
 from phy124.monitor.diagnostics import describe_particle
 from phy124.monitor.observer import Effect, Observer, Subject
 from phy124.mpm import Solver

@@ -2,8 +2,8 @@
 
 Every number is finite; no more than a few particles are inverted (det F < 0); momentum changes by
 the impulse of forces and walls; energy does not grow beyond their work (explicit MPM only loses
-energy, so a gain means that the run is exploding). The particle to blame and the remedies are
-looked for only after a violation. The watchdog only reads the run: the solver repairs broken
+energy, so a gain means that the run is exploding). The responsible particle and the remedies are
+searched for only after a violation. The watchdog only reads the run: the solver repairs broken
 deformations itself (phy124/mpm/repair.py).
 """
 
@@ -115,7 +115,7 @@ class Watchdog(Observer):
         self._totals = Totals(solver.model, solver.state)
         self.first = self.last = self._totals.read(self.clock)
         self.min_J, self.max_J = self.first.min_J, self.first.max_J
-        self._stopped, self._pushed = solver.pairs.impulse(), solver.free.given()
+        self._stopped, self._pushed = solver.pairs.impulse(), solver.free.impulses()
 
     def before_attempt(self, *, closely: bool = False) -> None:
         """Start to count external work; the first frame also starts the balance.
@@ -128,10 +128,10 @@ class Watchdog(Observer):
         if not self._begun:
             # Not when it is bound: the run may have been resumed since.
             self.first = self.last = self._totals.read(self.clock)
-            turnover = max(self.first.energy, self._strained(math.sqrt(QUIET)))
+            turnover = max(self.first.energy, self._strain_energy(math.sqrt(QUIET)))
             self.balance = Balance(turnover, math.sqrt(2 * self.model.total_mass * turnover))
             self._stopped = self._solver.pairs.impulse()
-            self._pushed = self._solver.free.given()
+            self._pushed = self._solver.free.impulses()
             if self.external is not None:
                 self.external.open(self.clock)
             self._begun = True
@@ -152,7 +152,7 @@ class Watchdog(Observer):
         """Return the violation of a frame, or None."""
         now = self._totals.read(self.clock)
         balanced = self.external is not None
-        problem = self._unsound(now) or (self._unbalanced(now) if balanced else None)
+        problem = self._check_deformation(now) or (self._check_balance(now) if balanced else None)
         if problem is None:
             self.last = now
             self.min_J, self.max_J = min(self.min_J, now.min_J), max(self.max_J, now.max_J)
@@ -254,7 +254,7 @@ class Watchdog(Observer):
         loss = self._dissipation.loss(gained, rubbed, stored)
         return {"energy": {"turnover": turnover, "lost": loss.total, **loss._asdict()}}
 
-    def _unsound(self, now: Diagnostics) -> Violation | None:
+    def _check_deformation(self, now: Diagnostics) -> Violation | None:
         what, index = "", 0
         if now.broken:
             what, index = f"{now.broken} particles are NaN or infinite", now.first_broken
@@ -262,11 +262,11 @@ class Watchdog(Observer):
             what, index = f"{now.inverted} particles are turned inside out", now.first_inverted
         return Violation(f"{what}, first {self._who(index)}", self._unstable()) if what else None
 
-    def _unbalanced(self, now: Diagnostics) -> Violation | None:
+    def _check_balance(self, now: Diagnostics) -> Violation | None:
         """Compare energy and momentum with those at the start plus external work and impulse."""
         assert self.external is not None
         outside = self.external.total(self.clock, now.middle - self.first.middle)
-        outside = outside.plus(self._solver.free.given() - self._pushed)
+        outside = outside.plus(self._solver.free.impulses() - self._pushed)
         turnover = max(
             self.balance.turnover,
             now.energy,
@@ -280,27 +280,27 @@ class Watchdog(Observer):
         moved = max(moved, float(np.linalg.norm(stopped)))
         missing = now.momentum - self.first.momentum - outside.impulse - stopped
         momentum_gain = float(np.linalg.norm(missing)) / moved if moved > 0 else 0.0
-        problem = self._gained(gained, turnover) or self._drifted(momentum_gain)
+        problem = self._check_energy(gained, turnover) or self._check_momentum(momentum_gain)
         if problem is None:
             trembles = self.balance.trembles
             self.balance = Balance(turnover, moved, gained / turnover, momentum_gain, trembles)
         return problem
 
-    def _gained(self, energy: float, turnover: float) -> Violation | None:
+    def _check_energy(self, energy: float, turnover: float) -> Violation | None:
         """The violation for spurious energy; rounding in a stiff body counts only once it shows."""
         if energy <= ENERGY_GAIN * turnover:
             return None
         faded = FADING[self.model.precision] * self.clock.substeps
-        if energy <= ENERGY_GAIN * self._strained(min(faded, UNSEEN)):
+        if energy <= ENERGY_GAIN * self._strain_energy(min(faded, UNSEEN)):
             self.balance.trembles = max(self.balance.trembles, energy / turnover)
             return None
         index = int(energies(self.model, self.state).argmax())
         who = f"most of all its energy is in {self._who(index)}"
-        rounded = energy <= self._strained(faded)
+        rounded = energy <= self._strain_energy(faded)
         what = f"{energy / turnover:.0%} of its energy came from nowhere, {who}"
         return Violation(what, ROUNDED if rounded else self._unstable())
 
-    def _drifted(self, fraction: float) -> Violation | None:
+    def _check_momentum(self, fraction: float) -> Violation | None:
         """The violation for spurious momentum."""
         if fraction <= MOMENTUM_GAIN[self.model.precision]:
             return None
@@ -311,20 +311,20 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Causes of an unstable run: the substep, and if it was violent, also what made it so."""
+        """Return causes of an unstable run: the substep; in a violent run also law and push."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("substep", "law", "push") if violent else ("substep",)
 
-    def _strained(self, strain: float) -> float:
-        """Elastic energy of the whole body at this strain [J]."""
+    def _strain_energy(self, strain: float) -> float:
+        """Return the elastic energy of the whole body at this strain [J]."""
         stiffest = max(m.density * m.wave_speed() ** 2 for m in self.model.materials)
         volume = float(np.sum(self.model.volume.numpy(), dtype=np.float64))
         return stiffest * volume * strain**2
 
     def _momentum_scale(self, now: Diagnostics) -> float:
-        """The sum of all momenta if they pointed the same way [kg m/s]."""
+        """Return the sum of the norms of all momenta [kg m/s]."""
         return math.sqrt(2 * self.model.total_mass * now.kinetic)
 
     def _who(self, index: int) -> str:
-        """A particle in words."""
+        """Return a description of a particle."""
         return describe_particle(self.model, self.state, index)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from phy124.boundaries import Boundary
 from phy124.gaussians import Frame, Wrench
 from phy124.kernels import contacts as kernels
-from phy124.kernels.external_work import make_wall_copy
+from phy124.kernels.work import make_wall_copy
 from phy124.monitor.measured import NodesNear
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Grid, Model, Solver, Stage, State

@@ -1,19 +1,18 @@
 """The material point method: explicit MLS-MPM with APIC transfers on a window of grid nodes.
 
 `Model` never changes, `State` changes every substep, `Clock` keeps the time, `Grid` is scratch
-memory, and `Solver` puts the phases of a substep in order: push, clear, p2g, update, collide, g2p.
-Only the stages that the scene calls for exist.
+memory, and `Solver` runs the phases of a substep in order: push, clear, p2g, update, collide, g2p.
+Stages that a scene does not need do not exist.
 """
 
 from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.fluctuation import Scheme
 from phy124.mpm.free import FreeBodies, FreeBody
 from phy124.mpm.grid import MARGIN, Grid, Unstable
-from phy124.mpm.model import Group, Model
+from phy124.mpm.model import Group, Model, State
 from phy124.mpm.pairs import Pair
 from phy124.mpm.solver import Solver
 from phy124.mpm.stage import Accumulator, Attachable, Stage
-from phy124.mpm.state import State
 
 __all__ = [
     "MARGIN",

@@ -1,4 +1,4 @@
-"""Clock: what time it is, how long the next substep may be, and what limits it."""
+"""Clock: the time of a run, the length of the next substep, and what limits it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from phy124.mpm.model import Model
-from phy124.mpm.timestep import MEASURE_EVERY, TRAVEL, Extremes, Substep, remembered, stable_substep
+from phy124.mpm.timestep import MEASURE_EVERY, TRAVEL, Extremes, Substep, decay, stable_substep
 
 
 class Clock:
@@ -28,26 +28,25 @@ class Clock:
         self.limiters: dict[str, int] = {}
         """Number of substeps that each limit determined."""
         self.needed: dict[str, float] = {}
-        """The same before rounding up to whole substeps in each frame: a substep counts as its
-        length in units of what its limit allowed."""
+        """The same before rounding up to whole substeps in each frame: a substep counts as the
+        ratio of its length to the length that its limit allowed."""
         self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
-        """The values that limit substeps, as measured last; and their maxima over the substeps
-        since the host looked last, which are several if the device takes them alone."""
+        """The values that limit substeps, as last measured; and their maxima since the host last
+        read them, which is several substeps ago if the device takes substeps alone."""
         self.strain_rate = 0.0
-        """The largest |C| of late [1/s]; a vibration may just be at its turning point, where it is
-        zero."""
+        """Largest recent |C| [1/s]; at the turning point of a vibration |C| itself is zero."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Substeps between two measurements of speeds at present, and substeps since the last."""
+        """Present number of substeps between two measurements of speeds, and since the last one."""
         self.strain = self.travel = math.inf
-        """Upper bounds of the strain of a particle, and of the distance that it moved [m], since
-        stiffness and positions were measured, too; infinite: they must be at the next time."""
-        self._looked, self.since_complete = 0.0, 0
+        """Upper bounds of a particle's strain and of its displacement [m] since the last complete
+        measurement; infinite: the next measurement must be complete."""
+        self._last_measured, self.since_complete = 0.0, 0
         """The time of the last measurement [s], and substeps since the last complete one."""
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
         """On the device: kick and drift of the current substep, and the time before it [s]."""
         self._shared = self.values.numpy() if model.device == "cpu" else None
         self._limits: tuple[Any, Substep] | None = None
-        """The limits for which the longest stable substep was computed last, and the substep."""
+        """Inputs and result of the last computation of the longest stable substep."""
 
     @property
     def due(self) -> bool:
@@ -55,11 +54,11 @@ class Clock:
         return self.since_measured >= self.interval
 
     def stable(self) -> Substep:
-        """The longest stable substep in the current state."""
-        given = (self.extremes, self.cfl, self.ceiling)
-        if self._limits is None or self._limits[0] != given:
+        """Return the longest stable substep in the current state."""
+        inputs = (self.extremes, self.cfl, self.ceiling)
+        if self._limits is None or self._limits[0] != inputs:
             limits = {"cfl": self.cfl, "ceiling": self.ceiling, "viscous": self.viscous}
-            self._limits = given, stable_substep(self.extremes, self.dx, **limits)
+            self._limits = inputs, stable_substep(self.extremes, self.dx, **limits)
         return self._limits[1]
 
     def expire(self) -> None:
@@ -67,45 +66,46 @@ class Clock:
         self.since_measured, self.strain = self.interval, math.inf
 
     def complete(self, calm_strain: float) -> bool:
-        """Whether stiffness and positions must be measured together with the speeds now.
+        """Return whether the next measurement must include stiffness and positions.
 
-        They need not while no particle can have been strained by `calm_strain`, so that the
-        stiffness is still about as measured, or have left its place in the window.
+        It need not while no particle can have been strained by `calm_strain`, so that the stiffness
+        is still about as measured, or have left its margin of the window.
         """
         late = self.since_complete + MEASURE_EVERY > self.measure_every
-        elapsed = self.time - self._looked
+        elapsed = self.time - self._last_measured
         strain = self.strain + elapsed * self.strain_rate
-        # Until the next measurement they move as far again, or a longer interval lets them move by
-        # the part `calm_strain` of a cell.
+        # Until the next measurement particles may move as far again, or, in a longer interval, by
+        # the fraction `calm_strain` of a cell.
         travel = elapsed * self.extremes.speed
         ahead = self.travel + travel + max(travel, calm_strain * self.dx)
         return late or strain > calm_strain or ahead > TRAVEL * self.dx
 
-    def measured(self, extremes: Extremes, *, complete: bool, acceleration: float = 0.0) -> None:
-        """Limit substeps by what has been measured.
+    def limit_by(self, extremes: Extremes, *, complete: bool, acceleration: float = 0.0) -> None:
+        """Limit substeps by measured values.
 
         Args:
             extremes: The largest values over all particles.
-            complete: Whether stiffness and positions are among what was measured.
-            acceleration: Upper bound of that by forces since the last measurement [m/s^2].
+            complete: Whether stiffness and positions were measured, too.
+            acceleration: Upper bound of the acceleration by forces since the last measurement
+                [m/s^2].
         """
-        elapsed, before = self.time - self._looked, self.extremes
-        rate = max(extremes.gradient, remembered(self.strain_rate, self.since_measured))
+        elapsed, before = self.time - self._last_measured, self.extremes
+        rate = max(extremes.gradient, decay(self.strain_rate, self.since_measured))
         self.strain += elapsed * max(rate, self.strain_rate)
-        # Forces may have sped particles up and slowed them down again in between.
+        # Forces may have accelerated particles and slowed them down again in between.
         gained = acceleration * elapsed / 2
         self.travel += elapsed * (max(extremes.speed, before.speed) + gained)
-        self.strain_rate, self._looked, self.since_measured = rate, self.time, 0
+        self.strain_rate, self._last_measured, self.since_measured = rate, self.time, 0
         self.extremes = self.recent = extremes
         if complete:
             self.strain, self.travel, self.since_complete = 0.0, 0.0, 0
 
     def begin(self, kick: float, drift: float) -> None:
-        """Tell the device the length of a substep [s].
+        """Write the length of a substep to the device.
 
         Args:
-            kick: For velocities.
-            drift: For positions and F.
+            kick: Length for velocities [s].
+            drift: Length for positions and F [s].
         """
         values = (kick, drift, self.time)
         if self._shared is not None:
@@ -128,7 +128,7 @@ class Clock:
         self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 
     def snapshot(self) -> dict[str, Any]:
-        """The state to continue from, as plain data."""
+        """Return the state to continue from, as plain data."""
         return {
             "time": self.time,
             "last_dt": self.last_dt,
@@ -138,7 +138,7 @@ class Clock:
             "strain_rate": self.strain_rate,
             "strain": self.strain,
             "travel": self.travel,
-            "looked": self._looked,
+            "looked": self._last_measured,
             "since_complete": self.since_complete,
             "extremes": list(self.extremes),
             "limiters": dict(self.limiters),
@@ -152,7 +152,7 @@ class Clock:
         self.interval = snapshot.get("interval", MEASURE_EVERY)
         self.strain_rate = snapshot.get("strain_rate", 0.0)
         self.strain, self.travel = (snapshot.get(name, math.inf) for name in ("strain", "travel"))
-        self._looked = snapshot.get("looked", 0.0)
+        self._last_measured = snapshot.get("looked", 0.0)
         self.since_complete = snapshot.get("since_complete", 0)
         self.extremes = self.recent = Extremes(*snapshot["extremes"])
         self.limiters, self.needed = dict(snapshot["limiters"]), dict(snapshot["needed"])

@@ -1,7 +1,7 @@
 """Free bodies: rigid solids without particles that push the material and are pushed back.
 
-Their place, turn and motion are on the device (phy124/kernels/free has the mechanics). They meet
-each body of particles after the bodies have met each other, and before walls act.
+Their position, orientation and motion are on the device (phy124/kernels/free has the mechanics).
+They collide with each body of particles after the contact between bodies, and before walls act.
 """
 
 from __future__ import annotations
@@ -27,13 +27,12 @@ from phy124.mpm.tracks import Track, Tracks
 STAGE = "free"
 """Name of the stages of free bodies."""
 SOLUTIONS = 3
-"""How often the six equations are solved in a substep, as contact and friction are known better.
-The nodes that approach are mostly known after the first, how much friction they have after the
-second; what is left is corrected in the next substep."""
+"""Number of times that the six equations are solved in a substep. The first solution determines
+most approaching nodes, the second most friction; the next substep corrects the remaining error."""
 MARGIN = 1.5
-"""How far from a body nodes may touch it [cells]."""
+"""Largest distance from a solid at which nodes may touch it [cells]."""
 POINTS = {"sphere": 1, "capsule": 2, "box": 8}
-"""At how many points a wall may act on a shape."""
+"""Number of points of a shape on which a wall may act."""
 Vector3 = NDArray[np.float64]
 
 
@@ -44,11 +43,11 @@ class FreeBody(NamedTuple):
     shape: str
     """sphere, box, or capsule."""
     half: tuple[float, float, float]
-    """Half its sides along its own axes [m]."""
+    """Half its sides along its local axes [m]."""
     place: tuple[float, float, float]
     """Its centre [m]."""
     turn: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-    """Unit quaternion wxyz from its own axes to the world's."""
+    """Unit quaternion wxyz from local to world axes."""
     density: float = 1000.0
     """Density [kg/m^3]."""
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -75,7 +74,7 @@ class FreeBody(NamedTuple):
 
     @property
     def moments(self) -> Vector3:
-        """Moments of inertia about its own axes [3], kg m^2."""
+        """Moments of inertia about its local axes [3], kg m^2."""
         half = np.array(self.half)
         if self.shape == "box":
             return self.mass / 3 * ((half**2).sum() - half**2)
@@ -83,34 +82,34 @@ class FreeBody(NamedTuple):
         rod = self.density * math.pi * radius**2 * 2 * length
         balls = self.density * 4 / 3 * math.pi * radius**3
         along = rod * radius**2 / 2 + balls * 2 / 5 * radius**2
-        # Of a half ball about its end, whose middle is 3/8 of the radius outward.
+        # Of a half ball about its flat side, whose centre of mass is 3/8 of the radius away.
         across = rod * (radius**2 / 4 + length**2 / 3)
         across += balls * (2 / 5 * radius**2 + length**2 + 3 / 4 * length * radius)
-        found = np.full(3, across)
-        found[int(half.argmax())] = along
-        return found
+        moments = np.full(3, across)
+        moments[int(half.argmax())] = along
+        return moments
 
     def start(self) -> Vector3:
-        """The numbers of phy124/kernels/free/numbers.py at time 0."""
+        """Return the numbers of phy124/kernels/free/numbers.py at time 0."""
         angular = self.axes * self.moments @ self.axes.T @ np.array(self.spin)
         return np.array([*self.place, *self.turn, *self.velocity, *angular, 0.0])
 
     @property
     def axes(self) -> NDArray[np.float64]:
-        """Its own axes as columns [3,3]."""
+        """Its local axes as columns [3,3]."""
         return rotation_matrices(np.array([self.turn]))[0]
 
     def depth(self, x: NDArray) -> NDArray[np.float64]:
-        """How deep points [P,3] are inside it at the start [P], m; negative: outside."""
-        own = np.abs((np.asarray(x, np.float64) - self.place) @ self.axes)
+        """Return the depth of points [P,3] inside it at the start [P], m; negative: outside."""
+        local = np.abs((np.asarray(x, np.float64) - self.place) @ self.axes)
         if self.shape == "box":
-            return np.min(self.half - own, axis=1, initial=np.inf)
+            return np.min(self.half - local, axis=1, initial=np.inf)
         least = min(self.half)
-        core = np.maximum(own - (np.array(self.half) - least), 0.0)
+        core = np.maximum(local - (np.array(self.half) - least), 0.0)
         return least - np.linalg.norm(core, axis=1)
 
     def geometry(self) -> Vector3:
-        """The three vectors that the distance function of its shape reads [3,3], m."""
+        """Return the three vectors that the distance function of its shape reads [3,3], m."""
         half, least = np.array(self.half), min(self.half)
         if self.shape == "box":
             return np.stack([np.zeros(3), half, np.zeros(3)])
@@ -120,7 +119,7 @@ class FreeBody(NamedTuple):
 
 
 class Plane(Protocol):
-    """A flat wall that a free body meets."""
+    """A flat wall that a free body collides with."""
 
     @property
     def friction(self) -> float:
@@ -144,44 +143,44 @@ class Plane(Protocol):
 class FreeBodies:
     """All free bodies of one run."""
 
-    def __init__(self, model: Model, given: Sequence[FreeBody]) -> None:
-        """Put them where they start.
+    def __init__(self, model: Model, solids: Sequence[FreeBody]) -> None:
+        """Place the solids at their start.
 
         Args:
             model: The particles.
-            given: The bodies.
+            solids: The solids.
 
         Raises:
-            InputError: One is thinner than two cells.
+            InputError: A solid is thinner than two cells.
         """
-        self.all = tuple(given)
+        self.all = tuple(solids)
         self._model = model
-        for one in given:
-            refuse_thin(one, model.dx)
-        self._bodies, self._trials, self._systems, self._given = (
-            [self._zeros(size) for _ in given]
+        for solid in solids:
+            refuse_thin(solid, model.dx)
+        self._bodies, self._trials, self._systems, self._changes = (
+            [self._zeros(size) for _ in solids]
             for size in (kernels.SIZE, kernels.TRIAL, kernels.SYSTEM, kernels.GIVEN)
         )
-        for numbers, one in zip(self._bodies, given, strict=True):
-            numbers.assign(one.start())
-        self._totals = [[self._zeros(kernels.GIVEN) for _ in range(model.bodies)] for _ in given]
+        for numbers, solid in zip(self._bodies, solids, strict=True):
+            numbers.assign(solid.start())
+        self._totals = [[self._zeros(kernels.GIVEN) for _ in range(model.bodies)] for _ in solids]
         self._begun = self._total()
-        self._fill = fill_of(model) if given else []
+        self._fill = fill_of(model) if solids else []
         self._contacts = [
             wp.zeros((2 * reach + 2,) * 3, dtype=types(model.real).vec4, device=model.device)
-            for reach in map(self._reach, given)
+            for reach in map(self._reach, solids)
         ]
 
     def _zeros(self, size: int) -> wp.array:
         return wp.zeros(size, dtype=wp.float64, device=self._model.device)
 
-    def _reach(self, one: FreeBody) -> int:
-        """How many nodes from its centre it may touch one, whichever way it is turned."""
-        far = float(np.linalg.norm(one.half)) if one.shape == "box" else max(one.half)
+    def _reach(self, solid: FreeBody) -> int:
+        """Return how many nodes from its centre it may touch a node, in any orientation."""
+        far = float(np.linalg.norm(solid.half)) if solid.shape == "box" else max(solid.half)
         return math.ceil(far / self._model.dx + MARGIN)
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Meet these flat walls from now on.
+        """Collide with these flat walls from now on.
 
         Args:
             planes: The walls.
@@ -202,79 +201,80 @@ class FreeBodies:
             wp.array(np.array(slots, np.int32), dtype=int, device=device),
         ]
         self._impulses = [
-            wp.zeros(len(planes) * POINTS[one.shape], dtype=wp.vec3d, device=device)
-            for one in self.all
+            wp.zeros(len(planes) * POINTS[solid.shape], dtype=wp.vec3d, device=device)
+            for solid in self.all
         ]
 
     def record(self, grid: Grid, body: int) -> list[Recorded]:
-        """The launches by which all free bodies meet one body of particles, in order."""
-        found = [
-            launch for index in range(len(self.all)) for launch in self._meet(index, grid, body)
-        ]
-        return [(STAGE, launch) for launch in found]
+        """Return the launches in which all solids touch a body of particles, in order."""
+        solids = range(len(self.all))
+        launches = (launch for index in solids for launch in self._meet(index, grid, body))
+        return [(STAGE, launch) for launch in launches]
 
     def _meet(self, index: int, grid: Grid, body: int) -> Iterable[wp.Launch | None]:
-        one, model, t = self.all[index], self._model, types(self._model.real)
+        solid, model, t = self.all[index], self._model, types(self._model.real)
         real, contacts, tracks = model.real, self._contacts[index], self._tracks
-        state, trial, given = self._bodies[index], self._trials[index], self._given[index]
-        reach, moments = self._reach(one), wp.vec3d(*one.moments)
+        state, trial, changes = self._bodies[index], self._trials[index], self._changes[index]
+        reach, moments = self._reach(solid), wp.vec3d(*solid.moments)
         kick = [moments, tracks.clock, tracks.values]
         yield model.launch(kernels.make_begin(real), 1, kick, [state, trial])
-        shape = [t.mat33(*np.ravel(one.geometry())), reach, self._fill[body]]
+        shape = [t.mat33(*np.ravel(solid.geometry())), reach, self._fill[body]]
         around = [grid.lattice, grid.window]
-        touch, nodes = kernels.make_touch(one.shape, real), tuple(contacts.shape)
+        touch, nodes = kernels.make_touch(solid.shape, real), tuple(contacts.shape)
         yield model.launch(touch, nodes, [*shape, *around, state, grid.nodes], [contacts])
-        how = [reach, one.friction, int(one.sticky), *around]
+        how = [reach, solid.friction, int(solid.sticky), *around]
         for _ in range(SOLUTIONS):
             read = [*how, state, trial, contacts, grid.nodes]
             yield model.launch(kernels.make_assemble(real), nodes[:2], read, [self._systems[index]])
-            yield self._acted(index, drifts=False)
-        outputs = [grid.nodes, given]
+            yield self._walls_launch(index, drifts=False)
+        outputs = [grid.nodes, changes]
         yield model.launch(
             kernels.make_apply(real), nodes[:2], [*how, state, trial, contacts], outputs
         )
         total = self._totals[index][body]
-        yield model.launch(kernels.make_finish(real), 1, [one.mass, trial], [given, state, total])
+        yield model.launch(
+            kernels.make_finish(real), 1, [solid.mass, trial], [changes, state, total]
+        )
 
     def drift(self) -> list[Recorded]:
-        """The launches that end a substep: all move on."""
-        return [(STAGE, self._acted(index, drifts=True)) for index in range(len(self.all))]
+        """Return the launches that end a substep, in which all solids move."""
+        return [(STAGE, self._walls_launch(index, drifts=True)) for index in range(len(self.all))]
 
-    def _acted(self, index: int, *, drifts: bool) -> wp.Launch | None:
-        """The launch in which walls act on a body."""
-        one, tracks = self.all[index], self._tracks
-        inputs = [one.mass, wp.vec3d(*one.moments), wp.vec3d(*one.half), POINTS[one.shape]]
+    def _walls_launch(self, index: int, *, drifts: bool) -> wp.Launch | None:
+        """Record the launch in which walls act on a solid."""
+        solid, tracks = self.all[index], self._tracks
+        inputs = [solid.mass, wp.vec3d(*solid.moments), wp.vec3d(*solid.half), POINTS[solid.shape]]
         inputs += [*self._walls, tracks.clock, tracks.values, tracks.rates]
         outputs = [self._impulses[index], self._systems[index], self._trials[index]]
         kernel = kernels.make_walls(drifts, self._model.real)
         return self._model.launch(kernel, 1, inputs, [*outputs, self._bodies[index]])
 
     def begin(self) -> None:
-        """Start counting what they are given."""
+        """Start counting the impulses that solids exchange with particles."""
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """What each has given each body of particles [F,bodies,GIVEN]."""
+        """Return the sums that each solid has given each body of particles [F,bodies,GIVEN]."""
         rows = [[sums.numpy() for sums in of_one] for of_one in self._totals]
         return np.array(rows, float).reshape(len(self.all), self._model.bodies, kernels.GIVEN)
 
-    def given(self) -> NDArray[np.float64]:
-        """What all particles were given since the start: the `GIVEN` sums of the kernels."""
+    def impulses(self) -> NDArray[np.float64]:
+        """Return the sums that all particles have received since the start, `GIVEN` numbers."""
         return self._total().sum(axis=(0, 1))
 
     @property
     def _met(self) -> list[int]:
-        """The bodies of particles that they meet."""
+        """The bodies of particles that they can touch."""
         return [body for body in range(self._model.bodies) if body not in self._model.held]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """A name for each that a body of particles acts on: that of the latter comes first."""
+        """A name for each pair of a body of particles and a solid; the former comes first."""
         called = self._model.names or tuple(map(str, range(self._model.bodies)))
-        return tuple(f"{called[body]}_on_{one.name}" for one in self.all for body in self._met)
+        return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
 
     def wrenches(self, seconds: float) -> list[Wrench]:
-        """Mean wrench on each by each body of particles, in the order of `names`.
+        """Return the mean wrench on each solid by each body of particles, in the order of `names`.
 
         The torques are about the origin.
 
@@ -286,32 +286,32 @@ class FreeBodies:
         return [Wrench(row[:3], row[kernels.MOMENT : kernels.MOMENT + 3]) for row in rows]
 
     def poses(self) -> NDArray[np.float64]:
-        """Centre [m] and turn (wxyz) of each [F,7]."""
+        """Return centre [m] and orientation (wxyz) of each solid [F,7]."""
         return np.array([body.numpy()[:7] for body in self._bodies], np.float64).reshape(-1, 7)
 
     def motions(self) -> NDArray[np.float64]:
-        """Velocity [m/s] and angular velocity [rad/s] of each [F,6]."""
-        found = [self._motion(index) for index in range(len(self.all))]
-        return np.array(found, np.float64).reshape(-1, 6)
+        """Return velocity [m/s] and angular velocity [rad/s] of each solid [F,6]."""
+        rows = [self._motion(index) for index in range(len(self.all))]
+        return np.array(rows, np.float64).reshape(-1, 6)
 
     def _motion(self, index: int) -> Vector3:
         numbers = np.asarray(self._bodies[index].numpy(), np.float64)
-        one = self.all[index]
+        solid = self.all[index]
         axes = rotation_matrices(numbers[None, kernels.TURN : kernels.VELOCITY])[0]
-        spin = axes @ (axes.T @ numbers[kernels.ANGULAR : kernels.KICKED] / one.moments)
+        spin = axes @ (axes.T @ numbers[kernels.ANGULAR : kernels.KICKED] / solid.moments)
         return np.array([*numbers[kernels.VELOCITY : kernels.ANGULAR], *spin], np.float64)
 
     def fastest(self) -> float:
-        """Largest speed of a point of any [m/s]."""
-        found = zip(self.motions(), self.all, strict=True)
+        """Return the largest speed of any point of a solid [m/s]."""
+        pairs = zip(self.motions(), self.all, strict=True)
         speeds = [
-            np.linalg.norm(m[:3]) + np.linalg.norm(m[3:]) * np.linalg.norm(one.half)
-            for m, one in found
+            np.linalg.norm(m[:3]) + np.linalg.norm(m[3:]) * np.linalg.norm(solid.half)
+            for m, solid in pairs
         ]
         return float(max(speeds, default=0.0))
 
     def snapshot(self) -> dict[str, Any]:
-        """The state to continue from; empty if there are none."""
+        """Return the state to continue from; empty if there are no solids."""
         if not self.all:
             return {}
         return {
@@ -333,25 +333,24 @@ class FreeBodies:
 
 
 _GRIP = {"sticky": 1e9, "slip": 0.0}
-"""Friction that stands for a way of contact; a body may leave a sticky wall."""
+"""Friction coefficient of each kind of contact; a solid may leave a sticky wall."""
 
 
-def refuse_thin(one: FreeBody, dx: float) -> None:
-    """Make sure that material cannot pass through a body.
+def refuse_thin(solid: FreeBody, dx: float) -> None:
+    """Refuse a solid through which material could pass.
 
     Raises:
         InputError: It is thinner than two cells.
     """
-    if min(one.half) < dx:
-        raise InputError(
-            f"objects ({one.name})", f"{2 * min(one.half):g} m",
-            f"it is thinner than two grid cells of {dx:g} m, so things would pass through it.",
-            "Make it thicker or the grid finer.",
-        )  # fmt: skip
+    if min(solid.half) < dx:
+        thickness = f"{2 * min(solid.half):g} m"
+        limit = f"it is thinner than two grid cells of {dx:g} m, so things would pass through it."
+        remedy = "Make it thicker or the grid finer."
+        raise InputError(f"objects ({solid.name})", thickness, limit, remedy)
 
 
 def kernels_of(shapes: Iterable[str], real: Any) -> list[Any]:
-    """What free bodies of these shapes launch."""
+    """Return the kernels of free bodies of these shapes."""
     touch = [kernels.make_touch(shape, real) for shape in dict.fromkeys(shapes)]
     if not touch:
         return []

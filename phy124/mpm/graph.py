@@ -22,8 +22,8 @@ from phy124.mpm.clock import Clock
 from phy124.mpm.grid import MARGIN, Grid
 from phy124.mpm.model import Model
 from phy124.mpm.rejection import StepRejection
-from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, Extremes, remembered
-from phy124.mpm.workers import Worker, timed
+from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, Extremes, decay
+from phy124.mpm.workers import Worker, run_timed
 
 STAGE = "graph"
 """Name of the graph in the list of stages."""
@@ -91,7 +91,7 @@ class Graph:
         if self._captured is None:
             self._captured = self._capture(list(launches()))
         timings, taken = self._worker.timings, self._clock.substeps
-        timed(timings, STAGE, self._launch)
+        run_timed(timings, STAGE, self._launch)
         timings[STAGE][1] += (self._clock.substeps - taken) * self._per_substep - 1
         return self._reason != timestep.CAREFUL
 
@@ -132,7 +132,7 @@ class Graph:
             "ceiling": clock.ceiling,
             "wall": rejection.wall,
             "acceleration": rejection.acceleration,
-            "memory": remembered(1.0, clock.interval),
+            "memory": decay(1.0, clock.interval),
             "strain": STRAIN,
             "most": MOST,
             "apart": apart,

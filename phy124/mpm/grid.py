@@ -1,4 +1,4 @@
-"""Grid: nodes in a window around the particles, which is moved when they outgrow it.
+"""Grid: nodes in a window around the particles, which follows them.
 
 Each body has a grid of its own, on one lattice: where two bodies share a node, each has a velocity
 there.
@@ -51,13 +51,13 @@ class Grid:
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
         self._changes: wp.array | None = None
         self.particles = particles
-        """Those of the body that it belongs to."""
+        """The particles of its body."""
         self.stale = True
-        """Whether the window does not belong to the current positions of the particles."""
+        """Whether the window may not fit the current positions of the particles."""
         self.layers: tuple[int, int] | None = None
-        """Layers first <= i < last that the launches being recorded may touch; None: all."""
+        """Layers first <= i < last that launches recorded now may touch; None: all."""
         self.worker, self.workers = 0, 1
-        """The worker that the launches being recorded belong to, and how many workers there are."""
+        """The worker of launches recorded now, and the number of workers."""
 
     @property
     def count(self) -> int:
@@ -68,12 +68,12 @@ class Grid:
     def only(
         self, layers: tuple[int, int] | None, worker: int = 0, workers: int = 1
     ) -> Iterator[None]:
-        """Within this context, launches are recorded for one of some workers.
+        """Within this context, launches are recorded for a single worker.
 
         Args:
-            layers: They are for the layers first <= i < last; None: for all.
-            worker: The number of the worker.
-            workers: How many there are.
+            layers: Layers first <= i < last of the launches; None: all.
+            worker: Index of the worker.
+            workers: Number of workers.
         """
         self.layers, self.worker, self.workers = layers, worker, workers
         try:
@@ -82,15 +82,15 @@ class Grid:
             self.layers, self.worker, self.workers = None, 0, 1
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
-        """Cover the particles with room to move; returns whether the window changed.
+        """Cover the particles with space to move; return whether the window changed.
 
         Args:
             lower: Lowest corner of the particles [3], m.
             upper: Highest corner of the particles [3], m.
 
         Raises:
-            Unstable: They are outside the window already, so that the grid did not move them, or so
-                far away that the nodes cannot be numbered.
+            Unstable: They are already outside the window, so that the grid did not move them, or
+                too far away for nodes to be numbered.
         """
         if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
             raise Unstable(f"particles flew {FARTHEST:.0e} cells far")
@@ -111,31 +111,31 @@ class Grid:
         self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))
 
     def use(self, low: NDArray, size: NDArray, nodes: wp.array) -> None:
-        """Cover `size` [3] nodes from the node `low` [3] on with nodes given, one more."""
+        """Cover `size` [3] nodes from the node `low` [3] on with an array of one more node."""
         self.low, self.size, self.nodes, self.stale = low, size, nodes, False
         self._changes = None
         self.window.assign(np.stack([low, size]).astype(np.int32))
 
     @property
     def changes(self) -> wp.array:
-        """How a wall changes each node, made when first needed; zero between two walls."""
+        """Change of each node by a wall, allocated when first needed; zero between two walls."""
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)
         return self._changes
 
     def reach(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """First node, and one past the last, that particles between two corners [m] can touch."""
+        """Return the first node and one past the last that particles in a box [m] touch."""
         low = np.floor((lower - self.origin) / self.dx - 0.5).astype(int)
         high = np.floor((upper - self.origin) / self.dx - 0.5).astype(int) + 3
         return low, high
 
     def run(self, particles: int) -> slice:
-        """The particles, of so many, that launches being recorded may push: a run for a worker."""
+        """Return the span of `particles` particles that launches recorded now may push."""
         ends = (self.worker, self.worker + 1)
         return slice(*(particles * end // self.workers for end in ends))
 
     def nodes_within(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """First node (in the window) and extent of the nodes of `layers` in a box [m]."""
+        """Return the first node (in the window) and extent of the nodes in a box [m]."""
         low, size = self.low, self.size
         start = np.floor(np.clip((lower - self.origin) / self.dx - low, 0, size)).astype(int)
         stop = np.ceil(np.clip((upper - self.origin) / self.dx - low + 1, 0, size)).astype(int)
@@ -144,36 +144,36 @@ class Grid:
         return start, np.maximum(stop - start, 0)
 
     def slab(self, first: int, last: int) -> wp.array:
-        """Nodes of the layers first <= i < last, which are contiguous in memory."""
+        """Return nodes of the layers first <= i < last, which are contiguous in memory."""
         layer = int(self.size[1] * self.size[2])
         return cast("wp.array", self.nodes[first * layer : last * layer])
 
 
 def grids_of(model: Model) -> list[Grid]:
-    """A grid for each body, on one lattice."""
+    """Return a grid for each body, on one lattice."""
     real, device = model.real, model.device
     runs = [model.particles(body) for body in range(model.bodies)]
     return [Grid(model.origin, model.dx, real=real, device=device, particles=run) for run in runs]
 
 
-def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, anew: bool) -> bool:
-    """Fit the windows of all bodies; returns whether one has changed.
+def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool) -> bool:
+    """Fit the windows of all bodies; return whether any has changed.
 
     Args:
-        grids: Of each body.
-        corners: Around the particles of each; infinite where all are outliers.
-        anew: Whether a particle has come back to the others, which may be outside the window.
+        grids: Grid of each body.
+        corners: Corners around the particles of each; infinite where all are outliers.
+        returned: Whether an outlier has come back, which may be outside the window.
 
     Raises:
         Unstable: As in `Grid.fit`.
     """
     changed = False
     inside = [bool(np.isfinite(pair).all()) for pair in corners]
-    for grid, pair, some in zip(grids, corners, inside, strict=True):
-        grid.stale |= anew
-        if some or not any(inside):
+    for grid, pair, present in zip(grids, corners, inside, strict=True):
+        grid.stale |= returned
+        if present or not any(inside):
             changed |= grid.fit(*pair)
         else:
-            # Wherever the body comes back, its window is a new one.
+            # When the body comes back, it needs a new window.
             grid.stale = True
     return changed

@@ -1,10 +1,13 @@
-"""Model: what a run never changes: the particles at rest, their materials, the grid's spacing."""
+"""Model and State: the constants of a run, and the arrays that every substep changes.
+
+The model has the particles at rest, their materials and the grid's spacing.
+"""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, cast
 
@@ -12,6 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.kernels.arguments import types
 from phy124.kernels.transfer import Law
 from phy124.materials import Material
 from phy124.mpm.timestep import CFL, beside_elastic
@@ -37,11 +41,11 @@ class Group:
 
     @property
     def particles(self) -> slice:
-        """Their place among all particles."""
+        """Its span among all particles."""
         return slice(self.start, self.stop)
 
     def rows(self, part: slice) -> wp.array:
-        """The parameters of a part of its particles, the part one thread works on."""
+        """Return the parameters of a span of its particles."""
         if len(self.theta) == 1:
             return self.theta
         return cast("wp.array", self.theta[part.start - self.start : part.stop - self.start])
@@ -49,7 +53,7 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Particles of given materials on a grid of given spacing; `Model.of` builds one."""
+    """Particles, their materials and the grid's spacing; `Model.of` builds it."""
 
     rest: NDArray[np.float64]
     """Positions at rest [P,3], m."""
@@ -113,7 +117,7 @@ class Model:
             stiffness: Factors on E [P]; None: 1.
             body: Number of the body that each particle belongs to [P], from 0 on and in this order;
                 particles of one law must be consecutive in each. None: all are one body.
-            held: Bodies that never move: others meet them as they meet a wall.
+            held: Bodies that never move: other bodies collide with them as with a wall.
             names: What the bodies are called, in their order.
             origin: Position of node (0, 0, 0) [m].
             cfl: Fraction of the elastic limit of the substep, in (0, 1).
@@ -133,21 +137,21 @@ class Model:
         body = np.zeros(count, int) if body is None else np.asarray(body)
         density = np.array([section.density for section in materials])[material]
         history = np.array([section.history() for section in materials])[material]
-        found = []
+        groups = []
         for start, stop in _runs(materials, material, body):
             part = slice(start, stop)
-            own = None if stiffness is None else stiffness[part]
-            theta = parameters(materials, material[part], own, dx=dx, cfl=cfl)
+            factors = None if stiffness is None else stiffness[part]
+            theta = parameters(materials, material[part], factors, dx=dx, cfl=cfl)
             law = materials[material[start]].device_law
             rows = _array(theta, wp.types.vector(law.width, real), precision, device)
-            found.append(Group(law, start, stop, rows, int(body[start])))
+            groups.append(Group(law, start, stop, rows, int(body[start])))
         px, py, pz = (float(c) for c in origin)
         return cls(
             rest=np.asarray(x, dtype=np.float64),
             mass=_array(np.asarray(volume) * density, real, precision, device),
             volume=_array(volume, real, precision, device),
             history=history,
-            groups=tuple(found),
+            groups=tuple(groups),
             materials=tuple(materials),
             dx=float(dx),
             origin=(px, py, pz),
@@ -170,16 +174,16 @@ class Model:
         return 1 + max(group.body for group in self.groups)
 
     def particles(self, body: int) -> slice:
-        """The particles of a body."""
-        own = [group for group in self.groups if group.body == body]
-        return slice(own[0].start, own[-1].stop)
+        """Return the span of the particles of a body."""
+        groups = [group for group in self.groups if group.body == body]
+        return slice(groups[0].start, groups[-1].stop)
 
     def named(self, name: str | None) -> slice:
-        """The particles of the body of a name; None: all."""
+        """Return the span of the particles of a named body; None: all."""
         return slice(0, len(self)) if name is None else self.particles(self.names.index(name))
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Positions at rest of the body of a name [Q,3], m; None: of all."""
+        """Return positions at rest of a named body [Q,3], m; None: of all."""
         return self.rest[self.named(name)]
 
     @property
@@ -207,11 +211,11 @@ class Model:
         return float(np.sum(self.mass.numpy()[self.moves], dtype=np.float64))
 
     def array(self, values: object, dtype: Any) -> wp.array:
-        """An array on the device, in the model's precision."""
+        """Return an array on the device, in the model's precision."""
         return _array(values, dtype, self.precision, self.device)
 
     def launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
-        """A recorded launch on the model's device, to be repeated; None if it has nothing to do.
+        """Record a launch on the model's device, to be repeated; None if it has nothing to do.
 
         Args:
             kernel: The Warp kernel.
@@ -225,8 +229,83 @@ class Model:
         return cast("wp.Launch | None", recorded)
 
 
+@dataclass
+class State:
+    """The arrays of the particles that change every substep, on the device."""
+
+    x: wp.array
+    """Positions [P,3], m."""
+    residue: wp.array
+    """Rounding errors of the positions [P,3], m, added again in the next substep."""
+    v: wp.array
+    """Velocities [P,3], m/s, half a substep behind the positions."""
+    C: wp.array
+    """APIC velocity gradients [P,3,3], 1/s."""
+    F: wp.array
+    """Elastic deformation gradients [P,3,3]."""
+    history: wp.array
+    """History variables of the law [P,2]; empty unless a law has some."""
+    total: wp.array
+    """Total deformation gradients [P,3,3]; empty unless a law is plastic."""
+
+    @classmethod
+    def of(cls, model: Model, v: NDArray | None = None, C: NDArray | None = None) -> State:
+        """Return an undeformed state.
+
+        Args:
+            model: The particles.
+            v: Their velocities [P,3], m/s; None: at rest.
+            C: Their velocity gradients [P,3,3], 1/s; None: zero.
+        """
+        t, count = types(model.real), len(model)
+        plastic = any(group.law.project is not None for group in model.groups)
+        kept = count if plastic else 0
+        v, C = (None if motion is None else _zero_held(motion, model) for motion in (v, C))
+        identity = np.tile(np.eye(3), (count, 1, 1))
+        return cls(
+            x=model.array(model.rest, t.vec3),
+            residue=model.array(np.zeros((count, 3)), t.vec3),
+            v=model.array(np.zeros((count, 3)) if v is None else v, t.vec3),
+            C=model.array(np.zeros((count, 3, 3)) if C is None else C, t.mat33),
+            F=model.array(identity, t.mat33),
+            history=model.array(model.history[:kept], t.vec2),
+            total=model.array(identity[:kept], t.mat33),
+        )
+
+    def arrays(self) -> dict[str, wp.array]:
+        """Return all arrays by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @property
+    def deformation(self) -> wp.array:
+        """The deformation gradients that the Gaussians follow: F, or F_total where it differs."""
+        return self.total if len(self.total) else self.F
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return a copy on the device, for `restore`."""
+        return {name: wp.clone(array) for name, array in self.arrays().items()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot, on the device or read from a file."""
+        for name, array in self.arrays().items():
+            array.assign(snapshot[name])
+
+
+def part_of(array: wp.array, part: slice) -> wp.array:
+    """Return a slice of an array, or the array itself if it is empty because no law needs it."""
+    return cast("wp.array", array[part]) if len(array) else array
+
+
+def _zero_held(motion: NDArray, model: Model) -> NDArray:
+    """Return velocities or their gradients, zero for particles that never move."""
+    if not model.held:
+        return motion
+    moves: NDArray = model.moves.reshape(-1, *[1] * (motion.ndim - 1))
+    return np.where(moves, motion, 0.0)
+
+
 def form_of(precision: str, device: str, gradient: str = "affine") -> str:
-    """The form of the transfers: "spline" if asked for, else "simd" for float32 on the CPU."""
+    """Return the form of the transfers: "spline" on request, "simd" for float32 on the CPU."""
     if gradient == "spline":
         return "spline"
     return "simd" if device == "cpu" and precision == "float32" else "plain"
@@ -240,7 +319,7 @@ def parameters(
     dx: float,
     cfl: float,
 ) -> NDArray[np.float64]:
-    """Parameters of particles of one law: one row if they are all equal, otherwise one row each.
+    """Return parameters of particles of one law: a single row if all are equal, else a row each.
 
     Args:
         materials: All materials.
@@ -249,18 +328,18 @@ def parameters(
         dx: Grid spacing [m].
         cfl: Fraction of the elastic limit of the substep.
     """
-    found = np.unique(material)
-    rows = np.array([materials[i].theta_on(dx, cfl) for i in found])
-    scaled = np.array([materials[i].scaled for i in found])
+    kinds = np.unique(material)
+    rows = np.array([materials[i].theta_on(dx, cfl) for i in kinds])
+    scaled = np.array([materials[i].scaled for i in kinds])
     if stiffness is None or not scaled.any():
-        return rows if len(found) == 1 else rows[np.searchsorted(found, material)]
-    own = np.searchsorted(found, material)
-    column = np.arange(rows.shape[1]) < scaled[own][:, None]
-    return rows[own] * np.where(column, stiffness[:, None], 1.0)
+        return rows if len(kinds) == 1 else rows[np.searchsorted(kinds, material)]
+    kind = np.searchsorted(kinds, material)
+    column = np.arange(rows.shape[1]) < scaled[kind][:, None]
+    return rows[kind] * np.where(column, stiffness[:, None], 1.0)
 
 
 def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
-    """First particle of each law in each body and one past the last.
+    """Return the first particle of each law in each body, and one past the last.
 
     Raises:
         ValueError: Bodies or laws are mixed, or a body has no particle.

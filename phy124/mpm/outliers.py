@@ -3,7 +3,7 @@
 The window grows with the particles, but a single one that leaves at high speed must not make it
 grow without bound. Once the particles spread over more than `MAX_NODES` nodes, or over `GROWTH`
 times the first window, a box around their centre bounds the grid. Particles outside it are counted
-and feel nothing but the uniform acceleration; one that comes back is part of the body again.
+and subject only to the uniform acceleration; a particle that returns is part of the body again.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from phy124.kernels.arguments import types
 from phy124.kernels.ballistic import make_fly, make_hide
 from phy124.mpm.grid import MARGIN, Grid
-from phy124.mpm.model import Model
+from phy124.mpm.model import Model, State
 from phy124.mpm.stage import Recorded
-from phy124.mpm.state import State
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
 
@@ -36,7 +35,7 @@ EVERYWHERE = 1e30
 
 
 class Outliers:
-    """The box that bounds the grid; all of space while the particles stay together."""
+    """The box that bounds the grid; it is infinite while the particles stay together."""
 
     def __init__(self, model: Model, state: State) -> None:
         self._model, self._state, self._half = model, state, np.zeros(3)
@@ -59,7 +58,7 @@ class Outliers:
         return len(self.indices)
 
     def snapshot(self) -> dict[str, Any]:
-        """The state that `restore` needs, as plain data."""
+        """Return the state that `restore` needs, as plain data."""
         half = self._half.tolist() if self.bounded else None
         return {"corners": self.corners.numpy().tolist(), "half": half, "most": self.most}
 
@@ -77,7 +76,7 @@ class Outliers:
         self.indices = wp.array(out, dtype=int, device=self._model.device)
 
     def confine(self, corners: Sequence[tuple[NDArray, NDArray]]) -> bool:
-        """Adapt the box to the particles; returns whether they must be measured again.
+        """Adapt the box to the particles; return whether they must be measured again.
 
         Args:
             corners: Lowest and highest corner of each body's particles [3], m.
@@ -99,13 +98,13 @@ class Outliers:
         return True
 
     def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
-        """The gather of a part; if it has outliers, with launches around it that move those.
+        """Return the gather of a part; if it has outliers, with launches that move those.
 
         Args:
             part: Some of the particles.
             gather: Their recorded gather.
             grid: The grid that it gathers from.
-            tracks: Holds the uniform acceleration.
+            tracks: Has the uniform acceleration.
         """
         mine = part.among(np.asarray(self.indices.numpy(), np.int32))
         model, state, count = self._model, self._state, len(mine)
@@ -130,11 +129,11 @@ class Outliers:
         self.most = max(self.most, len(out))
 
     def _beyond(self) -> NDArray[np.int32]:
-        """Indices of the particles beyond the corners, compared exactly as on the device."""
+        """Return the indices of particles outside, compared exactly as on the device."""
         (low, high), x = self.corners.numpy(), self._state.x.numpy()
         return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 
     def _nodes(self, lower: NDArray, upper: NDArray) -> float:
-        """Number of nodes of a window over a box; a float, since a box may exceed all integers."""
+        """Return the number of nodes of a window over a box, as a float that cannot overflow."""
         cells = ((upper - lower) / self._model.dx).tolist()
         return math.prod(extent + 3 + 2 * MARGIN for extent in cells)

@@ -1,7 +1,7 @@
-"""Pairs: which bodies touch, how, and what they give each other.
+"""Pairs: contact between bodies, and the impulses that they exchange.
 
-Every two bodies touch. A launch exists only for those whose windows overlap: bodies apart cost
-nothing.
+Any two bodies may touch. Only pairs whose windows overlap have a launch, so bodies that are apart
+cost nothing.
 """
 
 from __future__ import annotations
@@ -25,44 +25,46 @@ from phy124.mpm.stage import Recorded
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
 ROOM = 16
-"""Numbers kept for the sums of a pair and worker, so that no two write to one line of cache."""
+"""Numbers reserved for the sums of a pair and worker, so that workers share no cache line."""
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 class Pair(NamedTuple):
-    """How two bodies touch; two of which nothing is said touch with the friction given here."""
+    """Contact of two bodies; pairs that are not listed have these defaults."""
 
     first: int
-    """Number of a body."""
+    """Index of a body."""
     second: int
-    """Number of another one."""
+    """Index of another body."""
     friction: float = 0.5
     """Coefficient of Coulomb friction."""
     sticky: bool = False
-    """Whether they move as one wherever both have mass at a node, as if they were one body."""
+    """Whether they share their velocity wherever both have mass at a node, like a single body."""
 
 
 class Pairs:
     """All pairs of the bodies of one run."""
 
-    def __init__(self, model: Model, given: Sequence[Pair], workers: int) -> None:
+    def __init__(self, model: Model, listed: Sequence[Pair], workers: int) -> None:
         """Prepare the sums.
 
         Args:
             model: The bodies.
-            given: Those pairs that do not touch by default.
+            listed: Pairs whose contact differs from the default.
             workers: Number of workers.
 
         Raises:
-            ValueError: A pair is not one of two bodies of the model, or is given twice.
+            ValueError: A pair is not of two bodies of the model, or is listed twice.
         """
         numbers = list(itertools.combinations(range(model.bodies), 2))
-        chosen = {tuple(sorted(pair[:2])): pair for pair in given}
-        if len(chosen) < len(given) or not chosen.keys() <= set(numbers):
-            raise ValueError(f"pairs {list(given)} must be different ones of {model.bodies} bodies")
+        chosen = {tuple(sorted(pair[:2])): pair for pair in listed}
+        if len(chosen) < len(listed) or not chosen.keys() <= set(numbers):
+            raise ValueError(
+                f"pairs {list(listed)} must be different pairs of {model.bodies} bodies"
+            )
         pairs = [chosen.get(number, Pair(*number)) for number in numbers]
         self.all = [pair for pair in pairs if not {pair.first, pair.second} <= model.held]
-        """Those that matter: two bodies that are held cannot act on each other."""
+        """All pairs except those of two held bodies, which cannot act on each other."""
         self._model = model
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
@@ -70,23 +72,23 @@ class Pairs:
         self._fill = fill_of(model)
 
     def begin(self) -> None:
-        """Start counting what bodies give each other."""
+        """Start counting the impulses that bodies exchange."""
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Impulse and its moment that the first of each pair has given to the second [pairs,6]."""
+        """Return the impulse and its moment that the first body has given the second [pairs,6]."""
         return np.asarray(self._sums.numpy()).sum(axis=0)[:, :SUMS]
 
     def impulse(self) -> NDArray[np.float64]:
-        """Impulse that bodies have been given by those that are held, since the start [3], N s."""
+        """Return the impulse of held bodies on all others since the start [3], N s."""
         held = self._model.held
         signs = [(pair.first in held) - (pair.second in held) for pair in self.all]
         return np.array(signs, float) @ self._total()[:, :MOMENT]
 
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
-        """Mean wrench that the first of each pair exerts on the second, about the origin.
+        """Return the mean wrench of the first body of each pair on the second, about the origin.
 
-        That of the second on the first is the opposite.
+        The wrench of the second on the first is the opposite.
 
         Args:
             seconds: Time since `begin` [s].
@@ -98,11 +100,11 @@ class Pairs:
         }
 
     def snapshot(self) -> dict[str, Any]:
-        """The sums as they are now."""
+        """Return the present sums."""
         return {"sums": wp.clone(self._sums), "begun": self._begun}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the sums back to a snapshot; of another number of workers, to as much in all."""
+        """Restore the sums; with another number of workers, only their total is the same."""
         kept = snapshot["sums"]
         sums = np.asarray(kept.numpy() if isinstance(kept, wp.array) else kept)
         if sums.shape != self._sums.shape:
@@ -113,54 +115,54 @@ class Pairs:
         self._begun = np.asarray(snapshot["begun"])
 
     def record(self, grids: Sequence[Grid], worker: int, workers: int) -> list[Recorded]:
-        """The launches of a worker: of all pairs within reach, in its layers of the lattice.
+        """Record a worker's launches: all pairs within reach, in its layers of the lattice.
 
-        Every node is in the layers of one worker alone, who does all its pairs, in their order.
+        Every node is in the layers of a single worker, which processes all its pairs in order.
         """
-        boxes = [_shared(grids[pair.first], grids[pair.second]) for pair in self.all]
+        boxes = [_overlap(grids[pair.first], grids[pair.second]) for pair in self.all]
         near = [(low[0], high[0]) for low, high in boxes if np.all(high > low)]
         if not near:
             return []
         first, last = min(a for a, _ in near), max(b for _, b in near)
         ends = [first + (last - first) * place // workers for place in (worker, worker + 1)]
-        found = []
+        records = []
         for index, (low, high) in enumerate(boxes):
             low[0], high[0] = max(low[0], ends[0]), min(high[0], ends[1])
             if np.all(high > low):
                 sums = cast("wp.array", self._sums[worker, index])
-                found.append((STAGE, self._launch(self.all[index], low, high - low, grids, sums)))
-        return found
+                records.append((STAGE, self._launch(self.all[index], low, high - low, grids, sums)))
+        return records
 
     def touching(self, grids: Sequence[Grid]) -> bool:
-        """Whether any launches are recorded at present."""
+        """Return whether any pair is within reach."""
         return bool(self.record(grids, 0, 1))
 
     def _launch(
         self, pair: Pair, low: NDArray, extent: NDArray, grids: Sequence[Grid], sums: wp.array
     ) -> wp.Launch | None:
         model, bodies = self._model, (pair.first, pair.second)
-        t, own = types(model.real), [grids[body] for body in bodies]
+        t, both = types(model.real), [grids[body] for body in bodies]
         fill = t.vec2(*(self._fill[body] for body in bodies))
         yields = t.vec2(*(float(body not in self._model.held) for body in bodies))
         how = [fill, yields, pair.friction, int(pair.sticky)]
-        inputs = [wp.vec3i(*low.tolist()), own[0].lattice, *how, *(grid.window for grid in own)]
-        outputs = [*(grid.nodes for grid in own), sums]
+        inputs = [wp.vec3i(*low.tolist()), both[0].lattice, *how, *(grid.window for grid in both)]
+        outputs = [*(grid.nodes for grid in both), sums]
         return model.launch(make_pair(model.real), tuple(extent.tolist()), inputs, outputs)
 
 
 def fill_of(model: Model) -> list[float]:
-    """Fraction of its volume that a body fills around a node, per mass at the node [1/kg]."""
+    """Return the fraction of a node's volume that each body fills, per mass at the node [1/kg]."""
     mass, volume = (a.numpy().astype(np.float64) for a in (model.mass, model.volume))
     runs = [model.particles(body) for body in range(model.bodies)]
     return [float(volume[run].sum() / mass[run].sum() / model.dx**3) for run in runs]
 
 
 def kernels(real: Any) -> list[Any]:
-    """What bodies that touch launch."""
+    """Return the kernels of contact between bodies."""
     return [make_pair(real)]
 
 
-def _shared(first: Grid, second: Grid) -> Box:
-    """First node of the lattice in both windows, and one past the last."""
+def _overlap(first: Grid, second: Grid) -> Box:
+    """Return the first node of the lattice in both windows, and one past the last."""
     low = np.maximum(first.low, second.low)
     return low, np.minimum(first.low + first.size, second.low + second.size)

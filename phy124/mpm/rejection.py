@@ -18,9 +18,8 @@ from phy124.kernels.grid import make_grid_speed
 from phy124.kernels.profile import JOINS, LIMITED
 from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.grid import Grid
-from phy124.mpm.model import Model
+from phy124.mpm.model import Model, State
 from phy124.mpm.stage import Stage, Sums
-from phy124.mpm.state import State
 from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, TRAVEL
 from phy124.mpm.tracks import Tracks
 
@@ -48,7 +47,7 @@ class StepRejection:
         """Bind to a run.
 
         Args:
-            model: What never changes.
+            model: The constants of the run.
             state: Its v and C are restored after a rejected substep.
             tracks: Strengths of forces and speeds of walls over time.
             pushes: Stages of forces on particles.
@@ -117,7 +116,7 @@ class StepRejection:
         return every if each * every <= 1 else max(MEASURE_EVERY, int(1 / each))
 
     def room(self, clock: Clock) -> int:
-        """Substeps in which no particle leaves the margin of its window, by speeds and forces.
+        """Return the number of substeps in which no particle can leave the margin of its window.
 
         In the k-th of them it moves by (v + k a dt) dt at most; where a dt^2 is more than `PULL`,
         substeps are tried, and a violent one is followed by a measurement.
@@ -161,7 +160,7 @@ class StepRejection:
         return dt, 2 * cells > CELLS_PER_STEP
 
     def _speed(self, grids: Sequence[Grid]) -> float:
-        """The largest speed of a node [m/s]."""
+        """Return the largest speed of a node [m/s]."""
         self._fastest.zero_()
         kernel, device = make_grid_speed(self._model.real), self._model.device
         for grid in grids:
@@ -172,7 +171,7 @@ class StepRejection:
 def _max_acceleration(
     model: Model, tracks: Tracks, pushes: Sequence[Stage], start: float, end: float
 ) -> float:
-    """An upper bound of the acceleration of any particle by forces in that time [m/s^2]."""
+    """Return an upper bound of the acceleration of any particle by forces in that time [m/s^2]."""
     joined, alone = 0.0, 0.0
     for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
         value = 0.0 if flag & LIMITED else track.largest(start, end)
@@ -186,6 +185,6 @@ def _max_acceleration(
 
 
 def _max_rate(tracks: Tracks, start: float, end: float) -> float:
-    """How fast a wall moves at most in that time [m/s]."""
+    """Return the largest speed of a wall in that time [m/s]."""
     flagged = zip(tracks.tracks, tracks.flags, strict=True)
     return max((track.fastest(start, end) for track, flag in flagged if not flag), default=0.0)

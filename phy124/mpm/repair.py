@@ -1,7 +1,7 @@
-"""Repair: particles whose deformation no law can handle are given back their rest shape.
+"""Repair: particles whose deformation no law can handle are reset to their rest shape.
 
-A few particles at a corner may be turned inside out while the rest of a run is sound. They are
-reset to F = I and counted. The F_total of flowing material, which grows for ever, is bounded.
+A few particles at a corner may be inverted while the rest of a run is sound. They are reset to
+F = I and counted. The F_total of plastic and fluid material grows without bound, so it is limited.
 """
 
 from __future__ import annotations
@@ -11,11 +11,10 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.soundness import make_limit_total, make_reset
+from phy124.kernels.diagnostics import make_limit_total, make_reset
 from phy124.kernels.transfer import Law
 from phy124.mpm.clock import Clock
-from phy124.mpm.model import Model
-from phy124.mpm.state import State
+from phy124.mpm.model import Model, State
 
 SOUND_J = (1e-5, 1e6)
 """Volume ratios that a law can handle; a particle beyond them is reset and counted."""
@@ -24,54 +23,55 @@ SOUND_F = 1e3
 NARROWEST = 1e-5
 """Smallest ratio of the stretches, min / max; below it, rounding decides the sign of J."""
 MAX_TOTAL = 1e6
-"""Largest norm of F_total of flowing material; what is visible of it stops growing at 4."""
+"""Largest norm of F_total; the visible shape stops growing at 4."""
 AFTER_STRAIN = 1.0
 """Strain after which deformations are checked again: |C| dt, summed over the substeps."""
-NOBODY = 2**31 - 1
+NO_PARTICLE = 2**31 - 1
+"""Index larger than that of any particle."""
 
 
 class Repair:
-    """Repairs the deformations of one run, from the first `begin` on.
+    """Repairs the deformations of a run, from the first `begin` on.
 
     Call `begin` and `end` for each frame; the solver calls `substep`.
     """
 
     def __init__(self, model: Model, state: State) -> None:
-        self.count, self.first = 0, NOBODY
-        """Number of resets in frames that were kept, and the lowest index of a reset particle."""
-        self._found = wp.zeros(2, dtype=int, device=model.device)
+        self.count, self.first = 0, NO_PARTICLE
+        """Number of resets in finished frames, and the lowest index of a reset particle."""
+        self._resets = wp.zeros(2, dtype=int, device=model.device)
         real, limits = model.real, [*SOUND_J, SOUND_F, NARROWEST]
-        outputs = [state.F, state.C, self._found]
+        outputs = [state.F, state.C, self._resets]
         self._reset = model.launch(make_reset(real), len(model), limits, outputs)
         inputs, flowing = [MAX_TOTAL, state.F], len(state.total)
         self._limit = model.launch(make_limit_total(real), flowing, inputs, [state.total])
-        self._begun, self._strain, self._seen = False, 0.0, 0.0
+        self._started, self._strain, self._last = False, 0.0, 0.0
 
     def begin(self, clock: Clock) -> None:
-        """Before a frame, or before it is tried again."""
-        self._found.assign([self.count, self.first])
+        """Start a frame, or a further attempt at it."""
+        self._resets.assign([self.count, self.first])
         self._launch(self._reset)
-        self.count, self.first = self._found.numpy().tolist()
-        self._begun, self._strain, self._seen = True, 0.0, clock.time
+        self.count, self.first = self._resets.numpy().tolist()
+        self._started, self._strain, self._last = True, 0.0, clock.time
 
     def substep(self, clock: Clock) -> None:
-        """After a substep: repair again once the material has strained by `AFTER_STRAIN`."""
-        if not self._begun:
+        """Repair again after a substep if the material has strained by `AFTER_STRAIN`."""
+        if not self._started:
             return
-        self._strain += clock.extremes.gradient * (clock.time - self._seen)
-        self._seen = clock.time
+        self._strain += clock.extremes.gradient * (clock.time - self._last)
+        self._last = clock.time
         if self._strain > AFTER_STRAIN:
             self._launch(self._reset)
             self._launch(self._limit)
             self._strain = 0.0
 
     def end(self) -> None:
-        """After a frame that is kept."""
-        self.count, self.first = self._found.numpy().tolist()
+        """Finish a frame."""
+        self.count, self.first = self._resets.numpy().tolist()
         self._launch(self._limit)
 
     def snapshot(self) -> dict[str, Any]:
-        """The state to continue from, as plain data."""
+        """Return the state to continue from, as plain data."""
         return {"count": self.count, "first": self.first}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -85,7 +85,7 @@ class Repair:
 
 
 def kernels(laws: Iterable[Law], real: Any) -> Iterator[Any]:
-    """What repairs particles of these laws; only those of plastic laws have an F_total to limit."""
+    """Yield the kernels that repair particles of these laws; only plastic laws have an F_total."""
     yield make_reset(real)
     if any(law.project is not None for law in laws):
         yield make_limit_total(real)

@@ -24,17 +24,15 @@ from phy124.mpm.fluctuation import APIC, Fluctuation, Scheme, usable_rpic
 from phy124.mpm.free import FreeBodies, FreeBody, Plane
 from phy124.mpm.graph import Graph, usable
 from phy124.mpm.grid import Corners, Grid, Unstable, fit_all, grids_of
-from phy124.mpm.maxima import Maxima
-from phy124.mpm.model import Model
+from phy124.mpm.model import Model, State
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pair, Pairs
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
-from phy124.mpm.slabs import Slabs
 from phy124.mpm.stage import Accumulator, Attachable
-from phy124.mpm.state import State
 from phy124.mpm.substep import Gathered, Recorder
 from phy124.mpm.threads import Team
+from phy124.mpm.timestep import Maxima
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import (
     FOLLOW,
@@ -42,14 +40,15 @@ from phy124.mpm.workers import (
     REPAIR,
     SCHEDULE,
     WINDOW,
+    Slabs,
     Timings,
     lone_worker,
-    timed,
+    run_timed,
     usable_workers,
 )
 
 MEASURE, GLANCE = -2, -3
-"""Given instead of a phase to measure the limits, or the speeds alone."""
+"""Tasks of workers besides phases: measure all limits, or the speeds only."""
 CALM = 0.9
 """Growth of the stiffness between two measurements, as a fraction of what stays stable."""
 
@@ -83,9 +82,9 @@ class Solver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that grow in every substep.
-            pairs: How bodies touch, where that is not by default.
+            pairs: Contact of pairs of bodies that differ from the default.
             free: Rigid solids that move freely.
-            planes: Flat walls that these meet.
+            planes: Flat walls that these collide with.
             ceiling: Longest substep allowed [s].
             threads: CPU threads; None: as many as have a free core and enough particles.
             graph: Run frames as one graph on the device; None: on CUDA, with one body only.
@@ -104,17 +103,17 @@ class Solver:
         self._rpic = usable_rpic(scheme, model.cfl)
         self.clock = Clock(model, ceiling=ceiling, measure_every=measure_every)
         self.grids = grids_of(model)
-        """That of each body."""
+        """The grid of each body."""
         self.outliers = Outliers(model, self.state)
         self.repair = Repair(model, self.state)
         count = usable_workers(len(model), model.device, threads)
         self.slabs = Slabs(model, self.state, self.grids, count) if count > 1 else None
         self.workers = self.slabs.workers if self.slabs else [lone_worker(model, self.grids)]
         self.gathered = gathered
-        for one in gathered:
-            one.allocate(model, count)
+        for reader in gathered:
+            reader.allocate(model, count)
         self.pairs = Pairs(model, pairs, count)
-        """How bodies touch, and what they give each other."""
+        """Contact between bodies, and the impulses that they exchange."""
         self.free = FreeBodies(model, free)
         self._stray = wp.zeros(1, dtype=int, device=model.device)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
@@ -145,17 +144,17 @@ class Solver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that grow in every substep.
-            planes: Flat walls that free bodies meet.
+            planes: Flat walls that free bodies collide with.
 
         Raises:
             InputError: The region of a force holds no particle, or a boundary is too thin for the
-                grid; everything is then as it was.
+                grid; nothing has changed then.
         """
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)
         acting, walls, sums = (
-            [stage for one in some for stage in one.attach(model, state, tracks)]
-            for some in (forces, boundaries, accumulators)
+            [stage for item in items for stage in item.attach(model, state, tracks)]
+            for items in (forces, boundaries, accumulators)
         )
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
@@ -173,7 +172,7 @@ class Solver:
 
     @property
     def grid(self) -> Grid:
-        """That of the first body, which may be the only one."""
+        """The grid of the first body."""
         return self.grids[0]
 
     @property
@@ -201,28 +200,28 @@ class Solver:
         """
         started, named = time.perf_counter(), self._seconds()
         self.rejection.begin(self.clock.time, until)
-        # What was calm in the last frame may not be so under the forces and walls of this one.
+        # The forces and walls of this frame may require more measurements than those of the last.
         if not self.clock.due:
             self.clock.interval = min(self.clock.interval, self._safe_interval())
         with self._threads():
             while self.clock.time < until:
                 if each or not self._run_graph(until):
                     self._stable_step(until)
-                timed(self.timings, REPAIR, lambda: self.repair.substep(self.clock))
+                run_timed(self.timings, REPAIR, lambda: self.repair.substep(self.clock))
                 if after is not None:
-                    timed(self.timings, FOLLOW, after)
-            timed(self.timings, "measure", self._end_frame)
+                    run_timed(self.timings, FOLLOW, after)
+            run_timed(self.timings, "measure", self._end_frame)
             self._follow_window()
         between = self.timings.setdefault(SCHEDULE, [0.0, 0])
         between[0] += time.perf_counter() - started - (self._seconds() - named)
         between[1] += 1
 
     def _seconds(self) -> float:
-        """Sum of all stages so far [s]."""
+        """Return the sum of all stages so far [s]."""
         return sum(seconds for seconds, _ in self.timings.values())
 
     def step(self, kick: float, drift: float) -> None:
-        """One substep: velocities change over `kick` s, positions and F over `drift` s."""
+        """Take one substep: velocities change over `kick` s, positions and F over `drift` s."""
         self._measure_if_due()
         self._scatter(kick, drift)
         self._run(GATHER)
@@ -243,7 +242,7 @@ class Solver:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; after one of another number of threads, to within rounding."""
+        """Return to a snapshot; with another number of threads, to within rounding."""
         self.state.restore(snapshot["state"])
         self.clock.restore(snapshot["clock"])
         self.outliers.restore(snapshot["outliers"])
@@ -261,7 +260,7 @@ class Solver:
             self._record()
 
     def _restore_slabs(self, snapshot: dict[str, Any]) -> bool:
-        """Return to a snapshot of as many slabs; False if it is of another number of threads."""
+        """Restore the slabs; return False if the snapshot has another number of threads."""
         if self.slabs is None:
             return True
         known = self.slabs.restore(snapshot)
@@ -271,7 +270,7 @@ class Solver:
         return known
 
     def _stable_step(self, until: float) -> None:
-        """One substep: of a stable length that divides the remaining time evenly."""
+        """Take one substep, of a stable length that divides the remaining time evenly."""
         self._measure_if_due()
         clock = self.clock
         limit = clock.stable()
@@ -287,7 +286,7 @@ class Solver:
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def _careful_step(self, dt: float) -> float:
-        """A substep of at most `dt` in which no node moves more than a cell; returns its length."""
+        """Take a substep of at most `dt` in which no node crosses a cell; return its length."""
 
         def scatter(dt: float) -> None:
             self._scatter((self.clock.last_dt + dt) / 2, dt)
@@ -300,17 +299,17 @@ class Solver:
         return dt
 
     def _scatter(self, kick: float, drift: float) -> None:
-        """All but the gather: clock, tracks, forces on particles, scatter, grid update, walls."""
+        """Run all but the gather: clock, tracks, forces, scatter, grid update, walls."""
         self.clock.begin(kick, drift)
         if self.tracks.vary:
-            timed(self.timings, "tracks", self._sample.launch)
+            run_timed(self.timings, "tracks", self._sample.launch)
         for phase in range(len(self.workers[0].phases) - 1):
             self._run(phase)
 
     def _run(self, phase: int) -> None:
         """Run a phase; threads wait for each other before it."""
         if self.team.alive:
-            timed(self.timings, "wait", lambda: self.team.put(phase))
+            run_timed(self.timings, "wait", lambda: self.team.put(phase))
             self.workers[0].run(phase)
         else:
             for worker in self.workers:
@@ -319,15 +318,15 @@ class Solver:
     def _join(self) -> None:
         """Wait until the other threads have finished their parts."""
         if self.team.alive:
-            timed(self.timings, "wait", self.team.join)
+            run_timed(self.timings, "wait", self.team.join)
 
     def _run_member(self, member: int, phase: int) -> None:
         """Run a phase in one of the other threads."""
         worker = self.workers[member]
         if phase == MEASURE:
-            timed(worker.timings, "measure", worker.measure)
+            run_timed(worker.timings, "measure", worker.measure)
         elif phase == GLANCE:
-            timed(worker.timings, "measure", worker.glance)
+            run_timed(worker.timings, "measure", worker.glance)
         else:
             worker.run(phase)
 
@@ -343,7 +342,7 @@ class Solver:
             yield
 
     def _run_graph(self, until: float) -> bool:
-        """Take substeps on the device alone; False if the host has to take the next one."""
+        """Take substeps on the device alone; return False if the next is left to the host."""
         alone = self.on_device and len(self.workers) == 1
         if not alone or self.rejection.sudden(self.clock):
             return False
@@ -352,7 +351,7 @@ class Solver:
         return self._graph.run(until, self.rejection, self._launches, apart=apart)
 
     def _launches(self) -> Iterable[Callable[[], Any]]:
-        """The launches of one substep of a single worker, in order."""
+        """Yield the launches of one substep of a single worker, in order."""
         if self.tracks.vary:
             yield self._sample.launch
         for _, launch in itertools.chain(*self.workers[0].phases):
@@ -360,7 +359,7 @@ class Solver:
 
     def _measure_if_due(self) -> None:
         if self.clock.due:
-            timed(self.timings, "measure", self._measure_due)
+            run_timed(self.timings, "measure", self._measure_due)
             self._follow_window()
 
     def _measure_due(self) -> None:
@@ -375,7 +374,7 @@ class Solver:
         speed, gradient = np.max(rows, axis=0).tolist()
         speed = max(speed, self.free.fastest())
         extremes = clock.extremes._replace(speed=speed, gradient=gradient)
-        clock.measured(extremes, complete=False, acceleration=self.rejection.acceleration)
+        clock.limit_by(extremes, complete=False, acceleration=self.rejection.acceleration)
         room = self.rejection.room(clock)
         if clock.complete(calm) or room < MEASURE_EVERY:
             self._measure()
@@ -384,23 +383,23 @@ class Solver:
             clock.interval = min(interval, room)
 
     def _calm_strain(self) -> float:
-        """Strain until which the substep stays stable although materials stiffen."""
+        """Return the strain up to which the substep stays stable although materials stiffen."""
         growth = max(CALM / self.clock.cfl**2, 1.05)
         stiffness = self.clock.extremes.stiffness / (self.model.least_stiffness * self.softened)
         return min(m.calm_strain(growth, stiffness) for m in self.model.materials)
 
     def _measure(self) -> None:
         """Read the stability limits and fit the windows to the particles; raises Unstable."""
-        corners = self._corners(found := self._maxima())
+        corners = self._corners(rows := self._maxima())
         if self.outliers.confine(corners):
-            corners = self._corners(found := self._maxima())
-        measured = Maxima.of(found.max(axis=0))
+            corners = self._corners(rows := self._maxima())
+        measured = Maxima.of(rows.max(axis=0))
         clock = self.clock
         fastest, passed = self.free.fastest(), clock.since_complete
         extremes = measured.extremes.after(clock.extremes, fastest, substeps=passed)
-        clock.measured(extremes, complete=True)
-        changed = fit_all(self.grids, corners, anew=self.outliers.changed)
-        changed |= self._fit_slabs(found, changed)
+        clock.limit_by(extremes, complete=True)
+        changed = fit_all(self.grids, corners, returned=self.outliers.changed)
+        changed |= self._fit_slabs(rows, changed)
         self._moved |= changed
         clock.interval = self._safe_interval()
 
@@ -414,7 +413,7 @@ class Solver:
             self._measure_due()
 
     def _corners(self, rows: NDArray[np.float64]) -> list[Corners]:
-        """Lowest and highest corner of each body, of what was measured [m]."""
+        """Return the lowest and highest corner of each body from measurements [m]."""
         if len(self.grids) == 1:
             return [Maxima.of(rows.max(axis=0)).corners]
         parts = self.slabs.parts if self.slabs else ()
@@ -422,25 +421,25 @@ class Solver:
         bodies = range(len(self.grids))
         return [Maxima.of(rows[body == number].max(axis=0)).corners for number in bodies]
 
-    def _fit_slabs(self, found: NDArray[np.float64], force: bool) -> bool:
-        """Fit private nodes to their particles, if need be of new slabs; whether they changed."""
+    def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
+        """Fit private nodes to their particles, or make new slabs; return whether they changed."""
         slabs = self.slabs
-        if slabs is None or not slabs.fit(found, force=force):
+        if slabs is None or not slabs.fit(rows, force=force):
             return False
         if slabs.outgrown:
-            slabs.cut_anew(*Maxima.of(found.max(axis=0)).corners)
+            slabs.divide_again(*Maxima.of(rows.max(axis=0)).corners)
             self._record_measures()
             slabs.fit(self._maxima(), force=True)
         return True
 
     def _record_measures(self) -> None:
-        """Record what measures the particles of each worker."""
+        """Record the launches that measure the particles of each worker."""
         for worker in self.workers:
             worker.measures = self._recorder.measures(worker, self._stray)
             worker.glances = self._recorder.speeds(worker, self._stray)
 
     def _maxima(self) -> NDArray[np.float64]:
-        """What was measured: a row for each part of each worker, or for each body.
+        """Measure; return a row for each part of each worker, or for each body.
 
         Raises:
             Unstable: A particle is no longer finite.
@@ -448,8 +447,7 @@ class Solver:
         self._each_worker(MEASURE)
         rows = [part.maxima for part in self.slabs.parts] if self.slabs else []
         rows = rows or [self.workers[0].maxima]
-        found = np.array([row.numpy() for row in rows], dtype=np.float64)
-        return found.reshape(-1, COUNT)
+        return np.array([row.numpy() for row in rows], dtype=np.float64).reshape(-1, COUNT)
 
     def _each_worker(self, task: int) -> None:
         """Let all workers measure; raises Unstable if a particle is no longer finite."""
@@ -464,7 +462,7 @@ class Solver:
             raise Unstable(f"{lost} particles are NaN or infinite")
 
     def _safe_interval(self) -> int:
-        """Substeps that may pass between two measurements of speeds in the current state."""
+        """Return the safe number of substeps between two measurements of speeds."""
         interval = min(self.clock.measure_every, MEASURE_EVERY)
         if not self.on_device:
             interval = self.rejection.interval(self.clock, self._calm_strain())
@@ -473,7 +471,7 @@ class Solver:
     def _follow_window(self) -> None:
         """Record the launches again if a window has moved."""
         if self._moved:
-            timed(self.timings, WINDOW, self._record)
+            run_timed(self.timings, WINDOW, self._record)
 
     def _record(self) -> None:
         """Record the launches of one substep, in order."""

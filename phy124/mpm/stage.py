@@ -1,4 +1,4 @@
-"""Stage: one launch of a substep, recorded anew whenever the grid's window has changed."""
+"""Stage: a launch of a substep, recorded again whenever the grid's window has changed."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from typing import Any, NamedTuple, Protocol
 import warp as wp
 
 from phy124.mpm.grid import Grid
-from phy124.mpm.model import Model
-from phy124.mpm.state import State
+from phy124.mpm.model import Model, State
 from phy124.mpm.tracks import Tracks
 
 
 class Stage(NamedTuple):
-    """What a force, a boundary or an accumulator adds to a substep."""
+    """A launch that a force, a boundary or an accumulator adds to a substep."""
 
     name: str
     """The name under which reports list its time."""
@@ -31,23 +30,21 @@ class Stage(NamedTuple):
     alone: bool = False
     """Whether one worker launches it for all layers of the grid while the others wait."""
     limit: Callable[[float, float], float] | None = None
-    """How much it accelerates a particle at most [m/s^2] from one time to another [s]; None: as
-    much as its track has."""
+    """Largest acceleration of a particle [m/s^2] between two times [s]; None: its track's."""
     top_speed: Callable[[float, float], float] | None = None
-    """The speed [m/s] above which it accelerates no particle from one time to another [s]; None: it
-    has no such speed."""
+    """Speed [m/s] above which it accelerates no particle between two times [s]; None: no limit."""
 
 
 class Attachable(Protocol):
     """A force or a boundary."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """The stages it needs in each substep.
+        """Return the stages that it needs in each substep.
 
         Args:
-            model: What stays the same during the run.
-            state: What its launches read and change.
-            tracks: Where it registers what changes over time.
+            model: The constants of the run.
+            state: The arrays that its launches read and change.
+            tracks: Registers quantities that change over time.
         """
         ...
 
@@ -56,7 +53,7 @@ class Sums(Protocol):
     """Sums that grow in every substep and are restored after a rejected one."""
 
     def snapshot(self) -> dict[str, Any]:
-        """The sums as they are now."""
+        """Return the present sums."""
         ...
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -75,5 +72,5 @@ Recorded = tuple[str, wp.Launch | None]
 
 
 def launches(records: list[Recorded]) -> list[Named]:
-    """A function to call for each recorded launch; those with nothing to do are left out."""
+    """Return a function to call for each recorded launch; empty launches are left out."""
     return [(name, launch.launch) for name, launch in records if launch is not None]

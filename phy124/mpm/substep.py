@@ -21,14 +21,12 @@ from phy124.kernels.transfer import Law
 from phy124.mpm.fluctuation import Fluctuation
 from phy124.mpm.free import FreeBodies
 from phy124.mpm.grid import Grid
-from phy124.mpm.model import Model
+from phy124.mpm.model import Model, State, part_of
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pairs
-from phy124.mpm.slabs import Slabs
 from phy124.mpm.stage import Named, Recorded, Stage, launches
-from phy124.mpm.state import State, part_of
 from phy124.mpm.tracks import Tracks
-from phy124.mpm.workers import GATHER, Part, Worker
+from phy124.mpm.workers import GATHER, Part, Slabs, Worker
 
 
 class Transfers(NamedTuple):
@@ -40,7 +38,7 @@ class Transfers(NamedTuple):
 
     @classmethod
     def of(cls, law: Law, real: Any, form: str) -> Transfers:
-        """Those of one precision and form."""
+        """Return the transfers of a law in one precision and form."""
         return cls(
             measure.make_measure(law, real),
             transfer.make_p2g(law, real, form),
@@ -49,7 +47,7 @@ class Transfers(NamedTuple):
 
 
 def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
-    """What the substeps of one worker launch, besides forces and boundaries."""
+    """Yield the kernels that the substeps of one worker launch, besides forces and boundaries."""
     yield make_update(real)
     yield measure.make_measure_speeds(real)
     for law in laws:
@@ -85,20 +83,20 @@ class Recorder:
     model: Model
     state: State
     grids: Sequence[Grid]
-    """That of each body."""
+    """The grid of each body."""
     tracks: Tracks
     outliers: Outliers
     workers: Sequence[Worker]
     slabs: Slabs | None
-    """Those of several workers."""
+    """The slabs of several workers; None for a single worker."""
     pairs: Pairs
-    """How bodies touch."""
+    """Contact between bodies."""
     free: FreeBodies
     """Rigid solids among the particles."""
     missed: wp.array
     """Whether g2p left out a particle that was outside the window, a row for each worker [W,1]."""
     fluctuation: Fluctuation | None = None
-    """What particles keep beside what the grid carries; None: nothing, which is APIC."""
+    """Keeps motion that the grid does not carry; None: nothing is kept, which is APIC."""
     gathered: Sequence[Gathered] = ()
     """Read a part right after it has gathered."""
     rpic: float = 0.0
@@ -131,7 +129,7 @@ class Recorder:
         self.workers[0].phases[GATHER] += launches(last)
 
     def _passes(self, parts: Sequence[Part], worker: int) -> Iterator[list[Named]]:
-        """A worker's phases of each pass over the grid before the substep scatters."""
+        """Yield a worker's phases of each pass over the grid before the substep scatters."""
         kept = self.fluctuation
         for turn in range(kept.scheme.passes if kept else 0):
             assert kept is not None
@@ -160,11 +158,11 @@ class Recorder:
 
     @property
     def _grid(self) -> Grid:
-        """The one for launches that have nothing to do with nodes."""
+        """The grid for launches that do not use nodes."""
         return self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """A worker's share of the pushes; the first has them all unless all can be shared."""
+        """Return a worker's pushes; the first worker has them all unless all can be shared."""
         if all(stage.by_run for stage in stages):
             with self._grid.only(None, worker, len(self.workers)):
                 return launches([(stage.name, stage.record(self._grid)) for stage in stages])
@@ -173,11 +171,11 @@ class Recorder:
         return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
-        """A worker's phases of update, of contact between bodies, of free bodies, and of walls.
+        """Return a worker's phases of update, contact between bodies, free bodies, and walls.
 
-        Walls come last: what they hold stays where it is, whatever pushes it.
+        Walls come last, so that nothing is pushed through them.
         """
-        phases = [[one for body in self._moving for one in self._update(body, worker)]]
+        phases = [[record for body in self._moving for record in self._update(body, worker)]]
         if self.pairs.touching(self.grids):
             phases += [self.pairs.record(self.grids, worker, len(self.workers)), []]
         if self.free.all:
@@ -193,13 +191,14 @@ class Recorder:
         return phases
 
     def _meet_free(self) -> list[Recorded]:
-        """How free bodies meet each body in turn; one worker does it all."""
-        return [one for body in self._moving for one in self.free.record(self.grids[body], body)]
+        """Return the contact of free bodies with each body in turn; a single worker does it all."""
+        records = (self.free.record(self.grids[body], body) for body in self._moving)
+        return list(itertools.chain(*records))
 
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """A worker's part of a wall that a body meets; the first worker does some walls alone."""
+        """Return a worker's part of a wall for a body; the first worker does some walls alone."""
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
         bodies = len(self._moving)
@@ -208,7 +207,7 @@ class Recorder:
             return wall.name, wall.record(grid)
 
     def _layers(self, grid: Grid, worker: int) -> tuple[int, int] | None:
-        """The layers of a shared grid that a worker updates; None: all."""
+        """Return the layers of a shared grid that a worker updates; None: all."""
         if self.slabs is None:
             return None
         first, last = (
@@ -217,7 +216,7 @@ class Recorder:
         return first, last
 
     def _clear(self, index: int) -> Iterator[Named]:
-        """Clears the nodes that a worker scatters to."""
+        """Yield the launches that clear the nodes that a worker scatters to."""
         if self.slabs is not None:
             yield "clear", self.slabs.runs[index].zero_
             return
@@ -225,8 +224,8 @@ class Recorder:
             yield "clear", self.grids[body].nodes.zero_
 
     def measures(self, worker: Worker, stray: wp.array) -> list[wp.Launch]:
-        """The launches that measure the limits of the substep among a worker's particles."""
-        model, s, found = self.model, self.state, []
+        """Return the launches that measure the limits of the substep among a worker's particles."""
+        model, s, measures = self.model, self.state, []
         for part in worker.parts:
             group, run = part.group, part.particles
             threads, *fraction = shared_out(part.count, model.device)
@@ -234,28 +233,28 @@ class Recorder:
             read = [group.rows(run), model.mass[run], model.volume[run], self.outliers.corners]
             state = [s.x[run], s.v[run], s.C[run], s.F[run], part_of(s.history, run)]
             inputs = [*fraction, part.count, part.chosen, *read, *state]
-            found.append(model.launch(kernel, threads, inputs, [part.maxima, stray]))
-        return [launch for launch in found if launch is not None]
+            measures.append(model.launch(kernel, threads, inputs, [part.maxima, stray]))
+        return [launch for launch in measures if launch is not None]
 
     def speeds(self, worker: Worker, stray: wp.array) -> list[wp.Launch]:
-        """The launches that measure the speeds of a worker's particles, and nothing else."""
-        model, found = self.model, []
+        """Return the launches that measure only the speeds of a worker's particles."""
+        model, glances = self.model, []
         for part in worker.parts:
             run, (threads, *fraction) = part.particles, shared_out(part.count, model.device)
             inputs = [*fraction, part.count, part.chosen, self.state.v[run], self.state.C[run]]
             kernel = measure.make_measure_speeds(model.real)
-            found.append(model.launch(kernel, threads, inputs, [worker.speeds, stray]))
-        return [launch for launch in found if launch is not None]
+            glances.append(model.launch(kernel, threads, inputs, [worker.speeds, stray]))
+        return [launch for launch in glances if launch is not None]
 
     def _scatter(self, part: Part) -> Iterator[Recorded]:
-        """The scatter of a part; where it is asked for, RPIC before it.
+        """Yield the scatter of a part, after RPIC if the scheme has it.
 
-        Not after the gather: what measures a substep sees the strain that it has had.
+        RPIC does not follow the gather, so that measurements see the strain of the substep.
         """
         if self.rpic > 0:
             inputs = [part.chosen, self.rpic, self.tracks.clock]
-            kernel, own = make_rpic(self.model.real), [self.state.C[part.particles]]
-            yield "rpic", self.model.launch(kernel, part.count, inputs, own)
+            kernel, outputs = make_rpic(self.model.real), [self.state.C[part.particles]]
+            yield "rpic", self.model.launch(kernel, part.count, inputs, outputs)
         yield self._p2g(part)
 
     def _p2g(self, part: Part) -> Recorded:
@@ -276,24 +275,24 @@ class Recorder:
         outputs += [part_of(s.history, run), part_of(s.total, run)]
         outputs.append(cast("wp.array", self.missed[worker]))
         record = f"g2p {law.name}", model.launch(kernel, part.count, inputs, outputs)
-        found = self.outliers.around(part, record, grid, self.tracks)
-        found += [one.record(part, worker, model, s, self.tracks) for one in self.gathered]
+        records = self.outliers.around(part, record, grid, self.tracks)
+        records += [reader.record(part, worker, model, s, self.tracks) for reader in self.gathered]
         if self.fluctuation is not None:
-            found.append(self.fluctuation.keep(part))
-        return found
+            records.append(self.fluctuation.keep(part))
+        return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """A worker's part of the update of a body's grid, by the run's clock or another one."""
+        """Return a worker's part of the update of a body's grid, by the run's clock or another."""
         model, grid, slabs = self.model, self.grids[body], self.slabs
         clock = self.tracks.clock if clock is None else clock
-        inputs, found = [clock, self.tracks.values], []
+        inputs, records = [clock, self.tracks.values], []
         count, nodes = grid.count, grid.nodes
         layers = self._layers(grid, worker)
         if layers is not None and slabs is not None:
             rows = (layers[1] - layers[0], int(grid.size[1]))
             boxes = [layers[0], grid.window, slabs.boxes[body], slabs.starts[body], slabs.pool]
-            found.append(("grid", model.launch(make_merge(model.real), rows, boxes, [nodes])))
+            records.append(("grid", model.launch(make_merge(model.real), rows, boxes, [nodes])))
             nodes = grid.slab(*layers)
             count = len(nodes)
         update = model.launch(make_update(model.real), count, inputs, [nodes])
-        return [*found, ("grid", update)]
+        return [*records, ("grid", update)]

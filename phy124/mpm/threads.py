@@ -1,4 +1,4 @@
-"""A team of threads that do one task after another together, and the barrier at which they meet.
+"""A team of threads that do tasks together, one after another, and the barrier between tasks.
 
 Warp's CPU kernels release Python's global lock, so several threads can run kernels at the same
 time. The barrier spins inside a kernel, since putting a thread to sleep and waking it would take
@@ -21,9 +21,9 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS, NAP = 20, 5e-5
-"""Spins of a barrier that only yield the core, and how long it sleeps between further ones [s]."""
+"""Spins of a barrier that only yield the core, and sleep between further spins [s]."""
 SPINS = 100_000
-"""Looks at the barrier in one spin, if every thread has a core; otherwise it looks once."""
+"""Checks of the barrier per spin if every thread has a core; otherwise a single check."""
 Task = TypeVar("Task")
 
 
@@ -40,7 +40,7 @@ class Team(Generic[Task]):
         self._barrier: Barrier | None = None
         self._queue: list[Task | None] = []
         self._errors: list[BaseException | None] = []
-        """What each member's last task raised."""
+        """Exception of each member's last task."""
         self.seconds = [0.0] * size
         """Processor time that each member but the first has used [s]."""
 
@@ -72,14 +72,14 @@ class Team(Generic[Task]):
             self._barrier = None
 
     def put(self, task: Task) -> None:
-        """Wait until all have finished their previous task, and let them start this one.
+        """Wait until all have finished their previous task, and start this task.
 
-        Raises what the previous task raised; of several errors that of the lowest member.
+        Re-raises an exception of the previous task; of several, that of the lowest member.
         """
         self._hand_over(task)
 
     def join(self) -> None:
-        """Wait until all have finished their task; raises what that raised."""
+        """Wait until all have finished their task; re-raises its exception."""
         self._hand_over(None)
 
     def _hand_over(self, task: Task | None) -> None:
@@ -87,13 +87,13 @@ class Team(Generic[Task]):
         self._queue.append(task)
         if self._barrier:
             self._barrier.wait(0)
-        found = [error for error in self._errors if error is not None]
-        if found:
+        first = next((error for error in self._errors if error is not None), None)
+        if first is not None:
             self._errors = [None] * self.size
-            raise found[0]
+            raise first
 
     def _follow(self, barrier: Barrier, member: int) -> None:
-        """One of the other threads: runs tasks as they come until the barrier is abandoned."""
+        """Run tasks in one of the other threads until the barrier is abandoned."""
         before = self.seconds[member]
         for count in itertools.count():
             self.seconds[member] = before + time.thread_time()
@@ -117,14 +117,14 @@ class Barrier:
         spins = SPINS if parties <= cores() else 1
         self._launches = [self._record(ticket, parties, spins) for ticket in self._tickets]
         self.abandoned = False
-        """Whether threads need not wait any more."""
+        """Whether threads need not wait any longer."""
 
     def _record(self, ticket: wp.array, parties: int, spins: int) -> Any:
         inputs, outputs = [parties, spins], [self._counter, ticket]
         return wp.launch(meet, 1, inputs=inputs, outputs=outputs, device="cpu", record_cmd=True)
 
     def wait(self, party: int) -> bool:
-        """Wait until all have arrived; False if the barrier was abandoned."""
+        """Wait until all have arrived; return False if the barrier was abandoned."""
         launch, view = self._launches[party], self._views[party]
         launch.launch()
         spun = 0
@@ -138,5 +138,5 @@ class Barrier:
 
 
 def give_way() -> None:
-    """Yield the core to another thread that wants it."""
+    """Yield the core to another waiting thread."""
     os.sched_yield() if hasattr(os, "sched_yield") else time.sleep(0)

@@ -4,14 +4,19 @@ dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|): A the largest eigenvalue
 d tau / d ln sigma (an isolated particle is a harmonic oscillator of omega^2 = 4 A / (rho0 dx^2)),
 |v| the largest speed, |C| the largest velocity gradient. See docs/design/physics.md.
 
-If the substep followed A up and down in phase with a vibration, it would pump energy into it. A is
-therefore forgotten only slowly: leapfrog with substeps of equal length conserves energy.
+If the substep followed A in phase with a vibration, it would pump energy into it. The assumed A
+therefore decays slowly: leapfrog with substeps of equal length conserves energy.
 """
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.kernels.measure import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
 
 CFL = 0.75
 """Fraction of the elastic limit that is used."""
@@ -20,12 +25,12 @@ CELLS_PER_STEP = 0.5
 STRAIN_PER_STEP = 0.4
 """Largest |C| dt; below 1 an element cannot turn inside out."""
 MEMORY = 0.95
-"""Fraction of an earlier stiffness that still counts `MEASURE_EVERY` substeps later."""
+"""Fraction of a measured stiffness that is assumed at least `MEASURE_EVERY` substeps later."""
 TRAVEL = 2
-"""Distance that particles may move before their positions are measured [cells]; the margin of the
+"""Largest distance that particles move between measurements of positions [cells]; the margin of the
 grid's window is twice as wide."""
 MEASURE_EVERY = 4
-"""Substeps between two measurements of the limits that are safe in any motion."""
+"""Number of substeps between two measurements of the limits that is safe in any motion."""
 
 
 class Extremes(NamedTuple):
@@ -39,15 +44,37 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """The same with at least the remembered stiffness and this speed.
+        """Return the extremes with at least the decayed earlier stiffness and this speed.
 
         Args:
-            before: Those measured `substeps` earlier.
-            speed: Largest speed of what is no particle [m/s].
+            before: Extremes measured `substeps` earlier.
+            speed: Largest speed of rigid solids [m/s].
             substeps: Number of substeps since then.
         """
-        stiffness = max(self.stiffness, remembered(before.stiffness, substeps))
+        stiffness = max(self.stiffness, decay(before.stiffness, substeps))
         return self._replace(stiffness=stiffness, speed=max(self.speed, speed))
+
+
+class Maxima(NamedTuple):
+    """Extremes and extent of some particles, as measured on the device."""
+
+    extremes: Extremes
+    """Values that limit the substep."""
+    lower: NDArray[np.float64]
+    """Lowest corner of their bounding box [3], m."""
+    upper: NDArray[np.float64]
+    """Highest corner [3], m."""
+
+    @classmethod
+    def of(cls, row: NDArray[np.float64]) -> Maxima:
+        """Read the numbers of `phy124.kernels.measure`."""
+        speed, gradient, stiffness = row[[SPEED, GRADIENT, STIFFNESS]].tolist()
+        return cls(Extremes(speed, gradient, stiffness), -row[LOW : LOW + 3], row[HIGH : HIGH + 3])
+
+    @property
+    def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lowest and highest corner [m]."""
+        return self.lower, self.upper
 
 
 class Substep(NamedTuple):
@@ -67,7 +94,7 @@ def stable_substep(
     ceiling: float = math.inf,
     viscous: float = math.inf,
 ) -> Substep:
-    """The longest stable substep.
+    """Return the longest stable substep.
 
     Args:
         extremes: The largest speed, gradient and stiffness of the particles.
@@ -87,13 +114,13 @@ def stable_substep(
     return Substep(limits[limiter], limiter)
 
 
-def remembered(value: float, substeps: int) -> float:
-    """What still counts of a value that was measured some substeps ago."""
+def decay(value: float, substeps: int) -> float:
+    """Return a value measured some substeps ago, decayed by `MEMORY`."""
     return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 
 def beside_elastic(cfl: float) -> float:
-    """Fraction of the viscous limit that is stable together with `cfl` of the elastic one.
+    """Return the fraction of the viscous limit that is stable with `cfl` of the elastic limit.
 
     An oscillator with omega dt = 2 cfl and damping gamma dt, both integrated explicitly, is stable
     while (omega dt)^2 <= 4 - 2 gamma dt.
@@ -102,9 +129,9 @@ def beside_elastic(cfl: float) -> float:
 
 
 def beside_rpic(cfl: float) -> float:
-    """What of a fraction `cfl` of the elastic limit is stable where the strain in C is damped.
+    """Return the fraction of the elastic limit that is stable if the strain in C is damped.
 
-    An oscillator that keeps the part s of its velocity in each substep is stable while
+    An oscillator that keeps the fraction s of its velocity in each substep is stable while
     (omega dt)^2 <= 2 + 2 s; s is 0 at worst.
     """
     return cfl * math.sqrt(0.5)

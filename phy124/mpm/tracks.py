@@ -154,10 +154,10 @@ class Track:
         return cls(((0.0, (x, y, z)),))
 
     @classmethod
-    def scaled(
+    def of_profile(
         cls, value: Sequence[float], profile: Table, start: float, end: float, *, mean: bool
     ) -> Track:
-        """A value times a profile.
+        """Return the track of a value times a profile.
 
         A track that starts at time 0 counts as having acted before as well, so that the first kick
         is whole.

@@ -2,35 +2,50 @@
 
 A worker scatters its particles into private nodes, updates its layers of the shared grid from all
 private nodes, and then gathers. A single worker has all particles and scatters to the shared grid.
-Which particles and nodes several workers have: phy124/mpm/slabs.py. How they run in parallel:
-phy124/mpm/threads.py.
+phy124/mpm/threads.py runs them in parallel.
+
+Several workers have slabs. The particles of each group, which are sorted in layers along the
+longest axis (phy124/simulation/setup.py), are divided into slabs of equal numbers. A slab has the
+nodes that its particles can touch until the next measurement: those of its own layers, and a few
+more on each side. As the object rotates or flows, slabs come to overlap. Once they have too many
+nodes in all, the particles are divided again by their present positions. Workers then find their
+particles by lists of indices, which makes a substep up to twice as expensive, so this is rare.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.kernels.arguments import types
 from phy124.kernels.measure import COUNT, SPEEDS
-from phy124.mpm.grid import Grid
-from phy124.mpm.model import Group, Model
+from phy124.mpm.grid import MARGIN, Grid
+from phy124.mpm.model import Group, Model, State
 from phy124.mpm.stage import Named
+from phy124.mpm.timestep import Maxima
 from phy124.runtime.cores import free_cores
 
 MIN_PARTICLES = 10_000
-"""Of a worker; with fewer, its barriers cost more than it brings."""
+"""Smallest number of particles of a worker; with fewer, barriers cost more than it saves."""
 GATHER = -1
 """The last phase of a substep; workers wait for each other between phases."""
 SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "follow")
-"""Stages of the host: the choice of substeps and all else between launches, the recording of
-launches for a window that has moved, the mending of broken deformations, and what is called after
-each substep: progress, budget and observers."""
+"""Stages of the host: choosing substeps and all else between launches; recording launches for a
+window that has moved; repairing broken deformations; and the functions called after each substep:
+progress, budget and observers."""
+NODES, GROWN = 16, 1.25
+"""Nodes of slabs per particle from which a new cut may pay, or memory would grow without bound; and
+how many times as many they must be, per node of the window, as after the last cut."""
+GAP, LINE = 1, 4
+"""Nodes between two slabs, since SIMD rows touch one node more, and nodes per line of cache: no
+two workers ever write to the same one."""
 Result = TypeVar("Result")
 Timings = dict[str, list[float]]
 """Stage -> seconds and number of launches."""
@@ -42,24 +57,24 @@ class Part:
 
     group: Group
     particles: slice
-    """The run of particles that holds them."""
+    """The span of particles that contains them."""
     chosen: wp.array
-    """Which of these they are; empty: all."""
+    """Indices within this span; empty: all."""
     count: int
-    """How many they are."""
+    """Number of particles."""
     nodes: Grid
-    """The nodes they are scattered to: the shared grid of the body, or nodes of their own."""
+    """The nodes they scatter to: the shared grid of the body, or private nodes."""
     maxima: wp.array
-    """What measuring them finds (phy124/kernels/measure.py)."""
+    """Results of measuring them (phy124/kernels/measure.py)."""
 
     def indices(self) -> slice | NDArray[np.int64]:
-        """Indices of its particles among all."""
+        """Return the indices of its particles among all."""
         if len(self.chosen) == 0:
             return self.particles
         return self.particles.start + np.asarray(self.chosen.numpy(), np.int64)
 
     def among(self, indices: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Those of some particles that belong to it."""
+        """Return the indices that are of its particles."""
         run = self.particles
         if len(self.chosen) == 0:
             return indices[(indices >= run.start) & (indices < run.stop)]
@@ -71,7 +86,7 @@ class Worker:
     """Some of the particles, and the launches for them."""
 
     maxima: wp.array
-    """What measuring finds: `COUNT` numbers for each body, or for each of its parts."""
+    """Results of measuring: `COUNT` numbers for each body, or for each of its parts."""
     speeds: wp.array
     """Results of measuring the speeds alone [SPEEDS]."""
     parts: list[Part] = field(default_factory=list)
@@ -84,7 +99,7 @@ class Worker:
     timings: Timings = field(default_factory=dict)
 
     def run(self, phase: int) -> None:
-        """Run one phase of a substep; what lies between two launches counts for the second."""
+        """Run one phase of a substep; time between two launches counts for the second."""
         before = time.perf_counter()
         for name, launch in self.phases[phase]:
             launch()
@@ -107,24 +122,182 @@ class Worker:
             launch.launch()
 
 
+class Slabs:
+    """The parts of several workers."""
+
+    def __init__(self, model: Model, state: State, grids: Sequence[Grid], count: int) -> None:
+        """Divide the particles for the first time.
+
+        Args:
+            model: The particles.
+            state: Their positions.
+            grids: The shared grid of each body.
+            count: Number of workers.
+        """
+        self._model, self._state, self._grids = model, state, grids
+        length = COUNT * len(model.groups)
+        self.workers = [
+            Worker(numbers(length, model), numbers(SPEEDS, model)) for _ in range(count)
+        ]
+        self.pool = wp.zeros(0, dtype=types(model.real).vec4, device=model.device)
+        """The nodes of all slabs."""
+        self.boxes: list[wp.array] = []
+        """Lowest node and extent of each slab of each body."""
+        self.starts: list[wp.array] = []
+        """First node of each of these in the pool."""
+        self.runs: list[wp.array] = []
+        """The nodes of each worker."""
+        self._owner = np.zeros(len(model), np.int16)
+        self._share = 0.0
+        """Nodes of slabs per node of the window after the last division."""
+        self.divide()
+
+    @property
+    def parts(self) -> list[Part]:
+        """The parts of all workers."""
+        return [part for worker in self.workers for part in worker.parts]
+
+    @property
+    def share(self) -> float:
+        """Nodes of all slabs per node of the window."""
+        shared = sum(grid.count for grid in self._grids)
+        return sum(part.nodes.count for part in self.parts) / max(shared, 1)
+
+    @property
+    def outgrown(self) -> bool:
+        """Whether slabs have grown enough since the last division for another one to pay."""
+        if self._share == 0:
+            self._share = self.share
+        return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
+
+    def divide(self, order: NDArray[np.integer] | None = None) -> None:
+        """Give each worker equal numbers of each group, in memory order or in another order [P]."""
+        count = len(self.workers)
+        order = np.arange(len(self._model)) if order is None else order
+        for group in self._model.groups:
+            edges = group.start + np.linspace(0, len(group), count + 1).astype(int)
+            for worker in range(count):
+                self._owner[order[edges[worker] : edges[worker + 1]]] = worker
+        self._share = 0.0
+        self._share_out()
+
+    def divide_again(self, lower: NDArray, upper: NDArray) -> None:
+        """Divide across the axis that is longest now; the particles lie between two corners [m]."""
+        x: NDArray[Any] = self._state.x.numpy()
+        layer = layers(np.clip(x, lower, upper), int(np.argmax(upper - lower)), self._model.dx)
+        orders = [
+            group.start + np.argsort(layer[group.particles], kind="stable")
+            for group in self._model.groups
+        ]
+        self.divide(np.concatenate(orders))
+
+    def fit(self, rows: NDArray[np.float64], *, force: bool) -> bool:
+        """Make the nodes of every slab cover its particles; return whether they changed.
+
+        Args:
+            rows: Measurements of the particles of each part [parts,COUNT].
+            force: Whether the shared window has changed.
+        """
+        reaches = [self._reach(part, row) for part, row in zip(self.parts, rows, strict=True)]
+        if not force and all(map(_has_space, self.parts, reaches)):
+            return False
+        # All slabs at once, so that no slab needs it again soon.
+        boxes = []
+        for part, reach in zip(self.parts, reaches, strict=True):
+            grid = self._grids[part.group.body]
+            low, high = grid.low, grid.low + grid.size
+            first, last = reach or (low, low - 2 * MARGIN)
+            start = np.clip(first - MARGIN, low, high)
+            boxes.append((start, np.clip(last + MARGIN, start, high) - start))
+        self.place(boxes)
+        return True
+
+    def _reach(self, part: Part, row: NDArray[np.float64]) -> tuple[NDArray, NDArray] | None:
+        """Return the nodes that measured particles can touch; None if all are outliers."""
+        grid = self._grids[part.group.body]
+        return grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
+
+    def place(self, boxes: Sequence[tuple[NDArray, NDArray]]) -> None:
+        """Give every slab `size` [3] nodes from `low` [3] on, and clear them."""
+        rooms = [-(-(int(np.prod(size)) + GAP) // LINE) * LINE for _, size in boxes]
+        starts = [0, *itertools.accumulate(rooms)]
+        device = self._model.device
+        self.pool = wp.zeros(starts[-1], dtype=self.pool.dtype, device=device)
+        self.boxes, self.starts = [], []
+        for body in range(self._model.bodies):
+            slabs = [i for i, part in enumerate(self.parts) if part.group.body == body]
+            corners = np.array([corner for i in slabs for corner in boxes[i]], np.int32)
+            self.boxes.append(wp.array(corners.reshape(-1, 3), dtype=wp.vec3i, device=device))
+            self.starts.append(wp.array([starts[i] for i in slabs], dtype=int, device=device))
+        for part, (low, size), start, room in zip(self.parts, boxes, starts, rooms, strict=False):
+            part.nodes.use(np.array(low), np.array(size), self._nodes(start, start + room))
+        ends = itertools.accumulate((len(worker.parts) for worker in self.workers), initial=0)
+        self.runs = [self._nodes(starts[a], starts[b]) for a, b in itertools.pairwise(ends)]
+
+    def _nodes(self, first: int, last: int) -> wp.array:
+        """Return nodes first <= i < last of the pool."""
+        return cast("wp.array", self.pool[first:last])
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state that `restore` needs, as plain data and arrays."""
+        boxes = [[part.nodes.low.tolist(), part.nodes.size.tolist()] for part in self.parts]
+        count = len(self.workers)
+        return {"workers": count, "owner": self._owner.copy(), "share": self._share, "boxes": boxes}
+
+    def restore(self, snapshot: dict[str, Any]) -> bool:
+        """Return to a snapshot; return False if it has another number of workers."""
+        if snapshot.get("workers") != len(self.workers):
+            self.divide()
+            return False
+        owner = np.asarray(snapshot["owner"], np.int16)
+        if not np.array_equal(owner, self._owner):
+            self._owner = owner.copy()
+            self._share_out()
+        self._share = snapshot["share"]
+        self.place([(np.array(low), np.array(size)) for low, size in snapshot["boxes"]])
+        return True
+
+    def _share_out(self) -> None:
+        """Give the workers their parts."""
+        for index, worker in enumerate(self.workers):
+            parts = (self._part(index, group) for group in self._model.groups)
+            worker.parts = [part for part in parts if part is not None]
+
+    def _part(self, index: int, group: Group) -> Part | None:
+        """Return a worker's part of a group; None if it has no particle of it."""
+        model = self._model
+        members = np.flatnonzero(self._owner[group.particles] == index)
+        if len(members) == 0:
+            return None
+        first, last = int(members[0]), int(members[-1]) + 1
+        run, chosen = slice(group.start + first, group.start + last), members[:0]
+        if last - first > len(members):
+            run, chosen = group.particles, members
+        nodes = Grid(model.origin, model.dx, real=model.real, device=model.device)
+        place = COUNT * model.groups.index(group)
+        maxima = cast("wp.array", self.workers[index].maxima[place : place + COUNT])
+        indices = wp.array(chosen.astype(np.int32), dtype=int, device=model.device)
+        return Part(group, run, indices, len(members), nodes, maxima)
+
+
 def lone_worker(model: Model, grids: Sequence[Grid]) -> Worker:
-    """One worker that scatters all particles to the shared grid of their body."""
+    """Return one worker that scatters all particles to the shared grid of their body."""
     maxima = numbers(COUNT * len(grids), model)
     every = wp.zeros(0, dtype=int, device=model.device)
     parts = []
     for group in model.groups:
-        own = cast("wp.array", maxima[COUNT * group.body : COUNT * (group.body + 1)])
-        parts.append(Part(group, group.particles, every, len(group), grids[group.body], own))
+        row = cast("wp.array", maxima[COUNT * group.body : COUNT * (group.body + 1)])
+        parts.append(Part(group, group.particles, every, len(group), grids[group.body], row))
     return Worker(maxima, numbers(SPEEDS, model), parts)
 
 
 def numbers(count: int, model: Model) -> wp.array:
-    """Zeros in the model's precision [count]."""
+    """Return zeros in the model's precision [count]."""
     return wp.zeros(count, dtype=model.real, device=model.device)
 
 
 def usable_workers(particles: int, device: str, asked: int | None = None) -> int:
-    """As many as are asked for, or as have a free core and enough particles; one on a GPU."""
+    """Return the requested number, or as many as have free cores and particles; 1 on a GPU."""
     if device != "cpu":
         return 1
     if asked is not None:
@@ -133,7 +306,7 @@ def usable_workers(particles: int, device: str, asked: int | None = None) -> int
     return 1 if enough < 2 else min(enough, free_cores())
 
 
-def timed(timings: Timings, name: str, work: Callable[[], Result]) -> Result:
+def run_timed(timings: Timings, name: str, work: Callable[[], Result]) -> Result:
     """Run `work`, add its duration to a stage, and return its result."""
     start = time.perf_counter()
     result = work()
@@ -141,3 +314,18 @@ def timed(timings: Timings, name: str, work: Callable[[], Result]) -> Result:
     entry[0] += time.perf_counter() - start
     entry[1] += 1
     return result
+
+
+def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
+    """Return the index of each point's layer of cells of size dx [m] along an axis [P]."""
+    layer = np.floor((x[:, axis] - x[:, axis].min()) / dx)
+    return np.minimum(layer, np.iinfo(np.int16).max).astype(np.int16)
+
+
+def _has_space(part: Part, reach: tuple[NDArray, NDArray] | None) -> bool:
+    """Return whether a part's particles have space to move until the next measurement."""
+    if reach is None:
+        return True
+    nodes, (low, high) = part.nodes, reach
+    spare = min((low - nodes.low).min(), (nodes.low + nodes.size - high).min())
+    return bool(spare >= MARGIN // 2)

@@ -140,7 +140,7 @@ def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[n
 
 def scale_to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussians:
     """Scale the object to metres, by `size_transform`."""
-    return gaussians.moved(*size_transform(gaussians, size, ground=ground))
+    return gaussians.transform(*size_transform(gaussians, size, ground=ground))
 
 
 def size_transform(

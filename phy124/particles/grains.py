@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from phy124.gaussians import SH_C0, Gaussians, joined
+from phy124.gaussians import SH_C0, Gaussians, join
 from phy124.materials import AnyMaterial
 from phy124.particles.seeding import Particles
 
@@ -59,7 +59,7 @@ def add_grains(
         owner = particles.gaussian.copy()
         owner[inside] = moves.sum() + np.arange(len(inside))
         particles = replace(particles, gaussian=owner)
-    return joined([gaussians, grains]), particles
+    return join([gaussians, grains]), particles
 
 
 def make_grains(

@@ -103,11 +103,11 @@ def merge_groups(
 
 
 def merge_to(gaussians: Gaussians, count: int) -> Gaussians:
-    """The Gaussians, merged until there are at most so many.
+    """Merge Gaussians until there are at most `count`.
 
     Args:
         gaussians: The Gaussians.
-        count: How many there may be.
+        count: Largest number that may remain.
 
     Raises:
         InputError: There would be none.

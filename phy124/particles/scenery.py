@@ -58,44 +58,44 @@ class Scenery:
             return frame
         rest, moved = self.gaussians, frame.gaussians
         means, quats, scales = (
-            self._filled(getattr(rest, name), getattr(moved, name))
+            self._insert(getattr(rest, name), getattr(moved, name))
             for name in ("means", "quats", "scales")
         )
-        sh = rest.sh if rest.sh_degree == 0 else self._filled(rest.sh, moved.sh)
+        sh = rest.sh if rest.sh_degree == 0 else self._insert(rest.sh, moved.sh)
         velocities, contacts = (
-            None if some is None else self._filled(np.zeros_like(rest.means), some)
+            None if some is None else self._insert(np.zeros_like(rest.means), some)
             for some in (frame.velocities, frame.contacts)
         )
         for index, track in self.tracks:
-            own = rest.object_id == index
+            chosen = rest.object_id == index
             at, later = track.values(np.array([frame.time, frame.time + INSTANT]))
-            means[own] += at.astype(np.float32)
+            means[chosen] += at.astype(np.float32)
             if velocities is not None:
-                velocities[own] = (later - at) / INSTANT
+                velocities[chosen] = (later - at) / INSTANT
         for place, index in enumerate(self.free):
-            own, pose = rest.object_id == index, poses[-1][place]
+            chosen, pose = rest.object_id == index, poses[-1][place]
             turn = _multiply(pose[3:], poses[0][place][3:] * (1, -1, -1, -1))
-            arms = (rest.means[own] - poses[0][place][:3]) @ rotation_matrices(turn[None])[0].T
-            means[own], quats[own] = pose[:3] + arms, _multiply(turn, rest.quats[own])
+            arms = (rest.means[chosen] - poses[0][place][:3]) @ rotation_matrices(turn[None])[0].T
+            means[chosen], quats[chosen] = pose[:3] + arms, _multiply(turn, rest.quats[chosen])
             if velocities is not None and motions is not None:
-                velocities[own] = motions[place][:3] + np.cross(motions[place][3:], arms)
+                velocities[chosen] = motions[place][:3] + np.cross(motions[place][3:], arms)
         gaussians = replace(rest, means=means, quats=quats, scales=scales, sh=sh)
         return replace(frame, gaussians=gaussians, velocities=velocities, contacts=contacts)
 
     def turns(self, rotations: Array) -> Array:
-        """Rotations of all [N,4] from those of the Gaussians that move."""
+        """Return rotations of all Gaussians [N,4] from those of the moving ones."""
         if not self.count:
             return rotations
-        return self._filled(np.tile(IDENTITY, (len(self.moves), 1)), rotations)
+        return self._insert(np.tile(IDENTITY, (len(self.moves), 1)), rotations)
 
-    def _filled(self, still: Array, moved: Array) -> Array:
-        filled = still.copy()
-        filled[self.moves] = moved
-        return filled
+    def _insert(self, still: Array, moved: Array) -> Array:
+        every = still.copy()
+        every[self.moves] = moved
+        return every
 
 
 def _multiply(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    """The rotation b, then a, of quaternions wxyz [4] and [..., 4]."""
+    """Return the rotation by b, then by a, of quaternions wxyz [4] and [..., 4]."""
     w, v = b[..., :1], b[..., 1:]
     first = a[0] * w - (v @ a[1:])[..., None]
     return np.concatenate([first, a[0] * v + w * a[1:] + np.cross(a[1:], v)], axis=-1)

@@ -145,12 +145,12 @@ def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
             "Choose a coarser grid (a lower accuracy) or fewer particles per cell.",
         )
     within = np.stack(np.meshgrid(*[np.arange(n)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    chunk, found = max(1, 500_000 // n**3), []
+    chunk, inside = max(1, 500_000 // n**3), []
     for start in range(0, len(cells), chunk):
         index = (cells[start : start + chunk, None] * n + within).reshape(-1, 3)
         points = (index + 0.5) * spacing
-        found.append(points[shape.contains(points)])
-    return np.concatenate(found)
+        inside.append(points[shape.contains(points)])
+    return np.concatenate(inside)
 
 
 def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
@@ -194,12 +194,12 @@ def _order_by_cell(x: NDArray, side: float) -> NDArray[np.int64]:
 
 def _share_volume(x: NDArray[np.float32], shape: Solid, room: _Room) -> NDArray[np.float64]:
     cells, side = room.cells, room.side
-    own = np.floor(x / side + 1e-6).astype(np.int64)
-    low = np.minimum(cells.min(axis=0), own.min(axis=0))
-    size = np.maximum(cells.max(axis=0), own.max(axis=0)) - low + 1
+    cell = np.floor(x / side + 1e-6).astype(np.int64)
+    low = np.minimum(cells.min(axis=0), cell.min(axis=0))
+    size = np.maximum(cells.max(axis=0), cell.max(axis=0)) - low + 1
     cell_key = np.ravel_multi_index(tuple((cells - low).T), tuple(size))
     keys, which, count = np.unique(
-        np.ravel_multi_index(tuple((own - low).T), tuple(size)),
+        np.ravel_multi_index(tuple((cell - low).T), tuple(size)),
         return_inverse=True,
         return_counts=True,
     )

@@ -214,7 +214,7 @@ def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
         enclosed |= bool(cavity.any())
         region |= sealed if r == 1 else _dilate(cavity & ~region, r) & sealed
     if not enclosed:
-        rays = _enclosed(occupied)
+        rays = _find_enclosed(occupied)
         if (rays & ~region).sum() > 0.5 * occupied.sum():
             region |= rays
     return region, ~region
@@ -226,7 +226,7 @@ def _flood_outside(free: Mask) -> Mask:
     return labels == labels[0, 0, 0]
 
 
-def _enclosed(occupied: Mask) -> Mask:
+def _find_enclosed(occupied: Mask) -> Mask:
     """Return the voxels from which five of six axis directions meet an occupied voxel."""
     hits = np.zeros(occupied.shape, np.uint8)
     for axis in range(3):

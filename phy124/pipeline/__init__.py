@@ -1,9 +1,9 @@
 """The whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
 
-Every function here reports progress and how long its stages take. A run that is refused or
-cancelled leaves nothing behind; one that stops early keeps its good frames, and so does a cancelled
-one if `keep` is set. Whatever else ends it (an error, want of room or memory, a kill), what is
-computed stays: the clip before it is filmed, and the frames so far for `go_on`.
+Every function here reports progress and the durations of its stages. A run that is refused or
+cancelled leaves nothing behind; one that stops early keeps its finished frames, and so does a
+cancelled one if `keep` is set. If anything else ends it (an error, lack of disk space or memory, a
+kill), its frames so far stay for `go_on`, and its clip stays once it is complete.
 """
 
 from __future__ import annotations
@@ -12,41 +12,42 @@ import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.forecast import Forecaster
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.cutout import Cutout
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.io.files import staging as staging
 from phy124.pipeline import resume
-from phy124.pipeline.composing import into_photograph as into_photograph
-from phy124.pipeline.gaussians import Static as Static
-from phy124.pipeline.making import CUTOUT, PAUSE, Making
-from phy124.pipeline.making import Result as Result
-from phy124.pipeline.making import circumstances as circumstances
-from phy124.pipeline.making import framed as framed
-from phy124.pipeline.making import playback as playback
-from phy124.pipeline.making import write_json as write_json
-from phy124.pipeline.objects import check_sources as check_sources
-from phy124.pipeline.objects import split
-from phy124.pipeline.objects import static as static
-from phy124.pipeline.objects import with_others as with_others
+from phy124.pipeline.gaussians import StaticObject as StaticObject
+from phy124.pipeline.gaussians import check_sources as check_sources
+from phy124.pipeline.gaussians import make_gaussians as make_gaussians
+from phy124.pipeline.gaussians import split
+from phy124.pipeline.gaussians import with_others as with_others
 from phy124.pipeline.room import warn_of_room
-from phy124.progress import Progress, silent
+from phy124.pipeline.run_folder import CUTOUT, PAUSE, RunFolder
+from phy124.pipeline.run_folder import Result as Result
+from phy124.pipeline.run_folder import playback as playback
+from phy124.pipeline.run_folder import view_report as view_report
+from phy124.pipeline.run_folder import write_json as write_json
 from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
 from phy124.rendering.film import rate as rate
 from phy124.rendering.film import refuse_unfilmable
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
-from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.scene.files import refuse_missing
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.parts import WHOLE, Crop
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from phy124.runtime.context import ContextOptions
 
 PathLike = str | os.PathLike[str]
 
@@ -55,10 +56,8 @@ def generate(
     image: PathLike | Sequence[PathLike],
     scene: Scene,
     out: PathLike,
+    context: RunContext | None = None,
     *,
-    device: str = "cpu",
-    threads: int | None = None,
-    progress: Progress = silent,
     goal: Goal | None = None,
     forecaster: Forecaster | None = None,
     keep: bool = False,
@@ -68,42 +67,39 @@ def generate(
 
     Args:
         image: The picture, or one for each object of the scene; a generator that is a .ply file
-            does not look at it.
+            ignores it.
         scene: What happens to the object.
         out: The folder to write.
-        device: Warp device, and where the generator runs.
-        threads: CPU threads that simulate and draw; None: one for each core that is free.
-        progress: Called with (stage, done, total); may raise Cancelled.
+        context: Device, threads, progress and stopwatch.
         goal: An error or a time; the accuracy is chosen to meet it (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run; the report compares it with the time taken.
         keep: Whether a cancelled run keeps its frames, so that `go_on` can continue it.
-        **making: How the Gaussians are made: the options of `static`.
+        **making: `device`, `threads` and `progress`, if there is no context; and options of
+            `phy124.pipeline.gaussians.make_object`.
 
     Raises:
         InputError: The picture, the scene or the options cannot be used.
-        Incomplete: Not all could be computed or written; it says what is kept, and where.
+        Incomplete: Not everything could be computed or written; the message says what is kept.
         Cancelled: `progress` raised it.
     """
-    refuse_threads(threads)
+    context = RunContext.pop(context, making)
+    refuse_threads(context.threads)
     refuse_missing(scene)
     check_sources(scene, split(image)[1])
     refuse_unfilmable(scene)
-    watch = Stopwatch()
-    with staging(out):  # Refused before any work, if at all.
-        options: dict[str, Any] = {"device": device, "progress": progress, "watch": watch}
-        made = static(image, scene, **options, **making)
+    with staging(out):  # An unusable folder is refused before any work.
+        made = make_gaussians(image, scene, context, **making)
         return simulate(
             made.gaussians,
             made.scene,
             out,
-            **options,
+            context,
             about=made.about,
             crop=made.crop,
             cutout=made.cutout,
             goal=goal,
             forecaster=forecaster,
             keep=keep,
-            threads=threads,
         )
 
 
@@ -111,11 +107,8 @@ def simulate(
     gaussians: Gaussians,
     scene: Scene,
     out: PathLike,
+    context: RunContext | None = None,
     *,
-    device: str = "cpu",
-    threads: int | None = None,
-    progress: Progress = silent,
-    watch: Stopwatch | None = None,
     about: dict[str, Any] | None = None,
     crop: Crop = WHOLE,
     cutout: Cutout | None = None,
@@ -125,6 +118,7 @@ def simulate(
     films: bool = True,
     rescues: bool = True,
     each: Callable[[Simulation, Frame], object] = lambda run, frame: None,
+    **fields: Unpack[ContextOptions],
 ) -> Result:
     """Turn static Gaussians into moving ones, videos and a report in a folder.
 
@@ -132,89 +126,82 @@ def simulate(
         gaussians: The object at any size, standing upright, facing +x.
         scene: What happens to it.
         out: The folder to write.
-        device: Warp device.
-        threads: CPU threads that simulate and draw; None: one for each core that is free.
-        progress: Called with (stage, done, total); may raise Cancelled.
-        watch: Where the durations of the stages are recorded.
-        about: What the report says about how the Gaussians were made.
+        context: Device, threads, progress and stopwatch.
+        about: Entries of the report about how the Gaussians were made.
         crop: Where the object is in the picture that the masks of parts were painted on.
-        cutout: The cut-out, to be saved beside the results.
+        cutout: The cut-out, to be saved with the results.
         goal: An error or a time; the accuracy is chosen to meet it (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run; the report compares it with the time taken.
         keep: Whether a run that `progress` cancels is filmed and kept, so that `go_on` can
             continue it.
         films: Whether videos are made.
-        rescues: Whether what is computed is kept, and told of by Incomplete, if the run fails or
-            its folder has no room.
+        rescues: Whether the frames so far are kept if the run fails or its folder has no space;
+            `Incomplete` then says where.
         each: Called with the simulation and every frame as soon as it is computed, but not for the
             grids that are tried to meet a `goal`.
+        **fields: `device`, `threads` and `progress`, if there is no context.
 
     Raises:
         InputError: The Gaussians, the scene or the folder cannot be used.
-        Incomplete: Not all could be computed or written; it says what is kept, and where.
+        Incomplete: Not everything could be computed or written; the message says what is kept.
         Cancelled: `progress` raised it.
     """
+    context = RunContext.of(context, **fields)
     refuse_missing(scene)
     if films:
         refuse_unfilmable(scene)
-    watch = watch or Stopwatch()
     png = None if cutout is None else cutout.png()
-    making = Making(
-        Path(out), device, progress, watch, dict(about or {}), keep, png, films, threads,
-        rescues=rescues,
-    )  # fmt: skip
+    folder = RunFolder(
+        Path(out), context, dict(about or {}), keep, png, films=films, rescues=rescues
+    )
 
-    def seen(run: Simulation, frame: Frame) -> None:
-        making.recording.see(run)
+    def see(run: Simulation, frame: Frame) -> None:
+        folder.recording.see(run)
         each(run, frame)
 
-    def moved() -> tuple[Simulation, Clip]:
-        context = RunContext(device=device, threads=threads, progress=progress, watch=watch)
+    def run_scene() -> tuple[Simulation, Clip]:
         if goal is not None:
-            see = making.recording.see
-            reached = reach(
-                goal, gaussians, scene, context, elapsed=watch.total, crop=crop, see=see
-            )
-            making.about["goal"] = reached.about
+            record, elapsed = folder.recording.see, context.watch.total
+            reached = reach(goal, gaussians, scene, context, elapsed=elapsed, crop=crop, see=record)
+            folder.about["goal"] = reached.about
             return reached.simulation, reached.clip
         run = Simulation(prepare(gaussians, scene, context, crop=crop))
-        warn_of_room(run, making.out, films=films)
+        warn_of_room(run, folder.out, films=films)
         if forecaster is not None:
-            with watch.stage("forecast"):
-                making.predicted = forecaster.of(run)
-        return run, run.run(partial(seen, run))
+            with context.watch.stage("forecast"):
+                folder.predicted = forecaster.of(run)
+        return run, run.run(partial(see, run))
 
-    return making.result(moved)
+    return folder.fill(run_scene)
 
 
 def go_on(
     out: PathLike,
     scene: Scene | None = None,
+    context: RunContext | None = None,
     *,
     any_accuracy: bool = False,
-    device: str = "cpu",
-    threads: int | None = None,
-    progress: Progress = silent,
     keep: bool = False,
+    **fields: Unpack[ContextOptions],
 ) -> Result:
     """Continue the run that was interrupted in a folder, bit for bit as if it had not been.
 
     Args:
         out: The folder of the interrupted run.
         scene: The scene that it must have; None: any.
+        context: Device, threads, progress and stopwatch. Without a number of threads there are as
+            many as before; with another number the run is equal only within rounding.
         any_accuracy: Whether its accuracy may differ from the scene's, as it does with a goal.
-        device: Warp device.
-        threads: CPU threads; None: as many as before. With another number the run goes on within
-            rounding.
-        progress: Called with (stage, done, total); may raise Cancelled.
         keep: Whether it is kept again if `progress` cancels it.
+        **fields: `device`, `threads` and `progress`, if there is no context.
 
     Raises:
-        InputError: There is no interrupted run, another process goes on with it, or it has another
+        InputError: There is no interrupted run, another process is continuing it, or it has another
             scene.
     """
-    refuse_threads(threads)
-    path, watch = Path(out) / PAUSE, Stopwatch()
+    context = RunContext.of(context, **fields)
+    refuse_threads(context.threads)
+    path = Path(out) / PAUSE
     if not path.is_file():
         limit = "no interrupted run was left there."
         raise InputError("resume", out, limit, "Leave --resume out to start from the beginning.")
@@ -223,40 +210,40 @@ def go_on(
         asked, paused = scene.data(), about["scene"]
         if any_accuracy:
             asked["accuracy"] = paused["accuracy"]
-        for own, found in zip(asked.get("objects", ()), paused.get("objects", ()), strict=False):
-            own["crop"] = found.get("crop")  # no option: its picture has told it
+        objects = zip(asked.get("objects", ()), paused.get("objects", ()), strict=False)
+        for asked_object, paused_object in objects:
+            # The crop is no option: it was read from the picture.
+            asked_object["crop"] = paused_object.get("crop")
         _refuse_other(asked, paused, out)
     refuse_unfilmable(Scene.from_data(about["scene"], str(path)))
     frames = resume.frames_of(path)
-    making = Making(
-        Path(out), device, progress, watch,
-        {name: value for name, value in about.items() if name not in ("scene", "frames")}, keep,
-        resume.read_files(path).get(CUTOUT), threads=threads, frames=frames,
-        continued=about["frames"],
-    )  # fmt: skip
+    entries = {name: value for name, value in about.items() if name not in ("scene", "frames")}
+    cutout = resume.read_files(path).get(CUTOUT)
+    folder = RunFolder(
+        Path(out), context, entries, keep, cutout, frames=frames, continued=about["frames"]
+    )
 
-    def moved() -> tuple[Simulation, Clip]:
-        context = RunContext(device=device, threads=threads, progress=progress, watch=watch)
+    def run_scene() -> tuple[Simulation, Clip]:
         run = resume.load(path, context, frames=frames)
-        warn_of_room(run, making.out, films=True)
-        return run, run.run(lambda _: making.recording.see(run))
+        warn_of_room(run, folder.out, films=True)
+        return run, run.run(lambda _: folder.recording.see(run))
 
-    return making.result(moved)
+    return folder.fill(run_scene)
 
 
 def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) -> None:
     """Raise InputError if two scenes differ; it names the field."""
-    asked, found = _flat(scene), _flat(paused)
-    for name in {**asked, **found}:
-        if asked.get(name) != found.get(name):
-            both = name in asked and name in found
-            what = f"{name} = {found[name]}, not {asked[name]}" if both else f"different {name}"
+    asked, before = _flat(scene), _flat(paused)
+    for name in {**asked, **before}:
+        if asked.get(name) != before.get(name):
+            both = name in asked and name in before
+            what = f"{name} = {before[name]}, not {asked[name]}" if both else f"different {name}"
             remedy = "Give the options of that run, or leave --resume out to start again."
             raise InputError("resume", out, f"the interrupted run has {what}.", remedy)
 
 
 def _flat(data: Any, name: str = "") -> dict[str, Any]:
-    """Nested data as a single level: "time.frames" -> 14."""
+    """Return nested data as a single level: "time.frames" -> 14."""
     parts = data.items() if isinstance(data, dict) else enumerate(data)
     flat: dict[str, Any] = {}
     for key, value in parts:

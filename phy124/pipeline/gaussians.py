@@ -1,56 +1,107 @@
-"""From a picture to static Gaussians: every choice that makes them is declared here, once."""
+"""From pictures to static Gaussians: every choice that makes them is declared here, once."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Gaussians, as_objects
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
 from phy124.generators.extras import DepthMap, OtherViews
+from phy124.generators.mesh import mesh
 from phy124.generators.options import UNCHANGED, Effort, GeneratorOptions, effort_of
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
 from phy124.imaging.objects import Point
+from phy124.imaging.painted import Crop, crop_of
+from phy124.io.clip import Clip
+from phy124.io.formats import is_file_of_gaussians
 from phy124.particles.thinning import thin, with_count
 from phy124.pipeline.capture import capture
-from phy124.progress import Progress, silent
+from phy124.runtime.context import RunContext
 from phy124.runtime.isolated import Deadline
-from phy124.runtime.stopwatch import Stopwatch
-from phy124.scene import Scene
-from phy124.simulation.parts import Crop, crop_of
+from phy124.scene import Scene, preset_names
+from phy124.simulation.bodies import errors_prefixed_with, refuse_ids
 
 PathLike = str | os.PathLike[str]
+SHARED = ("generator", "count", "on_cutout")
+"""Options of the first object that hold for the others, too."""
+CLIP = ".safetensors"
+"""Ending of a clip."""
 
 
 @dataclass(frozen=True)
-class Static:
-    """The object made from a picture, before anything happens to it."""
+class StaticObject:
+    """The objects made from pictures, before anything happens to them."""
 
     gaussians: Gaussians
+    """With `object_id` if there are several objects."""
     scene: Scene
-    """The scene for it; for a capture with the floor that was found, and regions in metres."""
+    """The scene; for a capture with the detected floor, and regions in metres."""
     crop: Crop
-    """Where the object is in the picture."""
+    """Where the first object is in its picture."""
     cutout: Cutout | None
-    """The cut-out; None without a picture."""
+    """The cut-out of the first object; None without a picture."""
     about: dict[str, Any]
-    """How the object was cut out, and which generator made the Gaussians."""
+    """How the objects were cut out, and which generator made the Gaussians."""
     effort: Effort | None
-    """What the generator was forecast to take, if it takes long."""
+    """Forecast of the generator's time, if it takes long."""
 
 
-def static(
-    image: PathLike,
+class Objects(NamedTuple):
+    """The objects of a scene as far as they are made from pictures or files."""
+
+    gaussians: Gaussians
+    """With `object_id` if there are several."""
+    scene: Scene
+    """The scene, in which each object knows where it is in its picture."""
+    about: dict[str, Any]
+    """How they were made, for the report."""
+
+
+def make_gaussians(
+    image: PathLike | Sequence[PathLike],
     scene: Scene | None = None,
+    context: RunContext | None = None,
+    **making: Any,
+) -> StaticObject:
+    """Turn a picture, or one for each object of a scene, into static Gaussians.
+
+    Args:
+        image: The picture, or several: the first object's, then those of the scene's `objects`
+            that name no picture, file or shape, in order. Missing ones are copies of the first.
+        scene: The scene that the Gaussians are made for; None: the default scene.
+        context: Device of the generator, progress and stopwatch.
+        **making: Options of `make_object` for the first object, of which the others share
+            generator, number of Gaussians and `on_cutout`; and fields of the context.
+
+    Raises:
+        InputError: A picture or the options cannot be used, or there are too many pictures.
+    """
+    scene, context = scene or Scene(), RunContext.pop(context, making)
+    first, more = split(image)
+    check_sources(scene, more)
+    made = make_object(first, scene, context, **making)
+    if not scene.objects:
+        return made
+    shared = {name: making[name] for name in SHARED if name in making}
+    every = with_others(made.gaussians, made.scene, more, context, **shared)
+    about = made.about | every.about
+    return replace(made, gaussians=every.gaussians, scene=every.scene, about=about)
+
+
+def make_object(
+    image: PathLike,
+    scene: Scene,
+    context: RunContext,
     *,
     generator: str | Generator = "relief",
     options: GeneratorOptions = UNCHANGED,
@@ -60,56 +111,64 @@ def static(
     pick: Point | None = None,
     depth: DepthMap | None = None,
     views: OtherViews | None = None,
-    looked: Callable[[Cutout], object] = lambda cutout: None,
-    announce: Callable[[Effort], object] = lambda effort: None,
-    stand_in: bool = False,
+    on_cutout: Callable[[Cutout], object] = lambda cutout: None,
+    on_estimate: Callable[[Effort], object] = lambda effort: None,
+    preview_with_relief: bool = False,
     count: int | None = None,
-    device: str = "cpu",
-    progress: Progress = silent,
-    watch: Stopwatch | None = None,
-) -> Static:
-    """Turn a picture into static Gaussians.
+) -> StaticObject:
+    """Turn the picture of one object into static Gaussians.
 
     Args:
-        image: The picture; a generator that is a .ply file does not look at it.
-        scene: What will happen to them; None: the default scene.
+        image: The picture; a generator that is a .ply file ignores it.
+        scene: The scene that the Gaussians are made for.
+        context: Device of the generator, progress and stopwatch.
         generator: Name, path of a .ply file, or a generator itself.
         options: How much work the generator does.
         reading: How to interpret that .ply file, and whether to find its floor.
         method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.
-        pick: A place on the object that is meant, if there are several.
+        pick: A point on the object, if the picture shows several.
         depth: Depth map of the picture, for `relief`.
         views: Further pictures of the object, for `relief`.
-        looked: Called with each cut-out before the long work begins.
-        announce: Called with what the generator will take, if it takes long, before it begins.
-        stand_in: Whether `relief` takes the place of a generator that takes long, for a forecast.
+        on_cutout: Called with each cut-out before the long work begins.
+        on_estimate: Called with the generator's forecast before it begins, if it takes long.
+        preview_with_relief: Whether `relief` replaces a generator that takes long, for a forecast.
         count: Largest number of Gaussians.
-        device: Where the generator runs, by Warp's name.
-        progress: Called with (stage, done, total); may raise Cancelled.
-        watch: Where the durations of the stages are recorded.
 
     Raises:
         InputError: The picture or the options cannot be used.
     """
-    watch, scene = watch or Stopwatch(), scene or Scene()
+    watch, progress = context.watch, context.progress
     name = generator if isinstance(generator, str) else type(generator).__name__
-    make = with_count(make_generator(generator, reading, options, device), count)
+    make = with_count(make_generator(generator, reading, options, context.device), count)
     make = depth.bind(make, name) if depth else make
     deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
+
+    def cut_view(field: str, path: Path) -> Cutout:
+        """Return the object in a further picture, for the option of this name."""
+        try:
+            with watch.stage("image"):
+                way = method if mask is None else "auto"
+                cutout = cut_out(path, way, field=field, deadline=deadline)
+        except InputError as error:
+            raise InputError(field, path, error.limit, error.remedy) from error
+        on_cutout(cutout)
+        return cutout
+
     if views:
-        way = method if mask is None else "auto"
-        cut = partial(_cut_view, method=way, deadline=deadline, looked=looked, watch=watch)
-        make = views.bind(make, name, cut)
+        make = views.bind(make, name, cut_view)
     cutout, picture = None, Image.new("RGBA", (1, 1))
     if needs_image(generator):
         with watch.stage("image"):
             cutout = cut_out(image, method, mask=mask, pick=pick, deadline=deadline)
             progress("cut out", 1, 1)
-        looked(cutout)
+        on_cutout(cutout)
         picture = cutout.picture
     else:
-        _refuse_cutting(name, mask=mask, pick=pick)
+        for field, value in (("mask", mask), ("pick", pick)):
+            if value is not None:
+                limit = f"{name} does not look at a picture."
+                raise InputError(field, value, limit, "Leave it out, or choose another generator.")
     about: dict[str, Any] = {
         "foreground": cutout and cutout.method,
         "cutout": cutout and cutout.data(),
@@ -120,9 +179,9 @@ def static(
     with watch.stage("generate"):
         effort = effort_of(make)
         if effort is not None:
-            announce(effort)
+            on_estimate(effort)
             about["effort"] = {**effort.settings, "predicted": effort.seconds}
-            make = with_count(make_generator("relief"), count) if stand_in else make
+            make = with_count(make_generator("relief"), count) if preview_with_relief else make
         if isinstance(make, PlyFile):
             read = capture(make, scene, count=count, progress=progress)
             gaussians, scene = read.gaussians, read.scene
@@ -130,35 +189,109 @@ def static(
         else:
             gaussians = make(picture, seed=scene.seed, progress=progress)
             gaussians = thin(gaussians, count, seed=scene.seed)
-    return Static(gaussians, scene, crop_of(picture), cutout, about, effort)
+    return StaticObject(gaussians, scene, crop_of(picture), cutout, about, effort)
 
 
-def _cut_view(
-    field: str,
-    path: Path,
+def with_others(
+    first: Gaussians,
+    scene: Scene,
+    more: Sequence[PathLike] = (),
+    context: RunContext | None = None,
     *,
-    method: str,
-    deadline: Deadline,
-    looked: Callable[[Cutout], object],
-    watch: Stopwatch,
-) -> Cutout:
-    """The object in a further picture, for the option of this name."""
-    try:
-        with watch.stage("image"):
-            found = cut_out(path, method, field=field, deadline=deadline)
-    except InputError as error:
-        raise InputError(field, path, error.limit, error.remedy) from error
-    looked(found)
-    return found
+    generator: str | Generator = "relief",
+    count: int | None = None,
+    on_cutout: Callable[[Cutout], object] = lambda cutout: None,
+) -> Objects:
+    """Return the first object and those that are made from pictures or files.
 
-
-def _refuse_cutting(generator: str, **told: Any) -> None:
-    """Check that nothing is told of a picture that the generator does not look at.
+    Args:
+        first: The Gaussians of the first object; or of several, with `object_id`.
+        scene: The scene.
+        more: Pictures or files for the objects that name none, in order.
+        context: Device of the generator, progress and stopwatch.
+        generator: What makes Gaussians of a picture, unless an object says otherwise.
+        count: Largest number of Gaussians of each.
+        on_cutout: Called with each cut-out before the long work begins.
 
     Raises:
-        InputError: Something is.
+        InputError: A picture or file cannot be used, or there are too many.
     """
-    for name, value in told.items():
-        if value is not None:
-            limit = f"{generator} does not look at a picture."
-            raise InputError(name, value, limit, "Leave it out, or choose another generator.")
+    check_sources(scene, more)
+    if not scene.objects:
+        return Objects(first, scene, {})
+    refuse_ids(first, scene)
+    context, remaining = context or RunContext(), iter(more)
+    usual = generator if needs_image(generator) else "relief"
+    made = {index: first.of_object(index) for index in range(len(scene.objects) + 1)}
+    objects, about = list(scene.objects), {}
+    for index, body in enumerate(scene.objects, 1):
+        if body.mesh is not None and not len(made[index]):
+            with errors_prefixed_with(scene, index):
+                solid = mesh(body.mesh, body.colour, seed=scene.seed)
+            made[index] = thin(solid, count, seed=scene.seed)
+            about[body.name] = {"source": body.mesh.name, "generator": "mesh"}
+        source = (next(remaining, None) if body.waits else None) or body.picture or body.file
+        if source is None:
+            continue
+        if Path(source).suffix == CLIP:
+            with errors_prefixed_with(scene, index):
+                made[index] = thin(at_rest(source), count, seed=scene.seed)
+            about[body.name] = {"source": Path(source).name, "generator": "clip"}
+            continue
+        maker = str(source) if is_file_of_gaussians(source) else body.generator or usual
+        with errors_prefixed_with(scene, index):
+            other = make_object(
+                source,
+                scene.alone(index),
+                context,
+                generator=maker,
+                count=count,
+                on_cutout=on_cutout,
+            )
+        made[index] = other.gaussians
+        if other.cutout is not None:
+            objects[index - 1] = body.model_copy(update={"crop": other.crop})
+        about[body.name] = {"source": Path(source).name, **other.about}
+    scene = scene.model_copy(update={"objects": tuple(objects)})
+    gaussians = as_objects({index: body for index, body in made.items() if len(body)})
+    return Objects(gaussians, scene, {"sources": about} if about else {})
+
+
+def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLike, ...]]:
+    """Return the first picture and the others."""
+    if isinstance(image, (str, os.PathLike)):
+        return image, ()
+    first, *more = image
+    return first, tuple(more)
+
+
+def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
+    """Refuse more pictures than there are objects that wait for a picture.
+
+    Raises:
+        InputError: There are more pictures.
+    """
+    waiting = sum(body.waits for body in scene.objects)
+    if len(more) <= waiting:
+        return
+    several = [name for name in preset_names() if any(o.waits for o in Scene.named(name).objects)]
+    limit = (
+        f"the scene has {waiting} further objects that take a picture."
+        if waiting
+        else "the scene takes one picture."
+    )
+    remedy = f"Leave it out, or choose a scene of several objects: {', '.join(several)}."
+    raise InputError("image", more[waiting], limit, remedy)
+
+
+def at_rest(path: PathLike) -> Gaussians:
+    """Return the object of a clip as it is in the first frame.
+
+    Raises:
+        InputError: It is no clip, or one of several objects.
+    """
+    gaussians = Clip.load(path).surface.frame(0).gaussians
+    if gaussians.object_id is not None:
+        remedy = "Give the files of Gaussians or pictures that they were made of."
+        raise InputError("file", path, "it is a clip of several objects.", remedy)
+    return gaussians

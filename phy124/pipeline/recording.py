@@ -1,8 +1,8 @@
-"""A run on disk while it goes on: its frames as they are computed, and now and then its state.
+"""A run on disk: its frames as they are computed, and from time to time its state.
 
-Whatever ends a run then (kill -9, want of memory, an error) leaves a pause from which `resume` goes
-on. The frames go to the file that becomes the clip, so they are written once, as they would be
-without. The state is written so rarely that it takes a hundredth of the time.
+Whatever ends the run (kill -9, lack of memory, an error), `resume` can continue from the last
+state. Frames are written once, to the file that becomes the clip. The state is written so rarely
+that this takes a hundredth of the time.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from phy124.runtime.context import RunContext
 from phy124.simulation import Simulation
 
 PAUSE = "pause.safetensors"
-"""Name of the file from which an interrupted run goes on."""
+"""File from which an interrupted run continues."""
 FRAMES = "pause-{}.frames"
-"""Name of the file with the frames of a run that goes on, or was killed."""
+"""File with the frames of a run that is in progress, or was killed."""
 COST = 0.01
 """Largest fraction of the time that writing the state takes."""
 GUESS = 4e8
-"""How fast the state is written, until that has been measured [bytes/s]."""
+"""Speed of writing the state until it has been measured [bytes/s]."""
 HEADER, PER_FRAME = 32_000, 120
-"""Room for the report in the clip, and for what it says of each frame [bytes]."""
+"""Space for the report in the clip, and for its entries of each frame [bytes]."""
 
 
 class Recording:
-    """What a run keeps in its folder while it goes on."""
+    """Writes a run to its folder while it is in progress."""
 
     def __init__(
         self,
@@ -50,26 +50,26 @@ class Recording:
         frames: Growing | None = None,
         saved: int = 0,
     ) -> None:
-        """Nothing is written before the first frame.
+        """Write nothing before the first frame.
 
         Args:
             out: The folder of the run; None: nothing is kept.
-            about: What is known about the run, as far as it is known when the state is written.
-            files: Further results, which are there before the first frame.
+            about: Entries of the report, as far as they are known when the state is written.
+            files: Further results, known before the first frame.
             frames: The file of the frames of the run that is continued, if it has one.
             saved: Number of frames of the run that is continued.
         """
         self.out, self.path = out, (out or Path()) / PAUSE
         self.about, self.files, self.frames = about, files, frames
         self.failed = out is None or not disk.LOCKS_AVAILABLE
-        """Whether it was given up."""
+        """Whether nothing more is written."""
         self.resumed, self.saved = saved > 0, saved
-        """Number of frames from which the run can go on, should it be ended now."""
+        """Number of frames after which the run could be continued if it ended now."""
         self._run: Simulation | None = None
         self._put, self._last, self._cost = 0, time.perf_counter(), 0.0
 
     def see(self, run: Simulation) -> None:
-        """Write the frames that are new and, if it is time, the state."""
+        """Write new frames and, if enough time has passed, the state."""
         if run is not self._run:
             self._begin(run)
         if self.failed:
@@ -109,10 +109,10 @@ class Recording:
         self._cost = self._last - begun
 
     def finish(self, clip: Clip, path: Path) -> None:
-        """Write the clip; most often its frames are there, and only the header is missing.
+        """Write the clip; usually its frames are written, and only the header is missing.
 
         Raises:
-            OSError: There is no room.
+            OSError: The disk is full.
         """
         with suppress(OSError):
             if self.frames is not None and not self.failed and self.frames.finish(clip, path):
@@ -120,7 +120,7 @@ class Recording:
         clip.save(path)
 
     def restate(self, clip: Clip) -> None:
-        """Renew the report in the clip that was written, if its file has room for it.
+        """Replace the report in the written clip, if its file has space for it.
 
         Raises:
             OSError: It cannot be written.
@@ -129,27 +129,27 @@ class Recording:
             self.frames.state(clip)
 
     def discard(self) -> None:
-        """Remove the pause, and the frames with it; in a folder that became read-only both stay."""
+        """Remove pause and frames; in a folder that became read-only both stay."""
         if self.out is not None:
             with suppress(OSError):
                 self.path.unlink(missing_ok=True)
         self.close()
 
     def close(self) -> None:
-        """Remove the frames, which are elsewhere by now, or of no use."""
+        """Remove the frames, which are saved elsewhere, or useless."""
         if self.frames is not None:
             self.frames.remove()
         self.frames, self.failed = None, True
 
     def drop(self) -> None:
-        """Remove what this run has written; of a run that is continued, all stays."""
+        """Remove the files of this run; a continued run keeps all."""
         if self.resumed or not self.saved:
             self.leave()
         else:
             self.discard()
 
-    def rescued(self) -> int:
-        """Leave what can be kept of a run that failed; returns how many frames that is."""
+    def rescue(self) -> int:
+        """Keep the frames of a run that failed; return their number."""
         if self._run is not None:
             with suppress(Exception):
                 self.pause(self._run)
@@ -157,13 +157,13 @@ class Recording:
         return self.saved
 
     def leave(self) -> None:
-        """Let what is on disk stay for `resume`."""
+        """Keep the files on disk for `resume`."""
         if self.frames is not None:
             self.frames.close() if self.saved else self.frames.remove()
         self.frames, self.failed = None, True
 
     def _begin(self, run: Simulation) -> None:
-        """Turn to another run: a search for an accuracy makes several, one after the other."""
+        """Start with another run: a search for an accuracy makes several runs."""
         first, self._run, self._last = self._run is None, run, time.perf_counter()
         if first:
             self._put = 0 if self.frames is None else self.saved
@@ -172,13 +172,13 @@ class Recording:
             self.frames, self._put, self.saved = None, 0, 0
 
     def _write_frames(self, run: Simulation) -> None:
-        """Write what is new, and read it from the file from now on, which takes no memory."""
+        """Write the new frames, and read them from the file from now on, which takes no memory."""
         for place in range(self._put, run.count):
             frame, turns = run.frames[place], run.rotations[place] if run.rotations else None
             if self.frames is None:
                 path = self.path.with_name(FRAMES.format(secrets.token_hex(4)))
                 count, header = run.scene.time.frames, self._header(run)
-                with disk.locking(path.parent):  # nobody takes it for a leftover meanwhile
+                with disk.locking(path.parent):  # so that no other process removes it
                     self.frames = Growing.like(path, frame, count, rotation=turns, header=header)
             run.frames[place], turned = self.frames.put(frame, turns)
             if turned is not None:
@@ -191,20 +191,20 @@ class Recording:
         self._put = run.count
 
     def _header(self, run: Simulation) -> int:
-        """Room for what the clip's file says of itself [bytes]."""
-        told = len(json.dumps([run.setup.cleaned_scene.data(), self.about]))
-        return HEADER + 2 * told + PER_FRAME * run.scene.time.frames
+        """Return the space for the header of the clip's file [bytes]."""
+        size = len(json.dumps([run.setup.cleaned_scene.data(), self.about]))
+        return HEADER + 2 * size + PER_FRAME * run.scene.time.frames
 
     def _is_due(self, run: Simulation) -> bool:
-        """Whether the state may be written: the time since it was last pays for that."""
-        given = run.setup.source
-        size = 4 * sum(a.size for a in (given.means, given.quats, given.scales, given.sh))
+        """Return whether enough time has passed since the state was written last."""
+        source = run.setup.source
+        size = 4 * sum(a.size for a in (source.means, source.quats, source.scales, source.sh))
         cost = self._cost or (size + 300 * len(run.setup.particles)) / GUESS
         return COST * (time.perf_counter() - self._last) >= cost
 
 
-def taken_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, Recording]:
-    """The run that was left in a folder, if one can go on from there, and what keeps it.
+def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, Recording]:
+    """Return the run that was left in a folder, if it can be continued, and its recording.
 
     Args:
         out: The folder; None: nothing is kept.
@@ -227,15 +227,15 @@ def taken_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, 
 
 def sweep(out: Path) -> None:
     """Remove the frames of killed runs from a folder, except those that its pause needs."""
-    found = list(out.glob(FRAMES.format("*")))
-    if not found:
+    leftover = list(out.glob(FRAMES.format("*")))
+    if not leftover:
         return
     needed = None
     if (out / PAUSE).is_file():
         with suppress(InputError):
             needed = (resume.read_frames(out / PAUSE) or {}).get("file")
     with disk.locking(out):
-        for path in (path for path in found if path.name != needed):
+        for path in (path for path in leftover if path.name != needed):
             held = disk.lock(path)
             if held is not None:
                 path.unlink(missing_ok=True)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from phy124.errors import InputError
-from phy124.gaussians import Frame, Gaussians, of_walls, rotate_sh, stacked
+from phy124.gaussians import Frame, Gaussians, of_walls, rotate_sh, stack_wrenches
 from phy124.io.clip import save_tensors
 from phy124.io.files import replacing
 from phy124.io.growing import MOVING, SHAPES, Growing
@@ -35,10 +35,10 @@ FORMAT = "phy124-pause-6"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 OBJECTS = "given.object_id"
 FILE = "file."
-"""What the names of files begin with that are saved with a run."""
+"""Prefix of the names of files that are saved with a run."""
 Tensors = dict[str, NDArray]
 ARRAY = "array"
-"""In place of an array, which is stored beside."""
+"""Placeholder of an array, which is stored as a tensor."""
 
 
 def save(
@@ -49,18 +49,18 @@ def save(
     frames: Growing | None = None,
     files: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Write a paused run, as it was after its last frame.
+    """Write the state of a paused run after its last frame.
 
     Args:
         run: The run.
         path: Where to write it.
-        about: What `read_about` returns.
-        frames: The file in the same folder that holds the frames; None: they are written, too.
-        files: What `read_files` returns.
+        about: Entries that `read_about` returns.
+        frames: The file in the same folder with the frames; None: they are written, too.
+        files: Files that `read_files` returns.
 
     Raises:
         InputError: If the folder is missing or no file can be made there.
-        OSError: If there is no room.
+        OSError: If the disk is full.
     """
     run.scene.require_serialisable()
     tensors: Tensors = {f"given.{name}": getattr(run.setup.source, name) for name in GAUSSIANS}
@@ -101,8 +101,8 @@ def load(
     Args:
         path: The file.
         context: Device, threads, progress and stopwatch. Without a number of threads there are as
-            many as before the pause, so that the run goes on bit for bit; with another number it
-            goes on to within rounding, which its report notes. The seconds spent before the pause
+            many as before the pause, so that the run continues bit for bit; with another number it
+            is equal to within rounding, which its report notes. The seconds spent before the pause
             are added to the stopwatch.
         frames: The file of its frames, if it is open already (`frames_of`).
         observers: Classes of observers, as for `prepare`.
@@ -112,7 +112,7 @@ def load(
     """
     context = context or RunContext()
     metadata, tensors = _read(Path(path))
-    kept = _kept(metadata, tensors, frames or frames_of(path))
+    saved = _saved_frames(metadata, tensors, frames or frames_of(path))
     means, quats, scales, opacities, sh = (tensors[f"given.{name}"] for name in GAUSSIANS)
     left, top, right, bottom = metadata["crop"]
     if context.threads is None:
@@ -130,60 +130,60 @@ def load(
     context.watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])
     run.restore(_whole(metadata["run"], tensors, "run"))
     run.remarks += _threads_differ(metadata["threads"], len(run.solver.workers))
-    _put_frames(run, kept)
+    _put_frames(run, saved)
     _turn_last(run)
     return run
 
 
 def frames_of(path: str | os.PathLike[str]) -> Growing | None:
-    """The file of a paused run's frames, open; None if they are in the run's own file.
+    """Open the file of a paused run's frames; None if they are in the run's own file.
 
     Raises:
-        InputError: It is missing, or another process is going on with the run.
+        InputError: It is missing, or another process is continuing the run.
     """
     place = read_frames(path)
     return None if place is None else Growing.there(Path(path).parent, place)
 
 
 def read_frames(path: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """Which file a paused run's frames are in; None if they are in the run's own file."""
+    """Return the file of a paused run's frames; None if they are in the run's own file."""
     return _read(Path(path), tensors=False)[0]["frames"].get("growing")
 
 
 def read_files(path: str | os.PathLike[str]) -> dict[str, bytes]:
-    """Files that were saved with a run, by name."""
+    """Return files that were saved with a run, by name."""
     tensors = _read(Path(path))[1]
-    found = {name: array for name, array in tensors.items() if name.startswith(FILE)}
-    return {name.removeprefix(FILE): array.tobytes() for name, array in found.items()}
+    files = {name: array for name, array in tensors.items() if name.startswith(FILE)}
+    return {name.removeprefix(FILE): array.tobytes() for name, array in files.items()}
 
 
-def _kept(metadata: dict[str, Any], tensors: Tensors, frames: Growing | None) -> Tensors:
-    """The frames so far: each array's rows."""
+def _saved_frames(metadata: dict[str, Any], tensors: Tensors, frames: Growing | None) -> Tensors:
+    """Return the frames so far: the rows of each array."""
     if frames is not None:
         count = metadata["frames"]["count"]
         return {name: rows[:count] for name, rows in frames.arrays.items() if name in MOVING}
-    own = "frames."
-    return {name.removeprefix(own): a for name, a in tensors.items() if name.startswith(own)}
+    start = "frames."
+    return {n.removeprefix(start): a for n, a in tensors.items() if n.startswith(start)}
 
 
 def _threads_differ(before: int, now: int) -> list[str]:
-    """A note if a run goes on with another number of threads."""
+    """Return a note if a run is continued with another number of threads."""
     if before == now:
         return []
     return [
-        f"The run was paused with {before} CPU thread(s) and went on with {now}: from there on it "
-        "is what it would have been to within rounding, not bit for bit."
+        f"The run was paused with {before} CPU thread(s) and continued with {now}: from then on it "
+        "equals the uninterrupted run to within rounding, not bit for bit."
     ]
 
 
 def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """What was saved about a run: its `scene`, the `frames` so far, and what the caller added."""
+    """Return a saved run's `scene`, the number of `frames` so far, and the caller's entries."""
     metadata, _ = _read(Path(path), tensors=False)
     return {**metadata["about"], "scene": metadata["scene"], "frames": metadata["frames"]["count"]}
 
 
 def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
-    """A snapshot without its arrays, which go to `tensors` under their path."""
+    """Return a snapshot without its arrays, which go to `tensors` under their path."""
     if isinstance(tree, dict):
         return {key: _plain(value, tensors, f"{name}.{key}") for key, value in tree.items()}
     if isinstance(tree, (np.ndarray, wp.array)):
@@ -193,7 +193,7 @@ def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
 
 
 def _whole(tree: Any, tensors: Tensors, name: str) -> Any:
-    """A snapshot with its arrays."""
+    """Return a snapshot with its arrays."""
     if not isinstance(tree, dict):
         return tree
     if ARRAY in tree:
@@ -202,7 +202,7 @@ def _whole(tree: Any, tensors: Tensors, name: str) -> Any:
 
 
 def _frames(run: Simulation) -> Tensors:
-    """The frames so far."""
+    """Return the frames so far."""
     tensors: Tensors = {"frames.times": np.array([f.time for f in run.frames])}
     if run.frames:
         for name in ("means", "quats", "scales"):
@@ -213,14 +213,14 @@ def _frames(run: Simulation) -> Tensors:
             if kept:
                 tensors[f"frames.{name}"] = np.stack(kept)
     if run.frames and run.frames[-1].wrenches is not None:
-        tensors["frames.wrenches"] = stacked(run.frames)
+        tensors["frames.wrenches"] = stack_wrenches(run.frames)
     if run.rotations:
         tensors["frames.rotations"] = np.stack(run.rotations)
     return tensors
 
 
 def _put_frames(run: Simulation, kept: Tensors) -> None:
-    """Give a run its frames so far, of which each array has a row."""
+    """Give a run its frames so far; each frame is a row of the arrays."""
     walls = kept.get("wrenches")
     wrenches_of = run.find(Wrenches)
     names = () if wrenches_of is None else wrenches_of.names
@@ -235,7 +235,7 @@ def _put_frames(run: Simulation, kept: Tensors) -> None:
 
 
 def _turn_last(run: Simulation) -> None:
-    """Rotate the colours of the last frame with the material: it is shown again if all rests."""
+    """Rotate the colours of the last frame with the material; a resting run repeats this frame."""
     if run.frames and run.rotations:
         last = run.frames[-1]
         turned = replace(last.gaussians, sh=rotate_sh(last.gaussians.sh, run.rotations[-1]))
@@ -243,7 +243,7 @@ def _turn_last(run: Simulation) -> None:
 
 
 def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]:
-    """The facts and the arrays of a file."""
+    """Return the metadata and the arrays of a file."""
     remedy = "Give a file that a stopped run left, or run without --resume."
     if hindrance := obstacle(path):
         raise InputError("paused run", path, hindrance[0], remedy)
@@ -254,11 +254,11 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
             arrays = {name: file.get_tensor(name) for name in names}
     except (SafetensorError, OSError) as error:
         raise InputError("paused run", path, f"it cannot be read ({error}).", remedy) from error
-    found = metadata.pop("format", "")
-    if found != FORMAT and found.startswith(FORMAT.rpartition("-")[0]):
-        limit = "another version of phy124 wrote it, which computes otherwise."
-        raise InputError("paused run", path, limit, "Run it anew, without --resume.")
-    if found != FORMAT:
+    version = metadata.pop("format", "")
+    if version != FORMAT and version.startswith(FORMAT.rpartition("-")[0]):
+        limit = "another version of phy124 wrote it, whose results differ."
+        raise InputError("paused run", path, limit, "Run it again, without --resume.")
+    if version != FORMAT:
         raise InputError("paused run", path, "it is not a paused run.", remedy)
     facts = {name: json.loads(text) for name, text in metadata.items()}
     if tensors and facts.get("checksum") not in (None, _checksum(arrays)):
@@ -267,7 +267,7 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
 
 
 def _checksum(tensors: Tensors) -> int:
-    """CRC-32 of all arrays in the order of their names; older files have none."""
+    """Return the CRC-32 of all arrays in the order of their names; older files have none."""
     total = 0
     for name in sorted(tensors):
         total = zlib.crc32(np.ascontiguousarray(tensors[name]).data, total)

@@ -1,14 +1,14 @@
-"""Compiles ahead of time what runs of some scenes launch, so that no run waits for it."""
+"""Compiles the kernels of some scenes ahead of time, so that no run waits for them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from phy124.generators.shapes import ball
 from phy124.kernels.implicit import HULL, INFLATED, push
 from phy124.kernels.splat import shadow, stage
 from phy124.kernels.splat.arrange import arrange
-from phy124.progress import Progress, silent
 from phy124.rendering.render import Renderer
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.context import RunContext
@@ -28,28 +28,27 @@ FEW = {"accuracy.cells": 8, "accuracy.particles_per_axis": 1.0, "time.frames": 2
 """What makes a run of any scene short; its precision stays, as kernels depend on it."""
 
 
-def warm(scenes: Sequence[Scene], device: str = "cpu", progress: Progress = silent) -> int:
+def warm(scenes: Sequence[Scene], context: RunContext) -> int:
     """Compile the kernels of `relief`, of scenes, of the renderer and of the stage.
 
     Args:
         scenes: The scenes.
-        device: Warp device.
-        progress: Called with ("compile", modules done, modules) if any are missing, and with
-            ("try", scenes done, scenes); may raise Cancelled.
+        context: Device, and progress, which is called with ("compile", modules done, modules) if
+            any are missing, and with ("try", scenes done, scenes).
 
     Returns:
-        How many modules were compiled side by side.
+        Number of modules that were compiled at the same time.
     """
+    device, progress = context.device, context.progress
     drawn = STAGE["cpu" if device == "cpu" else "cuda"]
     listed = [kernel for scene in scenes for kernel in kernels(scene, device)]
     compiled = compile_missing(RELIEF, "cpu", progress)
     compiled += compile_missing([*listed, *drawn], device, progress)
     Renderer(device=device)
-    # Forces and the second thread bring small kernels that are not listed: short runs find them.
+    # Forces and the second thread need small kernels that are not listed: short runs find them.
     threads = min(2, cores()) if device == "cpu" else None
     for done, scene in enumerate(scenes, 1):
-        Simulation(
-            prepare(ball(300), scene.replaced(FEW), RunContext(device=device, threads=threads))
-        ).run()
+        probe = replace(context.aside(), threads=threads)
+        Simulation(prepare(ball(300), scene.replaced(FEW), probe)).run()
         progress("try", done, len(scenes))
     return compiled

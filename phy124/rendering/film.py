@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from phy124.errors import InputError
 from phy124.io.clip import Clip
@@ -22,14 +22,19 @@ from phy124.io.video import (
     write_mp4,
     write_pictures,
 )
-from phy124.progress import Progress, silent
+from phy124.progress import Progress
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras as cameras
 from phy124.rendering.outputs import refuse_outputs, refuse_unkept, write_outputs
 from phy124.rendering.shine import Shine, make_shine
 from phy124.rendering.stage.build import Stage, make_stage
-from phy124.runtime.stopwatch import Stopwatch
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from phy124.runtime.context import ContextOptions
 
 PathLike = str | os.PathLike[str]
 
@@ -38,11 +43,8 @@ def film(
     clip: Clip,
     view: View,
     folder: PathLike,
-    *,
-    device: str = "cpu",
-    threads: int | None = None,
-    progress: Progress = silent,
-    watch: Stopwatch | None = None,
+    context: RunContext | None = None,
+    **fields: Unpack[ContextOptions],
 ) -> list[Path]:
     """Write every format and every output of a view, from each of its sides.
 
@@ -52,11 +54,9 @@ def film(
         clip: The clip to film.
         view: Sides, size, background, formats and outputs.
         folder: Where to write; it is made if it is missing.
-        device: Warp's name of the device that draws.
-        threads: CPU threads that draw videos and pictures; None: the number of cores.
-        progress: Called as ("render SIDE", pictures done, pictures in all) for each side, and as
-            ("outputs SIDE", ...) for its outputs.
-        watch: A stopwatch that counts drawing and encoding.
+        context: Device, threads, stopwatch, and progress, which is called as ("render SIDE",
+            pictures done, pictures in all) for each side, and as ("outputs SIDE", ...).
+        **fields: `device`, `threads` and `progress`, if there is no context.
 
     Returns:
         The files and folders written.
@@ -64,30 +64,31 @@ def film(
     Raises:
         InputError: The clip lacks the data of an output, or a package is missing.
     """
-    folder, watch = Path(folder), watch or Stopwatch()
+    folder, context = Path(folder), RunContext.of(context, **fields)
+    watch = context.watch
     refuse_unkept(clip, view)
     folder.mkdir(parents=True, exist_ok=True)
-    stage, shine = make_stage(clip, view, device=device), make_shine(clip, view)
+    stage, shine = make_stage(clip, view, device=context.device), make_shine(clip, view)
     paths: list[Path] = []
     for name in view.formats:
         if name in EXPORTS:
             with watch.stage("export"):
-                paths.append(EXPORTS[name](clip, folder, progress))
+                paths.append(EXPORTS[name](clip, folder, context.progress))
             continue
-        with closing(_images(clip, view, stage, shine, device, threads)) as images:
+        with closing(_images(clip, view, stage, shine, context)) as images:
             for side in view.sides:
                 before = watch.seconds.get("render", 0.0)
                 with watch.stage("encode"):
-                    drawn = watch.each("render", _take_side(images, side, len(clip), progress))
+                    pictures = _take_side(images, side, len(clip), context.progress)
+                    drawn = watch.each("render", pictures)
                     paths.append(ENCODERS[name](folder, side, drawn, playback(rate(clip), view)))
                 watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
     if shine is not None and shine.seconds:
         watch.seconds["shine"] = watch.seconds.get("shine", 0.0) + shine.seconds
         watch.seconds["render"] -= shine.seconds
     if view.outputs:
-        options: dict[str, Any] = {"device": device, "progress": progress}
         with watch.stage("outputs"):
-            paths += [write_outputs(clip, view, side, folder, **options) for side in view.sides]
+            paths += [write_outputs(clip, view, side, folder, context) for side in view.sides]
     return paths
 
 
@@ -96,8 +97,7 @@ def _images(
     view: View,
     stage: Stage | None,
     shine: Shine | None,
-    device: str,
-    threads: int | None,
+    context: RunContext,
 ) -> Generator[Picture, None, None]:
     """Draw the pictures of all sides, one side after the other.
 
@@ -111,8 +111,8 @@ def _images(
         background=None if view.stage == "transparent" else view.background,
         stage=stage and stage.at,
         filter=view.filter,
-        device=device,
-        threads=threads,
+        device=context.device,
+        threads=context.threads,
     )
 
 

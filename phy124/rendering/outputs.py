@@ -33,9 +33,9 @@ from phy124.io.rasters import (
     write_exr,
     write_png16,
 )
-from phy124.progress import Progress, silent
 from phy124.rendering.framing import cameras
 from phy124.rendering.render import BLACK, NEAR, Renderer
+from phy124.runtime.context import RunContext
 from phy124.scene import View
 from phy124.scene.view import Output
 
@@ -124,9 +124,7 @@ def write_outputs(
     view: View,
     side: str,
     folder: Path,
-    *,
-    device: str = "cpu",
-    progress: Progress = silent,
+    context: RunContext,
 ) -> Path:
     """Write the outputs of one side into the folder SIDE-outputs, with a description.
 
@@ -135,8 +133,8 @@ def write_outputs(
         view: Names the outputs and their format.
         side: The side.
         folder: An existing folder.
-        device: Warp's name of the device that draws.
-        progress: Called as ("outputs SIDE", frames done, frames in all).
+        context: Device, and progress, which is called as ("outputs SIDE", frames done, frames in
+            all).
 
     Returns:
         The folder made.
@@ -147,7 +145,7 @@ def write_outputs(
     refuse_unkept(clip, view)
     path, seen = folder / f"{side}-outputs", Seen(clip, cameras(clip, view, side), view.outputs)
     steps = seen.steps() if view.output_format == "png" else {}
-    renderer, rows = Renderer(device=device, filter=view.filter), []
+    renderer, rows = Renderer(device=context.device, filter=view.filter), []
     with staging(path) as temporary:
         for index, camera in enumerate(seen.cameras):
             rasters, covered = seen.rasters(renderer, index)
@@ -156,7 +154,7 @@ def write_outputs(
                 files[name] = f"{name}_{index + 1:04}.{view.output_format}"
                 _write(temporary / files[name], name, raster, covered, steps)
             rows.append(_row(clip, index, camera, files))
-            progress(f"outputs {side}", index + 1, len(clip))
+            context.progress(f"outputs {side}", index + 1, len(clip))
         text = json.dumps(_description(view, side, steps, rows), indent=1, allow_nan=False)
         (temporary / "outputs.json").write_text(text + "\n", "utf-8")
     return path

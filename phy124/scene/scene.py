@@ -166,7 +166,7 @@ class Scene(Section):
         """Return the factors on Young's modulus at the times [T]."""
         if self.stiffness_profile is None:
             return np.ones(len(times))
-        whole = Track.scaled((1.0, 0.0, 0.0), self.stiffness_profile, 0.0, LONGEST, mean=False)
+        whole = Track.of_profile((1.0, 0.0, 0.0), self.stiffness_profile, 0.0, LONGEST, mean=False)
         return whole.values(times)[:, 0]
 
     @property

@@ -1,4 +1,4 @@
-"""Appearance: how the Gaussians of each material are shown as they move; nothing of the motion."""
+"""Appearance: how the Gaussians of each material are shown; it does not change the motion."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from phy124.simulation.deform import of_gaussians
 
 
 class Appearance(NamedTuple):
-    """What is shown: N Gaussians on the surface, and G grains inside what falls apart."""
+    """The visible Gaussians: N on the surface, and G grains inside materials that fall apart."""
 
     gaussians: Gaussians
-    """All of them at rest, N + G, m; the grains are the last."""
+    """All Gaussians at rest, N + G, m; the grains come last."""
     particles: Particles
-    """Those of the solver; each Gaussian that moves may have one."""
+    """Particles of the solver; each Gaussian that moves may have one."""
     moves: NDArray[np.bool_]
     """Which Gaussians move [N + G]."""
     max_stretch: NDArray[np.float64]
-    """Longest axis of each that moves, relative to its longest axis at rest; may be infinite."""
+    """Largest longest axis of each moving Gaussian, relative to that at rest; may be infinite."""
     rounds: NDArray[np.bool_]
-    """Which of those that move become balls as they are drawn out."""
+    """Which moving Gaussians become balls when they are stretched."""
     flows: NDArray[np.bool_]
-    """Which of those that move are of what comes apart, whose F grows without bound."""
+    """Which moving Gaussians are of materials that come apart, whose F grows without bound."""
     holds: NDArray[np.float64]
-    """Largest stretch that the material of each that moves can hold; may be infinite."""
+    """Largest stretch of each moving Gaussian's material before it tears; may be infinite."""
     kinds: NDArray[np.int64]
-    """The material of each that moves."""
+    """Material of each moving Gaussian."""
 
     def limits(self) -> dict[str, NDArray]:
         """Return the arguments of `Deformer` that limit the shapes."""
@@ -49,21 +49,17 @@ class Appearance(NamedTuple):
         }
 
     def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
-        """Which Gaussians are of a law that shines: runs of the first and one past the last.
-
-        Args:
-            materials: The materials.
-        """
+        """Return spans of Gaussians of each law that shines: the first and one past the last."""
         laws = np.array([section.law for section in materials])[self.kinds]
-        found = {}
+        spans = {}
         for law in sorted({section.law for section in materials if section.shines}):
-            own = np.zeros(len(self.moves) + 2, np.int8)
-            own[np.flatnonzero(self.moves)[laws == law] + 1] = 1
-            found[law] = np.flatnonzero(np.diff(own)).reshape(-1, 2).tolist()
-        return found
+            inside = np.zeros(len(self.moves) + 2, np.int8)
+            inside[np.flatnonzero(self.moves)[laws == law] + 1] = 1
+            spans[law] = np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
+        return spans
 
     def shapes(self, clip: Clip, materials: Sequence[AnyMaterial]) -> dict[str, dict[str, float]]:
-        """How long the Gaussians of each law become in a clip, and how opaque they are.
+        """Return how long the Gaussians of each law become in a clip, and how opaque they are.
 
         Args:
             clip: The clip; Gaussians that it has beyond these are balls.
@@ -74,23 +70,23 @@ class Appearance(NamedTuple):
             the shortest one, `axis_ratio`, and the largest `opacity`.
         """
         laws, moving = np.array([section.law for section in materials]), np.flatnonzero(self.moves)
-        found = {}
+        rows = {}
         for law in np.unique(laws[self.kinds]):
-            own = moving[laws[self.kinds] == law]
+            chosen = moving[laws[self.kinds] == law]
             needle = flat = 1.0
             for scales in clip.scales:
                 # A sixth of the time of sorting three numbers each.
-                a, b, c = np.maximum(scales[own], np.finfo(np.float32).tiny).T
+                a, b, c = np.maximum(scales[chosen], np.finfo(np.float32).tiny).T
                 low, high = np.minimum(a, b), np.maximum(a, b)
                 longest, middle = np.maximum(high, c), np.maximum(low, np.minimum(high, c))
                 needle = max(needle, float((longest / middle).max()))
                 flat = max(flat, float((longest / np.minimum(low, c)).max()))
-            opacity = float(clip.opacities[own].max())
-            found[str(law)] = {"needle": needle, "axis_ratio": flat, "opacity": opacity}
-        return found
+            opacity = float(clip.opacities[chosen].max())
+            rows[str(law)] = {"needle": needle, "axis_ratio": flat, "opacity": opacity}
+        return rows
 
 
-def appearance(
+def make_appearance(
     gaussians: Gaussians,
     particles: Particles,
     moves: NDArray[np.bool_],
@@ -98,14 +94,14 @@ def appearance(
     scene: Scene,
     spacing: float,
 ) -> Appearance:
-    """How an object is shown.
+    """Return the appearance of an object.
 
     Args:
         gaussians: The object at rest, N Gaussians, m.
         particles: The particles that move.
         moves: Which of the Gaussians move [N].
         materials: The materials of the particles.
-        scene: Says whether grains are shown.
+        scene: Defines whether grains are shown.
         spacing: Distance of neighbouring particles, m.
     """
     surface = len(gaussians)
@@ -131,15 +127,15 @@ def appearance(
         rounds=flows & (np.flatnonzero(moves) < surface),
         flows=flows,
         kinds=kinds,
-        holds=np.array([_holds(section, scene) for section in materials])[kinds],
+        holds=np.array([_max_stretch(section, scene) for section in materials])[kinds],
     )
 
 
-def _holds(section: AnyMaterial, scene: Scene) -> float:
-    """Largest stretch of F that a material can hold.
+def _max_stretch(section: AnyMaterial, scene: Scene) -> float:
+    """Return the largest stretch before a material tears.
 
-    Elastic material is torn where its particles have been drawn so far apart that they share no
-    nodes. The F of plastic flow has no bound.
+    Elastic material tears where its particles are too far apart to share nodes. The F of plastic
+    flow has no bound.
     """
     if section.device_law.project is None:
         return APART * scene.particles_per_axis

@@ -1,48 +1,56 @@
-"""Bodies: the particles and looks of each object of a scene, joined for one solver.
+"""Bodies: the particles and the appearance of each object of a scene, joined for one solver.
 
-Each object is made by itself, as if it were alone, on the grid of the whole scene.
+Each object is made by itself, as if it were alone, on the grid of the whole scene. Props have no
+particles: they follow a path or move freely as rigid solids.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.boundaries import Container
+from phy124.boundaries.base import vector
+from phy124.boundaries.motion import Free
+from phy124.boundaries.planes import Plane
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, as_objects
+from phy124.gaussians import Gaussians, as_objects, quaternions
 from phy124.generators.shapes import make_shape
 from phy124.imaging.painted import WHOLE, Crop
+from phy124.io.axes import euler
 from phy124.materials import AnyMaterial
+from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
+from phy124.particles.scenery import Scenery
 from phy124.particles.thickness import relative_thickness
 from phy124.scene import Scene, SceneObject
-from phy124.simulation.appearance import Appearance, appearance
-from phy124.simulation.materials import varied
-from phy124.simulation.parts import with_materials
-from phy124.simulation.placing import among_all, belongs, place, renumbered, stacked
+from phy124.scene.objects import ANY, find_pair
+from phy124.simulation.appearance import Appearance, make_appearance
+from phy124.simulation.materials import assign_materials, vary_materials
+from phy124.simulation.overlap import refuse_objects
+from phy124.simulation.placing import belongs, number_among_all, place, renumber_parts, stack
 
-DEEPEST = 1.0
-"""Largest overlap of two objects at the start [cells]: as deep as surfaces are known."""
 FEWEST = 8
 """An object of fewer cells across gets a note."""
+PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
+"""Fields of an appearance with an entry for each Gaussian that moves."""
 
 
 class Body(NamedTuple):
     """One object, or all objects of a scene as one, ready for the solver."""
 
-    numbered: Scene
-    """The scene, in which parts name the Gaussians that are left."""
+    scene: Scene
+    """The scene, whose parts name the Gaussians that are left after cleaning."""
     cleaning: list[str]
-    """What was done to the Gaussians, in sentences."""
+    """Sentences about Gaussians that were changed or dropped."""
     gaussians: Gaussians
     """At rest, in their place, N, m."""
-    look: Appearance
+    appearance: Appearance
     """How it is shown; it has the particles, too."""
     materials: Sequence[AnyMaterial]
     stiffness: NDArray | None
@@ -55,40 +63,44 @@ class _Placed(NamedTuple):
     scene: Scene
     """The scene with this object alone."""
     cleaned: Cleaning
-    own: NDArray[np.bool_]
+    belonging: NDArray[np.bool_]
     """Which of its Gaussians are the object and not its surroundings [N]."""
     gaussians: Gaussians
     crop: Crop
 
 
-def bodies(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
-    """All objects of a scene.
+def make_body(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
+    """Make all objects of a scene.
 
     Args:
         gaussians: The objects at any size, standing upright, facing +x; without `object_id` they
-            are the first one. What is missing is a shape, or a copy of the first.
-        scene: What is made of them.
+            are the first object. Missing objects are shapes or copies of the first.
+        scene: The scene.
         crop: Where the first object is in the picture that the masks of its parts were painted on.
 
     Raises:
         InputError: The Gaussians cannot be used for this scene.
     """
     if not scene.objects:
-        return _made(_placed(replace(gaussians, object_id=None), scene, crop), scene.spacing)
+        alone = _clean_and_place(replace(gaussians, object_id=None), scene, crop)
+        return _with_particles(alone, scene.spacing)
     refuse_ids(gaussians, scene)
     placed = []
-    for index, one in enumerate(scene.every_object):
-        own_crop = one.crop if isinstance(one, SceneObject) else crop
-        with named(scene, index):
-            placed.append(_placed(_source(gaussians, scene, index), scene.alone(index), own_crop))
-    standing = stacked([one.gaussians for one in placed], scene)
-    made = []
-    for index, (one, there) in enumerate(zip(placed, standing, strict=True)):
-        one = one._replace(gaussians=there)
-        with named(scene, index):
+    for index, body in enumerate(scene.every_object):
+        object_crop = body.crop if isinstance(body, SceneObject) else crop
+        with errors_prefixed_with(scene, index):
+            source = _source(gaussians, scene, index)
+            placed.append(_clean_and_place(source, scene.alone(index), object_crop))
+    standing = stack([item.gaussians for item in placed], scene)
+    bodies = []
+    for index, (item, there) in enumerate(zip(placed, standing, strict=True)):
+        item = item._replace(gaussians=there)
+        with errors_prefixed_with(scene, index):
             still = getattr(scene.every_object[index], "scenery", False)
-            made.append(_scenery(one) if still else _made(one, scene.spacing))
-    return _joined(made, scene)
+            bodies.append(
+                _without_particles(item) if still else _with_particles(item, scene.spacing)
+            )
+    return _join(bodies, scene)
 
 
 def thickness_of(gaussians: Gaussians, scene: Scene) -> float | None:
@@ -105,13 +117,13 @@ def thickness_of(gaussians: Gaussians, scene: Scene) -> float | None:
     """
     if scene.objects:
         return None
-    placed = _placed(gaussians.of_object(0), scene, WHOLE)
-    return relative_thickness(placed.gaussians.select(placed.own), scene.object.size)
+    placed = _clean_and_place(gaussians.of_object(0), scene, WHOLE)
+    return relative_thickness(placed.gaussians.select(placed.belonging), scene.object.size)
 
 
 @contextmanager
-def named(scene: Scene, index: int) -> Iterator[None]:
-    """Within this context, a refusal is about one of the further objects of a scene.
+def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
+    """Within this context, refusals name the object with this index, unless it is the first.
 
     Raises:
         InputError: The same, with the object's name.
@@ -121,215 +133,231 @@ def named(scene: Scene, index: int) -> Iterator[None]:
     except InputError as error:
         if index == 0:
             raise
-        one = scene.objects[index - 1]
-        field = f"objects.{index - 1} ({one.name}), {error.field}"
+        field = f"objects.{index - 1} ({scene.objects[index - 1].name}), {error.field}"
         raise InputError(field, error.value, error.limit, error.remedy) from error
 
 
 def notes(scene: Scene) -> list[str]:
-    """A sentence for each further object that the grid hardly resolves."""
+    """Return a sentence for each further object that the grid hardly resolves."""
     return [
-        f"{one.name} is {one.size / scene.dx:.0f} cells long, which is coarse: the grid follows "
+        f"{body.name} is {body.size / scene.dx:.0f} cells long, which is coarse: the grid follows "
         f"the size of {scene.object.name}; a larger accuracy.cells resolves it."
-        for one in scene.objects
-        if one.size < FEWEST * scene.dx
+        for body in scene.objects
+        if body.size < FEWEST * scene.dx
     ]
 
 
 def refuse_ids(gaussians: Gaussians, scene: Scene) -> None:
-    """Make sure that the Gaussians are of no object that the scene does not have.
+    """Refuse Gaussians of an object that the scene does not have.
 
     Raises:
-        InputError: Some are.
+        InputError: There are such Gaussians.
     """
     last = 0 if gaussians.object_id is None else int(gaussians.object_id.max(initial=0))
-    if last >= len(scene.names):
-        count = len(scene.names)
+    count = len(scene.names)
+    if last >= count:
         limit = f"the Gaussians are of {last + 1} objects, the scene has {count}."
         raise InputError("objects", count, limit, "Add [[objects]] to the scene.")
 
 
+def free_indices(scene: Scene) -> tuple[int, ...]:
+    """Return the indices of the objects that move freely as rigid solids."""
+    return tuple(index for index, body in enumerate(scene.objects, 1) if body.free)
+
+
+def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
+    """Yield the rigid solids of a scene where their Gaussians are placed."""
+    for index in free_indices(scene):
+        body, inside = scene.objects[index - 1], gaussians.object_id == index
+        contact = find_pair(scene.pairs, body.name, ANY)
+        assert isinstance(body.motion, Free) and body.shape is not None
+        w, x, y, z = quaternions(euler(body.turn)[None])[0].tolist()
+        yield FreeBody(
+            body.name,
+            body.shape,
+            vector(body.half),
+            vector(gaussians.means[inside].mean(axis=0, dtype=np.float64)),
+            turn=(w, x, y, z),
+            density=body.motion.density,
+            velocity=body.velocity,
+            spin=body.spin,
+            friction=contact.friction,
+            sticky=contact.contact == "sticky",
+        )
+
+
+def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Scenery:
+    """Return what completes a frame of the Gaussians that move in the solver.
+
+    Args:
+        scene: The scene; its objects with a path move along it.
+        shown: All Gaussians at rest.
+        moves: Which of them move in the solver [N].
+    """
+    paths = ((index, body.path) for index, body in enumerate(scene.objects, 1))
+    tracks = tuple((index, path.track()) for index, path in paths if path is not None)
+    return Scenery(shown, moves, tracks, free_indices(scene))
+
+
+def planes_for_free(scene: Scene) -> list[Plane]:
+    """Return the flat walls that free solids meet: all that are not for one object only."""
+    if not free_indices(scene):
+        return []
+    planes: list[Plane] = []
+    for wall in scene.boundaries:
+        if isinstance(wall, Container):
+            planes += wall.sides()
+        elif isinstance(wall, Plane):
+            planes.append(wall)
+    return [plane for plane in planes if plane.object is None]
+
+
 def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
-    """What an object is made from."""
-    own = gaussians.of_object(index)
-    one = scene.every_object[index]
-    if len(own) or not isinstance(one, SceneObject):
-        return own
-    if one.shape is not None:
-        return make_shape(one.shape, one.sides, one.colour)
-    if not one.waits:
-        remedy = "Make the Gaussians by `phy124.pipeline.static`, which reads what a scene names."
-        raise InputError("gaussians", "missing", "nobody has read its file yet.", remedy)
+    """Return the Gaussians from which an object is made."""
+    present = gaussians.of_object(index)
+    body = scene.every_object[index]
+    if len(present) or not isinstance(body, SceneObject):
+        return present
+    if body.shape is not None:
+        return make_shape(body.shape, body.sides, body.colour)
+    if not body.waits:
+        remedy = "Make the Gaussians by `phy124.pipeline.make_gaussians`, which reads them."
+        raise InputError("gaussians", "missing", "its file has not been read.", remedy)
     return gaussians.of_object(0)
 
 
-def _placed(gaussians: Gaussians, scene: Scene, crop: Crop) -> _Placed:
-    """Clean Gaussians in their place, without regard to other objects."""
+def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> _Placed:
+    """Clean Gaussians and place them, without regard to other objects."""
     gaussians, cleaned = clean(gaussians)
-    numbered = renumbered(scene, cleaned.survivors)
-    own = belongs(numbered, len(gaussians))
-    return _Placed(numbered, cleaned, own, place(gaussians, numbered, own), crop)
+    renumbered = renumber_parts(scene, cleaned.survivors)
+    belonging = belongs(renumbered, len(gaussians))
+    placed = place(gaussians, renumbered, belonging)
+    return _Placed(renumbered, cleaned, belonging, placed, crop)
 
 
-def _made(one: _Placed, spacing: float) -> Body:
-    """The particles of one object and how it is shown."""
-    scene, gaussians, own = one.scene, one.gaussians, one.own
-    made = make_particles(
-        gaussians.select(own),
+def _with_particles(placed: _Placed, spacing: float) -> Body:
+    """Make the particles of one object, and its appearance."""
+    scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
+    particles = make_particles(
+        gaussians.select(belonging),
         density=scene.material.density,
         spacing=spacing,
         binding=scene.binding,
     )
-    made = among_all(made, own)
-    particles, moves = with_materials(made, gaussians.means, scene, one.crop)
-    particles, materials, stiffness = varied(
-        particles, scene, gaussians.means,
-        survivors=one.cleaned.survivors, own=own, crop=one.crop,
-    )  # fmt: skip
-    look = appearance(gaussians, particles, moves, materials, scene, spacing)
-    return Body(scene, one.cleaned.sentences, gaussians, look, materials, stiffness)
-
-
-def _scenery(one: _Placed) -> Body:
-    """An object that is only seen."""
-    nobody = np.zeros(0, np.int32)
-    none = Particles(np.zeros((0, 3), np.float32), np.zeros(0), np.zeros(0), nobody, nobody)
-    moves = np.zeros(len(one.gaussians), bool)
-    each = {"max_stretch": np.zeros(0), "holds": np.zeros(0), "kinds": np.zeros(0, np.int64)}
-    which = {"rounds": np.zeros(0, bool), "flows": np.zeros(0, bool)}
-    look = Appearance(one.gaussians, none, moves, **each, **which)
-    return Body(one.scene, one.cleaned.sentences, one.gaussians, look, [], None)
-
-
-def _joined(made: list[Body], scene: Scene) -> Body:
-    """All objects as one, the grains of all after the surfaces of all."""
-    names = scene.names
-    _refuse_overlap([one.look.particles for one in made], scene)
-    cleaning = [
-        f"{name}: {said}" for name, one in zip(names, made, strict=True) for said in one.cleaning
-    ]
-    numbered = scene.model_copy(
-        update={
-            "parts": made[0].numbered.parts,
-            "objects": tuple(
-                other.model_copy(update={"parts": one.numbered.parts})
-                for other, one in zip(scene.objects, made[1:], strict=True)
-            ),
-        }
+    particles = number_among_all(particles, belonging)
+    particles, moves = assign_materials(particles, gaussians.means, scene, placed.crop)
+    particles, materials, stiffness = vary_materials(
+        particles,
+        scene,
+        gaussians.means,
+        survivors=placed.cleaned.survivors,
+        belonging=belonging,
+        crop=placed.crop,
     )
+    appearance = make_appearance(gaussians, particles, moves, materials, scene, spacing)
+    return Body(scene, placed.cleaned.sentences, gaussians, appearance, materials, stiffness)
+
+
+def _without_particles(placed: _Placed) -> Body:
+    """Return an object that is only seen."""
+    empty = np.zeros(0, np.int32)
+    particles = Particles(np.zeros((0, 3), np.float32), np.zeros(0), np.zeros(0), empty, empty)
+    still = np.zeros(len(placed.gaussians), bool)
+    real = {"max_stretch": np.zeros(0), "holds": np.zeros(0), "kinds": np.zeros(0, np.int64)}
+    flags = {"rounds": np.zeros(0, bool), "flows": np.zeros(0, bool)}
+    appearance = Appearance(placed.gaussians, particles, still, **real, **flags)
+    sentences = placed.cleaned.sentences
+    return Body(placed.scene, sentences, placed.gaussians, appearance, [], None)
+
+
+def _join(bodies: list[Body], scene: Scene) -> Body:
+    """Join all objects; the grains of all come after the surfaces of all."""
+    refuse_objects([body.appearance.particles for body in bodies], scene)
+    pairs = zip(scene.objects, bodies[1:], strict=True)
+    objects = [item.model_copy(update={"parts": body.scene.parts}) for item, body in pairs]
+    update = {"parts": bodies[0].scene.parts, "objects": tuple(objects)}
+    named = zip(scene.names, bodies, strict=True)
+    stiffness = None
+    if any(body.stiffness is not None for body in bodies):
+        stiffness = np.concatenate(
+            [
+                np.ones(len(body.appearance.particles))
+                if body.stiffness is None
+                else body.stiffness
+                for body in bodies
+            ]
+        )
     return Body(
-        numbered,
-        cleaning,
-        as_objects({index: one.gaussians for index, one in enumerate(made)}),
-        _shown(made),
-        [section for one in made for section in one.materials],
-        _fractions(made),
+        scene.model_copy(update=update),
+        [f"{name}: {sentence}" for name, body in named for sentence in body.cleaning],
+        as_objects({index: body.gaussians for index, body in enumerate(bodies)}),
+        _join_appearances(bodies),
+        [section for body in bodies for section in body.materials],
+        stiffness,
     )
 
 
-def _fractions(made: list[Body]) -> NDArray | None:
-    """The stiffness of all particles; None if it is nowhere reduced."""
-    if all(one.stiffness is None for one in made):
-        return None
-    return np.concatenate(
-        [
-            np.ones(len(one.look.particles)) if one.stiffness is None else one.stiffness
-            for one in made
-        ]
-    )
-
-
-def _shown(made: list[Body]) -> Appearance:
-    """How all objects are shown."""
-    looks, surfaces = [one.look for one in made], [len(one.gaussians) for one in made]
-    starts = np.cumsum([0, *(len(look.moves) for look in looks)])
-    kinds = np.cumsum([0, *(len(one.materials) for one in made)])
+def _join_appearances(bodies: list[Body]) -> Appearance:
+    """Join the appearances of all objects, surfaces first and grains last."""
+    looks, surfaces = [body.appearance for body in bodies], [len(body.gaussians) for body in bodies]
+    counts = [len(look.moves) for look in looks]
+    starts = np.cumsum([0, *counts])
+    first_kinds = np.cumsum([0, *(len(body.materials) for body in bodies)])
+    spans = list(zip(starts, surfaces, counts, strict=False))
     order = np.concatenate(
-        [start + np.arange(count) for start, count in zip(starts, surfaces, strict=False)]
-        + [
-            start + np.arange(count, len(look.moves))
-            for start, count, look in zip(starts, surfaces, looks, strict=False)
-        ]
+        [start + np.arange(surface) for start, surface, _ in spans]
+        + [start + np.arange(surface, count) for start, surface, count in spans]
     )
     moves = np.concatenate([look.moves for look in looks])
 
-    def every(values: Callable[[Appearance], NDArray]) -> NDArray:
-        """Values of those that move, in the joint order."""
-        whole = np.zeros(len(moves), values(looks[0]).dtype)
-        whole[moves] = np.concatenate([values(look) for look in looks])
-        return whole[order][moves[order]]
+    def reorder(values: NDArray) -> NDArray:
+        """Return values of the Gaussians that move in the joint order."""
+        every = np.zeros(len(moves), values.dtype)
+        every[moves] = values
+        return every[order][moves[order]]
 
+    joint = {
+        name: reorder(np.concatenate([getattr(look, name) for look in looks]))
+        for name in PER_GAUSSIAN
+    }
+    offsets = np.repeat(first_kinds[:-1], [int(look.moves.sum()) for look in looks])
+    joint["kinds"] = joint["kinds"] + reorder(offsets)
     number = np.empty(len(moves), np.int64)  # of each Gaussian among those that move
     number[order] = np.cumsum(moves[order]) - 1
-    own = [number[starts[i] : starts[i + 1]][look.moves] for i, look in enumerate(looks)]
-    of_law = np.repeat(kinds[:-1], [int(look.moves.sum()) for look in looks])
-    together = as_objects({i: look.gaussians for i, look in enumerate(looks)})
-    found = {name: every(lambda look, name=name: getattr(look, name)) for name in _PER_GAUSSIAN}
-    whole = np.zeros(len(moves), np.int64)
-    whole[moves] = of_law
+    numbers = [number[starts[i] : starts[i + 1]][look.moves] for i, look in enumerate(looks)]
     return Appearance(
-        gaussians=together.select(order),
-        particles=_all_particles([look.particles for look in looks], own, kinds),
+        gaussians=as_objects({i: look.gaussians for i, look in enumerate(looks)}).select(order),
+        particles=_join_particles([look.particles for look in looks], numbers, first_kinds),
         moves=moves[order],
-        **{**found, "kinds": found["kinds"] + whole[order][moves[order]]},
+        **joint,
     )
 
 
-_PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
-"""What an appearance says of each Gaussian that moves."""
-
-
-def _all_particles(
-    some: list[Particles], own: list[NDArray[np.int64]], kinds: NDArray
+def _join_particles(
+    objects: list[Particles], numbers: list[NDArray[np.int64]], first_kinds: NDArray
 ) -> Particles:
-    """The particles of all objects, object by object.
+    """Join the particles of all objects, object by object.
 
     Args:
-        some: Those of each.
-        own: For each object the numbers of its moving Gaussians among all that move.
-        kinds: The number of each object's first material among all.
+        objects: Particles of each object.
+        numbers: For each object the numbers of its moving Gaussians among all that move.
+        first_kinds: Index of each object's first material among all.
     """
 
-    def stack(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(one, name) for one in some])
+    def join(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(particles, name) for particles in objects])
 
-    material = [one.material + first for one, first in zip(some, kinds, strict=False)]
+    material = [each.material + first for each, first in zip(objects, first_kinds, strict=False)]
     gaussian = [
-        np.where(one.gaussian >= 0, numbers[one.gaussian], -1) if len(numbers) else one.gaussian
-        for one, numbers in zip(some, own, strict=True)
+        np.where(each.gaussian >= 0, number[each.gaussian], -1) if len(number) else each.gaussian
+        for each, number in zip(objects, numbers, strict=True)
     ]
+    counts = [len(particles) for particles in objects]
     return Particles(
-        x=stack("x"),
-        volume=stack("volume"),
-        density=stack("density"),
+        x=join("x"),
+        volume=join("volume"),
+        density=join("density"),
         material=np.concatenate(material).astype(np.int32),
         gaussian=np.concatenate(gaussian).astype(np.int32),
-        body=np.repeat(np.arange(len(some), dtype=np.int32), [len(one) for one in some]),
+        body=np.repeat(np.arange(len(objects), dtype=np.int32), counts),
     )
-
-
-def _refuse_overlap(some: list[Particles], scene: Scene) -> None:
-    """Make sure that no two objects are in the same place.
-
-    Raises:
-        InputError: Two are; it says which, and by how much.
-    """
-    cells = [np.unique(np.floor(one.x / scene.spacing).astype(np.int64), axis=0) for one in some]
-    for (i, first), (j, second) in combinations(enumerate(cells), 2):
-        shared = _shared(first, second)
-        depth = 0.0 if not len(shared) else float((np.ptp(shared, axis=0) + 1).min())
-        if depth * scene.spacing > DEEPEST * scene.dx:
-            fraction = len(shared) / min(len(first), len(second))
-            raise InputError(
-                "objects", f"{scene.names[i]} and {scene.names[j]}",
-                f"they overlap at the start by about {depth * scene.spacing:.2g} m "
-                f"({fraction:.0%} of the smaller one).",
-                f"Change place or lift, or let {scene.names[j]} stand on the other: "
-                f'on = "{scene.names[i]}".',
-            )  # fmt: skip
-
-
-def _shared(first: NDArray, second: NDArray) -> NDArray:
-    """The cells [K,3] that are in both lists [.,3], each without repetition."""
-    both, count = np.unique(np.concatenate([first, second]), axis=0, return_counts=True)
-    return both[count > 1]

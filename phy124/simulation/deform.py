@@ -43,7 +43,8 @@ class Deformer:
     With the binding `particles` each Gaussian moves with its own particle. With `lattice` the
     nearest particles of the lattice carry it: x_g = sum w_i (x_i + F_i (X_g - X_i)) and
     F_g = sum w_i F_i, with smooth weights w that sum to 1. This is exact for every affine motion,
-    but for what flows only while its arms F_i (X_g - X_i) are at most twice as long as at rest.
+    but for fluid and granular materials only while F_i (X_g - X_i) are at most twice as long as at
+    rest.
     """
 
     def __init__(
@@ -67,12 +68,12 @@ class Deformer:
             max_stretch: Longest axis allowed, relative to the longest axis at rest, for all or
                 for each Gaussian [N]. For liquids and plastic flow, whose F grows without bound;
                 None (elastic): no limit.
-            rounds: Which Gaussians become balls as they are drawn out [N], so that what flows
-                shows no needles; None: none.
-            flows: Which Gaussians are of what flows [N], whose F grows without bound; None: none.
-            holds: Largest stretch that the material of each Gaussian can hold [N]. Where F is
-                larger, the material is torn, and its Gaussians are shown as stretched by so much;
-                None: no limit.
+            rounds: Which Gaussians become balls when they are stretched [N], so that fluids show no
+                needles; None: none.
+            flows: Which Gaussians are of fluid or granular material [N], whose F grows without
+                bound; None: none.
+            holds: Largest stretch of each Gaussian's material [N]. Where F is larger, the material
+                is torn, and its Gaussians are shown with this stretch; None: no limit.
             device: Warp device that computes.
             threads: CPU threads that share the Gaussians; the result does not depend on it.
 
@@ -98,12 +99,12 @@ class Deformer:
         self._rounds = wp.array(balls, dtype=wp.bool, device=device)
         most = np.full(n, np.inf) if holds is None else holds
         self._holds = wp.array(most, dtype=wp.float64, device=device)
-        self._own = _own_particles(n, particles)
+        self._bound = _bound_particles(n, particles)
         self._field = None
-        if self._own is None and particles is not None:
+        if self._bound is None and particles is not None:
             self._field = _Field(gaussians, particles, flows, self._share)
         self._count = n if particles is None else len(particles.x)
-        carrier: NDArray = np.arange(n) if self._own is None else self._own
+        carrier: NDArray = np.arange(n) if self._bound is None else self._bound
         self._carrier = wp.array(carrier, dtype=wp.int32, device=device)
         self._quats0 = wp.array(gaussians.quats, dtype=wp.vec4f, device=device)
         self._scales0 = wp.array(gaussians.scales, dtype=wp.vec3f, device=device)
@@ -114,7 +115,7 @@ class Deformer:
         self._turned = wp.array(identity, dtype=wp.vec4f, device=device)
 
     def __call__(self, x: Any, F: Any, *, index: int, time: float, velocities: Any = None) -> Frame:
-        """The Gaussians at one instant.
+        """Return the Gaussians at an instant.
 
         Args:
             x: Positions of the particles [P,3], m; a NumPy or Warp array.
@@ -129,7 +130,7 @@ class Deformer:
         """
         self._check(x, (3,))
         self._check(F, (3, 3))
-        means, deformation = self._carried(x, F)
+        means, deformation = self._carry(x, F)
         limits = [self._holds, self._max_stretch, self._rounds]
         rest = [self._carrier, self._quats0, self._scales0, *limits]
         frame = [self._inner, self._quats, self._scales]
@@ -140,24 +141,24 @@ class Deformer:
         gaussians = replace(self.gaussians, means=means, quats=quats, scales=scales, sh=sh)
         if velocities is not None:
             self._check(velocities, (3,))
-            velocities = self._interpolated(_host(velocities).astype(np.float64))
+            velocities = self._interpolate(_host(velocities).astype(np.float64))
         return Frame(index, time, gaussians, velocities)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """What the continuity of the next frame depends on."""
-        return {name: array.numpy().copy() for name, array in self._kept().items()}
+        """Return the axes on which the continuity of the next frame depends."""
+        return {name: array.numpy().copy() for name, array in self._axes().items()}
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
         """Return to the state after the frame at which a snapshot was taken."""
-        for name, array in self._kept().items():
+        for name, array in self._axes().items():
             array.assign(snapshot[name])
 
-    def _kept(self) -> dict[str, wp.array]:
+    def _axes(self) -> dict[str, wp.array]:
         arrays = (self._quats, self._scales, self._inner, self._turned)
         return dict(zip(("quats", "scales", "inner", "turned"), arrays, strict=True))
 
-    def _check(self, given: Any, shape: tuple[int, ...]) -> None:
-        values = _host(given)
+    def _check(self, array: Any, shape: tuple[int, ...]) -> None:
+        values = _host(array)
         if values.shape != (self._count, *shape):
             raise ValueError(f"got an array {values.shape} for {self._count} particles")
         finite = np.isfinite(values)
@@ -165,13 +166,13 @@ class Deformer:
             bad = int((~finite.reshape(self._count, -1).all(axis=1)).sum())
             raise FloatingPointError(f"{bad} of {self._count} particles are NaN or infinite")
 
-    def _carried(self, x: Any, F: Any) -> tuple[NDArray, wp.array]:
-        """Centres [N,3], m, and the deformation gradients that `_carrier` points into."""
+    def _carry(self, x: Any, F: Any) -> tuple[NDArray, wp.array]:
+        """Return centres [N,3], m, and the deformation gradients that `_carrier` indexes."""
         if self._field is not None:
             return self._field.carry(x, F)
         x, F = (np.ascontiguousarray(_host(values), np.float64) for values in (x, F))
         deformation = wp.array(F, dtype=wp.mat33d, device=self._device)
-        return (x if self._own is None else x[self._own]), deformation
+        return (x if self._bound is None else x[self._bound]), deformation
 
     def _colours(self, deformation: wp.array) -> NDArray:
         rest = self.gaussians
@@ -182,17 +183,17 @@ class Deformer:
         still = (turned == (1, 0, 0, 0)).all()
         return rest.sh if still else rotate_sh(rest.sh, turned)
 
-    def _interpolated(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
         if self._field is not None:
             return self._field.interpolate(values)
-        own = values if self._own is None else values[self._own]
-        return own.astype(np.float32)
+        bound = values if self._bound is None else values[self._bound]
+        return bound.astype(np.float32)
 
 
 class _Share:
     """Launches over Gaussians, divided among CPU threads.
 
-    The threads stay: new ones for every launch often began on one core, and gained nothing.
+    The threads are reused: new threads for every launch often all started on a single core.
     """
 
     def __init__(self, count: int, device: str, threads: int) -> None:
@@ -210,16 +211,16 @@ class _Share:
 
         Args:
             kernel: The kernel.
-            read: Its first arguments, one entry per Gaussian.
-            shared: Those after them, of which a Gaussian reads any entries.
-            written: The last ones, one entry per Gaussian.
-            each: How many Gaussians one thread of the kernel processes.
+            read: First arguments, an entry per Gaussian.
+            shared: Next arguments, of which a Gaussian reads any entries.
+            written: Last arguments, an entry per Gaussian.
+            each: Number of Gaussians that a thread of the kernel processes.
         """
         launches: list[Any] = [
             wp.launch(
                 kernel,
                 dim=-(-(run.stop - run.start) // each),
-                inputs=[*(one[run] for one in read), *shared, *(one[run] for one in written)],
+                inputs=[*(a[run] for a in read), *shared, *(a[run] for a in written)],
                 device=self.device,
                 record_cmd=True,
             )
@@ -227,14 +228,14 @@ class _Share:
         ]
         # Recorded launches have loaded the kernel, which threads must not do at the same time.
         first, *others = launches
-        started = [self._others.submit(one.launch) for one in others] if self._others else []
+        started = [self._others.submit(item.launch) for item in others] if self._others else []
         first.launch()
-        for one in started:
-            one.result()
+        for future in started:
+            future.result()
 
 
 class _Field:
-    """Gaussians carried by nearby particles: neighbours and weights, found once at rest."""
+    """Gaussians carried by nearby particles: neighbours and weights, computed once at rest."""
 
     def __init__(
         self, gaussians: Gaussians, particles: Particles, flows: NDArray | None, share: _Share
@@ -242,28 +243,28 @@ class _Field:
         self.neighbours, self.weights = _carriers_of(gaussians, particles)
         n, device = len(gaussians), share.device
         self.device, self._share = device, share
-        self._own = [
+        self._carried = [
             wp.array(self.neighbours, dtype=wp.int32, device=device),
             wp.array(self.weights, dtype=wp.float32, device=device),
             wp.array(gaussians.means, dtype=wp.vec3f, device=device),
             wp.array(np.zeros(n, bool) if flows is None else flows, dtype=wp.bool, device=device),
         ]
         self._rest = wp.array(particles.x, dtype=wp.vec3f, device=device)
-        self._means = wp.empty_like(self._own[2])
+        self._means = wp.empty_like(self._carried[2])
         self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
 
     def carry(self, x: Any, F: Any) -> tuple[NDArray, wp.array]:
-        """Centres [N,3], m, and deformation gradients [N,3,3] of the Gaussians."""
+        """Return centres [N,3], m, and deformation gradients [N,3,3] of the Gaussians."""
         # Particles stay in their precision: the kernel widens what it reads.
         real = wp.float32 if _host(F).dtype == np.float32 else wp.float64
         t, device = types(real), self.device
         shared = [self._rest, _on(x, t.vec3, device), _on(F, t.mat33, device)]
         written = [self._means, self._deformation]
-        self._share.launch(field.make_carry(real), self._own, shared, written)
+        self._share.launch(field.make_carry(real), self._carried, shared, written)
         return _host(self._means).copy(), self._deformation
 
     def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Weighted means [N,3] of values on the particles [P,3]."""
+        """Return weighted means [N,3] of values on the particles [P,3]."""
         out = np.zeros((len(self.weights), 3))
         for k in range(self.weights.shape[1]):
             out += self.weights[:, k, None] * values[self.neighbours[:, k]]
@@ -273,7 +274,7 @@ class _Field:
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The carriers of each Gaussian, which are of its own object, and their weights [N,K]."""
+    """Return each Gaussian's carriers, which are of its object, and their weights [N,K]."""
     count = min(CARRIERS, len(particles.x))
     neighbours = np.zeros((len(gaussians), count), np.int32)
     weights = np.zeros((len(gaussians), count), np.float32)
@@ -281,9 +282,9 @@ def _carriers_of(
         spacing = np.cbrt(particles.volume[theirs].mean())
         index, weight = carriers(gaussians.means[ours], particles.x[theirs], FARTHEST * spacing)
         if len(theirs) < CARRIERS:
-            # What so few do says nothing about places far from them: the nearest carries alone.
+            # Few particles do not determine the motion far from them, so the nearest carries alone.
             index, weight = index[:, :1], np.ones_like(weight[:, :1])
-        few = index.shape[1]  # A tiny object may have fewer: the rest weigh nothing.
+        few = index.shape[1]  # A tiny object may have fewer; the others have no weight.
         neighbours[ours, :few], weights[ours, :few] = theirs[index], weight
     return neighbours, weights
 
@@ -291,14 +292,14 @@ def _carriers_of(
 def carriers(
     points: NDArray, particles: NDArray, farthest: float = math.inf
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
+    """Return the nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
 
     w = (1 - (d / R)^2)^2, where R is the distance of the next nearest particle, at most twice that
     of the last one chosen, and at most `farthest` or twice that of the nearest one [m]. The weights
     vary smoothly over the points, since a particle enters and leaves with weight 0.
     """
     count = min(CARRIERS, len(particles))
-    # Built in half the time, and asked in nine tenths of it.
+    # Building takes half the time, and queries nine tenths, of the defaults.
     tree = scipy.spatial.KDTree(particles, balanced_tree=False, leafsize=20)
     distance, index = tree.query(points, k=count + 1, workers=-1)
     distance, index = np.asarray(distance), np.asarray(index)
@@ -307,31 +308,31 @@ def carriers(
     reach = np.minimum(reach, np.maximum(farthest, 2 * distance[:, :1]))
     near = distance[:, :count]
     ratio = np.divide(near, reach, out=np.zeros_like(near), where=reach > 0).clip(0, 1)
-    # Particles that are all equally far would all have weight 0.
+    # Without this, particles at equal distance would all have weight 0.
     weights = (1 - ratio**2) ** 2 + 1e-9
     weights /= weights.sum(axis=1, keepdims=True)
     return index[:, :count].astype(np.int32), weights.astype(np.float32)
 
 
-def _own_particles(count: int, particles: Particles | None) -> NDArray[np.int32] | None:
-    """The particle of each Gaussian [N]; None if they are in order, or none has one (`lattice`)."""
+def _bound_particles(count: int, particles: Particles | None) -> NDArray[np.int32] | None:
+    """Return each Gaussian's particle [N]; None if they are in order, or with `lattice`."""
     if particles is None or (particles.gaussian < 0).all():
         return None
     bound = np.flatnonzero(particles.gaussian >= 0)
     if not np.array_equal(np.sort(particles.gaussian[bound]), np.arange(count)):
         raise ValueError(f"the particles were not made from these {count} Gaussians")
-    own = np.empty(count, np.int32)
-    own[particles.gaussian[bound]] = bound
-    return own
+    particle = np.empty(count, np.int32)
+    particle[particles.gaussian[bound]] = bound
+    return particle
 
 
 def _host(array: Any) -> NDArray:
-    """A NumPy view of a Warp array, or of anything that NumPy accepts as an array."""
+    """Return a NumPy view of a Warp array, or of anything that NumPy accepts as an array."""
     return np.asarray(array.numpy() if isinstance(array, wp.array) else array)
 
 
 def _on(array: Any, dtype: Any, device: str) -> wp.array:
-    """A Warp array of a type on a device; without a copy where it is one."""
+    """Return a Warp array of a type on a device, without a copy if it is one already."""
     if (
         isinstance(array, wp.array)
         and array.dtype is dtype
@@ -342,27 +343,27 @@ def _on(array: Any, dtype: Any, device: str) -> wp.array:
 
 
 def of_gaussians(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """The values of particles [P], for each Gaussian that of its own or of the nearest one [N]."""
-    # One for all, as of one material, needs no search.
+    """Return for each Gaussian the value [N] of its particle, or of the nearest particle [P]."""
+    # Equal values, as of a single material, need no search.
     if len(values) and (values == values[0]).all():
         return np.repeat(values[:1], len(gaussians), axis=0)
-    own = _own_particles(len(gaussians), particles)
-    if own is None:
-        own = np.zeros(len(gaussians), np.int64)
+    particle = _bound_particles(len(gaussians), particles)
+    if particle is None:
+        particle = np.zeros(len(gaussians), np.int64)
         for ours, theirs in by_object(gaussians, particles):
             nearest = scipy.spatial.KDTree(particles.x[theirs]).query(
                 gaussians.means[ours], workers=-1
             )[1]
-            own[ours] = theirs[nearest]
-    return values[own]
+            particle[ours] = theirs[nearest]
+    return values[particle]
 
 
 def shapes_of(device: str) -> tuple[Any, int]:
-    """The kernel that deforms shapes on a device, and how many Gaussians a thread of it has."""
+    """Return the kernel that deforms shapes, and the number of Gaussians per thread."""
     return (field.deform_shapes_simd, 8) if device == "cpu" else (field.deform_shapes, 1)
 
 
 def kernels(real: Any, binding: str, device: str) -> list[Any]:
-    """What deforms the Gaussians of a frame."""
+    """Return the kernels that deform the Gaussians of a frame."""
     carry = [field.make_carry(real)] if binding == "lattice" else []
     return [shapes_of(device)[0], *carry]

@@ -1,4 +1,9 @@
-"""The material of each particle, where a file or a field of stiffness lets it vary."""
+"""Materials of the particles: parts of a scene, a file of properties, a field of stiffness.
+
+A part is selected by a box in space, by a segmentation mask of the picture, by the Gaussians it
+contains, or by several of these at once. Later parts override earlier ones; particles in no part
+have the scene's material. Static parts have no particles.
+"""
 
 from __future__ import annotations
 
@@ -7,35 +12,140 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from phy124.errors import InputError
-from phy124.imaging.painted import WHOLE, Crop
+from phy124.imaging.painted import WHOLE, Crop, sample_brightness
 from phy124.materials import AnyMaterial
 from phy124.particles import Particles
 from phy124.properties import COLUMNS, FRACTION
-from phy124.scene import Scene
+from phy124.scene import Part, Scene
 from phy124.schema.refusals import explain
 
 
-def varied(
+def assign(
+    x: NDArray,
+    gaussian: NDArray,
+    parts: Sequence[Part],
+    crop: Crop = WHOLE,
+    means: NDArray | None = None,
+) -> NDArray[np.int32]:
+    """Return the index of each particle's material [P]: 0 the scene's, i the i-th part's (from 1).
+
+    Args:
+        x: Positions at rest [P,3], m; the object is upright and faces +x.
+        gaussian: Index of each particle's Gaussian [P], or -1: it follows the nearest Gaussian.
+        parts: The scene's parts.
+        crop: Where the object is in the picture that masks were painted on.
+        means: The Gaussians [N,3], m, if no particle is a Gaussian.
+
+    Raises:
+        InputError: If a mask cannot be read, or a part contains no particle.
+    """
+    chosen = np.zeros(len(x), np.int32)
+    for number, part in enumerate(parts, 1):
+        inside = np.ones(len(x), bool)
+        if part.region is not None:
+            if part.region.units == "file":
+                limit = "the object was not read from a .ply file by `phy124 simulate`."
+                field = f"parts.{number - 1}.region.units"
+                raise InputError(field, "file", limit, "Give the region in metres.")
+            inside &= part.region.contains(x)
+        if part.gaussians is not None:
+            inside &= _belong_to(x, gaussian, part.gaussians, means)
+        if part.mask is not None:
+            inside &= sample_brightness(x, part.mask, crop, field=f"parts.{number - 1}.mask") > 0.5
+        if not inside.any() and not part.surroundings:
+            remedy = "Give it a larger region, another mask or other Gaussians."
+            raise InputError(f"parts.{number - 1}", part.data(), "it holds no particle.", remedy)
+        chosen[inside] = number
+    return chosen
+
+
+def assign_materials(
+    particles: Particles, means: NDArray, scene: Scene, crop: Crop = WHOLE
+) -> tuple[Particles, NDArray[np.bool_]]:
+    """Return particles with the materials of parts, and which Gaussians move [N].
+
+    Args:
+        particles: Particles of all Gaussians, so that a cut leaves the inside of a solid filled.
+        means: The Gaussians at rest [N,3], m.
+        scene: Names the parts.
+        crop: Where the object is in the picture that masks were painted on.
+
+    Returns:
+        The particles that move, sorted by law. Their Gaussians are numbered among those that move.
+
+    Raises:
+        InputError: If a part contains nothing, or everything is static.
+    """
+    every = np.ones(len(means), bool)
+    if not scene.parts:
+        return particles, every
+    part = assign(particles.x, particles.gaussian, scene.parts, crop, means)
+    static = np.array([False, *(section.static for section in scene.parts)])
+    moves = every
+    if static.any():
+        seen = assign(means, np.arange(len(means)), scene.parts, crop)
+        bound = particles.gaussian >= 0
+        # A Gaussian and its particle must agree, although fillers may enlarge a mask's extent.
+        part[bound] = seen[particles.gaussian[bound]]
+        moves = ~static[seen]
+    kept = np.flatnonzero(~static[part])
+    if not moves.any() or not len(kept):
+        limit = "every Gaussian is static, so nothing moves."
+        raise InputError("parts", "static = true", limit, "Leave a part of the object out.")
+    laws = [section.device_law.name for section in scene.materials]
+    # Number of each part's material among the materials of moving parts.
+    material = (np.cumsum(~static) - 1)[part[kept]]
+    law = np.array([laws.index(name) for name in laws])[material]
+    order = np.argsort(law, kind="stable")
+    kept, material = kept[order], material[order]
+    gaussian = particles.gaussian[kept]
+    density = np.array([section.density for section in scene.materials])[material]
+    moving = Particles(
+        x=particles.x[kept],
+        volume=particles.volume[kept],
+        density=density,
+        material=material.astype(np.int32),
+        gaussian=np.where(gaussian >= 0, (np.cumsum(moves) - 1)[gaussian], -1).astype(np.int32),
+    )
+    return moving, moves
+
+
+def _belong_to(
+    x: NDArray, gaussian: NDArray, span: tuple[int, int], means: NDArray | None
+) -> NDArray[np.bool_]:
+    """Return which particles belong to Gaussians of a span; fillers follow the nearest Gaussian."""
+    owner = gaussian.copy()
+    bound, filler = gaussian >= 0, gaussian < 0
+    if means is not None and not bound.any():
+        owner = scipy.spatial.KDTree(means).query(x)[1]
+    elif filler.any() and bound.any():
+        nearest = scipy.spatial.KDTree(x[bound]).query(x[filler])[1]
+        owner[filler] = gaussian[bound][nearest]
+    return np.logical_and(owner >= span[0], owner < span[1])
+
+
+def vary_materials(
     particles: Particles,
     scene: Scene,
     means: NDArray,
     *,
     survivors: NDArray[np.bool_] | None,
-    own: NDArray[np.bool_],
+    belonging: NDArray[np.bool_],
     crop: Crop,
 ) -> tuple[Particles, Sequence[AnyMaterial], NDArray[np.float64] | None]:
-    """Particles and materials as the scene's properties have them, and fractions of E [P].
+    """Return particles and materials with the scene's properties, and fractions of E [P].
 
     Args:
         particles: The particles that move; their materials are indices into the scene's.
         scene: Names the file of properties and the stiffness.
         means: All Gaussians at rest [N,3], m.
-        survivors: Which of the Gaussians that were given are among them; None: all.
-        own: Which of them are the object and not its surroundings [N].
+        survivors: Which of the Gaussians before cleaning are among them; None: all.
+        belonging: Which of them are the object and not its surroundings [N].
         crop: Where the object is in its picture.
 
     Raises:
@@ -44,24 +154,26 @@ def varied(
     materials: Sequence[AnyMaterial] = scene.materials
     listed = None
     if scene.properties is not None:
-        columns = scene.properties.columns(particles.x, means, survivors, own)
+        columns = scene.properties.columns(particles.x, means, survivors, belonging)
         listed = columns.pop(FRACTION, None)
         particles, materials, order = with_properties(particles, columns, materials)
         listed = None if listed is None else listed[order]
-    return particles, materials, stiffnesses(particles, means[own], scene, crop, listed)
+    return (
+        particles,
+        materials,
+        stiffness_fractions(particles, means[belonging], scene, crop, listed),
+    )
 
 
 def with_properties(
     particles: Particles, columns: dict[str, NDArray[Any]], materials: Sequence[AnyMaterial]
 ) -> tuple[Particles, list[AnyMaterial], NDArray[np.intp]]:
-    """Particles with the materials that a file gives them, sorted by law, and these materials.
-
-    The order of the particles comes third.
+    """Return particles sorted by law with the materials of a file, the materials, and the order.
 
     Args:
         particles: The particles that move; their materials are indices into `materials`.
         columns: E, nu, density, damping [P] and names of laws [P], as far as the file has them.
-        materials: What the scene says; a column replaces the field of its name.
+        materials: The scene's materials; a column replaces the field of its name.
 
     Raises:
         InputError: If no law has a field of a column, or a value is beyond its bounds.
@@ -70,53 +182,56 @@ def with_properties(
     for name in np.unique(columns.get("law", np.array([], str))).tolist():
         chosen = columns["law"] == name
         alike = np.array([section.law == name for section in bases])[base]
-        base[chosen & ~alike] = _of_law(name, bases)
-    given = [name for name in COLUMNS if name in columns]
-    has = np.array([[name in type(section).model_fields for name in given] for section in bases])
+        base[chosen & ~alike] = _find_or_add(name, bases)
+    listed = [name for name in COLUMNS if name in columns]
+    has = np.array([[name in type(section).model_fields for name in listed] for section in bases])
     used = has[np.unique(base)].any(axis=0)
     if not used.all():
-        name = given[int(np.argmin(used))]
+        name = listed[int(np.argmin(used))]
         limit = f"the law {bases[base[0]].law} has no {name}."
         raise InputError("properties.file", name, limit, "Use another law, or leave it out.")
-    rows = np.column_stack([base, *(np.where(has[base, i], columns[name], 0.0)
-                                    for i, name in enumerate(given))])  # fmt: skip
+    values = (np.where(has[base, i], columns[name], 0.0) for i, name in enumerate(listed))
+    rows = np.column_stack([base, *values])
     kinds, kind = np.unique(rows, axis=0, return_inverse=True)
-    made = [_made(bases[int(row[0])], dict(zip(given, row[1:], strict=True))) for row in kinds]
-    _check_extremes(kinds, given, bases)
+    made = [
+        _with_values(bases[int(row[0])], dict(zip(listed, row[1:], strict=True))) for row in kinds
+    ]
+    _check_extremes(kinds, listed, bases)
     laws = list(dict.fromkeys(section.device_law.name for section in bases))
     law = np.array([laws.index(section.device_law.name) for section in made])[kind.ravel()]
     order = np.argsort(law, kind="stable")
     kind = kind.ravel()[order]
     density = np.array([section.density for section in made])[kind]
-    moved = {n: getattr(particles, n)[order] for n in ("x", "volume", "gaussian")}
-    return replace(particles, **moved, density=density, material=kind.astype(np.int32)), made, order
+    rest = {n: getattr(particles, n)[order] for n in ("x", "volume", "gaussian")}
+    ordered = replace(particles, **rest, density=density, material=kind.astype(np.int32))
+    return ordered, made, order
 
 
-def _of_law(name: str, bases: list[AnyMaterial]) -> int:
-    """The number of a material of a law, which is added with its defaults if there is none."""
+def _find_or_add(name: str, bases: list[AnyMaterial]) -> int:
+    """Return the index of a material of a law, which is added with defaults if there is none."""
     for number, section in enumerate(bases):
         if section.law == name:
             return number
     try:
         bases.append(TypeAdapter(AnyMaterial).validate_python({"law": name}))
     except ValidationError:
-        raise InputError(
-            "properties.file", f"law {name}", "there is no such law.", "See `phy124 scenes`."
-        ) from None
+        field, limit = "properties.file", "there is no such law."
+        raise InputError(field, f"law {name}", limit, "See `phy124 scenes`.") from None
     return len(bases) - 1
 
 
-def _made(base: AnyMaterial, values: dict[str, float]) -> AnyMaterial:
-    own = {name: value for name, value in values.items() if name in type(base).model_fields}
-    same = all(getattr(base, name) == value for name, value in own.items())
-    return base if same else base.model_copy(update=own)
+def _with_values(base: AnyMaterial, values: dict[str, float]) -> AnyMaterial:
+    """Return a material with those of the values that it has fields for."""
+    fields = {name: value for name, value in values.items() if name in type(base).model_fields}
+    same = all(getattr(base, name) == value for name, value in fields.items())
+    return base if same else base.model_copy(update=fields)
 
 
-def _check_extremes(kinds: NDArray, given: list[str], bases: list[AnyMaterial]) -> None:
-    """Raise InputError if a column's least or largest value is beyond the bounds of its field."""
+def _check_extremes(kinds: NDArray, names: list[str], bases: list[AnyMaterial]) -> None:
+    """Raise InputError if a column's smallest or largest value is beyond its field's bounds."""
     for number, section in enumerate(bases):
         rows = kinds[kinds[:, 0] == number]
-        for column, name in enumerate(given, 1):
+        for column, name in enumerate(names, 1):
             if not len(rows) or name not in type(section).model_fields:
                 continue
             for value in {float(rows[:, column].min()), float(rows[:, column].max())}:
@@ -124,20 +239,20 @@ def _check_extremes(kinds: NDArray, given: list[str], bases: list[AnyMaterial]) 
                     type(section).model_validate({**section.model_dump(), name: value})
                 except ValidationError as error:
                     wrong = explain(error, "material", type(section))
+                    remedy = "Correct the file, or clip its values."
                     raise InputError(
-                        "properties.file", f"{name} = {value:g}", wrong.limit,
-                        "Correct the file, or clip its values.",
-                    ) from None  # fmt: skip
+                        "properties.file", f"{name} = {value:g}", wrong.limit, remedy
+                    ) from None
 
 
-def stiffnesses(
+def stiffness_fractions(
     particles: Particles,
     means: NDArray,
     scene: Scene,
     crop: Crop = WHOLE,
     listed: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64] | None:
-    """Fraction of its material's E that each particle has [P]; None if all have the whole.
+    """Return the fraction of its material's E that each particle has [P]; None if all have 1.
 
     Args:
         particles: The particles that move.
@@ -154,11 +269,9 @@ def stiffnesses(
     varying = [section for section in scene.materials if section.scaled]
     if not varying:
         field = "properties.file" if scene.stiffness is None else "stiffness"
-        given = "fraction" if scene.stiffness is None else scene.stiffness.kind
-        raise InputError(
-            field, given, f"the law {scene.material.law} has no Young's modulus that may vary.",
-            f"Use another law, or leave {given} out.",
-        )  # fmt: skip
+        kind = "fraction" if scene.stiffness is None else scene.stiffness.kind
+        limit = f"the law {scene.material.law} has no Young's modulus that may vary."
+        raise InputError(field, kind, limit, f"Use another law, or leave {kind} out.")
     fractions = np.ones(len(particles)) if listed is None else listed
     if scene.stiffness is not None:
         fractions = fractions * scene.stiffness.fractions(particles.x, means, crop)
@@ -168,14 +281,12 @@ def stiffnesses(
 
 
 def _refuse_too_soft(section: AnyMaterial, fraction: float) -> None:
-    """Refuse a fraction for which a material's own bounds do not hold."""
+    """Raise InputError if a fraction of E is beyond the bounds of a material."""
     softened = {**section.model_dump(), "E": getattr(section, "E", 0.0) * fraction}
     try:
         type(section).model_validate(softened)
     except ValidationError as error:
         wrong = explain(error, "material", type(section))
-        raise InputError(
-            "stiffness", f"{fraction:g} of E",
-            f"{section.law} cannot be so soft; of {wrong.field}, {wrong.limit}",
-            "Raise the least fraction, or the material's E.",
-        ) from None  # fmt: skip
+        limit = f"{section.law} cannot be that soft; of {wrong.field}, {wrong.limit}"
+        remedy = "Raise the smallest fraction, or the material's E."
+        raise InputError("stiffness", f"{fraction:g} of E", limit, remedy) from None

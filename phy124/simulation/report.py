@@ -10,7 +10,7 @@ from phy124.budget.limits import note_stiffest_part
 from phy124.io.clip import Clip
 from phy124.monitor.sleep import Sleep
 from phy124.mpm.timestep import CFL, beside_elastic
-from phy124.simulation import bodies, buried
+from phy124.simulation import bodies, overlap
 from phy124.simulation.setup import Setup
 
 Run = Any
@@ -122,7 +122,7 @@ def _notes(run: Run) -> list[str]:
     return [
         *(note for section in scene.materials for note in section.notes()),
         *bodies.notes(scene),
-        *buried.notes(scene.boundaries, run.solver.model),
+        *overlap.notes(scene.boundaries, run.solver.model),
         *_cfl_note(run),
         *([stiff] if stiff else []),
         *_unregistered_notes(scene.unregistered),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,7 +20,8 @@ from phy124.monitor.diagnostics import describe_substep
 from phy124.monitor.observer import Kind, Observer, Violation, find, restore_all, snapshots
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import MEASURE_EVERY, Unstable
-from phy124.mpm.workers import HOST, REPAIR, timed
+from phy124.mpm.threads import Team
+from phy124.mpm.workers import HOST, REPAIR, run_timed
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.device import one_at_a_time
 from phy124.scene import Scene
@@ -27,7 +29,6 @@ from phy124.simulation.deform import Deformer
 from phy124.simulation.report import report_clip, report_run
 from phy124.simulation.setup import Setup
 from phy124.simulation.solver import kernels, make_solver, wrap
-from phy124.simulation.spent import Spent
 
 
 class Stopped(RuntimeError):
@@ -238,7 +239,7 @@ class Simulation:
         """Take substeps up to a frame's time; after a failure, once more with half the substep."""
         with self.setup.context.watch.stage("simulate"), self.spent.counting():
             start = (index - 1) / self.scene.time.fps
-            timed(self.solver.timings, "watchdog", lambda: self.before_frame(start))
+            run_timed(self.solver.timings, "watchdog", lambda: self.before_frame(start))
             problem = self._try(index, until)
             if problem is not None:
                 self.retried.append(index)
@@ -263,14 +264,14 @@ class Simulation:
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
         """Try a frame; return its violation, or None. A violation resets the state."""
         solver = self.solver
-        timed(solver.timings, REPAIR, lambda: solver.repair.begin(solver.clock))
+        run_timed(solver.timings, REPAIR, lambda: solver.repair.begin(solver.clock))
         solver.pairs.begin()
         solver.free.begin()
-        timed(solver.timings, "watchdog", lambda: self.before_attempt(closely=closely))
-        before = timed(solver.timings, "snapshot", self.checkpoint)
+        run_timed(solver.timings, "watchdog", lambda: self.before_attempt(closely=closely))
+        before = run_timed(solver.timings, "snapshot", self.checkpoint)
         try:
             solver.advance(until, after=self._follower(index), each=closely)
-            problem = timed(solver.timings, "watchdog", self.after_attempt)
+            problem = run_timed(solver.timings, "watchdog", self.after_attempt)
         except Unstable as error:
             watchdog = self.find(Watchdog)
             what = str(error)
@@ -335,3 +336,43 @@ class Simulation:
             progress("simulate", index, frames)
 
         return after
+
+
+class Spent:
+    """Processor time of the simulation's busiest thread [s], without time taken by other programs.
+
+    On a GPU, whose time is not measured per program, wall-clock time is used.
+    """
+
+    def __init__(self, team: Team[int], device: str) -> None:
+        """Start at zero.
+
+        Args:
+            team: The threads that simulate.
+            device: Warp device.
+        """
+        self._team, self._on_cpu = team, device == "cpu"
+        self.before = 0.0
+        """Seconds in earlier contexts."""
+        self._start = self._now()
+
+    @contextmanager
+    def counting(self) -> Iterator[None]:
+        """Within this context time counts; the same thread must enter and leave it."""
+        self._start = self._now()
+        try:
+            yield
+        finally:
+            self.before = self.total()
+            self._start = self._now()
+
+    def total(self) -> float:
+        """Return seconds so far; call it from the thread that counts."""
+        pairs = zip(self._now(), self._start, strict=True)
+        return self.before + max(now - start for now, start in pairs)
+
+    def _now(self) -> list[float]:
+        """Return a clock of each thread [s], whose differences count."""
+        if not self._on_cpu:
+            return [time.perf_counter()]
+        return [time.thread_time(), *self._team.seconds[1:]]

@@ -22,17 +22,16 @@ from phy124.materials import AnyMaterial
 from phy124.monitor import OBSERVERS
 from phy124.monitor.observer import Observer, Subject
 from phy124.mpm import FreeBody
-from phy124.mpm.slabs import layers
-from phy124.mpm.workers import usable_workers
+from phy124.mpm.workers import layers, usable_workers
 from phy124.particles import Particles
 from phy124.particles.scenery import Scenery
 from phy124.particles.thickness import relative_thickness
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
 from phy124.scene import Scene
-from phy124.simulation import props
 from phy124.simulation.appearance import Appearance
-from phy124.simulation.bodies import bodies
+from phy124.simulation.bodies import make_body, make_free, make_scenery
+from phy124.simulation.overlap import refuse_solids
 from phy124.simulation.placing import belongs
 
 
@@ -136,16 +135,16 @@ def prepare(
     context = context or RunContext()
     refuse_threads(context.threads)
     with context.watch.stage("particles"):
-        body = bodies(gaussians, scene, crop)
-        look, shown = body.look, body.look.gaussians
+        body = make_body(gaussians, scene, crop)
+        look, shown = body.appearance, body.appearance.gaussians
         solid_scene = scene.with_solids()
         threads = usable_workers(len(look.particles), context.device, context.threads)
         along = slab_axis(look.particles, threads) if along is None else along
         particles, stiffness = sort_for_slabs(
             look.particles, body.materials, body.stiffness, scene.dx, along
         )
-        free = tuple(props.free_bodies(scene, shown))
-        props.refuse_overlap(free, particles.x, scene)
+        free = tuple(make_free(scene, shown))
+        refuse_solids(free, particles.x, scene)
         judged = costliest_scene(solid_scene, body.materials)
         estimate = check_limits(shown, particles, judged, context.device, keep=keep)
         return Setup(
@@ -153,7 +152,7 @@ def prepare(
             crop=crop,
             scene=scene,
             solid_scene=solid_scene,
-            cleaned_scene=body.numbered,
+            cleaned_scene=body.scene,
             cleaning=body.cleaning,
             gaussians=body.gaussians,
             appearance=look,
@@ -161,7 +160,7 @@ def prepare(
             materials=body.materials,
             stiffness=stiffness,
             free=free,
-            scenery=props.scenery(scene, shown, look.moves),
+            scenery=make_scenery(scene, shown, look.moves),
             estimate=estimate,
             context=context,
             threads=threads,

@@ -31,8 +31,9 @@ from phy124.mpm.model import PRECISIONS, form_of
 from phy124.particles import Particles
 from phy124.scene import Object, Scene
 from phy124.scene.objects import find_pair
-from phy124.simulation import deform, props
-from phy124.simulation.buried import refuse_buried
+from phy124.simulation import deform
+from phy124.simulation.bodies import planes_for_free
+from phy124.simulation.overlap import refuse_buried
 from phy124.simulation.setup import Setup
 
 FLOOR_NODE = 0.75
@@ -91,7 +92,7 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
         forces = observer.wrap_forces(forces)
         walls = observer.wrap_walls(scene.boundaries, walls)
     sums = [observer for observer in observers if observer.in_substeps]
-    planes = props.planes(scene)
+    planes = planes_for_free(scene)
     return {"forces": forces, "boundaries": walls, "accumulators": sums, "planes": planes}
 
 

@@ -58,7 +58,11 @@ FINER = (*CELLS, 144, 160)
 
 def static(picture: str | None) -> Gaussians:
     """The object of a study."""
-    return ball() if picture is None else pipeline.static(PICTURES / f"{picture}.png").gaussians
+    return (
+        ball()
+        if picture is None
+        else pipeline.make_gaussians(PICTURES / f"{picture}.png").gaussians
+    )
 
 
 def known_answers() -> str:
@@ -243,7 +247,7 @@ def generator_rows(folder: Path) -> list[list[str]]:
     file, rows = folder / "duck.ply", []
     for name in ("relief", str(file)):
         start = time.perf_counter()
-        found = pipeline.static(PICTURES / "duck.png", generator=name).gaussians
+        found = pipeline.make_gaussians(PICTURES / "duck.png", generator=name).gaussians
         spent = time.perf_counter() - start
         label = "a PLY file" if name.endswith(".ply") else name
         rows.append([label, f"{len(found):,}", f"{spent:.2f}"])

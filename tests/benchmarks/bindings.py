@@ -111,7 +111,7 @@ def main() -> None:
             continue
         if picture not in statics:
             image = ROOT / f"demo/examples/{picture}.png"
-            statics[picture] = pipeline.static(image).gaussians
+            statics[picture] = pipeline.make_gaussians(image).gaussians
         print(line(name, statics[picture], scene, grids), flush=True)
 
 

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 from phy124.scene import Scene
 from phy124.studies.fit import Fit, fit
 from support.twins import twin, write_points
@@ -72,9 +72,9 @@ def main() -> None:
         kept.write_text(",".join(COLUMNS) + "\n")
     done = {int(row["seed"]) for row in csv.DictReader(kept.open())}
     left = [seed for seed in range(*given.seeds) if seed not in done]
-    write_ply(given.folder / "object.ply", static(DUCK, Scene(), count=2000).gaussians)
+    write_ply(given.folder / "object.ply", make_gaussians(DUCK, Scene(), count=2000).gaussians)
     scene = Scene.named("press").replaced({**FRAMES, "material.E": TRUTH})
-    clip = twin(static(DUCK, Scene(), count=3000).gaussians, scene, CELLS) if left else None
+    clip = twin(make_gaussians(DUCK, Scene(), count=3000).gaussians, scene, CELLS) if left else None
     for seed in left:
         with kept.open("a", newline="") as file:
             csv.DictWriter(file, COLUMNS).writerow(one(clip, given.folder, seed))

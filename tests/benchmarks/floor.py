@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from phy124.materials import LAWS
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
@@ -21,7 +21,7 @@ DEEP = 0.2
 def measured(law: str, accuracy: str) -> dict[str, object]:
     """Shares of the Gaussians and particles deeper than `DEEP` at the end, and the deepest."""
     scene = Scene.named("drop").replaced({"material.law": law, "accuracy": accuracy})
-    made = static(CUPCAKE, scene)
+    made = make_gaussians(CUPCAKE, scene)
     run = Simulation(prepare(made.gaussians, scene, crop=made.crop))
     heights = run.run().means[-1, :, 2] / scene.dx
     particles = run.solver.state.x.numpy()[:, 2] / scene.dx

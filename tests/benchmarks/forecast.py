@@ -28,7 +28,7 @@ def measure(gaussians, name: str, accuracy: str) -> dict:
     """One whole run with its forecast."""
     scene = beginning(name).replaced({"accuracy": accuracy})
     with tempfile.TemporaryDirectory() as folder:
-        result = pipeline.simulate(gaussians, scene, folder, forecaster=Forecaster("cpu"))
+        result = pipeline.simulate(gaussians, scene, folder, forecaster=Forecaster())
     told, report = result.report["forecast"], result.report
     simulate = told["stages"]["simulate"]
     return {
@@ -49,7 +49,7 @@ def measure(gaussians, name: str, accuracy: str) -> dict:
 def main(scenes: list[str], *, docs: bool) -> None:
     """Print a line per run and how many ratios are between 0.9 and 1.1."""
     wp.config.log_level = wp.LOG_ERROR
-    gaussians = pipeline.static(DUCK).gaussians
+    gaussians = pipeline.make_gaussians(DUCK).gaussians
     # The first run of a process compiles and loads kernels.
     for accuracy in ("draft", "fine"):
         measure(gaussians, "push_right", accuracy)

@@ -66,7 +66,7 @@ def strip(clip: Clip, scene: Scene) -> np.ndarray:
 
 def main() -> None:
     """Print the table; renew it and the picture if asked."""
-    gaussians = pipeline.static(PICTURE).gaussians
+    gaussians = pipeline.make_gaussians(PICTURE).gaussians
     clips = {name: pushed(gaussians, name) for name in CONTROLS}
     heads = [
         "scene",

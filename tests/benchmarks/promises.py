@@ -102,7 +102,7 @@ def objects() -> dict[str, Path]:
 def gaussians_of(path: Path) -> Gaussians:
     """Return the object of a picture or of a file of Gaussians."""
     if path.suffix == ".png":
-        return pipeline.static(path).gaussians
+        return pipeline.make_gaussians(path).gaussians
     return read_gaussians(path, up="-y").gaussians
 
 

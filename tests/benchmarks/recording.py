@@ -42,7 +42,7 @@ def main() -> None:
     pairs = int(sys.argv[1]) if len(sys.argv) > 1 else 5
     for name, changes in SCENES.items():
         scene = Scene.named("press").replaced(changes)
-        gaussians = pipeline.static(DUCK, scene).gaussians
+        gaussians = pipeline.make_gaussians(DUCK, scene).gaussians
         seconds(gaussians, scene, kept=True)
         found: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
         for _ in range(pairs):

@@ -45,7 +45,7 @@ def scene_named(name: str) -> Scene:
 def gaussians_of(file: Path) -> Gaussians:
     """The object of a picture or of a file of Gaussians."""
     if file.suffix == ".png":
-        return pipeline.static(file).gaussians
+        return pipeline.make_gaussians(file).gaussians
     return read_gaussians(file, up="-y").gaussians
 
 

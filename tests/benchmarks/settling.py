@@ -65,7 +65,10 @@ def main() -> None:
     parser.add_argument("--accuracy", default="draft,standard")
     given = parser.parse_args()
     accuracies = given.accuracy.split(",")
-    made = {n: pipeline.static(EXAMPLES / f"{n}.png").gaussians for n in ("duck", "potted_plant")}
+    made = {
+        n: pipeline.make_gaussians(EXAMPLES / f"{n}.png").gaussians
+        for n in ("duck", "potted_plant")
+    }
     costs = (f"{accuracy}: s" for accuracy in accuracies)
     heads = ["preset", "clip", *costs, "moves at the end", "sleeps from [s]", "outside"]
     print(f"| {' | '.join(heads)} |\n|---|---|{'--:|' * (len(heads) - 2)}", flush=True)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phy124.gaussians import Gaussians, joined, rotation_matrices
+from phy124.gaussians import Gaussians, join, rotation_matrices
 from phy124.io.axes import orientation, rotate_gaussians
 from support.shapes import ball
 
@@ -36,13 +36,13 @@ def captured(seed: int, *, floor: int = 6000, floaters: int = 80, noise: float =
     turn = rotation_matrices(rng.normal(size=(1, 4)))[0]
     scale, shift = float(np.exp(rng.uniform(-3, 3))), rng.normal(size=3) * 5
     # Of what touches the floor nothing is seen.
-    shell = ball(3000).moved(1.0, np.array([0, 0, 0.5]))
+    shell = ball(3000).transform(1.0, np.array([0, 0, 0.5]))
     shell = shell.select(shell.means[:, 2] > 0.02)
-    upright = joined([shell, _floor(rng, floor, noise), _floaters(rng, floaters)])
+    upright = join([shell, _floor(rng, floor, noise), _floaters(rng, floaters)])
     kind = np.repeat([0, 1, 2], [len(shell), floor, floaters])
     to_file = orientation().T  # what write_ply does to our axes
     return Place(
-        rotate_gaussians(upright, turn).moved(scale, shift),
+        rotate_gaussians(upright, turn).transform(scale, shift),
         kind,
         to_file @ turn @ [0, 0, 1],
         to_file @ turn,

@@ -36,7 +36,7 @@ def flight(steps, *, count: int = 500) -> Clip:
     """A ball of 1 m that is moved by so many metres in each frame [T,3]."""
     rest = ball(count)
     frames = [
-        Frame(i, i / 24, rest.moved(1.0, np.array(step, float))) for i, step in enumerate(steps)
+        Frame(i, i / 24, rest.transform(1.0, np.array(step, float))) for i, step in enumerate(steps)
     ]
     return Clip.from_frames(frames)
 

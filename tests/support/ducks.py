@@ -7,7 +7,7 @@ from pathlib import Path
 from demo.jobs import Studio
 from demo.work import Done
 from phy124.io.clip import Clip
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 from phy124.rendering.film import film
 from phy124.scene import Scene
 from support.twins import twin
@@ -25,7 +25,7 @@ def video(folder: Path, truth: float, cells: int = CELLS) -> Path:
     """A video of the pressed duck, from a finer grid and other particles than a fit uses."""
     folder.mkdir(exist_ok=True)
     scene = Scene.named("press").replaced({"material.E": truth})
-    clip: Clip = twin(static(DUCK, Scene(), count=5000).gaussians, scene, cells)
+    clip: Clip = twin(make_gaussians(DUCK, Scene(), count=5000).gaussians, scene, cells)
     view = scene.view.model_copy(
         update={"views": ("front",), "size": (256, 256), "background": GROUND}
     )

@@ -359,7 +359,7 @@ def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]
     shapes = {name: value for name, value in raw.items() if name != "object_id"}
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         means = raw["means"].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        gaussians = rotate_gaussians(Gaussians(**shapes), turn).moved(size, np.zeros(3))
+        gaussians = rotate_gaussians(Gaussians(**shapes), turn).transform(size, np.zeros(3))
     rotated = {name: getattr(gaussians, name) for name in shapes}
     return {**raw, **rotated, "means": means, "step": step * size}
 

@@ -12,7 +12,7 @@ GUESS, PRIOR, WALLS, TRIAL = 0, 6, 12, 18
 A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
 """Where those of the six equations stand: blocks [3,3] of the matrix, and the right-hand side."""
 IMPULSE, MOMENT, WORK, MOVED, TURNED, GIVEN = 0, 3, 6, 7, 8, 9
-"""Where the sums of what nodes are given stand, as in phy124/kernels/external_work.py."""
+"""Where the sums of what nodes are given stand, as in phy124/kernels/work.py."""
 
 
 @wp.func

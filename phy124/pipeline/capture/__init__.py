@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, joined, quaternions, rotation_matrices
+from phy124.gaussians import Gaussians, join, quaternions, rotation_matrices
 from phy124.generators.ply_file import Opened, PlyFile, normalise_size, robust_bounds
 from phy124.io.axes import rotate_gaussians, upright
 from phy124.particles import clean
@@ -29,9 +29,9 @@ from phy124.simulation.placing import placing
 VISIBLE = 0.1
 """Opacity from which a Gaussian is used to find the floor."""
 NEIGHBOURS = 8
-USUAL, OWN = 6.0, 3.0
-"""Whose 8th neighbour is so many times farther off than is usual, and than it is long itself, is
-a floater."""
+USUAL, LONG = 6.0, 3.0
+"""A floater's 8th neighbour is at least this many times as far as the median of all Gaussians, and
+as far as the Gaussian is long."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class Capture:
     scene: Scene
     """The scene with the floor as a static part and all regions in metres."""
     cleaning: list[str]
-    """What was left out of the file, as sentences."""
+    """Sentences about Gaussians that were left out."""
     about: dict[str, Any]
-    """How the file was rotated and what floor was found, for the report."""
+    """The rotation of the file and the detected floor, for the report."""
     notes: tuple[str, ...] = ()
-    """Sentences about columns that are ignored, or read in an unusual way."""
+    """Sentences about parts of the file that are ignored or read in an unusual way."""
 
 
 def capture(
@@ -66,16 +66,16 @@ def capture(
     """
     opened = file.open(progress)
     opened = opened._replace(gaussians=thin(opened.gaussians, count, seed=scene.seed))
-    told = file.reading.up is not None or file.reading.rotate is not None
-    read = _on_floor(opened, told=told) if file.reading.floor else _alone(opened, file.path)
+    has_up = file.reading.up is not None or file.reading.rotate is not None
+    read = _on_floor(opened, has_up=has_up) if file.reading.floor else _alone(opened, file.path)
     scene = _with_floor(scene, read)
     about = {"capture": {**read.about, "coarse": opened.coarse}}
     metres = _in_metres(scene, read, opened.origin)
     return Capture(read.gaussians, metres, read.cleaning, about, opened.notes)
 
 
-def changed(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
-    """The scene as `capture` makes it; the file is read only if the scene depends on it.
+def adapt_scene(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
+    """Return the scene as `capture` changes it; the file is read only if the scene depends on it.
 
     Raises:
         InputError: If the file cannot be read, or no floor is found.
@@ -86,19 +86,19 @@ def changed(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
 
 
 def in_file_units(scene: Scene) -> bool:
-    """Whether the region of some part is given in the units of the object's file."""
+    """Return whether the region of some part is in the units of the object's file."""
     return any(part.region and part.region.units == "file" for part in scene.parts)
 
 
 @dataclass(frozen=True)
 class _Read:
-    """Gaussians in the default place and size: x = scale * rotation @ (x - origin) + offset, where
-    x on the right is a place in the file.
+    """Gaussians in the default place and size: x = scale * rotation @ (y - origin) + offset, where
+    y is a position in the file.
     """
 
     gaussians: Gaussians
-    own: int
-    """Number of Gaussians, from the first, that are the object."""
+    count: int
+    """Number of Gaussians of the object, which come first."""
     rotation: NDArray[np.float64]
     scale: float
     offset: NDArray[np.float64]
@@ -107,7 +107,7 @@ class _Read:
 
 
 def _alone(opened: Opened, name: str) -> _Read:
-    """Without a floor: everything is the object."""
+    """Return all Gaussians as the object, without a floor."""
     placed = normalise_size(opened.gaussians, name)
     low, high = robust_bounds(opened.gaussians)
     scale = 1 / float((high - low).max())
@@ -116,45 +116,46 @@ def _alone(opened: Opened, name: str) -> _Read:
     return _Read(placed, len(placed), opened.rotation, scale, offset, opened.cleaning, about)
 
 
-def _on_floor(opened: Opened, *, told: bool) -> _Read:
-    """The object upright on its floor, whose height becomes z = 0; floaters are left out."""
-    given = opened.gaussians
-    seen = given.means[given.opacities >= VISIBLE]
-    found = find_floor(seen, np.array([0.0, 0.0, 1.0]) if told else None)
-    lies = found.heights(given.means) <= found.tolerance
+def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
+    """Return the object upright on its floor, whose height becomes z = 0, without floaters."""
+    every = opened.gaussians
+    visible = every.means[every.opacities >= VISIBLE]
+    floor = find_floor(visible, np.array([0.0, 0.0, 1.0]) if has_up else None)
+    lies = floor.heights(every.means) <= floor.tolerance
     if lies.all():
-        raise InputError(
-            "floor", "wanted", "nothing stands on the floor that was found.",
-            "Take more of the scene into --crop, or leave --floor out.",
-        )  # fmt: skip
-    turn = upright(found.normal)
-    standing = rotate_gaussians(given, turn)
+        remedy = "Take more of the scene into --crop, or leave --floor out."
+        raise InputError("floor", "wanted", "nothing stands on the detected floor.", remedy)
+    turn = upright(floor.normal)
+    standing = rotate_gaussians(every, turn)
     above = standing.select(~lies)
-    alone = isolated(above)
-    own, cleaned = clean(above.select(~alone))
-    low, high = robust_bounds(own)
+    alone = find_floaters(above)
+    body, cleaned = clean(above.select(~alone))
+    low, high = robust_bounds(body)
     scale = 1 / float((high - low).max())
     offset = -scale * (low + high) / 2
-    offset[2] = -scale * found.offset
-    both = joined([own, standing.select(lies)]).moved(scale, offset)
+    offset[2] = -scale * floor.offset
+    both = join([body, standing.select(lies)]).transform(scale, offset)
     sentences = [*opened.cleaning, *cleaned.sentences]
     if alone.any():
         count = f"{alone.sum()} of {len(above)} Gaussians above the floor"
         sentences.append(f"{count} floated far from all others and were dropped.")
-    about = {"rotation": (turn @ opened.rotation).tolist(), "floor": _said(found, opened, lies)}
-    return _Read(both, len(own), turn @ opened.rotation, scale, offset, sentences, about)
+    about = {
+        "rotation": (turn @ opened.rotation).tolist(),
+        "floor": _describe_floor(floor, opened, lies),
+    }
+    return _Read(both, len(body), turn @ opened.rotation, scale, offset, sentences, about)
 
 
-def isolated(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Floaters [N]: Gaussians with few others near them, however large they are."""
+def find_floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """Return which Gaussians are floaters [N]: few others are near, relative to their size."""
     few = min(NEIGHBOURS, len(gaussians) - 1)
     means = gaussians.means.astype(np.float64)
     near = scipy.spatial.KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
-    return near > np.maximum(USUAL * np.median(near), OWN * gaussians.scales.max(axis=1))
+    return near > np.maximum(USUAL * np.median(near), LONG * gaussians.scales.max(axis=1))
 
 
-def _said(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, Any]:
-    """The floor for the report, in the file's axes and units."""
+def _describe_floor(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return the floor for the report, in the file's axes and units."""
     return {
         "normal": (opened.rotation.T @ floor.normal).tolist(),
         "offset": floor.offset + float(floor.normal @ opened.rotation @ opened.origin),
@@ -166,41 +167,41 @@ def _said(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, An
 
 
 def _with_floor(scene: Scene, read: _Read) -> Scene:
-    """The scene with the Gaussians after the object's as a static part that is no part of it."""
-    if read.own == len(read.gaussians):
+    """Return the scene with the floor's Gaussians as a static part of the surroundings."""
+    if read.count == len(read.gaussians):
         return scene
-    floor = Part(static=True, surroundings=True, gaussians=(read.own, len(read.gaussians)))
+    floor = Part(static=True, surroundings=True, gaussians=(read.count, len(read.gaussians)))
     return scene.model_copy(update={"parts": (*scene.parts, floor)})
 
 
 def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) -> Scene:
-    """The scene with regions given in the file's units as rotated boxes in metres.
+    """Return the scene with regions in the file's units converted to rotated boxes in metres.
 
     Args:
         scene: The scene.
         read: The Gaussians in the default place and size.
-        origin: Place in the file that was the origin before that.
+        origin: Position in the file that was moved to the origin.
     """
     if not in_file_units(scene):
         return scene
     kept, cleaned = clean(read.gaussians)
     assert cleaned.survivors is not None
-    own = np.flatnonzero(cleaned.survivors) < read.own
-    scale, offset = placing(kept, scene, own)
+    belonging = np.flatnonzero(cleaned.survivors) < read.count
+    scale, offset = placing(kept, scene, belonging)
     offset = offset + scale * read.offset + [*scene.object.place, scene.object.lift]
     scale *= read.scale
     parts = []
     for number, part in enumerate(scene.parts):
         if part.region is not None and part.region.units == "file":
-            near = _moved(part.region, origin)
+            near = _shift(part.region, origin)
             region = _region_in_metres(near, scale, read.rotation, offset, number)
             part = part.model_copy(update={"region": region})
         parts.append(part)
     return scene.model_copy(update={"parts": tuple(parts)})
 
 
-def _moved(region: PartRegion, origin: tuple[float, float, float]) -> PartRegion:
-    """The region as it is seen from an origin, in the file's axes and units."""
+def _shift(region: PartRegion, origin: tuple[float, float, float]) -> PartRegion:
+    """Return the region relative to an origin, in the file's axes and units."""
     if not any(origin):
         return region
     # The corners are in axes that may be turned.
@@ -210,23 +211,21 @@ def _moved(region: PartRegion, origin: tuple[float, float, float]) -> PartRegion
 
 
 def _region_in_metres(
-    told: PartRegion,
+    region: PartRegion,
     scale: float,
     rotation: NDArray[np.float64],
     offset: NDArray[np.float64],
     number: int,
 ) -> PartRegion:
-    """The box or cylinder of a part, rotated with the file's axes and shifted along them."""
-    # What `told` is turned by itself comes first: rotation @ (scale * own @ box) + offset.
-    both = rotation @ rotation_matrices(np.array([told.turn]))[0]
-    corners = scale * np.array([told.lower, told.upper]) + both.T @ offset
+    """Return the box or cylinder of a part, rotated with the file's axes and shifted along them."""
+    # The region's own rotation comes first: rotation @ (scale * turn @ box) + offset.
+    both = rotation @ rotation_matrices(np.array([region.turn]))[0]
+    corners = scale * np.array([region.lower, region.upper]) + both.T @ offset
     corners = np.clip(corners, -EVERYWHERE, EVERYWHERE)
     if (corners[0] >= corners[1]).any():
-        raise InputError(
-            f"parts.{number}.region", told.model_dump(exclude_defaults=True),
-            "nothing of the object is that far away.",
-            "Give corners near the places of the file's Gaussians.",
-        )  # fmt: skip
+        value, limit = region.model_dump(exclude_defaults=True), "the object is not that far away."
+        remedy = "Give corners near the positions of the file's Gaussians."
+        raise InputError(f"parts.{number}.region", value, limit, remedy)
     lower, upper = corners.tolist()
     turn = quaternions(both[None])[0].tolist()
-    return PartRegion(lower=lower, upper=upper, cylinder=told.cylinder, turn=turn)
+    return PartRegion(lower=lower, upper=upper, cylinder=region.cylinder, turn=turn)

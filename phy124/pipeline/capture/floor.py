@@ -69,29 +69,29 @@ def find_floor(points: NDArray, up: Vectors | None = None, *, seed: int = 0) -> 
         raise _none("there are too few Gaussians.")
     normals, offsets = _trials((x - middle) / spread, up, np.random.default_rng(seed))
     if not len(normals):
-        raise _none("no plane is near the direction that was said to be up.")
+        raise _none("no plane has a normal close to the given up direction.")
     some = ((x - middle) / spread)[:: 1 + len(x) // SAMPLE]
     best = max(range(len(normals)), key=lambda i: _near(some, normals[i], offsets[i], THICKNESS))
-    normal, offset, tolerance = _fitted((x - middle) / spread, normals[best], offsets[best])
+    normal, offset, tolerance = _fit((x - middle) / spread, normals[best], offsets[best])
     above = (x - middle) / spread @ normal - offset
     rest = np.abs(above) > tolerance
     against = up @ normal < 0 if up is not None else (above[rest] < 0).sum() > rest.sum() / 2
     sign = -1.0 if against else 1.0
-    found = Floor(
+    floor = Floor(
         sign * normal,
         float(sign * (offset * spread + middle @ normal)),
         float(tolerance * spread),
     )
-    _check(x, found)
-    return found
+    _check(x, floor)
+    return floor
 
 
 def _trials(x: Vectors, up: Vectors | None, rng: np.random.Generator) -> tuple[Vectors, Vectors]:
-    """Unit normals [T,3] and offsets [T] of planes through three random points each."""
+    """Return unit normals [T,3] and offsets [T] of planes through three random points each."""
     a, b, c = x[rng.integers(0, len(x), (3, TRIALS))]
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
-    # Three points nearly in a line say nothing of the plane.
+    # Three points nearly on a line define no plane.
     good = length > 1e-3 * np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
     good &= length > 0
     normals = normals[good] / length[good, None]
@@ -106,8 +106,8 @@ def _near(x: Vectors, normal: Vectors, offset: float, tolerance: float) -> int:
     return int((np.abs(x @ normal - offset) <= tolerance).sum())
 
 
-def _fitted(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
-    """The least-squares plane through its own points, and its tolerance."""
+def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
+    """Return the least-squares plane of the points near it, and its tolerance."""
     tolerance = THICKNESS
     for _ in range(12):
         on = x[np.abs(x @ normal - offset) <= tolerance]
@@ -115,7 +115,7 @@ def _fitted(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float,
         fitted = np.linalg.eigh(np.cov((on - centre).T))[1][:, 0]
         normal = fitted if fitted @ normal > 0 else -fitted
         offset = float(normal @ centre)
-        # The median is not misled by the foot of what stands on the floor.
+        # The median is not affected by objects that stand on the floor.
         deviation = 1.4826 * float(np.median(np.abs(on @ normal - offset)))
         tolerance = min(max(SIGMAS * deviation, 1e-4), 3 * THICKNESS)
     return normal, offset, tolerance

@@ -9,20 +9,26 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from phy124.io.clip import Clip
 from phy124.io.video import write_mp4
-from phy124.progress import Progress, silent
 from phy124.rendering.compose.colours import match_colours
 from phy124.rendering.compose.photograph import Photograph as Photograph
 from phy124.rendering.compose.photograph import match
+from phy124.rendering.compose.photograph import photograph_of as photograph_of
 from phy124.rendering.film import playback, rate
 from phy124.rendering.frames import render_frames
 from phy124.rendering.render import BLACK
 from phy124.rendering.stage.build import make_stage
 from phy124.rendering.stage.frame import Backdrop
+from phy124.runtime.context import RunContext
 from phy124.scene import View
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from phy124.runtime.context import ContextOptions
 
 
 def compose(
@@ -30,9 +36,8 @@ def compose(
     view: View,
     photograph: Photograph,
     folder: str | os.PathLike[str],
-    *,
-    device: str = "cpu",
-    progress: Progress = silent,
+    context: RunContext | None = None,
+    **fields: Unpack[ContextOptions],
 ) -> tuple[Path, dict[str, Any]]:
     """Write composed.mp4: the clip in the photograph.
 
@@ -41,13 +46,16 @@ def compose(
         view: Gives the filter and the playback rate.
         photograph: The photograph.
         folder: An existing folder.
-        device: Warp's name of the device that draws.
-        progress: Called as ("compose", pictures done, pictures in all); may raise Cancelled.
+        context: Device, and progress, which is called as ("compose", pictures done, pictures in
+            all).
+        **fields: `device` and `progress`, if there is no context.
 
     Returns:
         The file, and the PSNR of its first picture inside the object [dB]: `psnr`, and
         `psnr_before` for the colours and sizes before they were matched.
     """
+    context = RunContext.of(context, **fields)
+    device, progress = context.device, context.progress
 
     def each() -> None:
         progress("compose", 0, len(clip))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +16,11 @@ from PIL import Image
 from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.imaging.image import open_image
 from phy124.rendering.render import BLACK, Renderer
 
+CUTOUT = "cutout.png"
+"""File in the folder of a run whose alpha shows where in the photograph the object is."""
 LARGEST = 1024
 """Longest side of the pictures [pixels]."""
 MARGIN = 0.015
@@ -189,3 +194,21 @@ def _near(photograph: Photograph) -> NDArray[np.uint8]:
     reach = max(1, round(RIM * max(photograph.alpha.shape)))
     inside = (photograph.alpha > 0.5).astype(np.uint8)
     return np.asarray(cv2.dilate(inside, np.ones((2 * reach + 1,) * 2)), np.uint8)
+
+
+def photograph_of(picture: str | os.PathLike[str], folder: Path) -> Photograph:
+    """Return the photograph that a clip was made from, with the position of the object in it.
+
+    Args:
+        picture: The photograph.
+        folder: The folder of the clip's run, which has its cut-out.
+
+    Raises:
+        InputError: The photograph or its cut-out cannot be opened, or there is no cut-out.
+    """
+    opened = open_image(picture, field="compose")
+    if not (folder / CUTOUT).is_file():
+        limit = f"{folder} has no {CUTOUT}, which shows where the object was."
+        remedy = "Compose a clip that `phy124 generate` made, in its folder."
+        raise InputError("compose", picture, limit, remedy)
+    return Photograph.of(opened, open_image(folder / CUTOUT, field="compose"))

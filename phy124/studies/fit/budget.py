@@ -12,8 +12,9 @@ import numpy as np
 from phy124.accuracy.forecast import Forecaster
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.imaging.painted import WHOLE, Crop
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation.parts import WHOLE, Crop
 from phy124.studies.fit.search import HALVES, generation_size, log2_screened
 
 FEWEST = 6
@@ -111,7 +112,7 @@ def make_outlook(
         workers: Number of processes.
         crop: Position of the object in its picture.
     """
-    forecaster, each = Forecaster("cpu", threads=1), []
+    forecaster, each = Forecaster(RunContext(threads=1)), []
     for scene in scenes:
         stages = forecaster.forecast(gaussians, scene, crop=crop).stages
         each.append(stages["particles"] + stages["simulate"] + stages["deform"])

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phy124.gaussians import Gaussians
+from phy124.imaging.painted import Crop
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.progress import Progress, silent
@@ -23,7 +24,6 @@ from phy124.runtime.context import RunContext
 from phy124.runtime.processes import as_done, processes
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.parts import Crop
 from phy124.studies.fit.budget import Budget
 from phy124.studies.fit.declaration import Fit
 from phy124.studies.fit.observation import Observations, Values

@@ -12,15 +12,15 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators import needs_image
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.monitor.wrenches import wall_names
 from phy124.particles.thinning import thin
-from phy124.pipeline import static
+from phy124.pipeline import make_gaussians
 from phy124.rendering.framing import cameras
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.parts import WHOLE, Crop
 from phy124.studies.fit.declaration import Fit
 from phy124.studies.fit.observation import (
     ROUNDED,
@@ -179,7 +179,7 @@ def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Cr
         raise InputError("object", None, limit, "Give its picture or file of Gaussians.")
     options: dict[str, Any] = {"count": declared.gaussians}
     path = os.fspath(declared.object)
-    made = static(path, scene, generator="relief" if needs_image(path) else path, **options)
+    made = make_gaussians(path, scene, generator="relief" if needs_image(path) else path, **options)
     return made.scene, made.gaussians, made.crop
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,6 @@ from phy124.budget.cost import USUAL, Work
 from phy124.errors import InputError
 from phy124.progress import Progress, silent
 from phy124.runtime.context import RunContext
-from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.sweep.plan import Item, Plan
@@ -61,7 +61,7 @@ def list_refused(plan: Plan, progress: Progress = silent) -> Iterator[tuple[Item
         progress("plan", item.index + 1, len(plan))
 
 
-def forecast_sweep(plan: Plan, device: str = "cpu", progress: Progress = silent) -> Expected:
+def forecast_sweep(plan: Plan, context: RunContext) -> Expected:
     """Forecast a sweep from a few of its clips.
 
     Raises:
@@ -69,16 +69,16 @@ def forecast_sweep(plan: Plan, device: str = "cpu", progress: Progress = silent)
     """
     chosen = np.linspace(0, len(plan) - 1, min(TRIED, len(plan))).round().astype(int)
     seconds, sizes, why = [], [], None
-    forecaster = Forecaster(device, threads=1)
+    forecaster = Forecaster(replace(context, threads=1))
     for count, index in enumerate(chosen.tolist()):
         try:
-            spent, size = _forecast_clip(plan, plan.item(index), forecaster, device)
+            spent, size = _forecast_clip(plan, plan.item(index), forecaster)
         except InputError as error:
             why = error
             continue
         seconds.append(spent)
         sizes.append(size)
-        progress("forecast", count + 1, len(chosen))
+        context.progress("forecast", count + 1, len(chosen))
     if not seconds:
         raise why or InputError("sweep", plan.sweep.scene, "it has no clips.", "Add pictures.")
     error = float(np.std(seconds, ddof=1) / len(seconds) ** 0.5) if len(seconds) > 1 else 0.0
@@ -86,23 +86,13 @@ def forecast_sweep(plan: Plan, device: str = "cpu", progress: Progress = silent)
     return Expected(len(plan), len(seconds), (mean, error), float(np.mean(sizes)))
 
 
-def _forecast_clip(
-    plan: Plan, item: Item, forecaster: Forecaster, device: str
-) -> tuple[float, float]:
+def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[float, float]:
     """Forecast the seconds and bytes of a clip."""
-    watch = Stopwatch()
-    made = make_static(
-        item.picture, item.generator, plan.scene_of(item), count=plan.sweep.gaussians,
-        stand_in=True, device=device, watch=watch,
-    )  # fmt: skip
-    run = Simulation(
-        prepare(
-            made.gaussians,
-            made.scene,
-            RunContext(device=device, watch=watch, threads=1),
-            crop=made.crop,
-        )
-    )
+    context = forecaster.context.aside()
+    watch, count = context.watch, plan.sweep.gaussians
+    scene, options = plan.scene_of(item), {"count": count, "preview_with_relief": True}
+    made = make_static(item.picture, item.generator, scene, context, **options)
+    run = Simulation(prepare(made.gaussians, made.scene, context, crop=made.crop))
     forecast = forecaster.of(run, filming=plan.sweep.films)
     making = watch.seconds.get("generate", 0.0) + watch.seconds.get("image", 0.0)
     if made.effort is not None:

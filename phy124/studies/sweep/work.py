@@ -6,7 +6,8 @@ import errno
 import io
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from PIL import Image
@@ -16,10 +17,11 @@ from phy124.budget.cost import GAUSSIANS, count_nodes, count_particles, estimate
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
 from phy124.generators import needs_image
+from phy124.imaging.painted import Crop
 from phy124.io.clip import Clip
-from phy124.pipeline import Static, cameras, film, static, write_json
-from phy124.pipeline.making import framed
-from phy124.pipeline.recording import Recording, taken_up
+from phy124.pipeline import StaticObject, cameras, film, make_gaussians, write_json
+from phy124.pipeline.recording import Recording, take_up
+from phy124.pipeline.run_folder import view_report
 from phy124.progress import Progress, silent
 from phy124.rendering.render import render, to_bytes
 from phy124.runtime.context import RunContext
@@ -27,7 +29,6 @@ from phy124.runtime.startup import start
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Interrupted, Simulation, prepare
-from phy124.simulation.parts import Crop
 from phy124.studies.sweep.keys import key_of_request
 from phy124.studies.sweep.plan import Item
 from phy124.studies.sweep.storage import Filling, Storage, fetch
@@ -143,8 +144,8 @@ def make_gaussians(order: Order) -> Made:
             order.picture,
             order.generator,
             scene if order.read else Scene(seed=scene.seed),
+            RunContext(device=order.device),
             count=order.gaussians,
-            device=order.device,
         )
     except InputError as error:
         return Made(None, None, None, time.perf_counter() - begun, str(error))
@@ -153,21 +154,24 @@ def make_gaussians(order: Order) -> Made:
     return Made(static_object.gaussians, static_object.crop, scene_data, seconds)
 
 
-def make_static(address: str, generator: str, scene: Scene, **options: Any) -> Static:
+def make_static(
+    address: str, generator: str, scene: Scene, context: RunContext, **options: Any
+) -> StaticObject:
     """Make the Gaussians of a picture, or read those of a file.
 
     Args:
         address: Address of the picture or file.
         generator: Generator for a picture.
         scene: The scene.
-        **options: Options of `static`.
+        context: Device of the generator, progress and stopwatch.
+        **options: Options of `make_object`.
 
     Raises:
         InputError: The picture or an option is unusable.
     """
     with fetch(address) as picture:
         chosen = generator if needs_image(address) else str(picture)
-        return static(picture, scene, generator=chosen, **options)
+        return make_gaussians(picture, scene, context, generator=chosen, **options)
 
 
 def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
@@ -178,11 +182,13 @@ def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
         Cancelled: `progress` raised it; on this machine, the next run continues the clip.
     """
     start()
-    storage, watch = Storage(order.out), Stopwatch()
+    storage = Storage(order.out)
+    context = RunContext(device=order.device, threads=1, progress=progress)
     try:
-        result = _make_clip(order, source, storage, watch, progress)
+        result = _make_clip(order, source, storage, context)
     except InputError as error:
         result = {"status": "refused", "sentence": str(error)}
+    watch = context.watch
     seconds = {"generate": source.seconds, **watch.seconds, "clip": watch.total}
     return write_row(storage, order.key, order, {**result, "seconds": seconds})
 
@@ -223,18 +229,17 @@ def stops_all(error: BaseException) -> bool:
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
-def _make_clip(
-    order: Order, source: Made, storage: Storage, watch: Stopwatch, progress: Progress
-) -> Row:
+def _make_clip(order: Order, source: Made, storage: Storage, context: RunContext) -> Row:
     """Simulate, film and store a clip."""
     if source.gaussians is None or source.crop is None:
         return {"status": "refused", "sentence": source.refusal}
     scene = Scene.from_data(source.scene or order.scene)
     folder = f"clips/{order.key[:2]}/{order.key}"
     with storage.filling(folder) as filling:
-        clip, recording = _simulate(order, source, scene, storage, folder, watch, progress)
+        place = storage.here and storage.here / folder
+        clip, recording = _simulate(source, scene, place, context)
         try:
-            report, size = _store(clip, scene, order, filling, watch, progress)
+            report, size = _store(clip, scene, order, filling, context)
         except BaseException:
             recording.leave()
             raise
@@ -252,41 +257,31 @@ def _make_clip(
 
 
 def _simulate(
-    order: Order,
-    source: Made,
-    scene: Scene,
-    storage: Storage,
-    folder: str,
-    watch: Stopwatch,
-    progress: Progress,
+    source: Made, scene: Scene, folder: Path | None, context: RunContext
 ) -> tuple[Clip, Recording]:
     """Simulate a clip, continuing a killed run.
 
     Args:
-        order: The clip.
-        source: Its Gaussians.
-        scene: Its scene.
-        storage: The sweep's folder.
-        folder: Name of the clip's folder in it.
-        watch: Records the durations of the stages.
-        progress: Called with (stage, done, total); may raise Cancelled.
+        source: The Gaussians.
+        scene: The scene.
+        folder: The clip's folder, if it is on this machine.
+        context: Device, threads, progress and stopwatch.
     """
     assert source.gaussians is not None and source.crop is not None
-    context = RunContext(device=order.device, watch=watch, threads=1, progress=progress)
-    run, recording = taken_up(storage.here and storage.here / folder, context)
+    run, recording = take_up(folder, context)
     if run is None:
         run = Simulation(prepare(source.gaussians, scene, context, crop=source.crop))
     try:
         return run.run(lambda _: recording.see(run)), recording
     except BaseException as error:
-        recording.rescued()
+        recording.rescue()
         if isinstance(error, Interrupted):
             raise Cancelled from error
         raise
 
 
 def _store(
-    clip: Clip, scene: Scene, order: Order, filling: Filling, watch: Stopwatch, progress: Progress
+    clip: Clip, scene: Scene, order: Order, filling: Filling, context: RunContext
 ) -> tuple[dict[str, Any], int]:
     """Store a clip, then its films; return its report and the size of all files [bytes].
 
@@ -295,12 +290,12 @@ def _store(
         scene: Its scene.
         order: The requested clip.
         filling: Its folder.
-        watch: Records the durations of the stages.
-        progress: Called with (stage, done, total); may raise Cancelled.
+        context: Device, threads, progress and stopwatch.
     """
+    watch = context.watch
     # Durations differ from run to run, but equal orders must give equal files.
     report = {k: v for k, v in clip.report.items() if k != "substep_stages"}
-    report |= framed(clip, scene.view) if order.films else {}
+    report |= view_report(clip, scene.view) if order.films else {}
     here = filling.place
     with watch.stage("store"):
         clip.with_report(report).save(here / "clip.safetensors")
@@ -308,7 +303,7 @@ def _store(
         size = filling.store()  # the clip is kept if filming fails
     with watch.stage("film"):
         if order.films:
-            film(clip, scene.view, here, device=order.device, threads=1, progress=progress)
+            film(clip, scene.view, here, replace(context, watch=Stopwatch()))
         (here / "thumbnail.webp").write_bytes(thumbnail(clip, scene))
     with watch.stage("store"):
         return report, size + filling.store()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from phy124.boundaries import Ground, HalfSpace
 from phy124.forces import Gravity
 from phy124.kernels.arguments import types
-from phy124.kernels.manufactured import make_vortex
+from phy124.kernels.forces import make_vortex
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Grid, Model, Solver, Stage, State
 from phy124.mpm.tracks import Tracks

@@ -22,16 +22,16 @@ from phy124.accuracy.forecast import QUIET, Forecaster, pixels_per_size
 from phy124.accuracy.promises import check_promise, promise, torn
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.monitor.diagnostics import Diagnostics, diagnose
 from phy124.monitor.dissipation import Loss, split_seconds
 from phy124.monitor.tearing import Tearing
-from phy124.progress import Progress, silent
+from phy124.progress import Progress
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure, is_stop
 from phy124.scene import PRESETS, Accuracy, Scene
 from phy124.simulation import Simulation, Stopped, prepare
-from phy124.simulation.parts import WHOLE, Crop
 
 LEVELS = (16, 24, 32, 48)
 """Cells across the object, from coarse to fine; draft, standard and fine among them."""
@@ -137,12 +137,11 @@ class Study:
 
     gaussians: Gaussians
     scene: Scene
-    device: str = "cpu"
+    context: RunContext = field(default_factory=RunContext)
+    """Device, threads, and progress, which is called with ("study", setting, settings), also in the
+    middle of a setting. It may raise Cancelled, or Stopped, which leaves this setting out."""
     levels: tuple[int, ...] = LEVELS
     crop: Crop = WHOLE
-    progress: Progress = silent
-    """Called with ("study", setting, settings), also in the middle of a setting; may raise
-    Cancelled, or Stopped, which leaves this setting out."""
     thorough: bool = True
     """Also vary the other settings, forecast each and compare videos: about three times as long."""
     on_row: Callable[[Row], None] = lambda row: None
@@ -155,7 +154,7 @@ class Study:
     _forecaster: Forecaster = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self._forecaster = Forecaster(self.device)
+        self._forecaster = Forecaster(self.context)
         self._splits = self.thorough and _can_split(self.scene)
         self._thickness: float | None = None
 
@@ -183,7 +182,7 @@ class Study:
                 rows.append(row)
                 self.on_row(row)
         else:
-            self.progress("study", len(plan), len(plan))
+            self.context.progress("study", len(plan), len(plan))
         report = self._conclude_or_keep(rows, tuple(skipped))
         return replace(report, interrupted=self.ended is not None)
 
@@ -203,8 +202,8 @@ class Study:
     def _still(self, number: int, count: int, stage: str = "study", *steps: int) -> None:
         """Report progress in the middle of a setting."""
         if stage == "compile":
-            self.progress(stage, *steps)
-        self.progress("study", number, count)
+            self.context.progress(stage, *steps)
+        self.context.progress("study", number, count)
 
     def _plan(self) -> Iterator[tuple[str, Scene]]:
         """Yield every setting by name: the levels, then variations of a single option."""
@@ -232,15 +231,9 @@ class Study:
         return self.scene.model_copy(update={"accuracy": accuracy, "checks": checks})
 
     def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
-        """Run a setting; return its row, and the reason if there is none or it is doubtful."""
-        simulation = Simulation(
-            prepare(
-                self.gaussians,
-                scene,
-                RunContext(device=self.device, progress=progress),
-                crop=self.crop,
-            )
-        )
+        """Run one setting; returns its row, and why there is none or why to doubt it."""
+        context = replace(self.context.aside(), progress=progress)
+        simulation = Simulation(prepare(self.gaussians, scene, context, crop=self.crop))
         self._thickness = self._thickness or simulation.setup.thickness
         particles_per_axis = _particles_per_axis(simulation)
         if particles_per_axis < MIN_PARTICLES_PER_AXIS:
@@ -285,9 +278,8 @@ class Study:
         if scene.checks.energy:
             checks = scene.checks.model_copy(update={"energy": False})
             plain = scene.model_copy(update={"checks": checks})
-            simulation = Simulation(
-                prepare(self.gaussians, plain, RunContext(device=self.device), crop=self.crop)
-            )
+            context = self.context.aside()
+            simulation = Simulation(prepare(self.gaussians, plain, context, crop=self.crop))
         forecast = self._forecaster.of(simulation, filming=False, load=QUIET)
         return forecast.stages["simulate"] + forecast.stages["deform"]
 
@@ -354,7 +346,7 @@ class Study:
         small = view.model_copy(update={"size": tuple(round(side * shrink) for side in view.size)})
         apart = None
         if clip is not levels[-1] and self.thorough:
-            apart = difference(clip, levels[-1], small, device=self.device)
+            apart = difference(clip, levels[-1], small, device=self.context.device)
             apart = replace(apart, pixels=apart.pixels / shrink)
         start = slice(frames)
         each = [distances([clip.means[start], level.means[start]])[0, 1] / size for level in levels]

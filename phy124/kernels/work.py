@@ -1,7 +1,9 @@
-"""Sums of the impulse and work of forces and walls.
+"""Impulse and work in every substep: of forces and walls, and of the stress of the material.
 
 They are summed in float64 in every substep, because they depend on the path, and compared with the
-change of the state (phy124/kernels/diagnostics.py).
+change of the state (phy124/kernels/diagnostics.py). The stress in a substep is the mean of those at
+its ends, which is correct to second order for elastic material, and at the yield stress during
+plastic flow.
 """
 
 from functools import cache
@@ -15,6 +17,8 @@ from phy124.kernels.diagnostics import add3, kinetic_energy, wide
 from phy124.kernels.grid import copy_row, next_changed, row_in_copy, row_in_grid
 from phy124.kernels.native import code
 from phy124.kernels.reduction import add_to
+from phy124.kernels.spectral import to_double
+from phy124.kernels.transfer import Law, member
 
 IMPULSE, WORK, MOVED, TURNED, GIVEN = 0, 3, 4, 5, 6
 """Index of each sum (of the impulse: its first), and the number of sums.
@@ -191,3 +195,62 @@ def make_uniform_sums(real: Any):
         add_given(given_out, J, work, wp.length(J), wp.abs(work))
 
     return uniform_sums
+
+
+RUBBED, STRAINED, LOST = 0, 1, 2
+"""Index of each sum, and the number of sums: the work of the part of the stress that depends on the
+rate, and of the part that does not [J]."""
+
+
+@cache
+def make_dissipation(law: Law, real: Any):
+    """Kernel, right after a gather: adds the work of a substep to the `LOST` sums.
+
+    Each thread sums `each` particles before it writes, as in `make_measure`.
+    """
+    stress, exact = law.stress, wp.types.vector(law.width, wp.float64)
+    has_history = law.project is not None
+
+    @kernel(f"phy124_dissipation_{law.name}_{real.__name__}", real, width=law.width)
+    def dissipation(
+        first,
+        each,
+        stride,
+        count,
+        chosen,
+        theta,
+        volume,
+        clock,
+        C,
+        F,
+        history,
+        stress_out: wp.array(dtype=wp.mat33d),
+        sums_out,
+    ):
+        rubbed = wp.float64(0.0)
+        strained = wp.float64(0.0)
+        dt = wp.float64(clock[1])
+        for k in range(each):
+            i = wp.tid() * first + k * stride
+            if i < count:
+                p = member(chosen, i)
+                h = wp.vec2d()
+                if wp.static(has_history):
+                    h = wp.vec2d(wp.float64(history[p][0]), wp.float64(history[p][1]))
+                row = wp.min(p, theta.shape[0] - 1)
+                parameters = exact()
+                for c in range(wp.static(law.width)):
+                    parameters[c] = wp.float64(theta[row][c])
+                rate = to_double(C[p])
+                here = to_double(F[p])
+                still = stress(here, wp.mat33d(), h, parameters)
+                moving = stress(here, rate, h, parameters)
+                mean = wp.float64(0.5) * (stress_out[p] + still)
+                stress_out[p] = still
+                share = dt * wp.float64(volume[p])
+                rubbed += share * wp.ddot(moving - still, rate)
+                strained += share * wp.ddot(mean, rate)
+        add_to(sums_out, RUBBED, rubbed)
+        add_to(sums_out, STRAINED, strained)
+
+    return dissipation

@@ -1,4 +1,8 @@
-"""What a run leaves in its folder: clip, Gaussians, scene, videos and the report."""
+"""The folder of a run: clip, Gaussians, scene, videos and report, complete or not at all.
+
+Results of an earlier run are removed once the new ones are written. Only files that the earlier
+report lists are removed; files of the user stay.
+"""
 
 from __future__ import annotations
 
@@ -21,22 +25,24 @@ from phy124.io.files import deliver, replacing, write_whole
 from phy124.io.files import staging as staging
 from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
-from phy124.pipeline import earlier, resume
-from phy124.pipeline.losses import broken_off, moved_away, nothing_kept, unfilmed, with_cause
+from phy124.pipeline import resume
 from phy124.pipeline.recording import PAUSE as PAUSE
 from phy124.pipeline.recording import Recording, sweep
-from phy124.progress import Progress
 from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import describe_playback, note_if_choppy
 from phy124.rendering.film import film as film
 from phy124.rendering.film import playback as playback
 from phy124.rendering.film import rate as rate
 from phy124.rendering.framing import describe_framing
-from phy124.runtime.stopwatch import Stopwatch
+from phy124.runtime.context import RunContext
+from phy124.runtime.failures import failure
 from phy124.scene import Scene, View
 from phy124.simulation import Interrupted, Simulation
 
 CLIP, SCENE, PLY, CUTOUT = "clip.safetensors", "scene.toml", "gaussians.ply", "cutout.png"
+REPORT = "report.json"
+LARGEST_REPORT = 1 << 26
+"""Largest report that is read [bytes]; a usual one has 10,000."""
 INTERRUPTED = "it was interrupted; the same command with --resume continues it"
 
 
@@ -53,29 +59,25 @@ class Result:
 
 
 @dataclass
-class Making:
-    """One run that writes into a folder, and its options."""
+class RunFolder:
+    """A run that writes into a folder, and its options."""
 
     out: Path
-    device: str
-    progress: Progress
-    watch: Stopwatch
+    context: RunContext
     about: dict[str, Any]
-    """What the report says in addition to the run's own."""
+    """Entries of the report in addition to the run's own."""
     keep: bool
-    """Whether the frames so far are kept when `progress` cancels."""
+    """Whether the frames so far are kept when the context's `progress` cancels."""
     cutout: bytes | None = None
-    """The cut-out as a PNG file, to be saved beside the results."""
+    """The cut-out as a PNG file, to be saved with the results."""
     films: bool = True
     """Whether videos are made."""
-    threads: int | None = None
-    """CPU threads that draw; None: as many as there are cores."""
     frames: Growing | None = None
     """The file with the frames of the run that is continued, if it has one."""
     continued: int = 0
     """Number of frames of the run that is continued."""
     rescues: bool = True
-    """Whether what is computed is kept if the run fails or its folder has no room."""
+    """Whether finished frames are kept if the run fails or its folder has no space."""
     predicted: Forecast | None = None
 
     def __post_init__(self) -> None:
@@ -84,24 +86,22 @@ class Making:
             self.out, self.about, files=self.files, frames=self.frames, saved=self.continued
         )
 
-    def result(self, moved: Callable[[], tuple[Simulation, Clip]]) -> Result:
-        """Move, save and film; a folder that cannot be written is refused before anything else.
-
-        What an earlier run left in the folder goes when the new results are there.
+    def fill(self, simulate: Callable[[], tuple[Simulation, Clip]]) -> Result:
+        """Simulate, save and film; a folder that cannot be written is refused first.
 
         Raises:
-            Incomplete: Not all could be made or written; it says what is kept, and where.
-            Cancelled: `progress` raised it, and `keep` is not set.
+            Incomplete: Not everything could be made or written; the message says what is kept.
+            Cancelled: The context's `progress` raised it, and `keep` is not set.
         """
-        before = earlier.listed(self.out) - {PAUSE}  # this run's own may be of that name
+        before = list_results(self.out) - {PAUSE}  # this run's own may be of that name
         try:
             with staging(self.out) as folder:
                 sweep(self.out)
-                return self._made(folder, before, *self._moved(moved))
+                return self._save_and_film(folder, before, *self._simulate(simulate))
         finally:
             self.recording.leave()
 
-    def _made(
+    def _save_and_film(
         self, folder: Path, before: set[str], run: Simulation, clip: Clip, interrupted: bool
     ) -> Result:
         """Save, then film.
@@ -115,29 +115,31 @@ class Making:
         """
         report = self._save(folder, run, clip, interrupted)
         made = set(deliver(folder) if self.keep else ())
-        earlier.remove(self.out, before.difference(made) if made else ())
+        remove_results(self.out, before.difference(made) if made else ())
         if self.keep and self.films and not interrupted:
             with suppress(OSError, InputError):
                 self.recording.pause(run)  # the filming may be killed
         cut, problem = self._film(clip, run.scene, folder)
         if cut and not interrupted:
             interrupted = self._pause(folder, run)
-        made |= {path.name for path in folder.glob("[!.]*")} | {earlier.REPORT}
-        report = self._renewed(report, made, interrupted=cut or interrupted)
+        made |= {path.name for path in folder.glob("[!.]*")} | {REPORT}
+        report = self._update(report, made, interrupted=cut or interrupted)
         with suppress(OSError, InputError):  # the earlier report stays if there is no room
             self.recording.restate(clip.with_report(report))
-            write_json(folder / earlier.REPORT, report)
+            write_json(folder / REPORT, report)
         deliver(folder)
-        earlier.remove(self.out, before.difference(made))
+        remove_results(self.out, before.difference(made))
         self._end(made, interrupted=interrupted or problem is not None)
         if problem is not None:
-            raise unfilmed(self.out, made, resumes=self.recording.saved > 0) from problem
+            raise _without_films(self.out, made, resumes=self.recording.saved > 0) from problem
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
 
-    def _moved(self, moved: Callable[[], tuple[Simulation, Clip]]) -> tuple[Simulation, Clip, bool]:
-        """The run, its clip, and whether it was interrupted."""
+    def _simulate(
+        self, simulate: Callable[[], tuple[Simulation, Clip]]
+    ) -> tuple[Simulation, Clip, bool]:
+        """Return the run, its clip, and whether it was interrupted."""
         try:
-            run, clip = moved()
+            run, clip = simulate()
             return run, clip, False
         except Interrupted as cut:
             if not self.keep:
@@ -153,8 +155,8 @@ class Making:
             if not self.rescues:
                 self.recording.drop()
                 raise
-            if left := self.recording.rescued():
-                raise broken_off(self.out, left) from error
+            if left := self.recording.rescue():
+                raise _after_error(self.out, left) from error
             raise
 
     def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
@@ -164,10 +166,8 @@ class Making:
         """
         if not self.films:
             return False, None
-        options: dict[str, Any] = {"device": self.device, "watch": self.watch}
-        options["threads"] = self.threads
         try:
-            film(clip, scene.view, folder, progress=self.progress, **options)
+            film(clip, scene.view, folder, self.context)
         except Cancelled:
             if not self.keep:
                 self.recording.drop()
@@ -191,24 +191,25 @@ class Making:
                 with suppress(OSError, InputError):
                     self.recording.pause(run)
                 self._end(made, interrupted=True)
-                loss = unfilmed(self.out, made, resumes=self.recording.saved > 0)
+                loss = _without_films(self.out, made, resumes=self.recording.saved > 0)
             else:
                 loss = self._elsewhere(run, clip, interrupted)
             if interrupted:
-                raise with_cause(loss, error) from Cancelled()
+                cause = failure(error).sentence.rstrip(".")
+                raise Incomplete(f"{cause}; {loss.kept}") from Cancelled()
             raise loss from error
 
     def _write(
         self, folder: Path, run: Simulation, clip: Clip, interrupted: bool
     ) -> dict[str, Any]:
         report = self._report(clip, run.setup.cleaned_scene, interrupted)
-        names = {SCENE, earlier.REPORT, CLIP, PLY, *self.files}
+        names = {SCENE, REPORT, CLIP, PLY, *self.files}
         if interrupted and not run.scene.unregistered:
             names.add(PAUSE)
         report["files"] = sorted(names)
-        with self.watch.stage("save"):
+        with self.context.watch.stage("save"):
             write_whole(folder / SCENE, _scene_file(run.setup.cleaned_scene))
-            write_json(folder / earlier.REPORT, report)
+            write_json(folder / REPORT, report)
             self.recording.finish(clip.with_report(report), folder / CLIP)
             if interrupted:
                 self._pause(folder, run)
@@ -220,11 +221,11 @@ class Making:
 
     def _relist(self, folder: Path) -> None:
         """List in the report what is there, where not all that was to be written is."""
-        path = folder / earlier.REPORT
-        report = json.loads(path.read_bytes())
-        report["files"] = sorted(one.name for one in folder.glob("[!.]*"))
+        listed = folder / REPORT
+        report = json.loads(listed.read_bytes())
+        report["files"] = sorted(path.name for path in folder.glob("[!.]*"))
         with suppress(OSError, InputError):
-            write_json(path, report)
+            write_json(listed, report)
 
     def _pause(self, folder: Path, run: Simulation) -> bool:
         """Write the state of a run that ends early; returns whether it can go on."""
@@ -245,10 +246,20 @@ class Making:
         except Exception:
             if folder is not None:
                 shutil.rmtree(folder, ignore_errors=True)
-            left = self.recording.rescued()
-            return broken_off(self.out, left) if left else nothing_kept()
+            left = self.recording.rescue()
+            return (
+                _after_error(self.out, left)
+                if left
+                else Incomplete("no folder has space for its frames: nothing could be kept")
+            )
         self.recording.drop()
-        return moved_away(self.out, folder, interrupted=interrupted)
+        more = (
+            f"; the same command with --out {folder} --resume continues it" if interrupted else ""
+        )
+        return Incomplete(
+            f"files that could not be written to {self.out} are kept in {folder}: "
+            f"`phy124 render {folder / CLIP}` films it{more}"
+        )
 
     def _end(self, made: Iterable[str], *, interrupted: bool) -> None:
         """Remove what the run needed while it went on."""
@@ -263,25 +274,25 @@ class Making:
         about = {"foreground": None, "cutout": None, "generator": None, **self.about}
         cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]
         report = {**about, **clip.report, "cleaning": cleaning}
-        report |= framed(clip, scene.view) if self.films else {}
-        report["notes"] = [*_of_files(about), *report["notes"]]
+        report |= view_report(clip, scene.view) if self.films else {}
+        report["notes"] = [*_source_notes(about), *report["notes"]]
         report["promise"] = asdict(promise(scene, report["thickness"], report))
-        return self._renewed(report, (), interrupted=interrupted)
+        return self._update(report, (), interrupted=interrupted)
 
-    def _renewed(
+    def _update(
         self, report: dict[str, Any], made: Iterable[str], *, interrupted: bool
     ) -> dict[str, Any]:
-        """A report with the time spent and the files made by now."""
-        report = {**report, **circumstances(self.device, self.watch), "files": sorted(made)}
+        """Return a report with the time spent and the files made by now."""
+        report = {**report, **environment_info(self.context), "files": sorted(made)}
         if self.predicted is not None:
-            report["forecast"] = self.predicted.compare(self.watch.seconds)
+            report["forecast"] = self.predicted.compare(self.context.watch.seconds)
         if interrupted:
             report["stopped"] = report["stopped"] or INTERRUPTED
         return {**report, "interrupted": interrupted}
 
 
 def _scene_file(scene: Scene) -> str:
-    """A scene as TOML, without users' classes that a file cannot name."""
+    """Return a scene as TOML, without users' classes that a file cannot name."""
     if not scene.unregistered:
         return scene.to_toml()
     left_out = ", ".join(scene.unregistered)
@@ -289,17 +300,56 @@ def _scene_file(scene: Scene) -> str:
     return head + Scene.of_clip(scene.data()).to_toml()
 
 
-def _of_files(about: dict[str, Any]) -> list[str]:
-    """What is noted about the files that the objects were read from."""
+def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomplete:
+    """Return the exception for a run whose clip is saved, but not filmed or exported."""
+    names = ", ".join(sorted(made))
+    more = ", or the same command with --resume makes what is missing" if resumes else ""
+    return Incomplete(f"kept in {out}: {names}. `phy124 render {out / CLIP}` films it{more}")
+
+
+def _after_error(out: Path, frames: int) -> Incomplete:
+    """Return the exception for a run that failed with this number of frames on disk."""
+    return Incomplete(
+        f"{frames} frames are kept in {out}; the same command with --resume continues from there"
+    )
+
+
+def list_results(folder: Path) -> set[str]:
+    """Return names of files that the run wrote whose report is in a folder; none without one."""
+    path = folder / REPORT
+    try:
+        large = path.stat().st_size > LARGEST_REPORT
+        names = {} if large else json.loads(path.read_bytes()).get("files", [])
+        return {name for name in names if isinstance(name, str) and _is_plain(name)}
+    except (OSError, ValueError, RecursionError, AttributeError, TypeError):
+        return set()
+
+
+def remove_results(folder: Path, names: Iterable[str]) -> None:
+    """Remove files and folders of these names from a folder; missing ones are ignored."""
+    for name in names:
+        path = folder / name
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _is_plain(name: str) -> bool:
+    """Return whether a name stays within its folder; reports may come from anywhere."""
+    return name not in ("", ".", "..") and "\0" not in name and Path(name).name == name
+
+
+def _source_notes(about: dict[str, Any]) -> list[str]:
+    """Return notes about the files that the objects were read from."""
     further = about.get("sources", {}).items()
     more = (f"{name}: {note}" for name, source in further for note in source.get("notes", ()))
     return [*about.get("notes", ()), *more]
 
 
-def framed(clip: Clip, view: View) -> dict[str, Any]:
-    """What a report says about the pictures: their rate, when Gaussians leave them, all notes."""
-    seen = describe_framing(clip, view)
-    slow = note_if_choppy(clip, view)
+def view_report(clip: Clip, view: View) -> dict[str, Any]:
+    """Return entries of the report about the pictures: rate, Gaussians that leave them, notes."""
+    seen, slow = describe_framing(clip, view), note_if_choppy(clip, view)
     return {
         "playback": describe_playback(clip, view),
         "departures": seen["departures"],
@@ -307,21 +357,21 @@ def framed(clip: Clip, view: View) -> dict[str, Any]:
     }
 
 
-def circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:
-    """What a report says about the machine: device, versions, and durations of the stages."""
+def environment_info(context: RunContext) -> dict[str, Any]:
+    """Return entries of the report about the machine: device, versions, durations of stages."""
     packages = ("phy124", "numpy", "warp-lang", "opencv-python-headless", "imageio-ffmpeg")
-    found = {}
+    versions = {}
     for package in packages:
         try:
-            found[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "not installed as a package"
+            versions[package] = "not installed as a package"
     return {
-        "device": device,
+        "device": context.device,
         "processor": platform.processor() or platform.machine(),
-        "versions": {"python": platform.python_version(), **found},
-        "seconds": watch.total,
-        "stages": watch.data(),
+        "versions": {"python": platform.python_version(), **versions},
+        "seconds": context.watch.total,
+        "stages": context.watch.data(),
     }
 
 

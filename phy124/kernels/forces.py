@@ -1,0 +1,301 @@
+"""Forces on particles before they scatter: accelerations, wrenches, pulls, a test's body force.
+
+`chosen` lists the particles that a force acts on; `slot` is the track with its strength, averaged
+over the kick and zero while the force is off.
+
+A pull or a wrench acts on a part as a whole: a list of particles with weights w from 0 to 1. Its
+centre X is the mean of their positions weighted by w m, and V that of their velocities, so the part
+turns and deforms freely about X. A force f gives each particle w f / sum(w m), which adds up to f
+whatever the weights are.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Doubles, types
+from phy124.kernels.build import kernel
+
+
+@cache
+def make_accelerate(real: Any, per_mass: bool):
+    """Kernel: v += kick a, or kick f / m where `per_mass` (the paper's particle force)."""
+    name = f"phy124_accelerate_{'force' if per_mass else 'field'}_{real.__name__}"
+
+    @kernel(name, real)
+    def accelerate(chosen, slot, mass, clock, values, v_out):
+        p = chosen[wp.tid()]
+        a = values[slot]
+        scale = clock[0]
+        if wp.static(per_mass):
+            scale = scale / mass[p]
+        v_out[p] = v_out[p] + scale * wp.vector(a[0], a[1], a[2])
+
+    return accelerate
+
+
+@cache
+def make_zone(real: Any):
+    """Kernel: v += kick a for particles that are inside a box now.
+
+    With an `axis` from 0 to 2, only the cylinder along that axis about the box's centre counts.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_zone_{real.__name__}", real)
+    def zone(lower: t.vec3, upper: t.vec3, axis: int, radius: real, slot, clock, values, x, v_out):
+        p = wp.tid()
+        inside = bool(True)
+        across = x[p] - real(0.5) * (lower + upper)
+        for i in range(3):
+            if not (x[p][i] >= lower[i] and x[p][i] <= upper[i]):
+                inside = False
+            if i == axis:
+                across[i] = real(0.0)
+        if axis >= 0 and wp.length(across) > radius:
+            inside = False
+        if inside:
+            a = values[slot]
+            v_out[p] = v_out[p] + clock[0] * wp.vector(a[0], a[1], a[2])
+
+    return zone
+
+
+@cache
+def make_drag(real: Any):
+    """Kernel: v approaches the wind, dv/dt = rate (u - v), exactly, and never overshoots.
+
+    The uniform acceleration a acts after it, on the grid. Both at once would give
+    v + (u + a / rate - v)(1 - exp(-rate kick)), so that less a kick is what is left here: one after
+    the other, what falls through a stream would be too fast by rate kick / 2.
+    """
+
+    @kernel(f"phy124_drag_{real.__name__}", real)
+    def drag(chosen, slot, rate: real, clock, values, v_out):
+        p = chosen[wp.tid()]
+        u = values[slot]
+        if u[3] > real(0.0):
+            fraction = real(1.0) - wp.exp(-rate * clock[0])
+            a = wp.vector(values[0][0], values[0][1], values[0][2])
+            gain = fraction * (wp.vector(u[0], u[1], u[2]) - v_out[p])
+            v_out[p] = v_out[p] + gain + (fraction / rate - clock[0]) * a
+
+    return drag
+
+
+@cache
+def make_attract(real: Any):
+    """Kernel: v += kick g d / r, g linear inside `radius` and falling as 1 / d^2 outside."""
+    t = types(real)
+
+    @kernel(f"phy124_attract_{real.__name__}", real)
+    def attract(chosen, slot, centre: t.vec3, radius: real, clock, values, x, v_out):
+        p = chosen[wp.tid()]
+        d = (centre - x[p]) / radius
+        r = wp.max(wp.length(d), real(1.0))
+        v_out[p] = v_out[p] + (clock[0] * values[slot][0] / (r * r * r)) * d
+
+    return attract
+
+
+@cache
+def make_set_velocity(real: Any):
+    """Kernel: v = s (u + omega x (x - centre)) and C = s [omega]x while active, s the profile."""
+    t = types(real)
+
+    @kernel(f"phy124_set_velocity_{real.__name__}", real)
+    def set_velocity(
+        chosen, slot, u: t.vec3, centre: t.vec3, omega: t.vec3, values, x, v_out, C_out
+    ):
+        p = chosen[wp.tid()]
+        s = values[slot]
+        if s[3] > real(0.0):
+            v_out[p] = s[0] * (u + wp.cross(omega, x[p] - centre))
+            C_out[p] = s[0] * wp.skew(omega)
+
+    return set_velocity
+
+
+PLACE, SPEED = 0, 1
+"""Where X and V stand among the means."""
+FLAT = wp.constant(wp.float64(1e-6))
+"""Fraction of the largest moment of inertia below which one counts as zero: a line of particles."""
+
+
+@wp.func
+def spring_damper(gap: wp.vec3d, slip: wp.vec3d, spring: wp.vec4d, kick: wp.float64):
+    """Force [N] at the end of a kick, by implicit Euler, so that no stiffness is too large.
+
+    `spring` is stiffness [N/m], damping [N s/m], the mass that is drawn [kg] and the largest
+    force [N]; `gap` and `slip` are what is missing to the target's place and velocity.
+    """
+    drag = spring[1] + kick * spring[0]
+    f = (spring[0] * gap + drag * slip) / (wp.float64(1.0) + kick * drag / spring[2])
+    size = wp.length(f)
+    if size > spring[3]:
+        f = f * (spring[3] / size)
+    return f
+
+
+@wp.func
+def angular_acceleration(torque: wp.vec3d, mass: wp.float64, second: wp.mat33d):
+    """Of a rigid part [rad/s^2], whose moments about its centre are mass times `second` [m^2]."""
+    spread = wp.trace(second)
+    inertia = wp.diag(wp.vec3d(spread, spread, spread)) - second
+    inertia = inertia + FLAT * wp.diag(wp.vec3d(spread, spread, spread))
+    if spread <= wp.float64(0.0):
+        return wp.vec3d()
+    return wp.inverse(inertia) * torque / mass
+
+
+@kernel("phy124_held_forget")
+def forget(
+    means_out: wp.array(dtype=wp.vec3d),
+    second_out: wp.array(dtype=wp.mat33d),
+):
+    """The means of a part become zero."""
+    for i in range(2):
+        means_out[i] = wp.vec3d()
+    second_out[0] = wp.mat33d()
+
+
+@cache
+def make_centre(real: Any):
+    """Kernel: X and V of a part, while its track is active."""
+
+    @kernel(f"phy124_held_centre_{real.__name__}", real)
+    def centre(first, each, stride, chosen, share: Doubles, slot, values, x, v, means_out):
+        if values[slot][3] > real(0.0):
+            place = wp.vec3d()
+            speed = wp.vec3d()
+            for k in range(each):
+                i = wp.tid() * first + k * stride
+                if i < chosen.shape[0]:
+                    p = chosen[i]
+                    place += share[i] * wp.vec3d(x[p])
+                    speed += share[i] * wp.vec3d(v[p])
+            wp.atomic_add(means_out, PLACE, place)
+            wp.atomic_add(means_out, SPEED, speed)
+
+    return centre
+
+
+@cache
+def make_second(real: Any):
+    """Kernel: the second moments of a part about X, divided by its mass [m^2]."""
+
+    @kernel(f"phy124_held_second_{real.__name__}", real)
+    def second(first, each, stride, chosen, share: Doubles, slot, values, x, means, second_out):
+        if values[slot][3] > real(0.0):
+            total = wp.mat33d()
+            for k in range(each):
+                i = wp.tid() * first + k * stride
+                if i < chosen.shape[0]:
+                    r = wp.vec3d(x[chosen[i]]) - means[PLACE]
+                    total += share[i] * wp.outer(r, r)
+            wp.atomic_add(second_out, 0, total)
+
+    return second
+
+
+@cache
+def make_draw(real: Any):
+    """Kernel: a spring and a damper draw X to a target that moves."""
+    t = types(real)
+
+    @kernel(f"phy124_held_draw_{real.__name__}", real)
+    def draw(
+        chosen, per_force: t.reals, spring: wp.vec4d, slot, clock, values, rates, means, v_out
+    ):
+        target = values[slot]
+        if target[3] > real(0.0):
+            i = wp.tid()
+            gap = wp.vec3d(wp.vector(target[0], target[1], target[2])) - means[PLACE]
+            rate = wp.vec3d(wp.vector(rates[slot][0], rates[slot][1], rates[slot][2]))
+            f = spring_damper(gap, rate - means[SPEED], spring, wp.float64(clock[0]))
+            p = chosen[i]
+            v_out[p] = v_out[p] + clock[0] * per_force[i] * t.vec3(f)
+
+    return draw
+
+
+@cache
+def make_wrench(real: Any):
+    """Kernel: a force at X, and a torque about it as if the part were rigid."""
+    t = types(real)
+
+    @kernel(f"phy124_held_wrench_{real.__name__}", real)
+    def wrench(
+        chosen,
+        per_force: t.reals,
+        mass: wp.float64,
+        push: int,
+        turn: int,
+        clock,
+        values,
+        x,
+        means,
+        second,
+        v_out,
+    ):
+        i = wp.tid()
+        p = chosen[i]
+        f = values[push]
+        dv = per_force[i] * wp.vector(f[0], f[1], f[2])
+        if values[turn][3] > real(0.0):
+            torque = wp.vec3d(wp.vector(values[turn][0], values[turn][1], values[turn][2]))
+            spin = angular_acceleration(torque, mass, second[0])
+            arm = wp.vec3d(x[p]) - means[PLACE]
+            weight = wp.float64(per_force[i]) * mass
+            dv += t.vec3(weight * wp.cross(spin, arm))
+        v_out[p] = v_out[p] + clock[0] * dv
+
+    return wrench
+
+
+@cache
+def make_vortex(real: Any):
+    """Kernel: v += kick b(x, t), with b for which a chosen motion is exact (manufactured solution).
+
+    The generalised vortex of Kamojjala, Brannon, Sadeghirad, Guilkey 2015 (doi
+    10.1007/s00366-013-0342-x): each radius of a ring rotates by beta(R, t) = h(R) g(t) about z,
+
+        h = 1 - 8 s^2 + 16 s^4, s = (R - mean) / width,   g = A (1 - cos(2 pi t)) / 2.
+
+    For a neo-Hookean solid tau = mu (b - I) + lambda ln(J) I of density rho, with gamma = R beta',
+    the force per mass is -R beta_t^2 + mu gamma^2 / (rho R) in the radial direction and
+    R beta_tt - mu (3 beta' + R beta'') / rho in the tangential one. Both edges of the ring remain
+    free of stress.
+
+    `ring` is (mean radius [m], width [m], A [rad], mu / rho [m^2/s^2]).
+    """
+    t = types(real)
+
+    @kernel(f"phy124_vortex_{real.__name__}", real)
+    def vortex(ring: t.vec4, clock, x, v_out):
+        p = wp.tid()
+        along_x = x[p][0]
+        along_y = x[p][1]
+        r = wp.sqrt(along_x * along_x + along_y * along_y)
+        s = (r - ring[0]) / ring[1]
+        two_pi = real(6.283185307179586)
+        g = real(0.5) * ring[2] * (real(1.0) - wp.cos(two_pi * clock[2]))
+        g_t = real(0.5) * ring[2] * two_pi * wp.sin(two_pi * clock[2])
+        g_tt = real(0.5) * ring[2] * two_pi * two_pi * wp.cos(two_pi * clock[2])
+        s2 = s * s
+        h = real(1.0) - real(8.0) * s2 + real(16.0) * s2 * s2
+        h_r = (real(-16.0) * s + real(64.0) * s2 * s) / ring[1]
+        h_rr = (real(-16.0) + real(192.0) * s2) / (ring[1] * ring[1])
+        gamma = r * h_r * g
+        speed = h * g_t
+        outwards = -r * speed * speed + ring[3] * gamma * gamma / r
+        around = r * h * g_tt - ring[3] * (real(3.0) * h_r + r * h_rr) * g
+        push = wp.vector(
+            (outwards * along_x - around * along_y) / r,
+            (outwards * along_y + around * along_x) / r,
+            real(0.0),
+        )
+        v_out[p] = v_out[p] + clock[0] * push
+
+    return vortex

@@ -1,0 +1,123 @@
+"""Objects that would overlap at the start: contact stops approaching bodies, it separates none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.boundaries import Boundary
+from phy124.boundaries.planes import Plane
+from phy124.errors import InputError
+from phy124.mpm import FreeBody, Model
+from phy124.particles import Particles
+from phy124.scene import Scene
+
+DEEPEST = 1.0
+"""Largest overlap at the start [cells], as surfaces are only known to within a cell."""
+MOST = 0.1
+"""Largest fraction of the material that may be deeper inside a wall; less is reported in a note."""
+
+
+class Buried(NamedTuple):
+    """A wall with material behind it at the start."""
+
+    kind: str
+    fraction: float
+    """Fraction of the material subject to the wall that is more than `DEEPEST` cells behind it."""
+    depth: float
+    """Depth of the deepest particle [m]."""
+
+    @property
+    def what(self) -> str:
+        """Fraction and depth as a clause."""
+        return (
+            f"{self.fraction:.1%} of the material starts inside it, up to {self.depth:.2g} m deep"
+        )
+
+
+def refuse_buried(boundaries: Sequence[Boundary], model: Model) -> None:
+    """Refuse an object that starts inside a flat wall.
+
+    Raises:
+        InputError: More than `MOST` of it does.
+    """
+    for wall in find_buried(boundaries, model):
+        if wall.fraction > MOST:
+            limit = f"{wall.what}; a wall stops the material, but does not push it out."
+            remedy = "Move the wall, or lift the object (object.lift)."
+            raise InputError("boundaries", wall.kind, limit, remedy)
+
+
+def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
+    """Return a sentence for each flat wall that a little of the material starts inside."""
+    return [
+        f"The {wall.kind}: {wall.what}, and stays there." for wall in find_buried(boundaries, model)
+    ]
+
+
+def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried]:
+    """Yield the flat walls that have material behind them at the start."""
+    moves = model.moves
+    for boundary in boundaries:
+        for wall in boundary.parts():
+            if not isinstance(wall, Plane):
+                continue
+            point, normal, _ = wall.geometry(model)
+            track = wall.track(model)
+            shift = np.zeros(3) if track is None else track.values(np.zeros(1))[0]
+            subject = np.zeros(len(model), bool)
+            subject[model.named(wall.object)] = True
+            x = model.rest[subject & moves]
+            depth = -((x - (np.asarray(point) + shift)) @ np.asarray(normal))
+            deep = depth > DEEPEST * model.dx
+            if deep.any():
+                kind = type(boundary).__name__.lower()
+                yield Buried(kind, float(deep.mean()), float(depth.max()))
+
+
+def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
+    """Refuse material inside a rigid solid at the start, where it would stay.
+
+    Args:
+        solids: The rigid solids.
+        x: Positions of all particles [P,3], m.
+        scene: Defines the size of a cell.
+
+    Raises:
+        InputError: Some material is inside; the message says how deep.
+    """
+    for solid in solids:
+        deepest = solid.depth(x).max(initial=-np.inf)
+        if deepest > DEEPEST * scene.dx:
+            limit = f"it overlaps what it would meet at the start by {deepest:.2g} m."
+            remedy = 'Change place or lift, or let it stand on that object: on = "...".'
+            raise InputError("objects", solid.name, limit, remedy)
+
+
+def refuse_objects(objects: Sequence[Particles], scene: Scene) -> None:
+    """Refuse objects that overlap.
+
+    Raises:
+        InputError: Two overlap; the message says which, and by how much.
+    """
+    cells = [
+        np.unique(np.floor(particles.x / scene.spacing).astype(np.int64), axis=0)
+        for particles in objects
+    ]
+    for (i, first), (j, second) in combinations(enumerate(cells), 2):
+        both, count = np.unique(np.concatenate([first, second]), axis=0, return_counts=True)
+        shared = both[count > 1]
+        depth = 0.0 if not len(shared) else float((np.ptp(shared, axis=0) + 1).min())
+        if depth * scene.spacing > DEEPEST * scene.dx:
+            fraction = len(shared) / min(len(first), len(second))
+            limit = (
+                f"they overlap at the start by about {depth * scene.spacing:.2g} m "
+                f"({fraction:.0%} of the smaller one)."
+            )
+            upper, lower = scene.names[j], scene.names[i]
+            remedy = f'Change place or lift, or let {upper} stand on the other: on = "{lower}".'
+            raise InputError("objects", f"{lower} and {upper}", limit, remedy)
