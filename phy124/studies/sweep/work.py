@@ -19,7 +19,8 @@ from phy124.gaussians import Gaussians
 from phy124.generators import needs_image
 from phy124.imaging.painted import Crop
 from phy124.io.clip import Clip
-from phy124.pipeline import StaticObject, cameras, film, make_gaussians, write_json
+from phy124.pipeline import StaticObject, cameras, film, write_json
+from phy124.pipeline.gaussians import make_gaussians as make_objects
 from phy124.pipeline.recording import Recording, take_up
 from phy124.pipeline.run_folder import view_report
 from phy124.progress import Progress, silent
@@ -171,7 +172,7 @@ def make_static(
     """
     with fetch(address) as picture:
         chosen = generator if needs_image(address) else str(picture)
-        return make_gaussians(picture, scene, context, generator=chosen, **options)
+        return make_objects(picture, scene, context, generator=chosen, **options)
 
 
 def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
