@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.boundaries.base import THINNEST
 from phy124.gaussians import Gaussians
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.monitor.softening import Softening
 from phy124.monitor.watchdog import Watchdog
@@ -28,7 +29,6 @@ from phy124.runtime.cores import cores
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.simulation.deform import Deformer
-from phy124.simulation.parts import WHOLE, Crop
 from phy124.simulation.solver import kernels
 
 PROBE, MIN_PROBE = 20, 6
