@@ -21,9 +21,9 @@ def importing(status: int, text: str = "") -> Iterator[None]:
     A KeyboardInterrupt could get lost, since some code only prints it during an import.
     """
     try:
-        from phy124.runtime.signals import ending, handled
+        from phy124.runtime.signals import ending, handling
 
-        with handled(ending(status, text)):
+        with handling(ending(status, text)):
             yield
     except KeyboardInterrupt:
         sys.stderr.write(text)
@@ -35,14 +35,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with importing(130, STOPPED):
-            from phy124.runtime.address_space import refuse_narrow
             from phy124.runtime.failures import failure
-            from phy124.runtime.signals import handled, interrupt
+            from phy124.runtime.memory import refuse_narrow
+            from phy124.runtime.signals import handling, interrupt
             from phy124.runtime.streams import steady_streams
 
             refuse_narrow()  # before NumPy is imported
             from .command_line import run
-        with steady_streams() as lost, handled(interrupt):
+        with steady_streams() as lost, handling(interrupt):
             status = run(words, __doc__)
             sys.stdout.flush()
             if lost:

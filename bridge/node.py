@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from phy124.runtime.failures import failure
-from phy124.runtime.signals import handled, interrupt
+from phy124.runtime.signals import handling, interrupt
 
 from .live import follow, play
 from .options import Options
@@ -87,7 +87,7 @@ def _live_through(args: list[str] | None, work: Callable[[Any], None]) -> None:
     refused = None
     try:
         # `ros2 launch` and supervisors end a node with SIGTERM when SIGINT does not.
-        with handled(interrupt), ros_node(args) as node:
+        with handling(interrupt), ros_node(args) as node:
             refused = _attempt(node, work)
     except KeyboardInterrupt:
         # The usual end of a node.

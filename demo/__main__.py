@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 
 from phy124.errors import InputError
-from phy124.runtime.address_space import refuse_narrow
 from phy124.runtime.failures import Kind, failure
 from phy124.runtime.installation import install_command
+from phy124.runtime.memory import refuse_narrow
 from phy124.runtime.streams import steady_streams
 
 from .settings import PREFIX, Settings

@@ -23,9 +23,9 @@ from functools import partial
 from typing import Any
 
 from phy124 import __version__
-from phy124.runtime.address_space import refuse_narrow
 from phy124.runtime.failures import failure
-from phy124.runtime.signals import handled, interrupt
+from phy124.runtime.memory import refuse_narrow
+from phy124.runtime.signals import handling, interrupt
 from phy124.runtime.streams import steady_streams
 from phy124.schema.arguments.parsing import Answered
 from phy124.schema.arguments.words import split_operands
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     report = partial(_report, as_json="--json" in options, verbose="--verbose" in chosen)
     with steady_streams() as lost:
         try:
-            with handled(interrupt):
+            with handling(interrupt):
                 status = _run(rest, quiet="--quiet" in chosen, verbose="--verbose" in chosen)
         except Answered:
             sys.stdout.flush()

@@ -22,7 +22,7 @@ import pytest
 import warp as wp
 
 from phy124.gaussians import Gaussians
-from phy124.runtime.headers import has_headers
+from phy124.runtime.kernel_cache import has_headers
 
 ROOT = Path(__file__).parents[1]
 GOLDEN = Path(os.environ.get("PHY124_GOLDEN", ROOT / "../shared/golden"))

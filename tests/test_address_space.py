@@ -8,7 +8,7 @@ import pytest
 
 resource = pytest.importorskip("resource")
 
-from phy124.runtime.address_space import NEEDED, THREADS, refuse_narrow  # noqa: E402
+from phy124.runtime.memory import NEEDED, THREADS, refuse_narrow  # noqa: E402
 
 
 def limited(kilobytes: int, words: str, **options) -> subprocess.CompletedProcess[str]:

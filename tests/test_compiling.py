@@ -14,7 +14,7 @@ from phy124.kernels.build import kernel
 from phy124.progress import silent
 from phy124.runtime import compiling
 from phy124.runtime.compiling import compile_missing, is_compiled
-from phy124.runtime.headers import headers_folder
+from phy124.runtime.kernel_cache import headers_folder
 
 SMALL = """
 import sys

@@ -11,8 +11,7 @@ import warp as wp
 from phy124.errors import InputError
 from phy124.rendering.render import Renderer
 from phy124.runtime import startup
-from phy124.runtime.device import one_at_a_time, pick_device
-from phy124.runtime.driver import Driver
+from phy124.runtime.device import Driver, one_at_a_time, pick_device
 from phy124.simulation import Simulation
 
 

@@ -144,7 +144,7 @@ def test_the_bridge_says_the_same(name, monkeypatch, capsys):
     def fail(*_):
         raise problem
 
-    monkeypatch.setattr("bridge.commands.opened", fail)
+    monkeypatch.setattr("bridge.commands.open_clip", fail)
     assert bridge(["record", "x.safetensors"]) == status
     (said,) = capsys.readouterr().err.splitlines()
     assert sentence.partition(";")[0] in said and said.startswith("bridge: ")

@@ -15,7 +15,7 @@ from phy124.kernels.build import kernel
 from phy124.runtime import kernel_cache, startup
 from phy124.runtime.compiling import compile_missing, is_compiled
 from phy124.runtime.failures import Kind, failure
-from phy124.runtime.headers import headers_folder
+from phy124.runtime.kernel_cache import headers_folder
 from phy124.runtime.startup import start
 from phy124.weights.store import hub_cache
 

@@ -86,7 +86,7 @@ def test_a_warm_scene_is_said_to_be(made, capsys):
     assert main(["warm", "press", "--device", "cpu"]) == 0
     assert main(["warm", "press", "--device", "cpu"]) == 0
     printed, problems = capsys.readouterr()
-    assert printed.splitlines()[-1].startswith("press: all was compiled already; ")
+    assert printed.splitlines()[-1].startswith("press: everything was compiled already; ")
     assert problems.splitlines()[-1] == "try: 1 of 1"
     assert main(["warm", "dance"]) == 2
 

@@ -1,4 +1,4 @@
-"""Signals that ask to end: all are handled while inside, and none is left changed."""
+"""Signals that ask to end: all are handling while inside, and none is left changed."""
 
 import signal
 import subprocess
@@ -7,14 +7,14 @@ import threading
 
 import pytest
 
-from phy124.runtime.signals import NAMES, handled, interrupt
+from phy124.runtime.signals import NAMES, handling, interrupt
 
 NUMBERS = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
 
 
 def test_signals_call_the_handler_and_are_restored():
     before, heard = [signal.getsignal(n) for n in NUMBERS], []
-    with handled(lambda number, frame: heard.append(number)):
+    with handling(lambda number, frame: heard.append(number)):
         for number in NUMBERS:
             signal.raise_signal(number)
     assert heard == NUMBERS
@@ -23,7 +23,7 @@ def test_signals_call_the_handler_and_are_restored():
 
 def test_what_breaks_inside_leaves_nothing_changed():
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(KeyboardInterrupt), handled(interrupt):
+    with pytest.raises(KeyboardInterrupt), handling(interrupt):
         signal.raise_signal(signal.SIGTERM)
     assert signal.getsignal(signal.SIGTERM) is before
 
@@ -31,7 +31,7 @@ def test_what_breaks_inside_leaves_nothing_changed():
 def test_what_nohup_ignores_stays_ignored():
     usual = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
-        with handled(interrupt):
+        with handling(interrupt):
             signal.raise_signal(signal.SIGTERM)
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
     finally:
@@ -42,7 +42,7 @@ def test_other_threads_change_nothing():
     before, seen = signal.getsignal(signal.SIGTERM), []
 
     def work() -> None:
-        with handled(interrupt):
+        with handling(interrupt):
             seen.append(signal.getsignal(signal.SIGTERM))
 
     thread = threading.Thread(target=work)
@@ -53,8 +53,8 @@ def test_other_threads_change_nothing():
 
 def test_idle_process_ends_with_status_and_message():
     code = (
-        "import signal; from phy124.runtime.signals import ending, handled\n"
-        "with handled(ending(130, 'bye')): signal.raise_signal(signal.SIGINT)"
+        "import signal; from phy124.runtime.signals import ending, handling\n"
+        "with handling(ending(130, 'bye')): signal.raise_signal(signal.SIGINT)"
     )
     run = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60

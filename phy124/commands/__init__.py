@@ -20,8 +20,8 @@ MODULES = {
     "export": ("convert", "Export"),
     "convert": ("convert", "Convert"),
     "scenes": ("scenes", "Scenes"),
-    "stress": ("stress", "Stress"),
-    "effects": ("effects", "ShowEffects"),
+    "stress": ("validate", "Stress"),
+    "effects": ("scenes", "ShowEffects"),
     "accuracy": ("accuracy", "ShowAccuracy"),
     "validate": ("validate", "Validate"),
     "evaluate": ("evaluate", "Evaluate"),
@@ -29,7 +29,7 @@ MODULES = {
     "weights": ("weights", "Weights"),
     "sweep": ("sweep", "Sweep"),
     "fit": ("fit", "Fit"),
-    "warm": ("warm", "Warm"),
+    "warm": ("scenes", "Warm"),
     "doctor": ("doctor", "Doctor"),
 }
 """Name on the command line -> module here, and the class in it."""

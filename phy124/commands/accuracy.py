@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from phy124.commands.bars import Bars
-from phy124.commands.cutout import doubt
+from phy124.commands.cutout import PictureOptions, announce_generator, doubt
 from phy124.commands.options import Device, help_of
-from phy124.commands.picture import PictureOptions, told
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.options import Effort
@@ -168,7 +167,7 @@ class ShowAccuracy:
             return ball(), scene, WHOLE
         from phy124.pipeline import make_gaussians
 
-        how = self.making.given()
+        how = self.making.arguments()
         if is_file_of_gaussians(self.image):
             how["generator"] = str(self.image)
         with search_first(self.making.cutting.weights):
@@ -183,7 +182,7 @@ class ShowAccuracy:
 
     def _announce(self, effort: Effort) -> None:
         if not self.json:
-            print(told(self.making.generator, effort), flush=True)
+            print(announce_generator(self.making.generator, effort), flush=True)
 
 
 def _verdict_line(row: dict[str, Any]) -> str:
@@ -204,11 +203,23 @@ def _verdict_line(row: dict[str, Any]) -> str:
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows of a study as aligned text."""
     heads = (
-        "setting", "cells", "per axis", "particles", "substeps", "predicted s", "measured s",
+        "setting",
+        "cells",
+        "per axis",
+        "particles",
+        "substeps",
+        "predicted s",
+        "measured s",
         "error %",
-        "pixels", "worst frame", "PSNR", "SSIM", "energy lost", "material/contact/grid", "L lost",
+        "pixels",
+        "worst frame",
+        "PSNR",
+        "SSIM",
+        "energy lost",
+        "material/contact/grid",
+        "L lost",
         "limited by",
-    )  # fmt: skip
+    )
     lines = [heads, *(_cells(row) for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(heads))]
     return "\n".join(
@@ -234,10 +245,20 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
     error = None if row["error"] is None else 100 * row["error"]
     limited = ", ".join(f"{name} {fraction:.0%}" for name, fraction in row["limiters"].items())
     return (
-        row["name"], str(row["cells"]), f"{row['particles_per_axis']:.1f}", str(row["particles"]),
-        str(row["substeps"]), f"{row['predicted']:.1f}", f"{row['seconds']:.1f}",
-        number(error, ".2f"), number(row["pixels"], ".1f"), worst,
-        number(apart.get("psnr"), ".1f"), number(apart.get("ssim"), ".4f"),
-        format(row["energy_lost"], ".1%"), _split(row["lost_to"]),
-        number(row["angular_momentum_lost"], ".1e"), limited,
-    )  # fmt: skip
+        row["name"],
+        str(row["cells"]),
+        f"{row['particles_per_axis']:.1f}",
+        str(row["particles"]),
+        str(row["substeps"]),
+        f"{row['predicted']:.1f}",
+        f"{row['seconds']:.1f}",
+        number(error, ".2f"),
+        number(row["pixels"], ".1f"),
+        worst,
+        number(apart.get("psnr"), ".1f"),
+        number(apart.get("ssim"), ".4f"),
+        format(row["energy_lost"], ".1%"),
+        _split(row["lost_to"]),
+        number(row["angular_momentum_lost"], ".1e"),
+        limited,
+    )

@@ -13,15 +13,15 @@ from tqdm import tqdm
 
 from phy124.errors import Cancelled, Incomplete
 from phy124.runtime.failures import failure
-from phy124.runtime.signals import handled, interrupt
+from phy124.runtime.signals import handling, interrupt
 
 _silent: ContextVar[bool] = ContextVar("_silent", default=False)
 BETWEEN_LINES = 10.0
-"""Time between two lines about the same stage where no bar can be drawn [s]."""
+"""Interval between two lines about a stage where no bar can be drawn [s]."""
 LEFT = "{l_bar}{bar}| {n_fmt}/{total_fmt}{postfix}"
-"""A bar beside which the time left is told."""
+"""Format of a bar with the predicted time left."""
 TITLES = {"compile": "compile kernels, once"}
-"""Stage -> its name for users, where that is another."""
+"""Stage -> its title for users, if that differs."""
 
 
 @contextmanager
@@ -37,12 +37,12 @@ def silence() -> Iterator[None]:
 class Bars:
     """A `Progress` that shows the current stage; use it as a context manager.
 
-    On a terminal it is a bar; elsewhere, for example in a log, it is a line now and then.
+    On a terminal it is a bar; elsewhere, for example in a log, it is a line at intervals.
 
-    Within the context, Ctrl-C is remembered and ends the work at the next report of progress, never
-    in the middle of a kernel, where it could crash the process. A second Ctrl-C before that acts at
-    once. With `keeps` the caller keeps the results so far, and the user is told so. `left` tells
-    the time that is left [s] better than the bar can, which takes all steps for equal.
+    Within the context, Ctrl-C ends the work at the next report of progress, never inside a kernel,
+    where it could crash the process. A second Ctrl-C before that acts at once. With `keeps` the
+    caller keeps the results so far, and a message says so. `left` predicts the time left [s], which
+    is better than the bar's estimate from equal steps.
     """
 
     def __init__(
@@ -58,9 +58,9 @@ class Bars:
         self.cancelled = False
         """Whether Ctrl-C has ended the work or a part of it."""
         self.ended: Exception | None = None
-        """What ended the work before it was done, Ctrl-C included."""
+        """The exception that ended the work early, including Ctrl-C."""
         self._stage, self._said, self._next_line = "", "", 0.0
-        self._signals = handled(self._remember)
+        self._signals = handling(self._remember)
 
     def __enter__(self) -> Bars:
         self._signals.__enter__()
@@ -95,9 +95,9 @@ class Bars:
 
     @contextmanager
     def keeping(self) -> Iterator[None]:
-        """Within this context an error or Ctrl-C ends the work; what is finished can be saved then.
+        """Within this context an error or Ctrl-C ends the work, so that results can be saved.
 
-        `status` then says what it was.
+        `status` then reports it.
         """
         try:
             yield
@@ -105,7 +105,7 @@ class Bars:
             self.ended = problem
 
     def status(self, kept: str) -> int:
-        """The exit status of a command that keeps its finished results; `kept` says which."""
+        """Report the end of a command that keeps the results `kept`; returns its exit status."""
         if self.ended is None:
             return 0
         incomplete = Incomplete(kept)
@@ -118,15 +118,19 @@ class Bars:
         if self.bar is None or self.bar.desc.removesuffix(": ") != stage:
             self.close()
             self.bar = tqdm(
-                desc=stage, total=total, file=sys.stderr, leave=False, mininterval=0.2,
+                desc=stage,
+                total=total,
+                file=sys.stderr,
+                leave=False,
+                mininterval=0.2,
                 bar_format=None if self.left is None else LEFT,
-            )  # fmt: skip
+            )
         self.bar.total = total
         self.bar.set_postfix_str(self._left(), refresh=False)
         self.bar.update(done - self.bar.n)
 
     def _report(self, stage: str, done: int, total: int) -> None:
-        """Print a line when a stage begins and ends, and now and then in between."""
+        """Print a line when a stage begins and ends, and at intervals in between."""
         now, line = time.monotonic(), f"{stage}: {done} of {total}{self._left()}"
         due = stage != self._stage or done == total or now >= self._next_line
         if due and line != self._said:
@@ -134,7 +138,7 @@ class Bars:
             self._say(line)
 
     def _left(self) -> str:
-        """The time that is left, if it is told."""
+        """The time left as text; empty if it is not predicted."""
         seconds = self.left() if self.left is not None else None
         if not seconds:
             return ""

@@ -34,7 +34,7 @@ class Compare:
     """The other clip."""
     view: Annotated[CameraOptions, tyro.conf.arg(name="")] = field(default_factory=CameraOptions)
     out: Path | None = None
-    """Folder of comparison.json and the videos; default compare-B beside the first clip."""
+    """Folder of comparison.json and the videos; default compare-B next to the first clip."""
     device: Device = "auto"
     json: bool = False
     """Print the figures as JSON and nothing else."""
@@ -56,37 +56,40 @@ class Compare:
         with Bars(quiet=self.json, keeps=True) as bars, staging(out, keeps=True) as folder:
             with bars.keeping():
                 for side in view.sides:
-                    seen.append(_filmed(a, b, view, side, folder, device, bars))
-            found = compare(a, b, tuple(seen))
-            data = {"clips": [str(path) for path in paths], **found.data()}
+                    seen.append(_film(a, b, view, side, folder, device, bars))
+            comparison = compare(a, b, tuple(seen))
+            data = {"clips": [str(path) for path in paths], **comparison.data()}
             data["notes"] = [
                 f"{p}: {s}" for p, c in zip(paths, (a, b), strict=True) for s in c.flaws()
             ]
             text = json.dumps(data, indent=2) + "\n"
             write_whole(folder / "comparison.json", text)
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
-        print(json.dumps({**data, "files": files}) if self.json else found.table())
+        print(json.dumps({**data, "files": files}) if self.json else comparison.table())
         if not self.json:
             print("\n".join([*files, *(f"note: {note}" for note in data["notes"])]))
         return bars.status("sides that were not filmed are missing")
 
 
 def _name(path: Path) -> str:
-    """A name for a clip: that of its file or, if that is the usual one, that of its folder."""
+    """The name of a clip: of its folder if the file has the usual name, else of the file."""
     return path.resolve().parent.name if path.stem == "clip" else path.stem
 
 
-def _filmed(
+def _film(
     a: Clip, b: Clip, view: View, side: str, folder: Path, device: str, progress: Progress
 ) -> Likeness:
-    """Film both from one side, next to each other, and measure their difference meanwhile."""
+    """Film both clips from one side, next to each other, and measure their difference."""
     measured, seen = Pictures(), cameras(a, view, side)
 
     def images(clip: Clip) -> Iterator[Picture]:
         return render_frames(
-            clip.frames(), seen, background=view.background, device=device,
+            clip.frames(),
+            seen,
+            background=view.background,
+            device=device,
             progress=lambda _, done, total: progress(f"compare {side}", done, total),
-        )  # fmt: skip
+        )
 
     def pairs() -> Iterator[Picture]:
         for left, right in zip(images(a), images(b), strict=True):

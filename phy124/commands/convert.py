@@ -33,13 +33,13 @@ TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().i
 
 @dataclass(frozen=True)
 class Convert:
-    """Write a file of Gaussians in another format, upright as that format has it."""
+    """Write a file of Gaussians in another format, with that format's up axis."""
 
     file: tyro.conf.Positional[Path]
-    """PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB; its content tells which."""
+    """PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB, determined from its content."""
     out: tyro.conf.Positional[Path]
-    """File to write; its ending tells the format."""
-    to: Annotated[str | None, tyro.conf.arg(help=f"Format, if the ending leaves it open. {TO}")] = (
+    """File to write; its ending determines the format."""
+    to: Annotated[str | None, tyro.conf.arg(help=f"Format, if the ending is ambiguous. {TO}")] = (
         None
     )
     up: Annotated[str | None, help_of(Reading, "up")] = None
@@ -47,7 +47,7 @@ class Convert:
     dialect: Annotated[str | None, help_of(Reading, "dialect")] = None
     rotate: Annotated[str | None, help_of(Reading, "rotate")] = None
     merge: Annotated[int | None, MERGE] = None
-    """Join neighbouring Gaussians until there are at most so many, with their mass and colour."""
+    """Largest number of Gaussians; neighbours are merged, preserving mass and colour."""
     json: bool = False
     """Print what was done as JSON and nothing else."""
 
@@ -55,7 +55,7 @@ class Convert:
         """Convert; prints the file, its size and what opens it.
 
         Raises:
-            InputError: If the file cannot be read or the other not written.
+            InputError: The file cannot be read, or the other cannot be written.
         """
         chosen = find_written_format(self.out, self.to)
         content = read_gaussians(
@@ -65,8 +65,8 @@ class Convert:
         if self.merge is not None:
             gaussians = merge_to(gaussians, self.merge)
         write_gaussians(self.out, gaussians, chosen.name, antialiased=content.antialiased)
-        notes = [*_dropped(content.dropped), *content.remarks(), *_far(content)]
-        notes += lost(gaussians, chosen)
+        notes = [*_note_dropped(content.dropped), *content.remarks(), *_note_far(content)]
+        notes += note_lost(gaussians, chosen)
         return _show([self.out], len(gaussians), chosen, notes, as_json=self.json)
 
 
@@ -78,13 +78,13 @@ class Export:
     """clip.safetensors made by `phy124 generate`."""
     to: Annotated[str, tyro.conf.arg(help=f"Format. {TO}", metavar="FORMAT")]
     frame: int | None = None
-    """Number of the one frame to write, from 0; default 0, but all where a file holds motion."""
+    """Number of the frame to write, from 0; default 0, or all frames if the format holds motion."""
     all: bool = False
-    """Write every frame: as one file, or as one numbered file each."""
+    """Write every frame, as one file or as numbered files."""
     out: Path | None = None
-    """File to write, or with --all a folder or a name ending in .zip; default beside the clip."""
+    """File to write, or with --all a folder or a name ending in .zip; default next to the clip."""
     merge: Annotated[int | None, MERGE] = None
-    """Join Gaussians that stay neighbours until there are at most so many."""
+    """Largest number of Gaussians; those that stay neighbours are merged."""
     json: bool = False
     """Print what was done as JSON and nothing else."""
 
@@ -92,11 +92,11 @@ class Export:
         """Export; prints the files, their size and what opens them.
 
         Raises:
-            InputError: If the clip cannot be read, has no such frame, or a file not be written.
+            InputError: The clip cannot be read, has no such frame, or a file cannot be written.
         """
         chosen, clip = find_written_format(Path(), self.to), Clip.load(self.clip)
         if self.frame is not None and self.all:
-            limit = "It says one frame, and --all says every one."
+            limit = "--frame selects one frame, but --all selects every frame."
             raise InputError("frame", self.frame, limit, "Leave one of them out.")
         if self.frame is not None and not 0 <= self.frame < len(clip):
             limit = f"The clip has the frames 0 to {len(clip) - 1}."
@@ -106,7 +106,7 @@ class Export:
         with Bars(quiet=self.json) as bars:
             files = self._write(clip, chosen, bars)
         first = clip.frame(self.frame or 0).gaussians
-        notes = lost(first, chosen)
+        notes = note_lost(first, chosen)
         return _show(files, len(first), chosen, notes, as_json=self.json)
 
     def _write(self, clip: Clip, chosen: Format, bars: Bars) -> list[Path]:
@@ -126,27 +126,27 @@ class Export:
         return [path]
 
 
-def lost(gaussians: Gaussians, chosen: Format) -> list[str]:
-    """A sentence for what of the Gaussians a format has no place for."""
+def note_lost(gaussians: Gaussians, chosen: Format) -> list[str]:
+    """Note what a format cannot store."""
     if gaussians.sh_degree <= chosen.degree:
         return []
     return [
-        f"{chosen.title} holds no harmonics above degree {chosen.degree}: how colours change "
-        "with the direction is left out."
+        f"{chosen.title} stores no harmonics above degree {chosen.degree}: changes of colour with "
+        "the direction are left out."
     ]
 
 
-def _dropped(count: int) -> list[str]:
+def _note_dropped(count: int) -> list[str]:
     return [f"{count} Gaussians had NaN or infinite values and were dropped."] if count else []
 
 
-def _far(content: Content) -> list[str]:
-    """A sentence for Gaussians that are not where their file has them."""
+def _note_far(content: Content) -> list[str]:
+    """Note that positions were shifted."""
     if not any(content.origin):
         return []
     place = ", ".join(f"{x:.10g}" for x in content.origin)
     return [
-        f"It lies so far from the origin that float32 cannot hold its places: {place} was "
+        f"It is so far from the origin that float32 positions would be inexact: {place} was "
         "subtracted from them."
     ]
 
@@ -155,8 +155,8 @@ def _show(files: list[Path], count: int, chosen: Format, notes: list[str], *, as
     """Print what was written; returns the exit status."""
     size = sum(path.stat().st_size for path in files)
     if as_json:
-        told = {"files": [str(path) for path in files], "gaussians": count, "bytes": size}
-        print(json.dumps({**told, "format": chosen.name, "notes": notes}))
+        data = {"files": [str(path) for path in files], "gaussians": count, "bytes": size}
+        print(json.dumps({**data, "format": chosen.name, "notes": notes}))
         return 0
     for note in notes:
         print(f"note: {note}")

@@ -1,4 +1,4 @@
-"""`phy124 cutout`: only cuts the object out of a picture, to look at it before anything else."""
+"""`phy124 cutout` cuts an object out of a picture; and the options of commands with a picture."""
 
 from __future__ import annotations
 
@@ -12,24 +12,30 @@ from typing import Annotated, Any
 import tyro
 from pydantic import Field
 
+from phy124.accuracy.forecast import Load, format_span
 from phy124.commands.bars import Bars
+from phy124.commands.options import GeneratorName
 from phy124.errors import InputError
+from phy124.generators.extras import DepthMap, OtherViews
+from phy124.generators.options import Effort, GeneratorOptions
+from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import Cutout, cut_out, title_of
 from phy124.imaging.cutting import Cutting
 from phy124.io.files import replacing
 from phy124.runtime.installation import with_program
 from phy124.runtime.isolated import Deadline
+from phy124.schema.section import Section
 from phy124.weights.store import search_first
 
 KINDS = (".png", ".webp")
 IF_WRONG = (
-    "if it is not the object, give --pick X,Y (a place on it), --mask FILE (white where the object "
+    "if it is not the object, give --pick X,Y (a point on it), --mask FILE (white where the object "
     "is) or a picture with transparency."
 )
 
 
 class CutoutOptions(Cutting):
-    """How the object is cut out of its picture, and with which weights."""
+    """Options of cutting out the object, and its weights."""
 
     foreground: Annotated[str, tyro.conf.arg(aliases=["--method"])] = Field(
         default="auto", description=Cutting.model_fields["foreground"].description
@@ -70,7 +76,7 @@ class CutOut:
         if self.json:
             print(json.dumps({"file": str(out), **cutout.data()}))
         else:
-            print(described(cutout.data()))
+            print(describe(cutout.data()))
             doubt(cutout, f"Look at {out}; {IF_WRONG}")
             print(out)
         return 0
@@ -79,23 +85,77 @@ class CutOut:
         how = self.options
         with search_first(how.weights), Bars(quiet=self.json) as bars:
             deadline = Deadline(beat=partial(bars, "cut out", 0, 1))
-            found = cut_out(
+            cutout = cut_out(
                 self.image, how.foreground, mask=how.mask, pick=how.point, deadline=deadline
             )
             bars("cut out", 1, 1)
-        return found
+        return cutout
 
 
-def described(cutout: dict[str, Any]) -> str:
-    """How the object was cut out and how large it is, in words; takes `Cutout.data()`."""
+def describe(cutout: dict[str, Any]) -> str:
+    """Describe in words how the object was cut out, from `Cutout.data()`."""
     return f"cut out by {title_of(cutout['method'])}: {cutout['coverage']:.1%} of the picture"
 
 
 def doubt(cutout: Cutout, remedy: str) -> None:
-    """Print on standard error what makes the cut-out doubtful, and what to do."""
+    """Print doubts about a cut-out, and the remedy, on standard error."""
     for note in cutout.notes:
         print(f"note: {note}", file=sys.stderr)
     for warning in cutout.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if cutout.warnings:
         print(f"warning: {with_program(remedy)}", file=sys.stderr)
+
+
+@dataclass(frozen=True)
+class PictureOptions:
+    """Options of turning a picture into Gaussians."""
+
+    generator: GeneratorName = "relief"
+    effort: Annotated[GeneratorOptions, tyro.conf.arg(name="")] = field(
+        default_factory=GeneratorOptions
+    )
+    reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
+    gaussians: int | None = None
+    """Approximate number of Gaussians from relief (default 50,000), otherwise the maximum."""
+    cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
+    depth: Annotated[DepthMap, tyro.conf.arg(name="")] = field(default_factory=DepthMap)
+    views: Annotated[OtherViews, tyro.conf.arg(name="")] = field(default_factory=OtherViews)
+
+    def arguments(self) -> dict[str, Any]:
+        """The options as arguments of `phy124.pipeline.make_gaussians`."""
+        return {
+            "generator": self.generator,
+            "options": self.effort,
+            "reading": self.reading,
+            "count": self.gaussians,
+            "depth": self.depth,
+            "views": self.views,
+            **self.cutting.arguments(),
+        }
+
+    def refuse_without_picture(self) -> None:
+        """Refuse options of a picture without a picture.
+
+        Raises:
+            InputError: An option is set.
+        """
+        self.reading.refuse("image", "none")
+        usual = PictureOptions()
+        for option, value in vars(self).items():
+            if value != getattr(usual, option):
+                name = option
+                if isinstance(value, Section):
+                    name = next(iter(value.model_dump(exclude_defaults=True)))
+                limit = f"--{name} is for a picture."
+                raise InputError("image", "none", limit, "Add --image FILE, or leave that out.")
+
+
+def announce_generator(generator: str, effort: Effort) -> str:
+    """Format a generator's settings and expected duration as a line."""
+    return f"generator: {generator}, {effort.words}; likely {format_span(span(effort))}"
+
+
+def span(effort: Effort) -> tuple[float, float]:
+    """Shortest and longest expected time [s]; the effort already includes the machine's load."""
+    return Load().span(effort.seconds)

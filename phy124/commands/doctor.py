@@ -1,4 +1,4 @@
-"""`phy124 doctor`: what this installation can do."""
+"""`phy124 doctor` checks this installation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from phy124.commands.weights import data, lines, summary
 from phy124.errors import InputError
 from phy124.io.video import encoder_problem, refuse_missing_encoder
 from phy124.runtime.cores import cores
-from phy124.runtime.driver import driver
+from phy124.runtime.device import driver
 from phy124.runtime.installation import install_command
 from phy124.runtime.memory import free_memory
 from phy124.runtime.startup import start
@@ -53,11 +53,11 @@ class Doctor:
 
     def run(self) -> int:
         """Print the findings; returns status 1 if a required part is missing."""
-        found, files = examine(), check_all(self.weights, check=self.all or self.json)
+        facts, files = examine(), check_all(self.weights, check=self.all or self.json)
         if self.json:
-            print(json.dumps({**found, "weights": data(files)}))
+            print(json.dumps({**facts, "weights": data(files)}))
         else:
-            for name, value in found.items():
+            for name, value in facts.items():
                 if name != "faults":
                     print(f"{name:<12}{_text(value)}")
             if self.all:
@@ -65,13 +65,13 @@ class Doctor:
             else:
                 print(f"{'weights':<12}{summary(files)}")
                 print("Every file of weights: phy124 doctor --all")
-            for sentence in found["faults"]:
+            for sentence in facts["faults"]:
                 print(f"{'FAULT':<12}{sentence}")
-        return 1 if found["faults"] else 0
+        return 1 if facts["faults"] else 0
 
 
 def examine() -> dict[str, Any]:
-    """Facts about this machine and installation, as plain data."""
+    """Collect facts about this machine and installation, as plain data."""
     import warp as wp
 
     start()
@@ -100,7 +100,7 @@ def _encoder() -> str | None:
 
 
 def _faults() -> list[str]:
-    """What is missing that runs need, with the remedy."""
+    """List missing requirements of runs, with the remedy."""
     try:
         refuse_missing_encoder()
     except InputError as fault:

@@ -42,7 +42,7 @@ class Evaluate:
     weights: Path | None = None
     """Folder to look for weights in first."""
     out: Path | None = None
-    """File of the figures; default evaluation.json beside the clip."""
+    """File of the figures; default evaluation.json next to the clip."""
     device: Device = "auto"
     json: bool = False
     """Print the figures as JSON and nothing else."""
@@ -58,8 +58,8 @@ class Evaluate:
             result = evaluate(clip, videos, model=model, missing=missing)
             data = {**self._data(result), "notes": clip.flaws()}
             path.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
-        told = [result.table(), *(f"note: {note}" for note in data["notes"]), str(out)]
-        print(json.dumps(data) if self.json else "\n".join(told))
+        lines = [result.table(), *(f"note: {note}" for note in data["notes"]), str(out)]
+        print(json.dumps(data) if self.json else "\n".join(lines))
         return 0
 
     def _model(self) -> tuple[similarity.ClipModel | None, str | None]:

@@ -1,4 +1,4 @@
-"""`phy124 fit`: from what was seen back to the material."""
+"""`phy124 fit` finds the material from an observed motion."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Fit:
     """Find stiffness, damping, friction or a start from a clip, tracked points, or a video.
 
     `phy124 fit points.csv --object duck.ply --scene drop --find material.E=1e4..1e6` searches
-    on a coarse grid and refines on finer ones; the same command goes on where it was stopped.
+    on a coarse grid and refines on finer ones; the same command continues an interrupted search.
     """
 
     target: tyro.conf.Positional[str]
@@ -49,36 +49,39 @@ class Fit:
     workers: int | None = None
     """Processes; absent: one per core."""
     dry_run: bool = False
-    """Print what it would take, and stop."""
+    """Print the expected cost, and stop."""
     json: bool = False
     """Print the report as JSON and nothing else."""
 
     def run(self) -> int:
         """Fit; prints the table and the files."""
-        declared, workers = self._declared(), self._processes()
+        declared, workers = self._declare(), self._processes()
         if self.dry_run:
             with Bars(quiet=self.json):
-                told = forecast(declared, workers=workers)
-            print(json.dumps(told.data()) if self.json else told.sentence())
+                expected = forecast(declared, workers=workers)
+            print(json.dumps(expected.data()) if self.json else expected.sentence())
             return 0
         name = Path(self.target).stem if Path(self.target).suffix else Path(self.target).name
         out = self.out or Path("out") / f"{name}-fit"
         with Bars(quiet=self.json) as bars:
             try:
-                found = fit(
-                    declared, out, workers=workers, progress=bars,
+                result = fit(
+                    declared,
+                    out,
+                    workers=workers,
+                    progress=bars,
                     on_forecast=lambda expected: self._tell(bars, expected),
-                )  # fmt: skip
+                )
             except Cancelled:
-                return bars.status(f"the same command goes on; runs so far are in {out}")
-        files = [str(path) for path in found.files]
-        print(json.dumps({**found.report, "files": files}) if self.json else found.table())
+                return bars.status(f"the same command continues it; runs so far are in {out}")
+        files = [str(path) for path in result.files]
+        print(json.dumps({**result.report, "files": files}) if self.json else result.table())
         if not self.json:
             print("\n".join(files))
         return 0
 
-    def _declared(self) -> Declared:
-        """The declaration, from options and perhaps a file."""
+    def _declare(self) -> Declared:
+        """Build the declaration from the options, and the file if there is one."""
         from_file = Path(self.target).suffix.lower() == ".toml"
         data: dict[str, Any] = Declared.from_toml(self.target) if from_file else {}
         if not from_file:
@@ -89,12 +92,12 @@ class Fit:
             data["align"] = True
         if self.grids is not None:
             data["grids"] = [part for part in self.grids.split(",") if part.strip()]
-        for name, given in (("find", parse_ranges(self.find)), ("set", parse_changes(self.set))):
-            if given:
-                data[name] = {**data.get(name, {}), **given}
+        for name, values in (("find", parse_ranges(self.find)), ("set", parse_changes(self.set))):
+            if values:
+                data[name] = {**data.get(name, {}), **values}
         if not data.get("find"):
             remedy = "Write --find material.E=1e4..1e6, say."
-            raise InputError("find", None, "nothing is to be found.", remedy)
+            raise InputError("find", None, "there is no value to find.", remedy)
         return Declared.from_data(data, self.target)
 
     def _processes(self) -> int:

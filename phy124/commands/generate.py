@@ -1,4 +1,4 @@
-"""`phy124 generate` and `phy124 simulate`: make a picture, or given Gaussians, move."""
+"""`phy124 generate` and `phy124 simulate`: simulate an object from a picture or from Gaussians."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from phy124 import pipeline
 from phy124.accuracy.choose import Goal, format_error
 from phy124.accuracy.promises import Promise
 from phy124.commands.bars import Bars
-from phy124.commands.cutout import IF_WRONG, described, doubt
+from phy124.commands.cutout import IF_WRONG, PictureOptions, announce_generator, describe, doubt
 from phy124.commands.options import SceneOptions, default_out
-from phy124.commands.picture import PictureOptions, told
 from phy124.commands.plan import PlanOptions, announce, predict
 from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.generators import needs_image
@@ -48,7 +47,7 @@ class Generate:
         default_factory=PictureOptions
     )
     compose: bool = False
-    """Film the object in the picture as well, in place of itself (composed.mp4)."""
+    """Also film the object in its picture (composed.mp4)."""
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
@@ -110,7 +109,7 @@ class Generate:
         return replace(result, files=files, report=report)
 
     def _refuse_compose(self) -> None:
-        """Refuse to compose without a picture of which the run makes a cut-out."""
+        """Refuse to compose if the run makes no cut-out of a picture."""
         if not self.compose:
             return
         refuse_missing_encoder()
@@ -147,15 +146,15 @@ class Generate:
         """How the Gaussians are made, and what is printed meanwhile."""
         calls = {"on_cutout": self._look, "on_estimate": self._announce}
         bound = {name: partial(call, bars) for name, call in calls.items()}
-        return {**self.making.given(), **bound}
+        return {**self.making.arguments(), **bound}
 
     def _announce(self, bars: Bars, effort: Effort) -> None:
         if not self.options.json:
             bars.close()
-            print(told(self.making.generator, effort), flush=True)
+            print(announce_generator(self.making.generator, effort), flush=True)
 
     def _look(self, bars: Bars, cutout: Cutout) -> None:
-        """Print what is doubtful before the long work begins."""
+        """Print doubts about the cut-out before the long work starts."""
         if not self.options.json:
             bars.close()  # a warning does not belong on the line of a bar
             doubt(cutout, f"Look at it with `phy124 cutout {cutout.file}`; {IF_WRONG}")
@@ -172,7 +171,7 @@ class Simulate:
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
-    """Largest number of its Gaussians to use; those kept grow to cover the same area."""
+    """Largest number of Gaussians to use; the kept ones are enlarged to cover the same area."""
     out: Path | None = None
     """Folder of the results; default out/FILE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
@@ -233,7 +232,7 @@ class Simulate:
 
 
 def go_on(out: Path, options: SceneOptions, scene: Scene, goal: Goal | None = None) -> int:
-    """Continue the run that was interrupted in a folder; prints what it would have printed.
+    """Continue the interrupted run in a folder, and print its results.
 
     Args:
         out: The folder of the interrupted run.
@@ -263,7 +262,7 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
             f"{report['substeps']} substeps, {report['frames']} frames on {report['device']}"
         )
         if report.get("cutout"):
-            print(described(report["cutout"]))
+            print(describe(report["cutout"]))
         print_forecast(report)
         print(Promise(**report["promise"]).sentence)
         for sentence in report["cleaning"]:
@@ -281,15 +280,15 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
 
 
 def print_files(result: pipeline.Result) -> None:
-    """Print how well the film in the photograph fits, if there is one, and the files."""
+    """Print the quality of the film in the photograph, if any, and the files."""
     if composed := result.report.get("compose"):
-        print(f"in the picture: at first {composed['psnr']:.1f} dB inside the object")
+        print(f"in the picture: {composed['psnr']:.1f} dB inside the object in the first frame")
     for path in result.files:
         print(path)
 
 
 def floor_sentence(floor: dict[str, Any]) -> str:
-    """A sentence about the floor that was found, in the file's axes and units."""
+    """Describe the detected floor, in the file's axes and units."""
     up = ", ".join(f"{value:.3f}" for value in floor["normal"])
     return (
         f"floor: {floor['gaussians']} Gaussians ({floor['fraction']:.0%}) within "
@@ -299,12 +298,13 @@ def floor_sentence(floor: dict[str, Any]) -> str:
 
 
 def print_forecast(report: dict[str, Any]) -> None:
-    """Print what was predicted or asked for, and the outcome."""
-    told, goal = report.get("forecast"), report.get("goal")
-    if told:
+    """Print the forecast and the goal, with the outcome."""
+    forecast, goal = report.get("forecast"), report.get("goal")
+    if forecast:
+        caveat = f"; {forecast['caveat']}" if forecast["caveat"] else ""
         print(
-            f"predicted {told['predicted']:.1f} s, took {told['spent']:.1f} s "
-            f"(ratio {told['ratio']:.2f}){'; ' + told['caveat'] if told['caveat'] else ''}"
+            f"predicted {forecast['predicted']:.1f} s, took {forecast['spent']:.1f} s "
+            f"(ratio {forecast['ratio']:.2f}){caveat}"
         )
     if goal and goal["unit"] == "seconds":
         print(f"asked for at most {goal['target']}: D/{goal['cells']}, {report['seconds']:.1f} s")

@@ -1,4 +1,4 @@
-"""Which kind of file was given, and which command takes it."""
+"""Detects the kind of a file, and refuses files for another command."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SIGNS = {
 }
 """First bytes of a file -> its content, whatever its name."""
 HEAD = 4096
-"""Bytes that are looked at."""
+"""Number of bytes that are examined."""
 TAKES = {
     "generate": ("image", "a picture"),
     "cutout": ("image", "a picture"),
@@ -71,14 +71,14 @@ def refuse_other_kind(name: str, command: Any) -> None:
         return
     field, wanted = TAKES[name]
     path = Path(getattr(command, field))
-    found = _kind(path) or wanted
-    if found != wanted:
-        limit = f"it is {found}, and `phy124 {name}` takes {wanted}."
-        raise InputError(field, path, limit, USES[found].replace("{}", str(path)))
+    kind = _kind(path) or wanted
+    if kind != wanted:
+        limit = f"it is {kind}, and `phy124 {name}` takes {wanted}."
+        raise InputError(field, path, limit, USES[kind].replace("{}", str(path)))
 
 
 def _kind(path: Path) -> str | None:
-    """What a file contains, by its first bytes, else by its name; None: it may be anything."""
+    """The kind of a file, by its first bytes, else by its name; None if unknown."""
     head = b""
     with suppress(OSError, ValueError):
         if path.is_file():  # a pipe can be read only once

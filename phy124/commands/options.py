@@ -32,7 +32,7 @@ GeneratorName = Annotated[
     tyro.conf.arg(
         help="What makes the Gaussians: a generator's name, a file of Gaussians, or a "
         "command of your own: 'cmd: PROGRAM {image} {out}'.",
-        help_behavior_hint=lambda given: f"(default: {given}; here: {', '.join(list_names())})",
+        help_behavior_hint=lambda default: f"(default: {default}; here: {', '.join(list_names())})",
     ),
 ]
 
@@ -49,7 +49,7 @@ Listed = tuple[str, ...] | None
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """Where a clip is filmed from."""
+    """Cameras of a clip."""
 
     views: Annotated[Listed, help_of(View, "views")] = None
     azimuth: Annotated[Listed, help_of(View, "azimuths")] = None
@@ -59,10 +59,10 @@ class CameraOptions:
     size: Annotated[str | None, help_of(View, "size", example="512 or 1920x1080")] = None
     follow: tyro.conf.FlagCreatePairsOff[Annotated[bool, help_of(View, "follow")]] = False
     no_follow: tyro.conf.FlagCreatePairsOff[bool] = False
-    """The camera stands still, however far the object goes."""
+    """The camera stands still, however far the object moves."""
 
     def changes(self) -> dict[str, Any]:
-        """What is chosen, by its path in the scene."""
+        """The chosen values by path in the scene."""
         chosen = {
             "view.views": _items(self.views),
             "view.azimuths": _items(self.azimuth),
@@ -78,7 +78,7 @@ class CameraOptions:
 
 @dataclass(frozen=True)
 class ViewOptions(CameraOptions):
-    """How a clip is filmed."""
+    """Options of filming a clip."""
 
     format: Annotated[Listed, help_of(View, "formats")] = None
     outputs: Annotated[Listed, help_of(View, "outputs")] = None
@@ -88,7 +88,7 @@ class ViewOptions(CameraOptions):
     speed: Annotated[float | None, help_of(View, "speed")] = None
 
     def changes(self) -> dict[str, Any]:
-        """What is chosen, by its path in the scene."""
+        """The chosen values by path in the scene."""
         chosen = {
             "view.formats": _items(self.format),
             "view.outputs": _items(self.outputs),
@@ -100,21 +100,21 @@ class ViewOptions(CameraOptions):
 
 
 def cameras_in(path: Path) -> list[Any]:
-    """The cameras in a file, as plain data.
+    """Read the cameras of a file, as plain data.
 
     Raises:
-        InputError: It cannot be read, or holds anything else.
+        InputError: It cannot be read, or contains anything else.
     """
     data = read_toml(path, "cameras")
     view = data.get("view")
     if set(data) != {"view"} or not isinstance(view, dict) or set(view) != {"cameras"}:
-        limit = "it must hold cameras, each below a line [[view.cameras]], and nothing else."
+        limit = "it must contain only cameras, each below a line [[view.cameras]]."
         raise InputError("cameras", path, limit, "Give a whole scene after --scene.")
     return view["cameras"]
 
 
 def _items(texts: Listed) -> list[Any] | None:
-    """Values of texts such as ("front,left", "45")."""
+    """Parse texts such as ("front,left", "45")."""
     if texts is None:
         return None
     return [parse_value(item) for text in texts for item in text.split(",") if item]
@@ -122,7 +122,7 @@ def _items(texts: Listed) -> list[Any] | None:
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """Which scene, and what differs from it."""
+    """Options of the scene, and changes of it."""
 
     scene: str = "press"
     """Preset (see `phy124 scenes`) or path of a .toml file."""
@@ -130,14 +130,14 @@ class SceneOptions:
     frames: Annotated[int | None, help_of(Timing, "frames")] = None
     seconds: Annotated[float | None, help_of(Timing, "seconds")] = None
     fps: float | None = None
-    """Frames per second of motion; without frames or seconds the length stays as it is."""
+    """Frames per second of motion; without --frames or --seconds the duration is unchanged."""
     view: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
     seed: Annotated[int | None, help_of(Scene, "seed")] = None
     set: tuple[str, ...] = field(default_factory=tuple)
     """Any other value of the scene, as KEY=VALUE: material.E=2e4, boundaries.0.friction=0.1."""
     device: Device = "auto"
     threads: int | None = None
-    """CPU threads that simulate and draw; absent: one for each core that is free."""
+    """CPU threads that simulate and draw; absent: one per free core."""
     json: bool = False
     """Print the report as JSON and nothing else."""
 
@@ -170,5 +170,5 @@ class SceneOptions:
 
 
 def default_out(name: str, scene: str) -> Path:
-    """Where results go unless told otherwise: out/PICTURE-SCENE."""
+    """Return the default folder of results: out/PICTURE-SCENE."""
     return Path("out") / f"{Path(name).stem}-{Path(scene).stem}"

@@ -1,4 +1,4 @@
-"""`phy124 orient`: a contact sheet of the ways up that a file of Gaussians may have."""
+"""`phy124 orient` draws a contact sheet of a file of Gaussians with each possible up axis."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ SIZE = 320
 
 @dataclass(frozen=True)
 class Orient:
-    """Draw a file of Gaussians all six ways up, or facing four ways, with the options of each."""
+    """Draw a file of Gaussians with each of the six up axes, or four fronts, and its options."""
 
     file: tyro.conf.Positional[Path]
-    """File of Gaussians whose axes are not known."""
+    """File of Gaussians with unknown axes."""
     up: Annotated[str | None, tyro.conf.arg(metavar="AXIS")] = None
     """The axis that points up, once it is known: the four fronts are drawn."""
     out: Path | None = None
@@ -62,7 +62,7 @@ class Orient:
 
 
 def _tile(renderer: Renderer, gaussians: Gaussians, reading: Reading) -> NDArray[np.uint8]:
-    """The object from its front, with its options below [H,W,3]."""
+    """Draw the object from its front, with its options below [H,W,3]."""
     tile = Image.fromarray(draw_oriented(renderer, gaussians, reading, SIZE))
     words = f"--up={reading.up} --front={reading.front}"
     ImageDraw.Draw(tile).text((8, SIZE - 20), words, fill=(60, 60, 60))
@@ -70,7 +70,7 @@ def _tile(renderer: Renderer, gaussians: Gaussians, reading: Reading) -> NDArray
 
 
 def _sheet(tiles: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Tiles in two rows, one beside the other."""
+    """Arrange tiles in two rows."""
     half = (len(tiles) + 1) // 2
     rows = [np.concatenate(tiles[i : i + half], axis=1) for i in range(0, len(tiles), half)]
     return np.concatenate(rows)

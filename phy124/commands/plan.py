@@ -1,4 +1,4 @@
-"""Options that say how accurate or how fast a run is to be, and what is printed before it."""
+"""Options of a run's accuracy and time, and the forecast printed before it."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from phy124.imaging.painted import Crop
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene, summarise
 
-STOOD_IN = "The seconds after the generator are those of an object that relief made in its place."
+STOOD_IN = "The times after the generator are for a stand-in object made by relief."
 
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What a run is to achieve, and whether it is only predicted."""
+    """Goal of a run, and whether it is only predicted."""
 
     forecast: bool = False
     """Predict the seconds first and compare them in the report; takes about a second."""
     dry_run: bool = False
-    """Write nothing: only print what would run, for how long, and what error is promised."""
+    """Only print the stages, their predicted time and the promised error; write nothing."""
     max_error: str | None = None
     """Choose the accuracy so that the error is at most this: 2px, 1% (of the size) or 3mm."""
     max_seconds: float | None = None
-    """Choose the finest accuracy that takes at most so many seconds in all."""
+    """Choose the finest accuracy whose total time [s] is at most this."""
     resume: bool = False
-    """Continue the run that was interrupted in the folder of the results."""
+    """Continue the interrupted run in the folder of the results."""
 
     def goal(self) -> Goal | None:
-        """The error or time asked for, if any.
+        """Return the requested error or time, if any.
 
         Raises:
-            InputError: Both are given, or one that cannot be used.
+            InputError: Both are set, or a value cannot be used.
         """
         if self.max_error is not None and self.max_seconds is not None:
-            limit = "an error is given as well."
+            limit = "--max-error is set, too."
             raise InputError("max_seconds", self.max_seconds, limit, "Give one of the two.")
         if self.max_error is not None and self.dry_run:
-            limit = "the grid it needs is known only after coarser ones have run."
+            limit = "the grid that meets it is known only after coarser grids have run."
             remedy = "Leave --dry-run out, or name an accuracy instead of the error."
             raise InputError("dry_run", f"with --max-error {self.max_error}", limit, remedy)
         if self.max_error is not None:
@@ -57,7 +57,7 @@ class PlanOptions:
 
 
 def announce(scene: Scene, *, as_json: bool) -> None:
-    """Print what is about to run and what makes it slow."""
+    """Print the scene, and what makes it slow."""
     if as_json:
         return
     print(f"scene: {summarise(scene)}", flush=True)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Render:
-    """Film a clip from other sides, in another size or as other files."""
+    """Film a clip from other sides, in another size or in other formats."""
 
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""
@@ -38,12 +38,12 @@ class Render:
     """Any other value of the view, as KEY=VALUE: elevation=30, background=[0,0,0]; or, as in a
     scene, view.elevation=30."""
     compose: Path | None = None
-    """The photograph that the clip was made from: film it in there as well (composed.mp4)."""
+    """The photograph that the clip was made from, to also film it there (composed.mp4)."""
     out: Path | None = None
-    """Folder of the files; default beside the clip."""
+    """Folder of the files; default: that of the clip."""
     device: Device = "auto"
     threads: int | None = None
-    """CPU threads that draw; absent: one for each core."""
+    """CPU threads that draw; absent: one per core."""
     json: bool = False
     """Print the files as JSON and nothing else."""
 
@@ -52,8 +52,8 @@ class Render:
         refuse_threads(self.threads)
         clip = Clip.load(self.clip)
         changes = self.view.changes()
-        given = parse_changes(self.set).items()
-        others = {f"view.{key.removeprefix('view.')}": value for key, value in given}
+        values = parse_changes(self.set).items()
+        others = {f"view.{key.removeprefix('view.')}": value for key, value in values}
         view = (
             Scene.of_clip(clip.scene, str(self.clip)).replaced(merge_changes(changes, others)).view
         )
@@ -81,7 +81,7 @@ class Render:
         return bars.status("the files named are complete, the others were not made")
 
     def _photograph(self) -> Photograph | None:
-        """The photograph to compose, opened before any film is drawn; None without one."""
+        """Open the photograph to compose, if any, before any film is drawn."""
         if self.compose is None:
             return None
         from phy124.rendering.compose import photograph_of

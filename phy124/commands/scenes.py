@@ -1,19 +1,26 @@
-"""`phy124 scenes`: the preset scenes, and every field that a scene has."""
+"""`phy124 scenes`, `effects` and `warm`: list presets and fields, list effects, compile kernels."""
 
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import dataclass
 
 import tyro
 
+from phy124.budget.effects import Effects
+from phy124.commands.bars import Bars
+from phy124.commands.options import Device
+from phy124.pipeline.warming import warm
+from phy124.runtime.context import RunContext
+from phy124.runtime.device import pick_device
 from phy124.scene import Scene, preset_names
 from phy124.scene.reference import format_reference, format_schema
 
 
 @dataclass(frozen=True)
 class Scenes:
-    """List the preset scenes, or print one as TOML to start a scene file from."""
+    """List the preset scenes, or print one as TOML, as a start for a scene file."""
 
     name: tyro.conf.Positional[str | None] = None
     """Preset to print in full, or with --reference a section such as material or forces."""
@@ -34,10 +41,53 @@ class Scenes:
             scene = Scene.named(self.name)
             print(json.dumps(scene.data()) if self.json else scene.to_toml())
             return 0
-        found = {name: Scene.named(name).description for name in preset_names()}
+        descriptions = {name: Scene.named(name).description for name in preset_names()}
         if self.json:
-            print(json.dumps(found))
+            print(json.dumps(descriptions))
         else:
-            for name, description in found.items():
+            for name, description in descriptions.items():
                 print(f"{name:<20}{description}")
+        return 0
+
+
+@dataclass(frozen=True)
+class ShowEffects:
+    """List the effects that a scene turns on, and those left out, without running it."""
+
+    scene: tyro.conf.Positional[str]
+    """Preset or .toml file."""
+    device: Device = "auto"
+    json: bool = False
+    """Print as JSON."""
+
+    def run(self) -> int:
+        """Print the effects."""
+        effects = Effects.of(Scene.named(self.scene), device=pick_device(self.device))
+        if self.json:
+            print(json.dumps(effects.data()))
+            return 0
+        for effect in effects.ran:
+            print(f"runs      {effect}")
+        for omission in effects.left_out:
+            print(f"left out  {omission.effect}: {omission.why}")
+        return 0
+
+
+@dataclass(frozen=True)
+class Warm:
+    """Compile the kernels of presets ahead of time, so that runs need not wait for them."""
+
+    scenes: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Presets or .toml files; none: all presets."""
+    device: Device = "auto"
+
+    def run(self) -> int:
+        """Compile missing kernels; prints their number."""
+        names = self.scenes or preset_names()
+        scenes = [Scene.named(name) for name in names]
+        start = time.perf_counter()
+        with Bars() as bars:
+            compiled = warm(scenes, RunContext(device=pick_device(self.device), progress=bars))
+        done = f"{compiled} modules compiled" if compiled else "everything was compiled already"
+        print(f"{', '.join(names)}: {done}; {time.perf_counter() - start:.1f} s")
         return 0

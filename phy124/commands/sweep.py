@@ -56,22 +56,28 @@ class Sweep:
         plan = Plan(Declared.from_toml(self.file))
         device = pick_device(self.device)
         if self.dry_run:
-            return self._foretell(plan, device)
+            return self._predict(plan, device)
         out = self.out or f"out/{Path(self.file).stem}"
         counts = Counts()
         with Bars(quiet=self.json, keeps=True, left=lambda: counts.left) as bars:
             run(
-                plan, out, ray=self.ray, workers=self.workers, shard=parts_of(self.shard),
-                device=device, progress=bars, counts=counts,
-            )  # fmt: skip
+                plan,
+                out,
+                ray=self.ray,
+                workers=self.workers,
+                shard=parts_of(self.shard),
+                device=device,
+                progress=bars,
+                counts=counts,
+            )
         if plan.sweep.archive is not None:
             pack(Storage(out), plan.sweep.archive)
-        told = {"out": out, "here": counts.here, **counts.ended}
+        outcome = {"out": out, "here": counts.here, **counts.ended}
         if self.json:
-            print(json.dumps(told))
+            print(json.dumps(outcome))
         else:
             made = ", ".join(f"{count} {status}" for status, count in counts.ended.items())
-            print(f"{made or 'nothing to do'}; {counts.here} were there already")
+            print(f"{made or 'nothing to do'}; {counts.here} existed already")
             print(Storage(out).place("manifest.parquet"))
         return 3 if counts.ended["failed"] else 0
 
@@ -85,17 +91,17 @@ class Sweep:
         print(write_page(storage))
         return 0
 
-    def _foretell(self, plan: Plan, device: str) -> int:
-        """Print what the sweep would take."""
+    def _predict(self, plan: Plan, device: str) -> int:
+        """Print the expected cost of the sweep."""
         with Bars(quiet=self.json) as bars:
             bad = list(list_refused(plan, bars))
-            told = forecast_sweep(plan, RunContext(device=device, progress=bars))
+            cost = forecast_sweep(plan, RunContext(device=device, progress=bars))
         workers = self.workers or cores()
         if self.json:
             rows = [{"index": item.index, "sentence": why} for item, why in bad]
-            print(json.dumps({**told._asdict(), "refused": rows}))
+            print(json.dumps({**cost._asdict(), "refused": rows}))
             return 0
-        print(told.sentence(workers))
+        print(cost.sentence(workers))
         for item, why in bad:
             print(f"refused: {item.index} {item.changes}: {why}", file=sys.stderr)
         return 0
@@ -106,8 +112,10 @@ class Sweep:
         if self.workers is not None and not 0 <= self.workers <= 1024:
             raise InputError("workers", self.workers, "there can be 0 to 1024.", "Leave it out.")
         if self.folder is not None:
-            limit = "only report has a folder after it."
-            raise InputError("folder", self.folder, limit, "Give the results' place after --out.")
+            limit = "only `report` takes a folder."
+            raise InputError(
+                "folder", self.folder, limit, "Give the folder of the results after --out."
+            )
 
 
 def parts_of(shard: str) -> tuple[int, int]:

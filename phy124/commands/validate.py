@@ -16,6 +16,7 @@ from phy124.commands.bars import Bars
 from phy124.errors import InputError
 from phy124.io.files import staging, write_whole
 from phy124.runtime.cores import cores, refuse_threads
+from phy124.studies.validation import stress
 from phy124.studies.validation.experiments import EXPERIMENTS, Experiment, Outcome, find_experiment
 from phy124.studies.validation.experiments.page import (
     data,
@@ -100,14 +101,18 @@ class Validate:
             return
         if self.name or self.quick:
             raise InputError(
-                "docs", "a part", "the page holds all experiments.",
+                "docs",
+                "a part",
+                "the page holds all experiments.",
                 "Leave NAME and --quick out, or write the part with --out FOLDER.",
-            )  # fmt: skip
+            )
         if not DOCS[0].parent.is_dir():
             raise InputError(
-                "docs", Path.cwd(), "there is no docs/results here.",
+                "docs",
+                Path.cwd(),
+                "there is no docs/results here.",
                 "Change to the root of a clone, or write with --out FOLDER.",
-            )  # fmt: skip
+            )
 
     def _refuse_out(self) -> None:
         """Make sure that the results can be written, before the hours that they take.
@@ -163,3 +168,32 @@ def _processor() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.machine()
+
+
+@dataclass(frozen=True)
+class Stress:
+    """Run the hard cases on this machine's devices: case, bound, measured, verdict."""
+
+    all: bool = False
+    """Run at full length: minutes instead of seconds."""
+    json: bool = False
+    """Print as JSON."""
+
+    def run(self) -> int:
+        """Print the table; returns status 1 if a case fails."""
+        total, rows = len(stress.CASES) * len(stress.settings()), []
+        with Bars(quiet=self.json, keeps=True) as bars, bars.keeping():
+            for row in stress.run(long=self.all):
+                rows.append(row)
+                bars("stress", len(rows), total)
+        if self.json:
+            print(json.dumps([row._asdict() for row in rows]))
+        else:
+            for row in rows:
+                print(f"{row.verdict:<5}{row.case}")
+                for bound, measured in zip(
+                    row.bound.split("; "), row.measured.split("; "), strict=False
+                ):
+                    print(f"       {measured:>10}  {bound}")
+        good = all(row.verdict == "pass" for row in rows)
+        return bars.status(f"{len(rows)} of {total} cases were run") or (0 if good else 1)

@@ -26,7 +26,7 @@ OLDER = "(with huggingface_hub before 1.0 the command is `huggingface-cli downlo
 
 @dataclass(frozen=True)
 class Weights:
-    """List the known trained weights and which are found, or fetch a set of them."""
+    """List the known trained weights and which are present, or fetch a set of them."""
 
     action: tyro.conf.Positional[Literal["list", "fetch"]] = "list"
     """What to do."""
@@ -55,12 +55,12 @@ class Weights:
         return 0
 
     def _list(self) -> int:
-        found = check_all(self.weights)
-        print(json.dumps(data(found)) if self.json else "\n".join(lines(found)))
-        return 1 if any(s.verdict == "differs" for s in found) else 0
+        statuses = check_all(self.weights)
+        print(json.dumps(data(statuses)) if self.json else "\n".join(lines(statuses)))
+        return 1 if any(s.verdict == "differs" for s in statuses) else 0
 
 
-def data(found: list[WeightStatus]) -> list[dict[str, Any]]:
+def data(statuses: list[WeightStatus]) -> list[dict[str, Any]]:
     """Statuses as plain data."""
     return [
         {
@@ -75,27 +75,27 @@ def data(found: list[WeightStatus]) -> list[dict[str, Any]]:
             "licence": s.file.licence,
             "command": s.file.command,
         }
-        for s in found
+        for s in statuses
     ]
 
 
-def summary(found: list[WeightStatus]) -> str:
+def summary(statuses: list[WeightStatus]) -> str:
     """Statuses in one line: which sets are complete, damaged or missing."""
     sets: dict[str, list[WeightStatus]] = {}
-    for s in found:
+    for s in statuses:
         sets.setdefault(s.weights, []).append(s)
     here = [name for name, files in sets.items() if all(s.found for s in files)]
     wrong = [name for name, files in sets.items() if any(s.verdict == "differs" for s in files)]
     missing = [name for name in sets if name not in here]
-    said = {"found": here, "NOT the published files": wrong, "missing": missing}
-    parts = [f"{what}: {', '.join(names)}" for what, names in said.items() if names]
+    groups = {"found": here, "NOT the published files": wrong, "missing": missing}
+    parts = [f"{what}: {', '.join(names)}" for what, names in groups.items() if names]
     return "; ".join(parts) + " (`phy124 weights fetch NAME`; `relief` needs none)"
 
 
-def lines(found: list[WeightStatus]) -> list[str]:
+def lines(statuses: list[WeightStatus]) -> list[str]:
     """Statuses as text, a paragraph for each file."""
     text = []
-    for s in found:
+    for s in statuses:
         text.append(f"{s.weights}: {s.file.repo}/{s.file.path}")
         text.append(f"  {SENTENCES[s.verdict]}")
         if s.found:

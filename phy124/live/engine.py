@@ -196,9 +196,13 @@ class Live:
         held = places.find_material(self._run, "grab.point", place, radius, object)
         self.release()
         options = {
-            "point": held.rest, "object": held.object, "radius": radius,
-            "stiffness": stiffness, "damping": limits.damping, "strength": strength,
-        }  # fmt: skip
+            "point": held.rest,
+            "object": held.object,
+            "radius": radius,
+            "stiffness": stiffness,
+            "damping": limits.damping,
+            "strength": strength,
+        }
         self._inputs.grabs.append(GrabRecord(self.time, options, [0.0], [place]))
         self._target, self._changed = place, True
 
@@ -258,9 +262,11 @@ class Live:
             raise InputError("push", len(self._inputs.wrenches), limit, "Wait until a push ends.")
         seconds = check_number("push.seconds", seconds, 1e-3, 3600)
         radius = check_number(
-            "push.radius", limits.radius if radius is None else radius,
-            0.01 * limits.size, 2 * limits.size,
-        )  # fmt: skip
+            "push.radius",
+            limits.radius if radius is None else radius,
+            0.01 * limits.size,
+            2 * limits.size,
+        )
         place = None if at is None else check_vector("push.at", at)
         point, of = None, places.check_object(self._scene, "push.object", object)
         if place is not None:

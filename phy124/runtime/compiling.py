@@ -14,8 +14,7 @@ import warp as wp
 
 from phy124.progress import Progress, silent
 from phy124.runtime.cores import cores
-from phy124.runtime.headers import has_headers
-from phy124.runtime.kernel_cache import compiled_file
+from phy124.runtime.kernel_cache import compiled_file, has_headers
 from phy124.runtime.startup import start
 
 

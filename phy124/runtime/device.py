@@ -1,29 +1,34 @@
-"""The computing device, by the name a user gives it."""
+"""The computing device by its name, and the version of NVIDIA's driver."""
 
 from __future__ import annotations
 
+import ctypes
 import threading
 import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import wraps
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 from phy124.errors import InputError
-from phy124.runtime.driver import driver
 
 CHOICES = "auto, cpu, cuda:0 or another GPU."
-"""The names a user may give, for every option that takes a device."""
+"""Help text of the options that take a device."""
 KEPT = 2**30
-"""Freed memory of a GPU that is kept for the next frame [bytes]; to get it anew is slow."""
+"""Freed GPU memory kept for the next frame [bytes], since allocation is slow."""
 P = ParamSpec("P")
 Made = TypeVar("Made")
 Owner = TypeVar("Owner")
 _gpu = threading.RLock()
+Version = tuple[int, int]
+LIBRARIES = ("libcuda.so.1", "nvcuda.dll")
+"""The driver's library on Linux and on Windows."""
+RELEASES = {12: 525, 13: 580}
+"""CUDA's major version -> the first release of the driver that supports it."""
 
 
 def pick_device(name: str) -> str:
-    """Warp's name of the device; "auto" is CUDA if there is one.
+    """Return Warp's name of the device; "auto" is CUDA if available.
 
     Raises:
         InputError: If there is no such device.
@@ -50,9 +55,9 @@ def pick_device(name: str) -> str:
 def one_at_a_time(
     method: Callable[Concatenate[Owner, P], Made],
 ) -> Callable[Concatenate[Owner, P], Made]:
-    """Decorator: on a GPU, no two threads are in such methods of objects with a `device`.
+    """Decorator: on a GPU, only one thread at a time runs such methods of objects with a `device`.
 
-    While one thread captures a graph, Warp would record in it what another one launches.
+    While one thread captures a graph, Warp would record the launches of other threads in it.
     """
 
     @wraps(method)
@@ -62,3 +67,53 @@ def one_at_a_time(
             return method(self, *args, **kwargs)
 
     return alone
+
+
+class Driver(NamedTuple):
+    """Versions of CUDA: supported by the driver, needed by Warp; None without either."""
+
+    supported: Version | None
+    needed: Version | None
+
+    @property
+    def problem(self) -> str | None:
+        """A sentence if the driver is too old."""
+        if self.supported is None or self.needed is None or self.supported >= self.needed:
+            return None
+        release = RELEASES.get(self.needed[0])
+        newer = f"to release {release} or later" if release else "to a later release"
+        return (
+            f"The NVIDIA driver supports CUDA {_text(self.supported)}, and this Warp needs "
+            f"{_text(self.needed)}: no GPU is used until the driver is updated {newer}."
+        )
+
+    def __str__(self) -> str:
+        """The supported version, in words."""
+        if self.supported is None:
+            return "none"
+        return f"CUDA {_text(self.supported)}" if self.problem is None else self.problem
+
+
+def driver() -> Driver:
+    """Return the driver of this machine; Warp must have been started."""
+    import warp as wp
+
+    toolkit = wp.get_cuda_toolkit_version()
+    needed = (toolkit[0], 0) if toolkit else None
+    return Driver(wp.get_cuda_driver_version() or _library_version(), needed)
+
+
+def _library_version() -> Version | None:
+    """Ask the driver's library for its version, since Warp does not load one that is too old."""
+    version = ctypes.c_int()
+    for name in LIBRARIES:
+        try:
+            if ctypes.CDLL(name).cuDriverGetVersion(ctypes.byref(version)) == 0:
+                return version.value // 1000, version.value % 1000 // 10
+        except (OSError, AttributeError):
+            continue
+    return None
+
+
+def _text(version: Version) -> str:
+    return ".".join(map(str, version))

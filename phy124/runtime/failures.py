@@ -22,9 +22,15 @@ OURS = (OWN, "phy124_demo", "phy124_bridge", "demo", "bridge", "__main__")
 LONGEST = 300
 """Largest number of characters of a library's message that a sentence repeats."""
 MEMORY_WORDS = (
-    "out of memory", "failed to allocate", "unable to allocate", "insufficient memory",
-    "cannot allocate memory", "can't start new thread", "failed to map segment", "bad_alloc",
-)  # fmt: skip
+    "out of memory",
+    "failed to allocate",
+    "unable to allocate",
+    "insufficient memory",
+    "cannot allocate memory",
+    "can't start new thread",
+    "failed to map segment",
+    "bad_alloc",
+)
 """How libraries that have no MemoryError of their own say that memory has run out."""
 NAMES = {"PIL": "Pillow", "warp": "Warp", "cv2": "OpenCV", "safetensors_rust": "safetensors"}
 """Import name of a library -> the name users know, where they differ."""

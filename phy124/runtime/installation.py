@@ -59,14 +59,16 @@ def packages(extra: str) -> list[str]:
         stated = requires(PACKAGE) or []
     except PackageNotFoundError:
         stated = []
-    found = []
+    needed_packages = []
     for requirement in stated:
         needed, _, condition = requirement.partition(";")
         if extra in _EXTRA.findall(condition):
-            own = _OWN.match(needed)
-            parts = own[1].split(",") if own else []
-            found += [p for part in parts for p in packages(part.strip())] or [needed.strip()]
-    return found
+            nested = _OWN.match(needed)
+            parts = nested[1].split(",") if nested else []
+            needed_packages += [p for part in parts for p in packages(part.strip())] or [
+                needed.strip()
+            ]
+    return needed_packages
 
 
 def _pip() -> str:

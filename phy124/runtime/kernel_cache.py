@@ -1,12 +1,13 @@
-"""Keeps Warp's folder of compiled kernels sound.
+"""Keeps Warp's folder of compiled kernels intact, with the compiler's precompiled headers.
 
-A module that cannot be loaded is compiled again, no half of one stays behind, and none is begun
-where the disk has no room: the compiler would end the whole program.
+A module that cannot be loaded is compiled again, incomplete modules are removed, and compilation is
+refused on a full disk, where the compiler would end the whole program.
 """
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import re
@@ -29,19 +30,19 @@ except ImportError:  # Windows
     fcntl = None
 
 ROOM = 8_000_000
-"""Least room on the disk with which a module is compiled [bytes]; the headers take 5 MB."""
+"""Free disk space required to compile a module [bytes]; the headers take 5 MB."""
 FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
-"""What a compilation leaves behind when its process ends before it."""
+"""Temporary files of a compilation whose process has ended."""
 PROCESS = re.compile(r"_p(\d+)_t\d+$")
 """Number of the process in the name of such a folder."""
 OLD = 600
-"""Age from which temporary headers are left behind [s]; making them takes some seconds."""
+"""Age above which temporary headers are abandoned [s]; making them takes some seconds."""
 
 
 def keep_sound() -> None:
-    """From now on, let Warp mend its cache; and remove what killed programs have left there.
+    """Let Warp repair its cache from now on, and remove files of killed programs.
 
-    Other versions of Warp than those that this knows go on as they are.
+    Unknown versions of Warp are left unchanged.
     """
     try:
         from warp._src.context import Module
@@ -52,10 +53,10 @@ def keep_sound() -> None:
     if getattr(load, "mends", False):
         return
 
-    def loaded(module: Any, device: Any, *rest: Any, **options: Any) -> Any:
+    def load_whole(module: Any, device: Any, *rest: Any, **options: Any) -> Any:
         if module.execs:
             return load(module, device, *rest, **options)
-        return _mended(load, module, device, *rest, **options)
+        return _load_mended(load, module, device, *rest, **options)
 
     def built(
         module: Any, device: Any = None, folder: Any = None, *rest: Any, **options: Any
@@ -63,13 +64,13 @@ def keep_sound() -> None:
         with _building(None if folder is None else Path(folder)):
             return build(module, device, folder, *rest, **options)
 
-    loaded.mends = True  # pyright: ignore[reportFunctionMemberAccess]
-    Module.load, Module._compile = loaded, built  # pyright: ignore[reportAttributeAccessIssue]
+    load_whole.mends = True  # pyright: ignore[reportFunctionMemberAccess]
+    Module.load, Module._compile = load_whole, built  # pyright: ignore[reportAttributeAccessIssue]
     _sweep()
 
 
 def compiled_file(kernel: Any, device: str) -> Path | None:
-    """The file of a kernel's module for this very processor or GPU; None where nothing is kept."""
+    """The file of a kernel's module for this processor or GPU; None without a cache."""
     if wp.config.kernel_cache_dir is None:
         return None
     module = kernel.module
@@ -81,10 +82,10 @@ def compiled_file(kernel: Any, device: str) -> Path | None:
         return next(iter(folder.glob("*.o" if device == "cpu" else "*.meta")), None)
 
 
-def _mended(
+def _load_mended(
     load: Any, module: Any, device: Any, block: Any = None, *rest: Any, **options: Any
 ) -> Any:
-    """The loaded module, compiled again if what the cache holds of it is broken."""
+    """Load a module; compile it again if its cached files are broken."""
     block = options.pop("block_dim", block)
     if rest or options:  # a file that the caller has chosen
         return load(module, device, block, *rest, **options)
@@ -111,10 +112,10 @@ def _discard(folder: Path) -> None:
 
 
 def _is_whole(file: Path) -> bool:
-    """Whether a file of the cache is complete, as far as can be seen without loading it.
+    """Whether a file of the cache looks complete, without loading it.
 
-    A file that was written as the disk filled up, or the power failed, is cut short or ends in
-    zeros.
+    A file that was written when the disk was full or the power failed is truncated or ends
+    in zeros.
     """
     with open(file, "rb") as stream:
         if file.suffix == ".meta":
@@ -143,8 +144,8 @@ def _is_json(text: bytes) -> bool:
 
 @contextmanager
 def _building(folder: Path | None) -> Iterator[None]:
-    """Within this context a module may be compiled; if that fails, nothing of it stays."""
-    with _locked(wait=True):
+    """Within this context a module may be compiled; a failure leaves no files."""
+    with _lock(wait=True):
         if folder is not None and not folder.is_dir():
             _refuse_full(folder.parent)
         try:
@@ -164,12 +165,12 @@ def _refuse_full(cache: Path) -> None:
 
 
 def _sweep() -> None:
-    """Remove halves, unless something is being compiled.
+    """Remove incomplete modules, unless a compilation is running.
 
-    A program that launches kernels without `start` compiles without a lock, so what it may still be
-    writing stays: without its folder the compiler ends the program.
+    A program that launches kernels without `start` compiles without a lock, so folders of running
+    processes stay: without its folder the compiler ends the program.
     """
-    with _locked(wait=False) as alone:
+    with _lock(wait=False) as alone:
         if alone:
             cache = Path(str(wp.config.kernel_cache_dir))
             for folder in filter(_is_abandoned, cache.glob(FOLDERS)):
@@ -195,14 +196,14 @@ def _is_abandoned(folder: Path) -> bool:
 
 
 @contextmanager
-def _locked(*, wait: bool) -> Iterator[bool]:
-    """Hold a lock of the cache, which many may hold to compile, and one alone to clean up.
+def _lock(*, wait: bool) -> Iterator[bool]:
+    """Lock the cache: shared for compiling, exclusive for cleaning up.
 
     Args:
-        wait: Whether to wait for the shared lock; otherwise the other one is asked for once.
+        wait: Whether to wait for the shared lock; otherwise try once to get the exclusive one.
 
     Yields:
-        Whether it is held.
+        Whether the lock is held.
     """
     try:
         descriptor = os.open(str(wp.config.kernel_cache_dir), os.O_RDONLY)
@@ -218,3 +219,46 @@ def _locked(*, wait: bool) -> Iterator[bool]:
         yield held
     finally:
         os.close(descriptor)
+
+
+def keep_headers() -> None:
+    """Let Warp reuse precompiled headers from now on.
+
+    Warp compiles them again in each thread of each process, which takes 2 s of processor time, more
+    than most kernels. Unknown versions of Warp are left unchanged.
+    """
+    try:
+        from warp._src.context import Runtime
+
+        usual = Runtime.get_clang_pch_dir
+    except (ImportError, AttributeError):
+        return
+    if getattr(usual, "keeps", False):
+        return
+
+    def keep(runtime: Any) -> str | None:
+        try:
+            folder = headers_folder()
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            return usual(runtime)
+        return str(folder)
+
+    keep.keeps = True  # pyright: ignore[reportFunctionMemberAccess]
+    Runtime.get_clang_pch_dir = keep  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def headers_folder() -> Path:
+    """The folder of the headers, next to the kernels of the same version of Warp.
+
+    Each installation has its own, since the compiler checks the headers' paths and times.
+    """
+    header = Path(wp.__file__).parent / "native" / "builtin.h"
+    identity = f"{header} {header.stat().st_mtime_ns}"
+    name = f"headers_{hashlib.sha256(identity.encode()).hexdigest()[:8]}"
+    return Path(str(wp.config.kernel_cache_dir)) / name
+
+
+def has_headers() -> bool:
+    """Whether precompiled headers exist."""
+    return any(headers_folder().glob("*.pch"))

@@ -1,4 +1,4 @@
-"""How much memory this process may still take."""
+"""Free memory of this process, and the refusal of a limit that is too small."""
 
 from __future__ import annotations
 
@@ -15,13 +15,10 @@ except ImportError:  # Windows
 
 
 def free_memory(device: str = "cpu") -> float:
-    """Memory that this process may still take [bytes]; infinity where the system does not tell.
+    """Memory that this process may still allocate [bytes]; infinity where unknown.
 
-    On a CPU it is the least of what the machine has, what its control groups (containers, batch
-    systems) leave it, and what `ulimit -v` leaves it.
-
-    Args:
-        device: Warp's name of the device whose memory is meant.
+    On a CPU it is the smallest of the machine's free memory, the limits of control groups
+    (containers, batch systems), and `ulimit -v`. `device` is Warp's name of the device.
     """
     if device != "cpu":
         import warp as wp
@@ -31,7 +28,7 @@ def free_memory(device: str = "cpu") -> float:
 
 
 def _of_machine() -> float:
-    """Memory that all programs of the machine together may still take [bytes]."""
+    """Free memory of the machine [bytes]."""
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):
@@ -44,7 +41,7 @@ def _of_machine() -> float:
 
 
 def _of_process() -> float:
-    """What the limit of this process's addresses leaves [bytes]."""
+    """Free address space of this process [bytes]."""
     if resource is None:
         return math.inf
     most, _ = resource.getrlimit(resource.RLIMIT_AS)
@@ -55,3 +52,44 @@ def _of_process() -> float:
     except OSError:
         return float(most)
     return max(0.0, most - taken)
+
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
+
+NEEDED = 1.2e9
+"""Measured address space of the libraries, the kernels and a small object [bytes]."""
+THREADS = "OPENBLAS_NUM_THREADS"
+
+
+def refuse_narrow() -> None:
+    """Refuse a limit of the address space that is too small; call it before NumPy is imported.
+
+    Under any other limit, OpenBLAS gets one thread, since each thread allocates buffers.
+
+    Raises:
+        MemoryError: The limit is too small.
+    """
+    if resource is None:
+        return
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if most == resource.RLIM_INFINITY:
+        return
+    if most < NEEDED:
+        allowed, needed = f"{most / 1e9:.1f} GB", f"{NEEDED / 1e9:.1f} GB"
+        raise MemoryError(
+            f"`ulimit -v` allows {allowed} of address space, but {needed} are needed: raise it"
+        )
+    os.environ.setdefault(THREADS, "1")
+    _take_buffers()
+
+
+def _take_buffers() -> None:
+    """Call each copy of OpenBLAS once, so that it allocates its buffers now."""
+    import numpy as np
+    import scipy.linalg
+
+    square = np.eye(128)
+    scipy.linalg.lu_factor(square @ square)

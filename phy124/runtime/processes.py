@@ -1,4 +1,4 @@
-"""Processes: work that is done side by side by spawned workers, while the caller goes on."""
+"""Runs work in parallel in spawned processes, while the caller continues."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Result = TypeVar("Result")
 
 @contextmanager
 def processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Within this context, so many processes; what is still at work at its end is stopped.
+    """Pool of `count` processes, terminated on exit.
 
-    Spawned ones, since a forked process would share the threads of Warp.
+    They are spawned, since a forked process would share the threads of Warp.
     """
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
@@ -40,16 +40,16 @@ def as_done(
     tasks: Iterable[Task],
     beat: Callable[[], object],
 ) -> Iterator[tuple[Task, Result]]:
-    """Each task with its result, as soon as there is one.
+    """Yield each task with its result when it is done.
 
     Args:
         pool: The processes.
-        work: What they do; it must be possible to pickle it.
-        tasks: What is to be done, in this order.
-        beat: Called often meanwhile; may raise Cancelled.
+        work: The function to run; it must be picklable.
+        tasks: Its arguments, in order.
+        beat: Called at least every `BEAT` seconds; may raise Cancelled.
 
     Raises:
-        OSError: A worker was killed, most likely for want of memory.
+        OSError: A worker was killed, most likely for lack of memory.
     """
     waiting = {pool.submit(work, task): task for task in tasks}
     while waiting:
@@ -58,12 +58,12 @@ def as_done(
             for future in done:
                 yield waiting.pop(future), future.result()
         except BrokenProcessPool:
-            told = "a worker process was killed; run the same command with fewer of them"
-            raise OSError(told) from None
+            text = "a worker process was killed; run the same command with fewer workers"
+            raise OSError(text) from None
         beat()
 
 
 def _begin() -> None:
-    """Ctrl-C reaches all processes of a terminal; the first one decides what it means."""
+    """Ignore Ctrl-C, which reaches all processes of a terminal; the parent handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     start()

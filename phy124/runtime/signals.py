@@ -14,8 +14,8 @@ Handler = Callable[[int, FrameType | None], object]
 
 
 @contextmanager
-def handled(handler: Handler) -> Iterator[None]:
-    """Within this context all of them call `handler`; only the main thread may set that.
+def handling(handler: Handler) -> Iterator[None]:
+    """Within this context these signals call `handler`; only the main thread can set it.
 
     Signals that the parent process chose to ignore (nohup) stay ignored.
     """
@@ -35,12 +35,12 @@ interrupt: Handler = signal.default_int_handler
 """Raises KeyboardInterrupt."""
 
 
-def ending(status: int, said: str = "") -> Handler:
-    """A handler that ends the process at once without flushing, while there is nothing to lose."""
+def ending(status: int, text: str = "") -> Handler:
+    """Return a handler that writes a text and ends the process at once, without flushing."""
 
     def end(number: int, frame: FrameType | None) -> None:
         del number, frame
-        os.write(2, said.encode())
+        os.write(2, text.encode())
         os._exit(status)
 
     return end

@@ -13,13 +13,12 @@ from pathlib import Path
 
 import warp as wp
 
-from phy124.runtime.headers import keep_headers
-from phy124.runtime.kernel_cache import keep_sound
+from phy124.runtime.kernel_cache import keep_headers, keep_sound
 
 NAMED = "WARP_CACHE_PATH"
 """Warp's environment variable for the folder of compiled kernels."""
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
-"""What Warp writes on every machine without a GPU."""
+"""Warp's message on every machine without a GPU."""
 
 
 def prepare() -> None:
@@ -48,7 +47,7 @@ def start() -> None:
 
 
 def kernel_folder() -> Path | None:
-    """Where Warp keeps compiled kernels; None if only Warp knows."""
+    """Warp's folder of compiled kernels; None if unknown."""
     if NAMED in os.environ:
         return Path(os.environ[NAMED])
     if not sys.platform.startswith("linux"):
@@ -58,14 +57,14 @@ def kernel_folder() -> Path | None:
 
 
 def temporary_folder() -> Path:
-    """A folder that later runs of the same user find again and nobody else may write to."""
+    """Return a folder that later runs of the same user reuse, and no one else may write to."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"phy124-kernels-{user}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-        safe = stat.S_ISDIR(found.st_mode) and found.st_mode & 0o077 == 0
-        if safe and found.st_uid == user:
+        status = folder.lstat()
+        safe = stat.S_ISDIR(status.st_mode) and status.st_mode & 0o077 == 0
+        if safe and status.st_uid == user:
             return folder
     except OSError:
         pass
@@ -73,7 +72,7 @@ def temporary_folder() -> Path:
 
 
 def _usable(folder: Path) -> bool:
-    """Whether files can be written in a folder. It is tried, as permissions alone do not tell."""
+    """Whether files can be written in a folder; tested by writing a file."""
     if folder.parts[:1] == ("~",):  # this user has no home
         return False
     try:

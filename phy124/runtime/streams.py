@@ -1,8 +1,8 @@
 """Standard streams that never end a program: closed ones, broken pipes, poor encodings.
 
-What a program says is not worth its results. So a stream that nobody reads, or that cannot be
-written, swallows the rest of the text, and a character that the encoding lacks is written in plain
-letters.
+A program's messages are worth less than its results. So a stream without a reader, or that cannot
+be written, discards the rest of the text, and a character that the encoding lacks is written in
+ASCII.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def steady_streams() -> Iterator[list[OSError]]:
     A reader who has closed the pipe has seen enough and counts as no error.
     """
     _occupy()
-    codecs.register_error(PLAIN, _spelled)
+    codecs.register_error(PLAIN, _spell)
     usual, problems = (sys.stdout, sys.stderr), []
     sys.stdout, sys.stderr = _steady(sys.stdout, problems), _steady(sys.stderr, [])
     try:
@@ -112,8 +112,8 @@ class _Steady(io.RawIOBase):
         return count
 
 
-def _spelled(error: UnicodeError) -> tuple[str | bytes, int]:
-    """The next character as the encoding can write it: its bytes, its ASCII form or its number.
+def _spell(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Spell a character that the encoding lacks: its bytes, its ASCII form or its number.
 
     Bytes of a file's name that are not text are stored as lone surrogates, and written unchanged.
     """

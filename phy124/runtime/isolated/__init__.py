@@ -30,7 +30,7 @@ NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 
 
 class Deadline(NamedTuple):
-    """How long isolated code may take, and who may cancel it."""
+    """Time limit of isolated code, and a function that may cancel it."""
 
     seconds: float = 120.0
     beat: Callable[[], object] = lambda: None
@@ -46,7 +46,7 @@ class Unfinished(Exception):
 
 
 class RemoteTraceback(Exception):
-    """Where in the other process an exception came from."""
+    """Traceback of an exception in the other process."""
 
     def __str__(self) -> str:
         return "\n" + self.args[0]
@@ -58,13 +58,13 @@ def run(
     deadline: Deadline = PATIENT,
     memory: int | None = None,
 ) -> T:
-    """The result of a module's function, called in another process.
+    """Call a module's function in another process, and return its result.
 
     Whatever it raises is raised here. Arguments and result may be anything that can be pickled.
 
     Args:
         function: The function.
-        deadline: How long it may take, and who may cancel it.
+        deadline: Time limit and cancellation.
         memory: Memory that the process may take [bytes], on systems that can limit it; beyond that
             the function meets a MemoryError.
         arguments: The function's arguments.
@@ -117,18 +117,17 @@ def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQue
     """Send the order and read the answer; both may block, so this runs in a thread."""
     assert child.stdin is not None and child.stdout is not None
     answer = b""
-    with suppress(OSError), child.stdin as orders, child.stdout as said:
+    with suppress(OSError), child.stdin as orders, child.stdout as output:
         orders.write(order)
         orders.flush()
-        # The pipe of orders stays open until the child has ended: its end would tell the child
-        # that nobody waits any more.
-        answer = said.read()
+        # The pipe stays open until the child has ended; closing it ends the child.
+        answer = output.read()
         child.wait()
     answers.put(answer)
 
 
 def _log() -> IO[bytes]:
-    """Where the process writes what went wrong; nowhere if no temporary file can be made."""
+    """Open a file for the process's errors; os.devnull if no temporary file can be made."""
     try:
         return tempfile.TemporaryFile()
     except OSError:
@@ -136,6 +135,6 @@ def _log() -> IO[bytes]:
 
 
 def _breakdown(status: int, log: IO[bytes]) -> str:
-    said = log.read().decode(errors="replace").strip().splitlines()
-    last = f": {said[-1][:200]}" if said else ""
+    lines = log.read().decode(errors="replace").strip().splitlines()
+    last = f": {lines[-1][:200]}" if lines else ""
     return f"broke down (exit status {status}{last})"

@@ -16,10 +16,10 @@ from contextlib import suppress
 
 def main() -> None:
     """Read an order from standard input, write the pickled result to standard output."""
-    # Ctrl-C reaches the whole group of processes; whoever waits for this one decides.
+    # Ctrl-C reaches the whole process group; the waiting process ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is no part of the answer
+    os.dup2(2, 1)  # libraries print to standard error
     try:
         memory, sys.path[:] = pickle.load(sys.stdin.buffer)
         if memory is not None:
@@ -28,14 +28,14 @@ def main() -> None:
         threading.Thread(target=_end_with_parent, daemon=True).start()
         answer = pickle.dumps((function(*arguments), None, ""))
     except Exception as error:
-        answer = _failed(error)
+        answer = _pickle_error(error)
     with answers:
         answers.write(answer)
     os._exit(0)
 
 
 def _limit(memory: int) -> None:
-    """Limit the memory of this process for good, in bytes."""
+    """Limit the memory of this process permanently [bytes]."""
     # Each thread of OpenBLAS, which comes with NumPy, would claim tens of megabytes at the start.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     with suppress(ImportError, OSError, ValueError):  # not on every platform
@@ -44,7 +44,7 @@ def _limit(memory: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
 
 
-def _failed(error: Exception) -> bytes:
+def _pickle_error(error: Exception) -> bytes:
     where = traceback.format_exc()
     try:
         data = pickle.dumps((None, error, where))
@@ -55,7 +55,7 @@ def _failed(error: Exception) -> bytes:
 
 
 def _end_with_parent() -> None:
-    """Wait for the end of standard input: the process that waited for the result is gone."""
+    """Exit at the end of standard input: the waiting process has ended."""
     # Not through sys.stdin: its lock would be held for ever.
     while os.read(0, 1):
         pass
