@@ -94,7 +94,7 @@ def test_a_warm_scene_is_said_to_be(made, capsys):
 def test_the_scene_file_repeats_the_run(made):
     scene = Scene.from_toml(made / "scene.toml")
     assert scene == Scene.named("press").replaced(
-        {"accuracy": "draft", "time.frames": 3, "view.size": 64}
+        {"accuracy": "draft", "time.frames": 3, "view.size": 64, "view.stage": "studio"}
     )
 
 

@@ -68,7 +68,8 @@ def film(
     watch = context.watch
     refuse_unkept(clip, view)
     folder.mkdir(parents=True, exist_ok=True)
-    stage, shine = make_stage(clip, view, device=context.device), make_shine(clip, view)
+    with watch.stage("render"):
+        stage, shine = make_stage(clip, view, device=context.device), make_shine(clip, view)
     paths: list[Path] = []
     for name in view.formats:
         if name in EXPORTS:
