@@ -88,10 +88,9 @@ class Outlook:
 
     def data(self) -> dict[str, Any]:
         """Return plain data for scripts."""
-        return {
-            "grids": self.grids, "each": self.each, "runs": self.runs(),
-            "workers": self.workers, "seconds": self.wall(USUAL), "least": self.wall(FEWEST),
-        }  # fmt: skip
+        times = {"seconds": self.wall(USUAL), "least": self.wall(FEWEST)}
+        runs = {"grids": self.grids, "each": self.each, "runs": self.runs()}
+        return {**runs, "workers": self.workers, **times}
 
     def sentence(self) -> str:
         """Describe the forecast in a sentence."""

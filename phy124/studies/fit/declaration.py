@@ -11,7 +11,7 @@ from phy124.errors import InputError
 from phy124.scene.files import read_toml
 from phy124.schema.refusals import explain
 from phy124.schema.section import Section
-from phy124.studies.sweep.axes import LogUniform, Uniform
+from phy124.studies.sweep.declaration import LogUniform, Uniform
 
 DECADE = 10.0
 """A range such as 1e4..1e6 is sampled logarithmically if its ends differ by this factor."""

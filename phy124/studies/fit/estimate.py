@@ -109,10 +109,8 @@ def _conclude(problem: Problem, distance: Distance, levels: list[Refined], seed:
         raise blind.refusal()
     places = tuple(level.place for level in levels)
     scale = np.sqrt(np.diag(spread.covariance))
-    return Estimate(
-        places, misfits, grids, spread.errors, model,
-        spread.covariance / np.outer(scale, scale), tuple(_notes(problem, places)),
-    )  # fmt: skip
+    correlation, notes = spread.covariance / np.outer(scale, scale), tuple(_notes(problem, places))
+    return Estimate(places, misfits, grids, spread.errors, model, correlation, notes)
 
 
 def _notes(problem: Problem, places: tuple[Values, ...]) -> list[str]:

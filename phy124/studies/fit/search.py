@@ -84,10 +84,9 @@ def search(
     count = len(start)
     # CMA-ES needs two coordinates; a second one without effect costs little.
     begin = start if count > 1 else np.append(start, 0.5)
-    options = {
-        "bounds": [0, 1], "seed": seed + 1, "popsize": generation_size(count), "tolx": SETTLED,
-        "maxiter": GENERATIONS, "verbose": -9, "verb_disp": 0, "verb_log": 0,
-    }  # fmt: skip
+    options = {"bounds": [0, 1], "seed": seed + 1, "popsize": generation_size(count)}
+    options |= {"tolx": SETTLED, "maxiter": GENERATIONS}
+    options |= {"verbose": -9, "verb_disp": 0, "verb_log": 0}
     strategy = cma.CMAEvolutionStrategy(begin, START, options)
     best, least = start, np.inf
     while not strategy.stop() and not problem.late(PART):

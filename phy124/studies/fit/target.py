@@ -102,10 +102,9 @@ class Target:
         means = np.broadcast_to(self.rest.means[0], (frames, *self.rest.means.shape[1:]))
         quats = np.broadcast_to(self.rest.quats[0], (frames, *self.rest.quats.shape[1:]))
         scales = np.broadcast_to(self.rest.scales[0], means.shape)
-        still = Clip(
-            means, quats, scales, self.rest.opacities, self.rest.sh,
-            np.arange(frames) / self.scene.time.fps, scene=self.scene.data(),
-        )  # fmt: skip
+        arrays = means, quats, scales, self.rest.opacities, self.rest.sh
+        times = np.arange(frames) / self.scene.time.fps
+        still = Clip(*arrays, times, scene=self.scene.data())
         return cameras(still, chosen.model_copy(update={"fit": False}), self.declared.side)
 
     def times_of(self, film: Film) -> np.ndarray:

@@ -1,18 +1,195 @@
-"""A sweep: many pictures, generators and values of a scene, declared in one file."""
+"""The declaration of a sweep: pictures, generators, and axes of values of a scene."""
 
 from __future__ import annotations
 
 import os
 import re
-from typing import Annotated, Any
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, model_validator
 
 from phy124.errors import InputError
 from phy124.scene.files import read_toml
 from phy124.schema.refusals import explain
 from phy124.schema.section import Section
-from phy124.studies.sweep.axes import NAMED, Axis, parse_axis
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Counted(Section, ABC):
+    """An axis with a finite number of values."""
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """Number of values."""
+
+    @abstractmethod
+    def value(self, index: int) -> Any:
+        """One of the values, counted from 0."""
+
+    def draw(self, u: float) -> Any:
+        """Return the value at a place between 0 and 1; all values are equally likely."""
+        return self.value(min(int(u * self.count), self.count - 1))
+
+
+class Listed(Counted):
+    """Some values, such as `{ values = [1e4, 1e5] }`; a plain list means the same."""
+
+    values: tuple[Any, ...] = Field(min_length=1, description="The values.")
+
+    @property
+    def count(self) -> int:
+        """Number of values."""
+        return len(self.values)
+
+    def value(self, index: int) -> Any:
+        """One of the values, counted from 0."""
+        return self.values[index]
+
+
+class Range(Counted):
+    """Evenly spaced values from a first to a last one: `{ first = 1e4, last = 1e6, count = 5 }`."""
+
+    first: Number = Field(description="The first value.")
+    last: Number = Field(description="The last value.")
+    count_: int = Field(alias="count", ge=1, le=1_000_000, description="How many values.")
+    spacing: Literal["linear", "log"] = Field(
+        default="linear", description="Linear or logarithmic spacing."
+    )
+
+    @model_validator(mode="after")
+    def _positive(self) -> Range:
+        if self.spacing == "log" and min(self.first, self.last) <= 0:
+            raise ValueError('a logarithm needs numbers above 0. Use spacing = "linear".')
+        return self
+
+    @property
+    def count(self) -> int:
+        """Number of values."""
+        return self.count_
+
+    def value(self, index: int) -> float:
+        """One of the values, counted from 0."""
+        part = index / (self.count - 1) if self.count > 1 else 0.0
+        return interpolate(self.first, self.last, part, log=self.spacing == "log")
+
+
+class Uniform(Section):
+    """Any number between two: `{ uniform = [0.1, 0.4] }`."""
+
+    uniform: tuple[Number, Number] = Field(description="Least and largest value.")
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Uniform:
+        _refuse_descending(self.uniform)
+        return self
+
+    def draw(self, u: float) -> float:
+        """The value at a place between 0 and 1."""
+        return interpolate(*self.uniform, u)
+
+
+class LogUniform(Section):
+    """Any number between two, even in its logarithm: `{ log_uniform = [1e4, 1e6] }`."""
+
+    log_uniform: tuple[Number, Number] = Field(description="Least and largest value, above 0.")
+
+    @model_validator(mode="after")
+    def _check_order(self) -> LogUniform:
+        _refuse_descending(self.log_uniform)
+        if self.log_uniform[0] <= 0:
+            raise ValueError("a logarithm needs numbers above 0. Use uniform.")
+        return self
+
+    def draw(self, u: float) -> float:
+        """The value at a place between 0 and 1."""
+        return interpolate(*self.log_uniform, u, log=True)
+
+
+class Choice(Section):
+    """One of some values, some more often: `{ choice = ["sand", "snow"], weights = [3, 1] }`."""
+
+    choice: tuple[Any, ...] = Field(min_length=1, description="The values.")
+    weights: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] | None = Field(
+        default=None, description="How often each is drawn, in proportion; None: equally often."
+    )
+
+    @model_validator(mode="after")
+    def _matching(self) -> Choice:
+        if self.weights is not None and len(self.weights) != len(self.choice):
+            limit = f"{len(self.choice)} values have {len(self.weights)} weights."
+            raise ValueError(f"{limit} Give one weight per value.")
+        return self
+
+    def draw(self, u: float) -> Any:
+        """The value at a place between 0 and 1."""
+        weights = self.weights or (1.0,) * len(self.choice)
+        rest = u * sum(weights)
+        for value, weight in zip(self.choice, weights, strict=True):
+            rest -= weight
+            if rest < 0:
+                return value
+        return self.choice[-1]
+
+
+NAMED = {"values": "Listed", "first": "Range", "uniform": "Uniform"}
+NAMED |= {"log_uniform": "LogUniform", "choice": "Choice"}
+"""Key that identifies a kind of axis -> kind."""
+
+
+def _kind(data: Any) -> str:
+    """Return the kind of plain data."""
+    if isinstance(data, Section):
+        return type(data).__name__
+    return next(kind for key, kind in NAMED.items() if key in data)
+
+
+def parse_axis(data: Any) -> Any:
+    """Convert plain data to that of an axis: a list is its values, a scalar its only value."""
+    if isinstance(data, Section):
+        return data
+    axis = data if isinstance(data, dict) else {"values": [data]}
+    axis = {"values": data} if isinstance(data, (list, tuple)) else axis
+    if not axis.keys() & NAMED or axis.get("values") == []:
+        raise ValueError(f"it has no values. Give one of {', '.join(sorted(NAMED))}.")
+    return axis
+
+
+Axis = Annotated[
+    Annotated[Listed, Tag("Listed")]
+    | Annotated[Range, Tag("Range")]
+    | Annotated[Uniform, Tag("Uniform")]
+    | Annotated[LogUniform, Tag("LogUniform")]
+    | Annotated[Choice, Tag("Choice")],
+    Discriminator(_kind),
+]
+
+
+def interpolate(first: float, last: float, part: float, *, log: bool = False) -> float:
+    """Interpolate between two numbers; the ends are exact.
+
+    Args:
+        first: Value at part 0.
+        last: Value at part 1.
+        part: Between 0 and 1.
+        log: Whether to interpolate the logarithms; both ends must be above 0.
+    """
+    if part <= 0:
+        return first
+    if part >= 1:
+        return last
+    if log:
+        return first * (last / first) ** part
+    return first + part * (last - first)
+
+
+def _refuse_descending(ends: Sequence[float]) -> None:
+    if ends[0] > ends[1]:
+        raise ValueError(f"{ends[0]:g} is above {ends[1]:g}. Give the smaller one first.")
+
 
 KIND = re.compile(rf"\.({'|'.join(NAMED.values())})\b")
 """The kind of an axis, which pydantic adds to the name of a field."""

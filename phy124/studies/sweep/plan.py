@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.scene import Scene
-from phy124.studies.sweep.axes import Axis, Counted, Listed
-from phy124.studies.sweep.declaration import Sweep
+from phy124.studies.sweep.declaration import Axis, Counted, Listed, Sweep
 from phy124.studies.sweep.storage import list_matching
 
 BLOCK = 1024

@@ -98,10 +98,8 @@ def _draw_rows(axes: Any, outcome: Outcome) -> None:
         values = deviate([f.levels[k] for f in estimates])
         axes.plot(values, rows, "o", color=SHADES[k], markersize=4, label=f"{cells} cells")
     errors = [100 * f.error / (abs(f.quantity.published) or 1.0) for f in estimates]
-    axes.errorbar(
-        deviate([f.value for f in estimates]), rows, xerr=errors, fmt="D", color=BLUE, capsize=3,
-        label="limit of the grids",
-    )  # fmt: skip
+    values, style = deviate([f.value for f in estimates]), {"fmt": "D", "color": BLUE, "capsize": 3}
+    axes.errorbar(values, rows, xerr=errors, label="limit of the grids", **style)
     axes.plot(
         deviate([f.control for f in estimates]), rows, "x", color=ORANGE, label=experiment.mistake
     )
