@@ -98,7 +98,7 @@ class Promise(TypedDict):
     """Reason for this value, as a sentence."""
     unmeasured: str
     """Kind of scene that was not measured, if that is the reason."""
-    own: bool
+    of_scene: bool
     """Whether the error was measured on this scene."""
     seconds: float | None
     """Length of the part of the clip for which it holds, from the start [s]; null: all of it."""
