@@ -133,7 +133,7 @@ def test_too_many_particles_return_the_last_level(quick, monkeypatch):
         return plain(setup)
 
     monkeypatch.setattr(choose, "Simulation", refusing)
-    reached = reach(Goal.error("0.1%"), ball(600), quick)
+    reached = reach(Goal.error("0.2%"), ball(600), quick)
     assert reached.about["cells"] == 12
     assert reached.about["particles_per_axis"] == 2
     assert reached.about["met"] is False
@@ -142,20 +142,20 @@ def test_too_many_particles_return_the_last_level(quick, monkeypatch):
 def test_the_densest_object_is_not_tried_again(quick, monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 13))
     most = quick.replaced({"accuracy": {"particles_per_axis": 4.0}})
-    assert reach(Goal.error("0.1%"), ball(600), most).about["particles_per_axis"] == 4
+    assert reach(Goal.error("0.2%"), ball(600), most).about["particles_per_axis"] == 4
 
 
 def test_an_object_that_tears_all_the_same_meets_no_goal(quick):
     """However close two grids are: what both tear is not what the material does."""
     with pytest.raises(InputError, match=r"on D/\d+ the material is stretched \d.* may tear it"):
-        reach(Goal.error("50%"), ball(600), soft(50))
+        reach(Goal.error("0.2%"), ball(600), soft(50))
 
 
 def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
     """What was whole is returned, and why nothing finer was."""
     likely = property(lambda self: self._model.dx < 1 / 13)
     monkeypatch.setattr(Tearing, "likely", likely)
-    about = reach(Goal.error("0.1%"), ball(600), quick).about
+    about = reach(Goal.error("0.2%"), ball(600), quick).about
     assert about["cells"] == 12
     assert about["levels"] == [6, 8, 12]
     assert about["torn"]

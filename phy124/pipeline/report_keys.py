@@ -90,7 +90,7 @@ class Balance(TypedDict):
 
 
 class Promise(TypedDict):
-    """Expected error of the clip; docs/results/accuracy.md explains it."""
+    """Error to expect of the clip; docs/results/accuracy.md explains it."""
 
     error: float | None
     """Upper bound as a fraction of the object's size; null if not measured, torn or stopped."""
@@ -251,7 +251,7 @@ class Report(TypedDict):
     effects: dict[str, Any]
     """Effects that were computed (`ran`) or not (`left_out`, with reason and saved seconds)."""
     promise: Promise
-    """Expected error of the clip."""
+    """Error to expect of the clip."""
     forecast: NotRequired[Forecast]
     """Predicted and actual times, with `--forecast`."""
     goal: NotRequired[Goal]
