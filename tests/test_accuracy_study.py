@@ -11,7 +11,7 @@ from phy124.accuracy.convergence import Convergence
 from phy124.accuracy.difference import difference
 from phy124.accuracy.promises import Promise
 from phy124.commands.accuracy import KEPT
-from phy124.errors import Cancelled
+from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.monitor.tearing import Tearing
 from phy124.runtime.context import RunContext
@@ -105,18 +105,19 @@ def test_a_free_spin_keeps_its_angular_momentum():
     assert "fewer than three levels" in made.convergence.why_not
 
 
-def test_levels_with_too_few_particles_are_skipped_and_said():
-    scene = Scene.named("spin").replaced(
-        {
-            "accuracy": {"particles_per_axis": 1.0},
-            "time.frames": 2,
-            "view.size": 32,
-            "binding": "lattice",
-        }
-    )
-    report = Study(ball(300), scene, levels=(12,)).run()
-    assert not report.rows
-    assert re.match(r"D/12 is skipped: 1\.0 particles per cell and axis", report.skipped[0])
+def test_too_few_particles_are_refused():
+    few = {"accuracy": {"particles_per_axis": 1.0}, "time.frames": 2, "view.size": 32}
+    scene = Scene.named("spin").replaced(few)
+    with pytest.raises(InputError, match=r"particles_per_axis = 1: with fewer than 1\.5"):
+        Study(ball(300), scene, levels=(12,)).run()
+
+
+@pytest.mark.parametrize("name", ["snow", "sand", "metal", "foam"])
+def test_levels_run_with_default_particles(name):
+    scene = Scene.named(name).replaced({"time.frames": 2, "view.size": 32})
+    assert scene.particles_per_axis == 1.5
+    report = Study(ball(300), scene, levels=(8,), thorough=False).run()
+    assert [row.name for row in report.rows] == ["D/8"] and not report.skipped
 
 
 def test_levels_alone_are_run_where_nothing_else_is_asked():
@@ -232,11 +233,21 @@ def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
 def test_the_recommendation_is_the_fastest_that_is_good_enough():
     found = Convergence(1.0, (0.01,))
     rows = (row(16, 0.09, 1.0), row(32, 0.03, 3.0), row(48, 0.02, 9.0))
-    assert recommend(rows, found) == (
+    assert recommend(rows, found, (4, 4)) == (
         "Take D/32: 3.0% of the object's size in 3.0 s; D/48 would take 3.0 times as long for 2.0%."
     )
-    assert "no level reached 4%" in recommend((row(16, 0.2, 1.0),), found)
-    assert "not converging" in recommend(rows, Convergence(None, why_not="not converging: x"))
+    unknown = Convergence(None, why_not="not converging: x")
+    assert "no level reached 4%" in recommend((row(16, 0.2, 1.0),), found, (4, 4))
+    assert "not converging" in recommend(rows, unknown, (4, 4))
+
+
+def test_brief_errors_recommend_nothing():
+    rows, found = (row(4, 0.001, 0.1), row(6, 0.001, 0.2)), Convergence(1.0, (0.01,))
+    assert "coarser than D/8" in recommend(rows, found, (4, 4))
+    fine = (row(16, 0.01, 1.0),)
+    assert recommend(fine, found, (2, 4)).startswith("Take D/16")
+    for known in ((1, 1), (1, 2), (2, 5)):
+        assert f"for only {known[0]} of {known[1]} frames" in recommend(fine, found, known)
 
 
 def test_what_another_setting_beats_is_dominated():
@@ -358,11 +369,24 @@ def test_study_on_the_command_line(tmp_path, capsys, monkeypatch):
     text = capsys.readouterr().out
     assert re.search(r"the two finest levels differ by \d+\.\d% of the object's size", text)
     assert "fewer than three levels" in text
-    assert f"Try `phy124 accuracy {tmp_path}/s.toml --levels 4 6 8 --set material.E=3e4" in text
+    assert f"Try `phy124 accuracy {tmp_path}/s.toml --frames 3 --levels 6 8 10 " in text
+    assert "--set material.E=3e4 --set accuracy.particles_per_axis=3`" in text
     made = {path.name for path in (tmp_path / "o").iterdir()}
     assert made >= {"accuracy.json", "accuracy.html"}
     assert main(["accuracy"]) == 2
     assert "nothing to study" in capsys.readouterr().err
+
+
+def test_study_without_levels_has_a_status(tmp_path, capsys, monkeypatch):
+    def stop(self, name, scene, progress):
+        return None, f"{name} is left out: unstable"
+
+    monkeypatch.setattr(study_of.Study, "_row", stop)
+    command = ["accuracy", "drop", "--levels", "8", "12", "16", "--out", str(tmp_path / "o")]
+    assert main(command) == 3
+    text = capsys.readouterr().out
+    assert "no level could be run" in text and "Try" not in text
+    assert main([*command, "--json"]) == 3
 
 
 @pytest.mark.parametrize("levels", [("16",), ("16", "32"), ("16", "16", "32")])

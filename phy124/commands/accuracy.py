@@ -57,7 +57,7 @@ class ShowAccuracy:
     """Print as JSON and nothing else."""
 
     def run(self) -> int:
-        """Verify or study; returns status 1 if a known answer is missed.
+        """Verify or study; returns status 1 if a known answer is missed, 3 if no level was run.
 
         Raises:
             InputError: There is nothing to study, or scene, picture or levels cannot be used.
@@ -114,16 +114,16 @@ class ShowAccuracy:
                 missing = str(refusal)
         if self.json:
             print(json.dumps(report.data()))
-            return bars.status(KEPT)
+            return bars.status(KEPT) or _status(report)
         print(table(report.data()["rows"]))
         for sentence in report.sentences:
             print(sentence)
         if report.convergence.error is None and bars.ended is None:
-            print(self._advice(levels, report))
+            print(self._advice(levels, report, study.scene.particles_per_axis), end="")
         for preset, said in report.promises.items():
             print(f"promise of {preset}: {said}")
         print("\n".join(str(path) for path in sorted(out.glob("accuracy.*"))), missing, sep="\n")
-        return bars.status(KEPT)
+        return bars.status(KEPT) or _status(report)
 
     def _sorted_levels(self, scene: Scene) -> tuple[int, ...]:
         """The levels from coarse to fine; raises InputError for one that the scene rejects."""
@@ -142,21 +142,31 @@ class ShowAccuracy:
             )
         return levels
 
-    def _advice(self, levels: tuple[int, ...], report: Report) -> str:
-        """The command that may find the error of a scene whose study found none."""
-        command = f"phy124 accuracy {shlex.quote(str(self.scene))}"
-        if self.image is not None:
-            command += f" --image {shlex.quote(str(self.image))}"
+    def _advice(self, levels: tuple[int, ...], report: Report, per_axis: float) -> str:
+        """A line with the command that may find the error of a scene, or nothing."""
+        from phy124.accuracy.choose import DENSEST
+        from phy124.studies.validation.accuracy.study import COARSEST
+
         run = [row.cells for row in report.rows if row.level and not row.torn]
-        if len(run) < 3:  # finer grids had too few particles, or tore the material
-            finest = max(run, default=levels[0])
-            grids = sorted({max(4, round(finest * part)) for part in (0.5, 0.75, 1)})
-        else:
+        finest = max(run, default=levels[0])
+        grids = sorted({round(finest * part) for part in (0.5, 0.75, 1)})
+        changes = self.set
+        if len(run) >= 3:
             grids = [*levels[1:], round(1.5 * levels[-1])]
-        options = " ".join(f"--set {shlex.quote(change)}" for change in self.set)
-        return with_program(
-            f"Try `{command} --levels {' '.join(map(str, grids))} {options}".rstrip() + "`."
-        )
+        elif grids[0] < COARSEST:
+            grids, key = list(levels), "accuracy.particles_per_axis="
+            if not any(row.torn for row in report.rows) or per_axis + 1 > DENSEST:
+                return ""
+            changes = tuple(change for change in changes if not change.startswith(key))
+            changes += (f"{key}{per_axis + 1:g}",)
+        words = ["phy124", "accuracy", str(self.scene)]
+        values = {"image": self.image, "frames": self.frames, "seconds": self.seconds}
+        for name, value in values.items():
+            words += [] if value is None else [f"--{name}", str(value)]
+        words += ["--levels", *map(str, grids)]
+        for change in changes:
+            words += ["--set", change]
+        return with_program(f"Try `{shlex.join(words)}`.\n")
 
     def _object(self, scene: Scene, context: RunContext) -> tuple[Gaussians, Scene, Crop]:
         """Return the Gaussians to study, their scene, and where they are in the picture."""
@@ -183,6 +193,11 @@ class ShowAccuracy:
     def _announce(self, effort: Effort) -> None:
         if not self.json:
             print(announce_generator(self.making.generator, effort), flush=True)
+
+
+def _status(report: Report) -> int:
+    """Exit status of a finished study: that of a stopped simulation if no level was run."""
+    return 0 if any(row.level for row in report.rows) else 3
 
 
 def _verdict_line(row: dict[str, Any]) -> str:

@@ -36,7 +36,13 @@ from phy124.simulation import Simulation, Stopped, prepare
 LEVELS = (16, 24, 32, 48)
 """Cells across the object, from coarse to fine; draft, standard and fine among them."""
 MIN_PARTICLES_PER_AXIS = 1.5
-"""Median particles per cell and axis below which a level is skipped."""
+"""Particles per cell and axis below which finer grids are not more accurate."""
+COARSEST = 8
+"""Cells across the object of the coarsest level that is recommended."""
+KNOWN = 0.5
+"""Fraction of the motion whose errors must be known before a level is recommended."""
+MOVING = 2
+"""Number of frames after the first whose errors must be known for that."""
 VARIED = 24
 """The level at which the other settings are varied, one at a time."""
 GOOD = 0.04
@@ -159,7 +165,13 @@ class Study:
         self._thickness: float | None = None
 
     def run(self) -> Report:
-        """Run all settings; raises InputError or Cancelled."""
+        """Run all settings.
+
+        Raises:
+            InputError: The scene cannot be run, or asks for too few particles.
+            Cancelled: `progress` cancelled the study, and no finished setting is kept.
+        """
+        _require_particles(self.scene.resolution.particles_per_axis)
         rows, skipped = [], []
         plan = list(self._plan())
         for number, (name, scene) in enumerate(plan):
@@ -235,12 +247,6 @@ class Study:
         context = replace(self.context.aside(), progress=progress)
         simulation = Simulation(prepare(self.gaussians, scene, context, crop=self.crop))
         self._thickness = self._thickness or simulation.setup.thickness
-        particles_per_axis = _particles_per_axis(simulation)
-        if particles_per_axis < MIN_PARTICLES_PER_AXIS:
-            return None, (
-                f"{name} is skipped: {particles_per_axis:.1f} particles per cell and axis are "
-                f"fewer than {MIN_PARTICLES_PER_AXIS}, so a finer grid would be less accurate."
-            )
         predicted = self._forecast(simulation) if self.thorough else None
         before = diagnose(simulation.solver)
         clip = simulation.run()
@@ -261,7 +267,7 @@ class Study:
             cfl=accuracy.cfl,
             binding=scene.binding,
             particles=len(simulation.setup.particles),
-            particles_per_axis=particles_per_axis,
+            particles_per_axis=_particles_per_axis(simulation),
             substeps=solver.clock.substeps,
             predicted=predicted,
             seconds=seconds["simulate"] + seconds["deform"] - split_seconds(solver.timings),
@@ -308,7 +314,7 @@ class Study:
             skipped,
             convergence,
             size,
-            recommend(judged, convergence),
+            recommend(judged, convergence, (frames - 1, len(times) - 1)),
             kept_promises(self.scene, self._thickness, judged, convergence, until),
             until=until,
             closest=float(finest[0, 1]) / size if len(clips) > 1 else None,
@@ -405,11 +411,22 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
     return errors[nearest] * (nearest / cells) ** min(max(order, TRUSTED[0]), TRUSTED[1])
 
 
-def recommend(rows: tuple[Row, ...], convergence: Convergence) -> str:
-    """Recommend a level in a sentence, and compare it with the next finer one."""
-    levels = [row for row in rows if row.level and not row.torn]
+def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int, int]) -> str:
+    """Recommend a level in a sentence, and compare it with the next finer one.
+
+    Args:
+        rows: The settings that were run.
+        convergence: The convergence of the levels.
+        known: Number of frames after the first whose errors are known, and of all such frames.
+    """
+    levels = [row for row in rows if row.level and not row.torn and row.cells >= COARSEST]
+    no = "No setting can be recommended by its error"
     if convergence.error is None:
-        return f"No setting can be recommended by its error: {convergence.why_not}."
+        return f"{no}: {convergence.why_not}."
+    if known[0] < max(MOVING, KNOWN * known[1]):
+        return f"{no}, which is known for only {known[0]} of {known[1]} frames after the first."
+    if not levels:
+        return f"{no}: every level is coarser than D/{COARSEST}."
     good = [row for row in levels if row.error is not None and row.error <= GOOD]
     best = min(good or levels[-1:], key=lambda row: row.seconds)
     advice = f"Take {best.name}: {best.error or 0:.1%} of the object's size in {best.seconds:.1f} s"
@@ -452,6 +469,14 @@ def kept_promises(
             promised = promise(scene.model_copy(update={"accuracy": name}), thickness)
             sentences[name] = check_promise(promised, row.error, until)
     return sentences
+
+
+def _require_particles(per_axis: float | None) -> None:
+    """Refuse a scene that asks for so few particles that finer grids are not more accurate."""
+    if per_axis is not None and per_axis < MIN_PARTICLES_PER_AXIS:
+        limit = f"with fewer than {MIN_PARTICLES_PER_AXIS}, finer grids are not more accurate."
+        remedy = f"Set {MIN_PARTICLES_PER_AXIS} or more, or leave it out."
+        raise InputError("accuracy.particles_per_axis", f"{per_axis:g}", limit, remedy)
 
 
 def _particles_per_axis(simulation: Simulation) -> float:
