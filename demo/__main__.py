@@ -84,10 +84,6 @@ def read_options(arguments: Sequence[str] | None) -> dict[str, str]:
     return {variable: value for variable, value in options.items() if value is not None}
 
 
-if __name__ == "__main__":
-    sys.exit(main())
-
-
 def share_heap() -> None:
     """Let all threads share one heap, so that the server's memory stays flat.
 
@@ -96,3 +92,7 @@ def share_heap() -> None:
     """
     if platform.libc_ver()[0] == "glibc" and CHOSEN not in os.environ:
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -51,8 +51,6 @@ DIGITS = 9
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SWEEP = 5.0
 """Interval between two checks for visitors who have left [s]."""
-LOG = logging.getLogger("phy124.web")
-LOOPBACK = ("localhost", "127.0.0.1", "::1")
 NAMES = ("NO_PROXY", "no_proxy")
 """Programs read either; both have to say the same."""
 
@@ -200,6 +198,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         server_name=settings.host,
         server_port=settings.port,
         share=False,
+        quiet=True,  # else Gradio advises to share the page publicly
         _frontend=False,  # else it gives up if its own first answer takes 3 s on a busy machine
         show_error=False,
         max_file_size=settings.max_file_bytes,
@@ -217,6 +216,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         },
         **options,
     )
+    print(f"The page is at {page.local_url}", flush=True)  # at once, even into a file
     _remove_cors(page.app)
     sessions = page.app.state_holder = page.state_holder = Sessions(page, studio.visitors)
     # uvicorn looks this up for each new connection.

@@ -124,6 +124,12 @@ def test_health_and_static_files(server):
     assert get(f"{server.url}/phy124/static/%2e%2e/settings.py")[0] == 404
 
 
+def test_address_is_printed_at_once(server):
+    """The log is a file, and the server still runs; Gradio's advice to share is not printed."""
+    assert f"The page is at {server.url}/\n" in server.log.read_text("utf-8")
+    assert "share" not in server.log.read_text("utf-8")
+
+
 def test_the_page_names_no_other_machine(server):
     import re
 

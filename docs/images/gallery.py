@@ -1,11 +1,12 @@
-"""Make gallery/*.webp beside this file: presets with every law on three pictures, for the eye.
+"""Make gallery/*.webp beside this file: all presets, and eight of them with every law.
 
-A sheet shows one preset: a row for each law, and of each picture the middle and the last frame. A
-run that stops is shown with its last good frame and named on the standard output. Objects have
-fewer Gaussians than usual and the accuracy is draft. The sheet `objects` shows real objects,
-credited in docs/gallery.md, in several scenes, a row for each object; their files are no part of
-the repository: they are read from $PHY124_OBJECTS or ../shared/objects, and the sheet stays as it
-is where they are absent. Run `python docs/images/gallery.py [PRESET or objects]`.
+The sheet `presets` shows every preset with its own material. Each other sheet shows one preset: a
+row for each law, and of each picture the middle and the last frame. A run that stops is shown with
+its last good frame and named on the standard output. Objects have fewer Gaussians than usual and
+the accuracy is draft. The sheet `objects` shows real objects, credited in docs/gallery.md, in
+several scenes, a row for each object; their files are no part of the repository: they are read from
+$PHY124_OBJECTS or ../shared/objects, and without them the sheet is not made. Run
+`python docs/images/gallery.py [presets, PRESET or objects]`.
 """
 
 import os
@@ -14,6 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from phy124_demo.make_previews import OBJECTS as PICTURE_OF
 from PIL import Image, ImageDraw
 
 from phy124 import pipeline
@@ -28,10 +30,12 @@ from phy124.pipeline.capture import capture
 from phy124.rendering.frames import render_frames
 from phy124.rendering.shine import make_shine
 from phy124.rendering.stage.build import make_stage
-from phy124.scene import Scene
+from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation, prepare
 
 HERE = Path(__file__).parent
+COLUMNS = 3
+"""Presets in a row of the sheet of all presets."""
 PRESETS = ("bounce", "drop", "press", "push_away", "push_right", "spin", "sway", "wind")
 PICTURES = ("duck", "teddy", "sunflower")
 EASED = {"rigid": {"material.E": 1e7}}
@@ -88,6 +92,22 @@ def row(preset: str, law: str, objects: list[Gaussians]) -> np.ndarray:
     return np.concatenate(cells, axis=1)
 
 
+def all_presets() -> list[np.ndarray]:
+    """Return the rows of the sheet of all presets, each with its own material."""
+    cells = [preset_cell(name) for name in preset_names()]
+    cells += [np.full_like(cells[0], 255)] * (-len(cells) % COLUMNS)
+    return [np.concatenate(cells[i : i + COLUMNS], 1) for i in range(0, len(cells), COLUMNS)]
+
+
+def preset_cell(name: str) -> np.ndarray:
+    """Return the middle and the last frame of a preset below its name."""
+    scene = Scene.named(name).replaced({"accuracy": "draft"})
+    clip = Simulation(prepare(made_of(PICTURE_OF.get(name, "duck")), scene)).run()
+    print(name, flush=True)
+    frames = np.concatenate(shown(clip, scene), axis=1)
+    return np.concatenate([labelled(name, 2 * SIZE, 16), frames])
+
+
 def labelled(words: str, width: int = LABEL, height: int = SIZE) -> np.ndarray:
     """A white cell with a word on it."""
     cell = Image.new("RGB", (width, height), "white")
@@ -114,11 +134,13 @@ def real_objects() -> list[np.ndarray]:
 
 
 def sheet(preset: str) -> str:
-    """Make the sheet of a preset, or that of real objects; returns its name."""
+    """Make a sheet: of all presets, of one preset, or of real objects; returns its name."""
     if preset == "objects" and not OBJECTS.is_dir():
         return f"objects: left as it is, there is no {OBJECTS}"
     if preset == "objects":
         rows = real_objects()
+    elif preset == "presets":
+        rows = all_presets()
     else:
         objects = [made_of(name) for name in PICTURES]
         rows = [row(preset, law, objects) for law in LAWS.by_name]
@@ -130,5 +152,5 @@ def sheet(preset: str) -> str:
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(2) as pool:
-        for done in pool.map(sheet, sys.argv[1:] or (*PRESETS, "objects")):
+        for done in pool.map(sheet, sys.argv[1:] or ("presets", *PRESETS, "objects")):
             print(done, flush=True)

@@ -95,7 +95,8 @@ def blender(frames: Path) -> Image.Image:
     runpy.run_path(str(START / "blender.py"), run_name="__main__")
     scene = bpy.context.scene
     scene.world = bpy.data.worlds.new("sky")
-    scene.world.use_nodes = True
+    if bpy.app.version < (5, 0):  # later worlds always have nodes
+        scene.world.use_nodes = True
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.5, 0.53, 0.56, 1)
     lamp = bpy.data.lights.new("sun", "SUN")
     lamp.energy = 2.0

@@ -2,7 +2,8 @@
 
     blender --python docs/start/blender.py -- out/duck-frames
 
-`phy124 export CLIP --to ply --all` writes the folder. Tried with Blender 4.5.
+`phy124 export CLIP --to ply --all` writes the folder. The script removes the cube of Blender's
+startup scene, and aims its camera and lamp at the object. Tried with Blender 4.5 and 5.0.
 """
 
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 RADIUS = 1.5
 """Radius of an ellipsoid in standard deviations."""
@@ -34,7 +36,7 @@ def add(mesh, name, kind, member, values):
 
 
 def import_frame(path, nodes, frame):
-    """Import a file as an object that is visible in one frame only."""
+    """Import a file as an object that is visible in one frame only; returns the object."""
     bpy.ops.wm.ply_import(filepath=str(path), forward_axis="Z", up_axis="NEGATIVE_Y")
     shown, mesh = bpy.context.object, bpy.context.object.data
     quats = read_columns(mesh, "rot", 4)
@@ -48,12 +50,14 @@ def import_frame(path, nodes, frame):
         shown.hide_viewport = shown.hide_render = at != frame
         shown.keyframe_insert("hide_viewport", frame=at)
         shown.keyframe_insert("hide_render", frame=at)
+    return shown
 
 
 def make_material():
     """Return a material with the colour of each instance."""
     material = bpy.data.materials.new("gaussians")
-    material.use_nodes = True
+    if bpy.app.version < (5, 0):  # later materials always have nodes
+        material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
     colour = nodes.new("ShaderNodeAttribute")
     colour.attribute_type, colour.attribute_name = "INSTANCER", "colour"
@@ -91,12 +95,25 @@ def make_nodes():
     return group
 
 
+def aim(shown):
+    """Remove the startup scene's cube, and aim its camera and lamp at all objects."""
+    if "Cube" in bpy.data.objects:
+        bpy.data.objects.remove(bpy.data.objects["Cube"])
+    corners = np.array([each.matrix_world @ Vector(at) for each in shown for at in each.bound_box])
+    centre, size = corners.mean(axis=0), np.ptp(corners, axis=0).max()
+    for name, direction in (("Camera", (0.9, -2.9, 0.9)), ("Light", (2.0, -2.5, 3.5))):
+        if placed := bpy.data.objects.get(name):
+            placed.location = centre + size * np.array(direction)
+            placed.rotation_euler = Vector(-np.array(direction)).to_track_quat("-Z", "Y").to_euler()
+
+
 def main():
     """Import all files of the folder and set the length of the animation."""
     files, nodes = sorted(Path(sys.argv[-1]).glob("*.ply")), make_nodes()
-    for frame, path in enumerate(files, 1):
-        import_frame(path, nodes, frame)
+    shown = [import_frame(path, nodes, frame) for frame, path in enumerate(files, 1)]
+    aim(shown)
     bpy.context.scene.frame_end = len(files)
+    bpy.context.scene.frame_set(1)
 
 
 if __name__ == "__main__":
