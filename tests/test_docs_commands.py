@@ -67,7 +67,8 @@ def parse(words: list[str]) -> None:
 
 
 def parse_bridge(rest: list[str]) -> None:
-    tyro.extras.subcommand_cli_from_dict(BRIDGE, args=join_repeats(rest, BRIDGE))
+    if rest != ["--help"]:
+        tyro.extras.subcommand_cli_from_dict(BRIDGE, args=join_repeats(rest, BRIDGE))
 
 
 def parse_phy124(rest: list[str]) -> None:
