@@ -63,6 +63,22 @@ def test_program_is_short_and_on_the_page(program):
     assert f"]({program.stem}.webp)" in page and program.with_suffix(".webp").is_file()
 
 
+PACKAGES = {
+    "matplotlib": "plots", "save_picture": "plots", "rosbags": "' rosbags", "McapSink": "bridge",
+    "open_sink": "dds", "phy124.studies.fit": "fit", "phy124.studies.sweep": "sweep",
+}  # fmt: skip
+"""Name in a program -> the extra, or the package, that it needs."""
+
+
+@pytest.mark.parametrize("program", PROGRAMS, ids=name_of)
+def test_last_line_of_docstring_installs_extras(program):
+    text = program.read_text("utf-8")
+    needed = [extra for name, extra in PACKAGES.items() if name in text]
+    line = text.split('"""')[1].strip().splitlines()[-1]
+    assert all(extra in line for extra in needed)
+    assert ("pip install" in line) == bool(needed)
+
+
 def test_programs_are_numbered_and_small_pictures():
     assert [path.name[:2] for path in PROGRAMS] == [f"{i:02}" for i in range(1, len(PROGRAMS) + 1)]
     pictures = [path.with_suffix(".webp") for path in PROGRAMS]

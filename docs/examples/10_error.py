@@ -1,4 +1,7 @@
-"""The error of a run: a ball is pressed on three grids, which are compared with their limit."""
+"""The error of a run: a ball is pressed on three grids, which are compared with their limit.
+
+Install with `.venv/bin/pip install --editable '.[plots]'`.
+"""
 
 from pathlib import Path
 

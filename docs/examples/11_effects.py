@@ -1,4 +1,7 @@
-"""Effects left out: the mechanisms that a scene does not need cost nothing."""
+"""Effects left out: the mechanisms that a scene does not need cost nothing.
+
+Install with `.venv/bin/pip install --editable '.[plots]'`.
+"""
 
 from pathlib import Path
 

@@ -1,4 +1,7 @@
-"""Fit: estimate the stiffness of an object from its motion."""
+"""Fit: estimate the stiffness of an object from its motion.
+
+Install with `.venv/bin/pip install --editable '.[fit]'`.
+"""
 
 from pathlib import Path
 

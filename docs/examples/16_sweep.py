@@ -1,4 +1,7 @@
-"""A sweep: clips of three objects with three stiffnesses, made on all cores."""
+"""A sweep: clips of three objects with three stiffnesses, made on all cores.
+
+Install with `.venv/bin/pip install --editable '.[sweep]'`.
+"""
 
 from phy124.studies.sweep import Dataset, Plan, Sweep, run
 

@@ -1,4 +1,7 @@
-"""ROS 2 publisher: send the frames of a running simulation as point clouds."""
+"""ROS 2 publisher: send the frames of a running simulation as point clouds.
+
+Install with `.venv/bin/pip install --editable '.[dds]'`.
+"""
 
 import time
 

@@ -1,11 +1,14 @@
-"""Read a bag back: record a clip, then count points and measure heights without ROS 2."""
+"""Read a bag back: record a clip, then count points and measure heights without ROS 2.
+
+Install with `.venv/bin/pip install --editable '.[bridge,plots]' rosbags`.
+"""
 
 from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot as plt
 from phy124_bridge.sinks.mcap import McapSink
-from rosbags.highlevel import AnyReader  # pip install rosbags
+from rosbags.highlevel import AnyReader
 
 import phy124
 from phy124.pipeline import make_gaussians
