@@ -211,6 +211,34 @@ def test_a_grid_between_two_has_the_error_of_the_coarser(monkeypatch):
     )
 
 
+@pytest.mark.parametrize("name", ["snow", "sand"])
+def test_promise_ignores_the_tint(name):
+    scene = Scene.named(name)
+    assert scene.material.tint is not None
+    assert promise(scene, 0.5).error == promise(scene.replaced({"material.tint": None}), 0.5).error
+    assert "tint" not in promise(scene, 0.5).sentence
+
+
+@pytest.mark.parametrize("finest", [32, 48])
+def test_promise_names_the_level_it_was_measured_at(monkeypatch, finest):
+    hard = {"violence": 1, "yielding": 0, "nu": 0.4, "damping": 0, "length": 9}
+    levels = [level for level in (16, 32, 48) if level <= finest]
+    errors = {"duck": [0.06, 0.03, None], "pear": [0.02, 0.01, 0.005]}
+    errors = {name: each[: len(levels)] for name, each in errors.items()}
+    row = {"errors": errors, "levels": levels, "from": ["drop"], "particles_per_axis": 2, **hard}
+    known = {
+        "objects": {"duck": 0.5, "pear": 0.5},
+        "safety": 1.0,
+        "scenes": {"neo_hookean landing": row},
+    }
+    monkeypatch.setattr(promises, "table", lambda: known)
+    drop = Scene.named("drop")
+    fine, standard = (promise(drop.replaced({"accuracy": a}), 0.5) for a in ("fine", "standard"))
+    assert fine.error == standard.error == 0.03
+    assert "Measured at D/32 (D/48 has no smaller expected error yet) for" in fine.sentence
+    assert "Measured at D/32 for" in standard.sentence
+
+
 @pytest.mark.parametrize(
     ("name", "changes", "kind"),
     [

@@ -30,6 +30,14 @@ def test_an_encoder_that_works_is_no_fault(capsys):
     assert "FAULT" not in capsys.readouterr().out
 
 
+def test_doctor_names_the_program_as_called(capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["elsewhere/phy124"])
+    assert main(["doctor"]) == 0
+    text = capsys.readouterr().out
+    assert "`elsewhere/phy124 doctor --all`" in text
+    assert "`elsewhere/phy124 weights fetch NAME`" in text
+
+
 def test_every_optional_part_is_looked_for():
     tomllib = pytest.importorskip("tomllib")
     project = tomllib.loads(Path("pyproject.toml").read_text("utf-8"))["project"]

@@ -45,6 +45,13 @@ def test_a_dry_run_says_what_would_run_and_writes_nothing(file, tmp_path, capsys
     assert not out.exists()
 
 
+def test_missing_error_names_the_study_of_this_scene(file, capsys):
+    arguments = ["simulate", str(file), *SMALL, "--accuracy", "draft", "--dry-run"]
+    assert main([*arguments, "--scene", "sand"]) == 0
+    study = f"`phy124 accuracy sand --image {file} --frames 2` measures it."
+    assert study in capsys.readouterr().out
+
+
 def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10))
     monkeypatch.setattr("phy124.accuracy.choose.CHEAP", (8, 10))

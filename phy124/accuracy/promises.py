@@ -30,6 +30,8 @@ MEASURED_FORCES = ("gravity", "acceleration")
 """Kinds of forces in the scenes that were measured, on the whole object and constant."""
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "yield_stress"}
 """Fields of a law that these numbers cover; others must be as in the measured scenes."""
+LOOKS = {"tint"}
+"""Fields of a law that do not affect the motion."""
 
 
 def violence(scene: Scene) -> float:
@@ -101,7 +103,7 @@ def find_difference(scene: Scene) -> str:
     for section in scene.materials:
         for name, field in type(section).model_fields.items():
             usual = field.get_default(call_default_factory=True)
-            if name not in COMPARED and getattr(section, name) != usual:
+            if name not in COMPARED | LOOKS and getattr(section, name) != usual:
                 return f"{section.law} with another {name}"
     return ""
 
@@ -174,6 +176,10 @@ class Promise:
         return (
             f"Expected error: at most {self.error:.1%} of the object's size{self._span}. {self.why}"
         )
+
+    def with_study(self, command: str) -> str:
+        """Return the sentence; where it names the command of a study, it names this one."""
+        return self.sentence.replace(STUDY, command)
 
     @property
     def brief(self) -> str:
@@ -297,10 +303,13 @@ def promise(
     if error is None:
         cells = thickness * scene.resolution.cells
         return _unknown(f"{such} that is so thin ({cells:.1f} cells of this grid)")
+    known, cells = _measured_level(kind, error, level), scene.resolution.cells
+    stays = known < level or level == kind["levels"][-1] < cells
+    finer = f" (D/{cells} has no smaller expected error yet)" if stays else ""
     error *= table()["safety"]
     why = (
-        f"Measured at D/{level} for {such} ({', '.join(kind['from'])}; objects about as thick or "
-        f"thicker: {count})."
+        f"Measured at D/{known}{finer} for {such} ({', '.join(kind['from'])}; objects about as "
+        f"thick or thicker: {count})."
     )
     if length(scene) <= MARGIN * kind["length"]:
         return Promise(error, why)
@@ -335,6 +344,17 @@ def largest_error(
     least = min(NEARLY * thickness, widths[min(FEWEST, len(widths)) - 1])
     near = [error for name, error in errors.items() if thick[name] >= least]
     return max(near), len(near)
+
+
+def _measured_level(kind: Mapping[str, Any], error: float, cells: int) -> int:
+    """Return the finest level up to `cells` of the objects with this largest error."""
+    return max(
+        level
+        for each in kind["errors"].values()
+        if error in each
+        for level, measured in zip(kind["levels"], each, strict=True)
+        if measured is not None and level <= cells
+    )
 
 
 def motion_of(scene: Scene) -> Motion:

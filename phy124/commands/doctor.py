@@ -14,7 +14,7 @@ from phy124.errors import InputError
 from phy124.io.video import encoder_problem, refuse_missing_encoder
 from phy124.runtime.cores import cores
 from phy124.runtime.device import driver
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import install_command, with_program
 from phy124.runtime.memory import free_memory
 from phy124.runtime.startup import start
 from phy124.weights.store import check_all
@@ -64,7 +64,7 @@ class Doctor:
                 print("\n".join(["weights", *lines(files)]))
             else:
                 print(f"{'weights':<12}{summary(files)}")
-                print("Every file of weights: phy124 doctor --all")
+                print(with_program("Every file of weights: `phy124 doctor --all`"))
             for sentence in facts["faults"]:
                 print(f"{'FAULT':<12}{sentence}")
         return 1 if facts["faults"] else 0

@@ -64,7 +64,7 @@ class Generate:
             if not needs_image(making.generator):
                 file = PlyFile(making.generator, making.reading)
                 scene = adapt_scene(file, scene, count=making.gaussians)
-            return go_on(out, self.options, scene, goal)
+            return go_on(out, self.options, scene, self._study(), goal)
         announce(scene, as_json=self.options.json)
         if self.plan.dry_run:
             with search_first(self.making.cutting.weights):
@@ -86,7 +86,12 @@ class Generate:
             )
             if self.compose and not result.report["interrupted"]:
                 result = self._compose(result, context)
-        return show(result, as_json=self.options.json)
+        return show(result, self._study(), as_json=self.options.json)
+
+    def _study(self) -> str:
+        """Return the command that measures the error of this scene."""
+        usual, chosen = type(self.making)().generator, self.making.generator
+        return self.options.study_command(self.image, "" if chosen == usual else chosen)
 
     def _compose(self, result: pipeline.Result, context: RunContext) -> pipeline.Result:
         """Return the result with its film in the photograph."""
@@ -138,6 +143,7 @@ class Generate:
             self.plan,
             context,
             made.crop,
+            study=self._study(),
             as_json=self.options.json,
             effort=made.effort,
         )
@@ -182,13 +188,14 @@ class Simulate:
         pipeline.check_sources(scene, self.more)
         out = self.out or default_out(str(self.file), self.options.scene)
         goal = self.plan.goal()
-        file = PlyFile(str(self.file), self.reading)
+        file, study = PlyFile(str(self.file), self.reading), self.options.study_command(self.file)
         if self.plan.resume:
-            return go_on(out, self.options, adapt_scene(file, scene, count=self.gaussians), goal)
+            adapted = adapt_scene(file, scene, count=self.gaussians)
+            return go_on(out, self.options, adapted, study, goal)
         check_count(self.gaussians)
         announce(scene, as_json=self.options.json)
         if self.plan.dry_run:
-            return self._predict(file, scene)
+            return self._predict(file, scene, study)
         bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staging(out)
         with bars, place:  # a folder that cannot be used is refused before any work
             context = self.options.context(bars)
@@ -210,7 +217,7 @@ class Simulate:
                 forecaster=self.plan.forecaster(context),
                 keep=True,
             )
-        return show(result, as_json=self.options.json)
+        return show(result, study, as_json=self.options.json)
 
     def _read(self, file: PlyFile, scene: Scene, context: RunContext) -> Capture:
         read = capture(file, scene, count=self.gaussians, progress=context.progress)
@@ -221,23 +228,33 @@ class Simulate:
         about = read.about | every.about
         return replace(read, gaussians=every.gaussians, scene=every.scene, about=about)
 
-    def _predict(self, file: PlyFile, scene: Scene) -> int:
+    def _predict(self, file: PlyFile, scene: Scene, study: str) -> int:
         """Read the Gaussians and print how long the remaining stages would take."""
         with Bars(quiet=self.options.json) as bars:
             context = self.options.context(bars)
             with context.watch.stage("read"):
                 read = self._read(file, scene, context)
-        as_json = self.options.json
-        return predict(read.gaussians, read.scene, self.plan, context, WHOLE, as_json=as_json)
+        return predict(
+            read.gaussians,
+            read.scene,
+            self.plan,
+            context,
+            WHOLE,
+            study=study,
+            as_json=self.options.json,
+        )
 
 
-def go_on(out: Path, options: SceneOptions, scene: Scene, goal: Goal | None = None) -> int:
+def go_on(
+    out: Path, options: SceneOptions, scene: Scene, study: str, goal: Goal | None = None
+) -> int:
     """Continue the interrupted run in a folder, and print its results.
 
     Args:
         out: The folder of the interrupted run.
         options: The options of the command.
         scene: The scene that the run must have.
+        study: The command that measures the error of this scene.
         goal: The goal that the run must have had, if any.
     """
     with Bars(quiet=options.json, keeps=True) as bars:
@@ -245,11 +262,17 @@ def go_on(out: Path, options: SceneOptions, scene: Scene, goal: Goal | None = No
         result = pipeline.go_on(
             out, scene, options.context(bars), any_accuracy=any_accuracy, keep=True
         )
-    return show(result, as_json=options.json)
+    return show(result, study, as_json=options.json)
 
 
-def show(result: pipeline.Result, *, as_json: bool) -> int:
-    """Print what a run produced; returns the exit status."""
+def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
+    """Print what a run produced; returns the exit status.
+
+    Args:
+        result: The files and the report.
+        study: The command that measures the error of this scene.
+        as_json: Print the report as JSON and nothing else.
+    """
     report = result.report
     if as_json:
         print(json.dumps({**report, "files": [str(path) for path in result.files]}))
@@ -264,7 +287,7 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
         if report.get("cutout"):
             print(describe(report["cutout"]))
         print_forecast(report)
-        print(Promise(**report["promise"]).sentence)
+        print(Promise(**report["promise"]).with_study(study))
         for sentence in report["cleaning"]:
             print(f"cleaning: {sentence}")
         if (report.get("capture") or {}).get("floor"):

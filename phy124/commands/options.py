@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +14,7 @@ from phy124.generators import list_names
 from phy124.progress import Progress
 from phy124.runtime.context import RunContext
 from phy124.runtime.device import CHOICES, pick_device
+from phy124.runtime.installation import PACKAGE, with_program
 from phy124.scene import (
     AccuracyName,
     Scene,
@@ -158,6 +160,23 @@ class SceneOptions:
         if self.fps is not None and changes.keys().isdisjoint(LENGTH):
             changes["time.seconds"] = scene.time.length
         return scene.replaced(changes)
+
+    def study_command(self, source: Path, generator: str = "") -> str:
+        """Return the command that measures the error of this scene.
+
+        Args:
+            source: Picture or file of Gaussians.
+            generator: Generator of the picture's Gaussians; empty: the default.
+        """
+        words = [PACKAGE, "accuracy", self.scene, "--image", str(source)]
+        timed = self.frames is not None or self.seconds is not None
+        changes = [*self.set, *([f"time.fps={self.fps:g}"] if timed and self.fps else [])]
+        options = {"generator": generator or None, "frames": self.frames, "seconds": self.seconds}
+        for name, value in options.items():
+            words += [] if value is None else [f"--{name}", str(value)]
+        for change in changes:
+            words += ["--set", change]
+        return with_program(f"`{shlex.join(words)}`")[1:-1]
 
     def context(self, progress: Progress) -> RunContext:
         """Return the context of a run with these options.

@@ -73,6 +73,7 @@ def predict(
     context: RunContext,
     crop: Crop,
     *,
+    study: str,
     as_json: bool,
     effort: Effort | None = None,
 ) -> int:
@@ -84,6 +85,7 @@ def predict(
         plan: The options of the command.
         context: Device, threads, and the durations of the stages so far.
         crop: Where the object is in the picture that the masks of parts were painted on.
+        study: The command that measures the error of this scene.
         as_json: Print JSON and nothing else.
         effort: What a generator for which `relief` stood in will take.
     """
@@ -112,5 +114,5 @@ def predict(
         return 0
     if goal is not None:
         print(f"asked for at most {goal.text}: D/{scene.resolution.cells}")
-    print("\n".join([*forecast.lines(), promised.sentence]))
+    print("\n".join([*forecast.lines(), promised.with_study(study)]))
     return 0

@@ -11,6 +11,7 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.errors import InputError
+from phy124.runtime.installation import with_program
 from phy124.weights.store import KNOWN, WeightStatus, check_all, fetch
 
 SENTENCES = {
@@ -89,7 +90,8 @@ def summary(statuses: list[WeightStatus]) -> str:
     missing = [name for name in sets if name not in here]
     groups = {"found": here, "NOT the published files": wrong, "missing": missing}
     parts = [f"{what}: {', '.join(names)}" for what, names in groups.items() if names]
-    return "; ".join(parts) + " (`phy124 weights fetch NAME`; `relief` needs none)"
+    fetch = with_program("`phy124 weights fetch NAME`")
+    return f"{'; '.join(parts)} ({fetch}; `relief` needs none)"
 
 
 def lines(statuses: list[WeightStatus]) -> list[str]:
@@ -104,6 +106,6 @@ def lines(statuses: list[WeightStatus]) -> list[str]:
             text.append(f"  expected {s.file.expected}")
             text += [f"  looked for {path}" for path in s.looked]
             text.append(f"  fetch with: {s.file.command}")
-            text.append(f"          or: phy124 weights fetch {s.weights}")
+            text.append(with_program(f"          or: `phy124 weights fetch {s.weights}`"))
         text.append(f"  licence: {s.file.licence}")
     return [*text, OLDER]
