@@ -22,7 +22,7 @@ def test_reference_of_one_section(capsys):
     shown = capsys.readouterr().out
     assert "## `material`: snow\n" in shown and "## `forces`" not in shown
     assert shown in format_reference()
-    assert main(["scenes", "materail", "--reference"]) == 2
+    assert main(["scenes", "materal", "--reference"]) == 2
     assert "Did you mean material?" in capsys.readouterr().err
 
 
