@@ -145,6 +145,16 @@ def test_render_makes_every_format_from_any_angle(made, tmp_path, capsys):
     assert "Choose the format webp, png or gif" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("change", ["grains=false", "material.tint=none"])
+def test_render_rejects_values_of_the_simulation(made, tmp_path, capsys, change):
+    clip = str(made / "clip.safetensors")
+    assert main(["render", clip, "--out", str(tmp_path / "out"), "--set", change]) == 2
+    key = change.partition("=")[0]
+    message = capsys.readouterr().err
+    assert message.startswith(f"phy124: {key} = ") and "belongs to the simulation" in message
+    assert f"Add `--set {key}=...` to" in message and not (tmp_path / "out").exists()
+
+
 def test_clip_is_filmed_slowly_by_moving_cameras(made, tmp_path, capsys):
     (tmp_path / "moves.toml").write_text('[[view.cameras]]\nkind = "dolly"\nname = "closer"\n')
     clip = ["render", str(made / "clip.safetensors"), "--device", "cpu", "--size", "48"]

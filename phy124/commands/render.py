@@ -6,13 +6,13 @@ import json
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from phy124.commands.bars import Bars
 from phy124.commands.options import Device, ViewOptions
-from phy124.errors import Cancelled
+from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.io.files import staging
 from phy124.io.video import refuse_missing_encoder
@@ -21,7 +21,8 @@ from phy124.rendering.framing import describe_framing
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import pick_device
-from phy124.scene import Scene, merge_changes, parse_changes
+from phy124.runtime.installation import with_program
+from phy124.scene import Scene, View, merge_changes, parse_changes
 
 if TYPE_CHECKING:
     from phy124.rendering.compose import Photograph
@@ -52,8 +53,7 @@ class Render:
         refuse_threads(self.threads)
         clip = Clip.load(self.clip)
         changes = self.view.changes()
-        values = parse_changes(self.set).items()
-        others = {f"view.{key.removeprefix('view.')}": value for key, value in values}
+        others = _view_changes(parse_changes(self.set))
         view = (
             Scene.of_clip(clip.scene, str(self.clip)).replaced(merge_changes(changes, others)).view
         )
@@ -88,3 +88,18 @@ class Render:
 
         refuse_missing_encoder()
         return photograph_of(self.compose, self.clip.parent)
+
+
+def _view_changes(changes: dict[str, Any]) -> dict[str, Any]:
+    """Return changes of a view as changes of a scene.
+
+    Raises:
+        InputError: A key belongs to the simulation.
+    """
+    for key, value in changes.items():
+        field_name = key.partition(".")[0]
+        if field_name in Scene.model_fields and field_name not in {"view", *View.model_fields}:
+            limit = "It belongs to the simulation, which render does not repeat."
+            remedy = f"Add `--set {key}=...` to `phy124 generate` or `phy124 simulate`."
+            raise InputError(key, value, limit, with_program(remedy))
+    return {f"view.{key.removeprefix('view.')}": value for key, value in changes.items()}
