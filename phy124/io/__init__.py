@@ -1,1 +1,1 @@
-"""Files of Gaussians, clips, videos and paused runs; each appears whole or not at all."""
+"""Reads and writes files of Gaussians, clips, videos and paused runs, each atomically."""

@@ -1,8 +1,8 @@
-"""Axes: converts the directions of a file to ours, and rotates Gaussians.
+"""Converts the axes of a file to those of phy124, and rotates Gaussians.
 
-Our world is z up with the object facing +x (docs/reference/conventions.md). A file is first rotated
-by `rotate`, if that is given; then `up` and `front`, or its dialect, say which of its directions
-are which.
+The world of phy124 is z up with the object facing +x (docs/reference/conventions.md). If `rotate`
+is set, it is applied to the file first. Then `up` and `front`, or the file's dialect, say which
+directions of the file point up and to the front.
 """
 
 from __future__ import annotations
@@ -27,15 +27,14 @@ DIALECTS = {
     "dreamgaussian": ("y", "z"),
     "sam3d": ("z", "-y"),
 }
-"""Axes of the file that point up and out of the object's front, by the program that wrote it.
+"""Directions that point up and to the object's front in a file, by the program that wrote it.
 
-TRELLIS rotates its z-up world to y down while saving; SAM 3D Objects, made by the same people,
-saves z up.
+TRELLIS rotates its z-up world to y down when it saves; SAM 3D Objects saves z up.
 """
 FRONTS = {"y": "z", "-y": "-z", "z": "x", "-z": "-x", "x": "y", "-x": "-y"}
-"""The assumed front of a file for which only the up axis is given."""
+"""Front direction that is assumed for each up direction when only the up direction is known."""
 ACROSS = 0.02
-"""Smallest sine of the angle between front and up."""
+"""Smallest sine of the angle between the front and up directions."""
 
 
 def orientation(
@@ -44,17 +43,18 @@ def orientation(
     dialect: str | None = None,
     rotate: str | None = None,
 ) -> NDArray[np.float64]:
-    """Rotation [3,3] from the file's axes to ours.
+    """Return the rotation [3,3] from the file's axes to those of phy124.
 
     Args:
         up: Direction that points up: "x", "-y", ..., or three numbers such as "0.1,-1,0.2".
-        front: Direction that the object faces; only its level part counts; default: `FRONTS`.
-        dialect: Key of `DIALECTS`, used where `up` is not given; default: 3dgs.
-        rotate: Rotation applied to the file before: angles about x, y and z [degrees], in this
-            order about fixed axes, or a quaternion w,x,y,z.
+        front: Direction that the object faces; only its horizontal component is used; default: the
+            entry of `FRONTS` for `up`.
+        dialect: Key of `DIALECTS`, used if `up` is None; default: 3dgs.
+        rotate: Rotation applied to the file first: angles about x, y and z [degrees], applied in
+            this order about fixed axes, or a quaternion w,x,y,z.
 
     Raises:
-        InputError: If one of them cannot be read or they contradict each other.
+        InputError: If an argument cannot be read, or `front` is parallel to `up`.
     """
     if up is None:
         dialect = dialect or "3dgs"
@@ -74,10 +74,10 @@ def orientation(
 
 
 def parse_direction(field: str, text: str) -> NDArray[np.float64]:
-    """Return the unit vector that the name of an axis or three numbers describe.
+    """Return the unit vector of an axis name, such as "-y", or of three numbers.
 
     Raises:
-        InputError: If the text is neither, or the vector has no length.
+        InputError: If the text is neither of them, or the vector is zero.
     """
     if text in FRONTS:
         vector = np.zeros(3)
@@ -92,10 +92,10 @@ def parse_direction(field: str, text: str) -> NDArray[np.float64]:
 
 
 def parse_rotation(text: str) -> NDArray[np.float64]:
-    """Return the rotation [3,3] of three angles [degrees] or of a quaternion wxyz.
+    """Return the rotation [3,3] that three angles [degrees] or a quaternion wxyz describe.
 
     Raises:
-        InputError: If the text is neither.
+        InputError: If the text is neither three angles nor a quaternion.
     """
     angles, quaternion = parse_numbers(text, 3), parse_numbers(text, 4)
     if angles is not None:
@@ -108,7 +108,7 @@ def parse_rotation(text: str) -> NDArray[np.float64]:
 
 
 def euler(degrees: Sequence[float] | NDArray) -> NDArray[np.float64]:
-    """Rotation [3,3] about the fixed axes x, then y, then z: Rz Ry Rx."""
+    """Return the rotation [3,3] about the fixed axes x, then y, then z: Rz Ry Rx."""
     matrix = np.eye(3)
     for axis, angle in enumerate(np.radians(degrees).tolist()):
         c, s = math.cos(angle), math.sin(angle)
@@ -120,17 +120,17 @@ def euler(degrees: Sequence[float] | NDArray) -> NDArray[np.float64]:
 
 
 def upright(normal: NDArray) -> NDArray[np.float64]:
-    """The smallest rotation [3,3] that takes a unit vector to +z."""
+    """Return the smallest rotation [3,3] that turns a unit vector to +z."""
     x, y, z = np.asarray(normal, np.float64).tolist()
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
-    # Rodrigues about normal x z, whose length is the sine and whose partner 1 + z the cosine.
+    # Rodrigues' formula about the axis normal x z: its length is the sine, z is the cosine.
     cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
     return np.eye(3) + cross + cross @ cross / (1 + z)
 
 
 def parse_numbers(text: str, count: int) -> NDArray[np.float64] | None:
-    """Read `count` finite numbers separated by commas or spaces; None if the text is not that."""
+    """Read `count` finite numbers separated by commas or spaces; None if the text is not such."""
     try:
         values = np.array(text.replace(",", " ").split(), np.float64)
     except ValueError:
@@ -141,8 +141,8 @@ def parse_numbers(text: str, count: int) -> NDArray[np.float64] | None:
 def rotate_gaussians(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
     """Rotate the centres, shapes and colours of Gaussians about the origin by `rotation [3,3]`.
 
-    A signed permutation of the axes is exact: the quaternion's vector part and the scales are
-    permuted like the centres, and only harmonics above degree 0 need arithmetic.
+    If the rotation is a signed permutation of the axes, the quaternions' vector parts and the
+    scales are permuted like the centres. This is exact; only harmonics above degree 0 are rounded.
     """
     if not np.array_equal(np.abs(rotation), np.abs(rotation).round()):
         means = gaussians.means.astype(np.float64) @ rotation.T
@@ -165,13 +165,13 @@ def _rotate_colours(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
     count = sh.shape[1]
     if count == 1:
         return sh
-    # The rotation of each unit harmonic is a row of one matrix for all Gaussians.
+    # Rotate each unit harmonic once: the results are the rows of the matrix for all Gaussians.
     unit = np.repeat(np.eye(count, dtype=np.float32)[:, :, None], 3, axis=2)
     matrix = rotate_sh(unit, np.repeat(quaternions(rotation[None]), count, axis=0))[:, :, 0]
     return np.einsum("kj,nkc->njc", matrix, sh, optimize=True)
 
 
 def _usual_front(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the assumed front for the axis closest to up."""
+    """Return the assumed front direction for the coordinate axis that is nearest to up."""
     nearest = max(FRONTS, key=lambda axis: float(parse_direction("up", axis) @ z))
     return parse_direction("front", FRONTS[nearest])

@@ -1,6 +1,6 @@
-"""Clip: the 4D representation, the Gaussians of every frame, saved as one safetensors file.
+"""Clip: the Gaussians of every frame (the 4D representation), saved as one safetensors file.
 
-Everything after the simulation (videos, players, bags, measurements) needs only a clip.
+All that follows the simulation (videos, players, ROS bags, measurements) needs only a clip.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MADE = "Give a clip.safetensors made by `phy124 generate`."
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """N Gaussians at T instants; colours and opacities do not change in time."""
+    """N Gaussians at T times; opacities and unrotated colours are constant in time."""
 
     means: Array
     """Centres [T,N,3], m."""
@@ -47,26 +47,27 @@ class Clip:
     sh: Array
     """Spherical-harmonic colours at rest [N,K,3]."""
     times: NDArray[np.float64]
-    """Instants [T], s."""
+    """Times of the frames [T], s."""
     rotations: Array | None = None
-    """Polar rotations of the material since rest [T,N,4] wxyz; only if sh has degree > 0."""
+    """Rotations of the material since rest [T,N,4], wxyz, from the polar decomposition of F;
+    present only if `sh` has a degree > 0."""
     velocities: Array | None = None
-    """Velocities of the centres [T,N,3], m/s, if they were asked for."""
+    """Velocities of the centres [T,N,3], m/s, if the scene requested them."""
     scene: dict[str, Any] = field(default_factory=dict)
     """The resolved Scene as plain data."""
     report: dict[str, Any] = field(default_factory=dict)
-    """The report of the run; `complete` is False if it stopped early."""
+    """The report of the run; its entry `complete` is False if the run stopped early."""
     contacts: Array | None = None
-    """Mean forces of the walls since the frame before [T,N,3], N, if they were asked for."""
+    """Mean contact forces of the walls since the previous frame [T,N,3], N, if requested."""
     wrenches: NDArray[np.float64] | None = None
-    """Mean force [N] and torque about the object's centre of mass [N m] that the object exerts on
-    each of W walls since the frame before [T,W,2,3], if they were asked for."""
+    """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]:
+    the force [N], and the torque about the object's centre of mass [N m]; if requested."""
     walls: tuple[str, ...] = ()
     """Names of the walls [W]."""
     object_id: NDArray[np.int32] | None = None
-    """Which of the objects each Gaussian belongs to [N]; None: there is only one."""
+    """Index of the object to which each Gaussian belongs [N]; None if there is one object."""
     objects: tuple[str, ...] = ()
-    """Names of the objects, if there are several."""
+    """Names of the objects, if there is more than one."""
 
     def __post_init__(self) -> None:
         t, n = self.means.shape[:2]
@@ -127,7 +128,7 @@ class Clip:
 
     @property
     def object_mask(self) -> NDArray[np.bool_]:
-        """True for Gaussians of the object, False for surroundings, such as a floor [N]."""
+        """Mask [N]: True for Gaussians of the object, False for surroundings, such as a floor."""
         mask = np.ones(len(self.opacities), bool)
         for part in self.scene.get("parts", []):
             if part.get("surroundings"):
@@ -136,7 +137,7 @@ class Clip:
 
     @property
     def surface(self) -> Clip:
-        """The clip without the grains, whose number depends on the accuracy."""
+        """The clip without its grains, whose number depends on the accuracy setting."""
         grains = self.report.get("grains", 0)
         if not grains:
             return self
@@ -151,9 +152,9 @@ class Clip:
         return replace(self, **each, report={**self.report, "grains": 0})
 
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
-        """Return the Gaussians of one frame, with their colours rotated with the material.
+        """Return one frame; its colours are rotated with the material.
 
-        With `velocities`, a clip without velocities derives them: see `velocity`.
+        With `velocities`, the velocities of a clip that has none are computed as in `velocity`.
         """
         sh = self.sh
         if self.rotations is not None and sh.shape[1] > 1:
@@ -168,15 +169,15 @@ class Clip:
         return Frame(index, float(self.times[index]), gaussians, v, forces, walls)
 
     def frames(self, *, velocities: bool = False) -> Iterator[Frame]:
-        """Yield all frames in order; of a memory-mapped clip, one is in memory at a time."""
+        """Yield all frames in order; a memory-mapped clip is read one frame at a time."""
         return (self.frame(index, velocities=velocities) for index in range(len(self)))
 
     def velocity(self, index: int) -> Array | None:
-        """Velocities of the centres at a frame [N,3], m/s; None if there is only one frame.
+        """Return the velocities of the centres at a frame [N,3], m/s; None for a single frame.
 
-        The run's velocities if the clip has them (`velocities = true` in its scene), else the
-        difference quotient of the neighbouring frames, (x_after - x_before) / (t_after - t_before),
-        one-sided at both ends.
+        They are the simulated velocities if the clip has them (`velocities = true` in its scene),
+        else the difference quotient of the adjacent frames, (x_after - x_before) /
+        (t_after - t_before), which is one-sided at the first and last frame.
         """
         if self.velocities is not None:
             return self.velocities[index]
@@ -187,7 +188,7 @@ class Clip:
         return (self.means[after] - self.means[before]) / seconds
 
     def flaws(self) -> list[str]:
-        """Describe each frame that has Gaussians with NaN or infinite values, in a sentence."""
+        """Return a sentence for each frame in which Gaussians have NaN or infinite values."""
         sentences = []
         for index in range(len(self)):
             arrays = (self.means[index], self.quats[index], self.scales[index])
@@ -201,17 +202,17 @@ class Clip:
         return sentences
 
     def with_report(self, report: dict[str, Any]) -> Clip:
-        """Return the clip with another report."""
+        """Return a copy of the clip with the report replaced."""
         return replace(self, report=report)
 
     def tensors(self) -> dict[str, NDArray]:
-        """Return the arrays of the clip's file, by name."""
+        """Return the arrays that are saved in the clip's file, by name."""
         more = (*OPTIONAL, WALLS, OBJECT)
         names = REQUIRED + tuple(n for n in more if getattr(self, n) is not None)
         return {name: np.ascontiguousarray(getattr(self, name)) for name in names}
 
     def metadata(self) -> dict[str, str]:
-        """Return the texts of the clip's file: scene, report, names of walls and objects."""
+        """Return the metadata texts of the clip's file: scene, report, wall and object names."""
         texts = {
             "format": FORMAT,
             "version": VERSION,
@@ -222,11 +223,11 @@ class Clip:
         return {**texts, "objects": json.dumps(self.objects)} if self.objects else texts
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write one safetensors file; it appears whole or not at all.
+        """Write the clip to one safetensors file, which appears whole or not at all.
 
         Raises:
-            InputError: If the folder is missing or no file can be made there.
-            OSError: If there is no room.
+            InputError: If the folder is missing or the file cannot be created.
+            OSError: If the disk is full.
         """
         with replacing(path) as temporary:
             save_tensors(self.tensors(), temporary, self.metadata())
@@ -237,7 +238,7 @@ class Clip:
         """Open a saved clip; the arrays stay on disk until they are read.
 
         Raises:
-            InputError: If the file is missing, cut short, or not a clip of this version.
+            InputError: If the file is missing, cut short, or not a clip of format version 1.
         """
         metadata = _read_metadata(Path(path))
         arrays = _map_tensors(Path(path))
@@ -259,7 +260,7 @@ class Clip:
 
 
 def stack_arrays(rows: Sequence[NDArray]) -> NDArray:
-    """Stack arrays of one shape; without a copy if they are adjacent, as in a clip's file."""
+    """Stack arrays of the same shape, without a copy if they are adjacent in memory."""
     first = rows[0]
     base, start, step = first.base, first.ctypes.data, first.nbytes
     follow = (
@@ -272,10 +273,10 @@ def stack_arrays(rows: Sequence[NDArray]) -> NDArray:
 
 
 def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Return the numbers of frames and of Gaussians of a saved clip, from its file's header.
+    """Return the number of frames and of Gaussians of a saved clip from its file's header.
 
     Raises:
-        InputError: If the file is missing, cut short, or not a clip of this version.
+        InputError: If the file is missing, cut short, or not a clip of format version 1.
     """
     _read_metadata(Path(path))
     with safe_open(path, framework="np") as file:
@@ -286,10 +287,10 @@ def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def read_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the scene of a saved clip as plain data, from its file's header.
+    """Return the scene of a saved clip as plain data from its file's header.
 
     Raises:
-        InputError: If the file is missing, cut short, or not a clip of this version.
+        InputError: If the file is missing, cut short, or not a clip of format version 1.
     """
     return json.loads(_read_metadata(Path(path))["scene"])
 
@@ -315,19 +316,19 @@ def _read_metadata(path: Path) -> dict[str, str]:
 
 
 def _order_header(path: Path) -> None:
-    """Sort the metadata of a safetensors file, so that equal clips give equal files."""
+    """Sort the metadata of a safetensors file: equal clips then have byte-identical files."""
     with open(path, "r+b") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))
         header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
         text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
-        if len(text) <= length:  # it is padded with spaces: the tensors must not move
+        if len(text) <= length:  # pad with spaces to the old length: the tensors must not move
             file.seek(8)
             file.write(text.ljust(length))
 
 
 def _map_tensors(path: Path) -> dict[str, NDArray]:
-    """Memory-map each tensor; safetensors itself has validated the header."""
+    """Memory-map each tensor; safetensors has already validated the header."""
     with open(path, "rb") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))
@@ -348,11 +349,11 @@ def _map_tensors(path: Path) -> dict[str, NDArray]:
 def save_tensors(
     tensors: Mapping[str, NDArray], path: Path, metadata: Mapping[str, str] | None = None
 ) -> None:
-    """Write arrays and text to one file.
+    """Write arrays and metadata to one safetensors file.
 
     Raises:
-        OSError: The file cannot be written, for instance since there is no room. (safetensors has
-            an exception of another type for it.)
+        OSError: If the file cannot be written, for example because the disk is full. (safetensors
+            reports this with an exception type of its own, which is converted.)
     """
     try:
         whole = {name: np.ascontiguousarray(array) for name, array in tensors.items()}

@@ -1,4 +1,4 @@
-"""What a file of Gaussians contains, and the checks that all readers share."""
+"""Defines the content of a file of Gaussians, and the checks that all readers share."""
 
 from __future__ import annotations
 
@@ -15,47 +15,47 @@ from phy124.gaussians import SH_COEFFICIENTS, Gaussians
 from phy124.io.opening import obstacle
 
 MAX_GAUSSIANS = 10_000_000
-"""Files with more Gaussians are refused before they are read."""
+"""Largest number of Gaussians in a file; larger files are refused before they are read."""
 DENSEST = 100
-"""Bytes that one byte of a compressed file may stand for: real objects reach 10, bombs 1000."""
+"""Largest ratio of unpacked to compressed bytes: files of real objects reach 10, zip bombs 1000."""
 SMALL = 1 << 22
-"""Bytes that any file may stand for, so that a small object of one colour is no bomb."""
+"""Unpacked bytes allowed for any file: a small object of one colour may exceed `DENSEST`."""
 OBJECT = "object_id"
-"""Column that says which object of its scene a Gaussian belongs to."""
+"""Name of the column with the index of the object to which a Gaussian belongs."""
 LARGEST_SH = SH_COEFFICIENTS[-1]
-"""Harmonics that are kept per colour; those of degree 4 are left out."""
+"""Largest number of harmonics kept per colour; harmonics of degree 4 are left out."""
 DEGREE_4 = "Harmonics of degree 4 are left out."
 MOST_ID = 1e6
-"""Larger object numbers, which float32 can hardly distinguish, are read as this number."""
+"""Largest object number; larger ones, which float32 resolves badly, are clipped to it."""
 Y_DOWN = ("-y", "-z")
-"""Axes that point up and to the front in files of 3DGS and its relatives."""
+"""Up and front directions in files of 3DGS and related programs."""
 Y_UP = ("y", "z")
-"""The same where y is up: glTF, SPZ."""
+"""Up and front directions in glTF and SPZ files, where y is up."""
 AGAIN = "Copy or download it again."
 
 
 class Content(NamedTuple):
-    """What a file contained."""
+    """The Gaussians and properties that were read from a file."""
 
     gaussians: Gaussians
-    """The Gaussians; as a reader returns them, in the axes of the file."""
+    """The Gaussians. A reader returns them in the axes of the file."""
     dropped: int = 0
     """Number of Gaussians left out because a value was NaN or infinite."""
     axes: tuple[str, str | None] = Y_DOWN
-    """Directions of the file that point up and to the front; None: the usual one for that up."""
+    """Up and front directions of the file; front None: the entry of `axes.FRONTS` for that up."""
     antialiased: bool = False
-    """Whether the file asks for Mip-Splatting's filter: its Gaussians were trained with it."""
+    """Whether the Gaussians were trained with Mip-Splatting's filter and must be drawn with it."""
     notes: tuple[str, ...] = ()
-    """Sentences about columns that are ignored, or read in an unusual way."""
+    """Sentences about columns that are ignored or read in an unusual way."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Position of the Gaussians' origin, in the file's axes. It differs from 0 only if the file's
-    positions are so far away that float32 could not distinguish them."""
+    """Origin of the coordinates of `gaussians`, in the file's axes. It is nonzero only if the
+    positions in the file are so far from 0 that float32 could not resolve them."""
     step: float = 0.0
-    """Smallest distance that the file can resolve; 0: too small to matter."""
+    """Smallest distance that the file's number format resolves; 0 if it is negligible."""
 
     @property
     def in_place(self) -> Content:
-        """The content with the Gaussians at the file's positions, if float32 resolves them."""
+        """The content with absolute positions, or unchanged if float32 cannot resolve them."""
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
         if means is None:
             return self
@@ -63,10 +63,10 @@ class Content(NamedTuple):
         return self._replace(gaussians=moved, origin=(0.0, 0.0, 0.0))
 
     def remarks(self, chosen: Gaussians | None = None) -> list[str]:
-        """Return the notes, and a sentence if the file's numbers are too coarse.
+        """Return the notes, and a warning if the file's positions have too little precision.
 
         Args:
-            chosen: Those of the Gaussians that are used; None: all.
+            chosen: The Gaussians that are used; None: all.
         """
         means = (self.gaussians if chosen is None else chosen).means
         coarse = describe_coarseness(means, self.step)
@@ -74,13 +74,13 @@ class Content(NamedTuple):
 
 
 def refusal(kind: str, path: Path, limit: str, remedy: str = AGAIN) -> InputError:
-    """Return the error for an unusable file.
+    """Return the error that reports an unusable file.
 
     Args:
         kind: Name of the format, such as "SPZ".
         path: The file.
-        limit: A sentence that says what is wrong, from a lower-case letter.
-        remedy: A sentence that says what to do.
+        limit: A clause that says what is wrong; its first letter may be lower-case.
+        remedy: A sentence that says how to mend it.
     """
     return InputError(f"{kind} file", path, limit[0].upper() + limit[1:], remedy)
 
@@ -99,7 +99,7 @@ def read_whole_file(kind: str, path: Path) -> bytes:
     """Return the bytes of a file.
 
     Raises:
-        InputError: If the file is missing or empty.
+        InputError: If the file cannot be opened or is empty.
     """
     check_opens(kind, path)
     data = path.read_bytes()
@@ -109,17 +109,17 @@ def read_whole_file(kind: str, path: Path) -> bytes:
 
 
 def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
-    """Refuse a wrong number of Gaussians before memory is allocated for them.
+    """Refuse an impossible number of Gaussians before memory is allocated for them.
 
     Args:
         kind: Name of the format.
         path: The file.
-        count: Number of Gaussians that it announces.
-        row: Bytes that a Gaussian takes when unpacked.
-        size: Bytes of the file.
+        count: Number of Gaussians that the file announces.
+        row: Size of one unpacked Gaussian [bytes].
+        size: Size of the file [bytes].
 
     Raises:
-        InputError: If there are none, too many, or more than such a file can hold.
+        InputError: If `count` is below 1, above the limit, or too large for the file's size.
     """
     if count < 1:
         raise refusal(kind, path, "it holds no Gaussians.", "Export it again with Gaussians.")
@@ -132,14 +132,14 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
 
 
 def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
-    """Return the Gaussians of all finite rows, and the number of rows left out.
+    """Return the Gaussians of all rows with finite values, and the number of rows dropped.
 
-    Quaternions are normalised; those of length 0 become the identity.
+    Quaternions are normalised; quaternions of length 0 become the identity.
     """
     good = np.ones(len(raw["means"]), bool)
     with np.errstate(over="ignore", invalid="ignore"):
         for value in raw.values():
-            # A row with a NaN has no finite sum; summing is much quicker than testing each value.
+            # The sum of a row with a NaN is NaN; summing is quicker than testing each value.
             good &= np.isfinite(value.reshape(len(value), -1).sum(axis=1, dtype=np.float64))
     kept = {name: value[good] for name, value in raw.items()} if not good.all() else raw
     gaussians = Gaussians(**{**kept, "quats": normalise_quats(kept["quats"])})
@@ -147,7 +147,7 @@ def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
 
 
 def normalise_quats(quats: NDArray) -> NDArray[np.float32]:
-    """Scale quaternions [N,4] to length 1; those of length 0 become the identity."""
+    """Normalise quaternions [N,4]; quaternions of length 0 become the identity."""
     length = np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
     zero = length[:, 0] < 1e-12
     with np.errstate(invalid="ignore"):  # infinite values become NaN
@@ -166,17 +166,18 @@ def content_of(
     notes: Iterable[str] = (),
     step: float | None = None,
 ) -> Content:
-    """Return the content of a file from its activated columns.
+    """Build the content of a file from its activated columns (lengths, opacities in 0..1).
 
     Args:
         kind: Name of the format.
         path: The file.
-        raw: Columns by the names of `Gaussians`; `means` as exactly as the file has them, and
+        raw: Columns by the field names of `Gaussians`. `means` has the file's full precision;
             `object_id` may be NaN or negative.
-        axes: Directions of the file that point up and to the front.
+        axes: Up and front directions of the file.
         antialiased: Whether the file asks for Mip-Splatting's filter.
         notes: Sentences about the file.
-        step: Smallest distance that the file resolves; None: that of float32, if its centres are.
+        step: Smallest distance that the file resolves; None: derive it from the centres, see
+            `step_of`.
 
     Raises:
         InputError: If no Gaussian has finite values.
@@ -184,7 +185,7 @@ def content_of(
     step = step_of(raw["means"]) if step is None else step
     means, origin = centre_means(raw["means"])
     ids, remarks = assign_objects(raw.get(OBJECT), means)
-    with np.errstate(over="ignore", invalid="ignore"):  # What is too large becomes infinite.
+    with np.errstate(over="ignore", invalid="ignore"):  # values beyond float32 become infinite
         names = raw.keys() - {"means", OBJECT}
         others = {name: raw[name].astype(np.float32) for name in names}
     gaussians, dropped = drop_non_finite({"means": means, **others, **ids})
@@ -198,12 +199,12 @@ def content_of(
 def assign_objects(
     ids: NDArray | None, means: NDArray[np.float32]
 ) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
-    """Return the column of each Gaussian's object, if there is any, and notes about it.
+    """Return the object index of each Gaussian, if the file has any, and notes about them.
 
-    A Gaussian without an object gets the object of the nearest Gaussian that has one.
+    A Gaussian without an object joins the object of the nearest Gaussian that has one.
 
     Args:
-        ids: Numbers of objects [N] as a file has them; NaN and negative ones are none.
+        ids: Object numbers [N] in the file; NaN or negative numbers mean "no object".
         means: Centres [N,3].
     """
     if ids is None:
@@ -224,26 +225,26 @@ def assign_objects(
 
 
 FAR = 4
-"""Distance from the origin, relative to the object's size, from which float32 is too coarse for
-centres in double precision."""
+"""Distance from the origin divided by the object's size. Beyond this ratio, centres in double
+precision are stored relative to an origin of their own, since float32 would be too coarse."""
 FINE = 20_000
-"""Steps of float32 across an object from which its centres need no origin of their own."""
+"""Number of float32 steps across an object from which its centres need no separate origin."""
 COARSE = 4000
-"""Steps across an object below which a note calls its file too coarse."""
+"""Number of steps across an object below which a note calls the file's positions too coarse."""
 ENOUGH = 100_000
-"""Number of centres that are examined."""
+"""Approximate number of centres that are sampled."""
 LARGEST = 1e38
-"""About the largest value of float32."""
+"""Largest coordinate that is used, about the largest value of float32."""
 ENDS = (1, 99)
-"""Percentiles between which an object lies, so that single outliers do not count."""
+"""Percentiles of the coordinates that bound an object; this ignores single outliers."""
 
 
 def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Return centres [N,3] relative to an origin [3], and that origin.
 
     The origin is 0 unless the centres are so far away that float32 could not resolve the object.
-    (float32 has 24 bits: its values are half a metre apart at 4,600 km from the origin, where
-    Earth-centred captures lie.) It is subtracted in double precision.
+    For example, Earth-centred captures lie 4,600 km or more from 0; float32 has 24 bits, so its
+    values are half a metre apart at that distance. The origin is subtracted in double precision.
     """
     middle, extent = _middle(means)
     blurred = extent < FINE * spacing(middle)
@@ -251,7 +252,7 @@ def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float6
         blurred |= FAR * extent < np.abs(middle).max()
     origin = np.zeros(3)
     if blurred and extent > 0:
-        # A multiple of a power of two, so that centres given in float32 lose nothing.
+        # Round to a multiple of a power of two: centres given in float32 then stay exact.
         normalise_quats = 2.0 ** np.ceil(np.log2(extent))
         origin = np.rint(middle / normalise_quats) * normalise_quats
     with np.errstate(over="ignore", invalid="ignore"):
@@ -262,7 +263,7 @@ def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float6
 def move_back(
     means: NDArray[np.float32], origin: NDArray[np.float64]
 ) -> NDArray[np.float32] | None:
-    """Add the origin [3] to centres [N,3]; None if float32 could not resolve the result."""
+    """Add the origin [3] to centres [N,3]; return None if float32 cannot resolve the sum."""
     exact = means.astype(np.float64) + origin
     rounded = exact.astype(np.float32)
     middle, extent = _middle(exact)
@@ -271,7 +272,7 @@ def move_back(
 
 
 def step_of(means: NDArray) -> float:
-    """Distance of neighbouring values where centres [N,3] are float32 numbers, else 0."""
+    """Return the spacing of float32 at centres [N,3] that are float32 numbers, else 0."""
     some = _some(means)
     if not len(some) or not np.array_equal(some, some.astype(np.float32)):
         return 0.0
@@ -279,11 +280,11 @@ def step_of(means: NDArray) -> float:
 
 
 def describe_coarseness(means: NDArray, step: float) -> str | None:
-    """Return a sentence if a file's steps are too coarse for the object in it, else None.
+    """Return a sentence if the file's positions are too coarse for its object, else None.
 
     Args:
-        means: Centres [N,3], from any origin.
-        step: Distance of neighbouring values in the file.
+        means: Centres [N,3], relative to any origin.
+        step: Distance between adjacent representable positions in the file.
     """
     extent = _middle(means)[1]
     if not step or extent >= COARSE * step or len(means) < 2:
@@ -296,12 +297,12 @@ def describe_coarseness(means: NDArray, step: float) -> str | None:
 
 
 def spacing(place: NDArray) -> float:
-    """Distance of neighbouring float32 values at a position [3], along its farthest axis."""
+    """Return the distance between adjacent float32 values at a position's largest coordinate."""
     return float(np.spacing(np.float32(np.abs(place).max())))
 
 
 def _middle(means: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Median centre of an object [3], and the length of its longest side."""
+    """Return the median centre of an object [3], and the length of its longest side."""
     some = _some(means)
     if not len(some):
         return np.zeros(3), 0.0
@@ -310,6 +311,6 @@ def _middle(means: NDArray) -> tuple[NDArray[np.float64], float]:
 
 
 def _some(means: NDArray) -> NDArray[np.float64]:
-    """Sample centres from the whole file, without those that overflow float32."""
+    """Sample centres evenly from the whole file, leaving out any that overflow float32."""
     some = means[:: max(1, len(means) // ENOUGH)].astype(np.float64)
     return some[(np.abs(some) < LARGEST).all(axis=1)]

@@ -1,7 +1,7 @@
-"""Guesses which program wrote a file, from its columns and positions, and so its up axis.
+"""Guesses the program that wrote a PLY file, and so its up axis, from its columns and positions.
 
-Few programs sign their files, so this is a guess from what each program is known to write
-(docs/guide/plugins.md). It is reported to the user, and never applied without the user's choice.
+Few programs name themselves in their files. The guess therefore relies on the known output of each
+program (docs/guide/plugins.md). It is reported to the user and applied only if the user agrees.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from phy124.io.ply import CENTRE, DC, QUATS, SCALES, VERTICAL
 from phy124.io.plyheader import Header, read_header
 
 ENOUGH, BLOCKS = 10_000, 20
-"""Number of rows that are examined, and of the blocks all over the file that they come from."""
+"""Number of rows that are sampled, and number of blocks, spread over the file, that they fill."""
 LGM = (*CENTRE, *DC, "opacity", *SCALES, *QUATS)
-"""The columns that LGM writes, in its order."""
+"""The columns of a file by LGM, in order."""
 SIGNED = ("phy124", "SuperSplat")
-"""Programs that name themselves in a comment, and use the usual axes."""
+"""Programs that name themselves in a comment and use the usual axes."""
 UNIT = 1e-3
 """Largest deviation of a unit quaternion's length from 1."""
 
 
 class Axes(NamedTuple):
-    """Directions of a file that point up and to the front."""
+    """Up and front directions of a file."""
 
     up: str
     front: str
     said: bool
-    """True if the file or its format states the directions; False if they are a guess."""
+    """True if the file or its format defines the directions; False if they are guessed."""
     program: str | None = None
-    """The program that probably wrote the file, and why, if it is not the usual one."""
+    """The program that probably wrote the file, and the reason; None for the usual layout."""
 
 
 def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
@@ -44,15 +44,15 @@ def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
 
     Args:
         path: The file.
-        axes: The axes that its reader assumed.
+        axes: The axes that the file's reader assumed.
 
     Raises:
-        InputError: If the file is missing or of no format that is read.
+        InputError: If the file is missing or its format is not supported.
     """
     up, front = axes[0], axes[1] or FRONTS[axes[0]]
     form = recognise(path)
     if form.name != "ply":
-        # glTF and SPZ define their axes; in other formats they are a convention.
+        # glTF and SPZ define their axes; the axes of other formats are only a convention.
         return Axes(up, front, form.axes == Y_UP)
     likely = likely_dialect(path)
     if likely is not None and axes[0] == DIALECTS["3dgs"][0]:
@@ -61,7 +61,7 @@ def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
 
 
 def _names_its_axes(header: Header) -> bool:
-    """Whether a comment states the up axis; a bare y is ambiguous."""
+    """Whether a comment states the up axis; "y" alone is ambiguous."""
     matches = filter(None, map(VERTICAL.fullmatch, header.comments))
     return _is_signed(header) or any(match[1].lower() != "y" for match in matches)
 
@@ -71,7 +71,7 @@ def _is_signed(header: Header) -> bool:
 
 
 def likely_dialect(path: Path) -> tuple[str, str] | None:
-    """Return the likely dialect of a file and the reason; None if it is the usual one.
+    """Return the likely dialect of a file, and the reason; None for the usual dialect.
 
     Raises:
         InputError: If the file is missing or its header is invalid.
@@ -93,7 +93,7 @@ def likely_dialect(path: Path) -> tuple[str, str] | None:
 
 
 def _some_rows(path: Path, header: Header) -> NDArray:
-    """Sample rows from the whole file, as a structured array; a short file's rows may repeat."""
+    """Sample rows from the whole file as a structured array; rows of a short file may repeat."""
     each = min(header.count, ENOUGH // BLOCKS)
     firsts = np.linspace(0, header.count - each, BLOCKS).astype(int).tolist()
     places = [header.start + first * header.row.itemsize for first in firsts]
@@ -101,7 +101,7 @@ def _some_rows(path: Path, header: Header) -> NDArray:
 
 
 def _reach(rows: NDArray) -> float:
-    """Largest coordinate of the points."""
+    """Return the largest absolute coordinate of the points."""
     return max((float(np.abs(rows[axis]).max()) for axis in "xyz"), default=np.inf)
 
 

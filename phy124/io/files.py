@@ -1,7 +1,8 @@
-"""Output files: they appear whole or not at all, and replace older ones in a single step.
+"""Writes output files, which appear whole or not at all and replace older files atomically.
 
-A path may be a link, which is followed, or a device or pipe, which is written into. Locks end with
-the process that holds them, however it ends, so leftovers of killed processes are recognised.
+An output path may be a link, which is followed, or a device or pipe, which is written into. The
+operating system releases a lock when its process ends in any way. An unlocked temporary file is
+therefore known to be a leftover of a process that was killed.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ except ImportError:  # Windows
     fcntl = None
 
 LOCKS_AVAILABLE = fcntl is not None
-"""Whether this system has such locks."""
+"""Whether this system has advisory file locks (`flock`)."""
 
 
 def lock(path: Path, *, wait: bool = False) -> int | None:
-    """Lock a file or folder; None if another process holds the lock or locks are unavailable."""
+    """Lock a file or folder; return None if another process has locked it, or without `flock`."""
     if fcntl is None:
         return None
     with suppress(OSError):
@@ -49,7 +50,7 @@ def unlock(held: int | None) -> None:
 
 @contextmanager
 def locking(path: Path) -> Iterator[None]:
-    """Hold a lock, for which other processes wait."""
+    """Hold a lock during the block, waiting until other processes have released it."""
     held = lock(path, wait=True)
     try:
         yield
@@ -58,15 +59,15 @@ def locking(path: Path) -> Iterator[None]:
 
 
 DESCRIPTORS = ("/dev/fd/", "/proc/", "/dev/stdout", "/dev/stderr")
-"""Beginnings of paths that name an open file of any kind."""
+"""Prefixes of paths that name an open file descriptor of any kind."""
 PARTS = ".*-????????.part*"
-"""Pattern of the names of files that are still being filled."""
+"""Pattern of the names of files that are still being written."""
 LONGEST = 40
-"""Longest part of a file's name that the name of its temporary file repeats, in characters."""
+"""Number of characters of a file's name that the name of its temporary file repeats at most."""
 
 
 def is_stream(path: Path) -> bool:
-    """Whether a path is written into rather than replaced: a device, a pipe or an open file.
+    """Whether a path is written into and not replaced: a device, a pipe or an open file.
 
     Raises:
         OSError: The path is a folder, a disk, a socket, or a link to itself.
@@ -85,28 +86,28 @@ def is_stream(path: Path) -> bool:
 def create_temporary(path: Path) -> Path:
     """Create an empty temporary file, which `move_to` moves to `path` when it is complete.
 
-    Its name has the ending of `path`, which some writers need. It is in the folder of the file that
-    `path` leads to, or in the folder for temporary files if `path` is a stream.
+    Its name has the extension of `path`, which some writers need. It lies in the folder of the file
+    to which `path` resolves, or in the system's temporary folder if `path` is a stream.
 
     Raises:
-        OSError: No file can be written there.
+        OSError: If no file can be written there.
     """
     folder = Path(tempfile.gettempdir()) if is_stream(path) else resolve_links(path).parent
     ending = path.suffix if len(path.suffix) <= LONGEST else ""
     name = f".{path.stem[:LONGEST]}-{secrets.token_hex(4)}.part{ending}"
-    # The system applies the umask, which a process can read only by changing it for all threads.
+    # The system applies the umask. A process could read the umask only by changing it for a moment.
     os.close(os.open(folder / name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     return folder / name
 
 
 def move_to(source: Path, path: Path) -> None:
-    """Move a finished file or folder to a path, replacing a file or folder that is there.
+    """Move a finished file or folder to a path, replacing an existing file or folder.
 
-    Links are followed, and devices and pipes are written into. To another file system, the content
-    is copied.
+    Links are followed; devices and pipes are written into. If the path is on another file system,
+    the content is copied.
 
     Raises:
-        OSError: No file can be written there.
+        OSError: If no file can be written there.
     """
     if source.is_dir():
         shutil.rmtree(resolve_links(path), ignore_errors=True)
@@ -124,7 +125,7 @@ def move_to(source: Path, path: Path) -> None:
 
 
 def resolve_links(path: Path) -> Path:
-    """Return the path without links."""
+    """Return the absolute path with all links resolved."""
     return Path(os.path.realpath(path))
 
 
@@ -144,24 +145,24 @@ def _copy(source: Path, path: Path) -> None:
 
 PathLike = str | os.PathLike[str]
 MAKING = ".making-"
-"""Prefix of folders that are still being filled."""
+"""Prefix of the names of folders that are still being filled."""
 
 
 @contextmanager
 def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
-    """Provide a temporary folder, whose files are moved into `out` if the block succeeds.
+    """Provide a temporary folder whose files are moved into `out` if the block succeeds.
 
-    If the block fails, folders that were created for it are removed, unless they are in use by
-    then. Leftovers of killed processes in `out` are removed as well.
+    If the block fails, the folders created for `out` are removed, unless another process has put
+    files into them. Leftovers of killed processes in `out` are removed, too.
 
     Args:
         out: The folder to fill.
-        keeps: Whether files that are complete are moved even if the block fails.
+        keeps: Whether complete files are moved into `out` even if the block fails.
 
     Raises:
-        InputError: If `out` cannot be a folder.
-        OSError: If there is no room.
-        Incomplete: The block failed, and some files were kept.
+        InputError: If `out` is a file or cannot be written.
+        OSError: If the disk is full.
+        Incomplete: If the block failed and some files were kept.
     """
     out, missing = Path(out), []
     try:
@@ -192,7 +193,7 @@ def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
 
 
 def deliver(folder: Path) -> list[str]:
-    """Move the complete files of a folder of `staging` to its output folder; return their names."""
+    """Move the complete files of a `staging` folder to its output folder; return their names."""
     out, names = folder.parent, sorted(path.name for path in folder.glob("[!.]*"))
     for name in names:
         move_to(folder / name, out / name)
@@ -203,15 +204,15 @@ def write_whole(path: PathLike, text: str) -> None:
     """Write a text file, which appears whole or not at all.
 
     Raises:
-        InputError: If the folder is missing or no file can be made there.
-        OSError: If there is no room.
+        InputError: If the folder is missing or the file cannot be created.
+        OSError: If the disk is full.
     """
     with replacing(path) as temporary:
         temporary.write_text(text, "utf-8")
 
 
 def _sweep(out: Path) -> None:
-    """Remove the temporary folders and files of processes that have ended."""
+    """Remove the temporary folders and files of ended processes from an output folder."""
     for folder in out.glob(f"{MAKING}*"):
         held = lock(folder)
         if held is not None:
@@ -221,7 +222,7 @@ def _sweep(out: Path) -> None:
 
 
 def sweep_parts(folder: Path) -> None:
-    """Remove the temporary files of processes that have ended from a folder."""
+    """Remove the temporary files of ended processes from a folder."""
     for path in folder.glob(PARTS):
         held = lock(path)
         if held is not None:
@@ -230,7 +231,7 @@ def sweep_parts(folder: Path) -> None:
 
 
 def writable(folder: Path) -> bool:
-    """Whether files can be written into a folder, which may still have to be created."""
+    """Whether files can be written into a folder that exists or can be created."""
     for path in (folder, *folder.parents):
         if os.path.lexists(path):
             return path.is_dir() and os.access(path, os.W_OK | os.X_OK)
@@ -238,7 +239,7 @@ def writable(folder: Path) -> bool:
 
 
 def _remove_empty(folders: list[Path]) -> None:
-    """Remove folders, innermost first, as long as they are empty."""
+    """Remove folders, innermost first, up to the first that is not empty."""
     with suppress(OSError):
         for folder in folders:
             folder.rmdir()
@@ -246,15 +247,15 @@ def _remove_empty(folders: list[Path]) -> None:
 
 @contextmanager
 def replacing(path: PathLike) -> Iterator[Path]:
-    """Provide a temporary file to write to, which replaces `path` if the block succeeds.
+    """Provide a temporary file for writing, which replaces `path` if the block succeeds.
 
-    If `path` is a link, the file that it leads to is replaced; a device or a pipe is written into.
-    The file's mode is that of a new file. If the block ends early for any reason, including an
-    interrupt, the temporary file is removed, and an older file at `path` is unchanged.
+    If `path` is a link, the file to which it resolves is replaced; a device or a pipe is written
+    into. The file gets the permissions of a new file. If the block ends early for any reason,
+    including an interrupt, the temporary file is removed and an older file at `path` is unchanged.
 
     Raises:
         InputError: If the folder is missing or the file cannot be written.
-        OSError: If there is no room.
+        OSError: If the disk is full.
     """
     path = Path(path)
     try:

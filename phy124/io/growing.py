@@ -1,9 +1,9 @@
-"""A clip file that grows with its run: each frame is written as soon as it is computed.
+"""Writes a clip file during its run: each frame is written as soon as it is computed.
 
-A killed run leaves its frames in the file. At the end of a run, `finish` writes the header, and the
-file is a clip of the usual size. Frames are read from the file, so they take no memory of their
-own. The clip's name is a second name of the file, made before the first name is removed, so a
-paused state never lacks its frames.
+If a run is killed, its finished frames are in the file. At the end of a run, `finish` writes the
+header, which makes the file a valid clip without copying it. The returned frames are memory-mapped
+views of the file and take no further memory. The finished clip is a hard link to the file, created
+before the first name is removed; a paused state therefore never lacks its frames.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from phy124.io import files
 from phy124.io.clip import Clip
 
 SPARE = 1 << 14
-"""The space for the header is a multiple of this [bytes]."""
+"""The space reserved for the header is a multiple of this size [bytes]."""
 CODES = {"F32": "<f4", "F64": "<f8", "I32": "<i4"}
-"""Names of types in a safetensors file."""
+"""NumPy types by their names in safetensors files."""
 SHAPES = ("means", "quats", "scales")
-"""Arrays of the Gaussians that change from frame to frame."""
+"""Arrays of the Gaussians that change over time."""
 MOVING = {"times", *SHAPES, "rotations", "velocities", "contacts", "wrenches"}
-"""Arrays that have a row per frame."""
+"""Arrays that have one row per frame."""
 
 
 class Tensor(NamedTuple):
-    """One array of the clip."""
+    """Type, shape and position of one array in the clip's file."""
 
     code: str
     shape: tuple[int, ...]
     offset: int
-    """Position of its first byte in the file [bytes]."""
+    """Position of the array's first byte in the file [bytes]."""
 
     @property
     def size(self) -> int:
@@ -49,18 +49,18 @@ class Tensor(NamedTuple):
 
 
 class Unlike(ValueError):
-    """A frame or clip whose arrays differ from those of the file."""
+    """Raised if the arrays of a frame or clip differ from those of the file."""
 
 
 class Growing:
-    """A clip file that contains some of its frames."""
+    """A clip file whose frames are written one after the other."""
 
     def __init__(self, path: Path, tensors: Mapping[str, Tensor]) -> None:
         """Open or create the file, and lock it.
 
         Raises:
-            InputError: Another process is writing the file.
-            OSError: The file cannot be written.
+            InputError: If another process is writing the file.
+            OSError: If the file cannot be written.
         """
         self.path, self.tensors = path, dict(tensors)
         self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -82,24 +82,24 @@ class Growing:
             for name, array in self.tensors.items()
             if array.size
         }
-        """Each array; rows of frames that are missing are zero."""
+        """Each array by name, memory-mapped; rows of frames not yet written are zero."""
 
     @classmethod
     def like(
         cls, path: Path, frame: Frame, count: int, *, rotation: NDArray | None, header: int
     ) -> Growing:
-        """Begin a clip whose frames have the arrays of its first frame.
+        """Create a clip file for frames that have the same arrays as its first frame.
 
         Args:
             path: The file.
             frame: The first frame.
             count: Number of frames.
             rotation: Rotations of the material in the first frame, if the clip has them.
-            header: Largest size of the header [bytes].
+            header: Upper bound of the header's size [bytes].
 
         Raises:
-            Unlike: The frame has arrays of a type that clips do not have.
-            OSError: The file cannot be written.
+            Unlike: If the frame has an array of a type that clips do not support.
+            OSError: If the file cannot be written.
         """
         gaussians, moving = frame.gaussians, _arrays_of(frame, rotation)
         arrays = {**moving, "opacities": gaussians.opacities, "sh": gaussians.sh}
@@ -116,11 +116,11 @@ class Growing:
         return cls(path, tensors)
 
     def put(self, frame: Frame, rotation: NDArray | None = None) -> tuple[Frame, NDArray | None]:
-        """Write a frame; return it and its rotations with the arrays of the file.
+        """Write a frame; return the frame and its rotations with arrays that map the file.
 
         Raises:
-            Unlike: Its arrays differ from those of the first frame.
-            OSError: The file cannot be written.
+            Unlike: If its arrays differ from those of the first frame.
+            OSError: If the file cannot be written.
         """
         index, arrays = frame.index, _arrays_of(frame, rotation)
         if arrays.keys() != self.tensors.keys() & MOVING:
@@ -135,10 +135,10 @@ class Growing:
         return replace(frame, gaussians=gaussians, **optional), self._row("rotations", index)
 
     def finish(self, clip: Clip, path: Path) -> bool:
-        """Complete the file and link it as `path`; False if the clip's arrays differ from its own.
+        """Complete the file and link it as `path`; return False if the clip's arrays differ.
 
         Raises:
-            OSError: There is no room, or the file system has no hard links.
+            OSError: If the disk is full or the file system has no hard links.
         """
         held = clip.tensors()
         if {name: (array.dtype.str, array.shape) for name, array in held.items()} != {
@@ -155,10 +155,10 @@ class Growing:
         return True
 
     def state(self, clip: Clip) -> bool:
-        """Write the header of the clip; False if there is no room for it.
+        """Write the header of the clip; return False if the header is larger than its space.
 
         Raises:
-            OSError: The file cannot be written.
+            OSError: If the file cannot be written.
         """
         first = min(tensor.offset for tensor in self.tensors.values())
         header = self._header(clip, first)
@@ -169,15 +169,15 @@ class Growing:
         return True
 
     def place(self) -> dict[str, Any]:
-        """Return what `there` needs to open the file again, as plain data."""
+        """Return, as plain data, the description that `there` needs to reopen the file."""
         return {"file": self.path.name, "tensors": self.tensors}
 
     @classmethod
     def there(cls, folder: Path, place: Mapping[str, Any]) -> Growing:
-        """Open the file that `place` describes.
+        """Reopen the file that `place` describes.
 
         Raises:
-            InputError: The file is missing or too short, or another process is writing it.
+            InputError: If the file is missing or too short, or another process is writing it.
         """
         path = folder / Path(place["file"]).name
         tensors = {n: Tensor(c, tuple(s), o) for n, (c, s, o) in place["tensors"].items()}
@@ -188,14 +188,14 @@ class Growing:
         return cls(path, tensors)
 
     def close(self) -> None:
-        """Close the file and release its lock; its arrays stay readable."""
+        """Close the file and release its lock; its mapped arrays stay readable."""
         files.unlock(self._held)
         if self._file >= 0:
             os.close(self._file)
         self._held, self._file = None, -1
 
     def remove(self) -> None:
-        """Remove the file; its arrays stay readable."""
+        """Remove the file; its mapped arrays stay readable."""
         self.close()
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
@@ -208,7 +208,7 @@ class Growing:
         return self.arrays[name][index] if name in self.arrays else None
 
     def _header(self, clip: Clip, first: int) -> bytes:
-        """Return the header of a safetensors file, whose tensors begin at byte `first`."""
+        """Return a safetensors header for tensors that begin at byte `first`."""
         entries = {
             name: {
                 "dtype": tensor.code,
@@ -222,7 +222,7 @@ class Growing:
         return json.dumps(text, ensure_ascii=False, separators=(",", ":")).encode()
 
     def _write(self, array: NDArray, offset: int) -> None:
-        """Write all of an array."""
+        """Write a whole array at an offset [bytes], repeating partial writes."""
         left = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
         while len(left):
             done = os.pwrite(self._file, left.data, offset)

@@ -1,18 +1,18 @@
-"""A clip as one HTML file that plays anywhere, and the packed form of a clip that browsers read.
+"""Writes a clip as one HTML file, and packs a clip for the browser player.
 
-A pack is gzip of: header length (uint32, little-endian), header (JSON), then arrays, each planar
-(component after component) and, where they move, as differences from frame to frame modulo their
-range, which is what lets gzip shrink them:
+A pack is the gzip of: header length (uint32, little-endian), header (JSON), then the arrays below.
+Arrays are planar (component after component). Arrays that change over time, marked with T, hold
+differences between frames modulo the range of their type, which gzip compresses much better:
 
     colour    [N,4]     uint8    red, green, blue, opacity; harmonics of degree 0 only
     rest      [N,3]     float32  scales at rest, m
-    centre    [T,3,N]   uint16   over the box of all frames; all low bytes, then all high bytes
+    centre    [T,3,N]   uint16   over the bounding box of all frames; all low, then all high bytes
     rotation  [T,4,N]   int8     wxyz, 127 is 1
     ratio     [T,3,N]   uint8    log of scale over scale at rest
     speed     [T,N]     uint8    255 is the largest speed
     shade     [T,C,C]   uint8    shadow on the floor, if the header's stage has one
 
-14 bytes per Gaussian and frame before gzip; centres are exact to 1/65535 of the box.
+This takes 14 bytes per Gaussian and frame before gzip. Centres are exact to 1/65535 of the box.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from phy124.io.clip import Clip
 from phy124.io.files import replacing
 
 VIEWER = Path(__file__).with_name("viewer")
-"""Folder of the player's scripts; the web page serves them from here too."""
+"""Folder of the player's scripts; the web page serves the same scripts."""
 SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "shine.js", "player.js")
 STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
 TALLEST = 4.0
-"""Log of the largest change of scale that is stored: exp(4) = 55 times; more is clipped."""
+"""Largest absolute log ratio of scales that is stored: exp(4) = 55 times; more is clipped."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
-"""A stage as plain data and its shadow maps [T,C,C] (phy124/rendering/stage/build.py)."""
+"""A stage as plain data, and its shadow maps [T,C,C] (phy124/rendering/stage/build.py)."""
 Glossy = dict[str, Any]
-"""Which Gaussians reflect light and how, as plain data (phy124/rendering/shine.py)."""
+"""The reflective Gaussians and their reflectance as plain data (phy124/rendering/shine.py)."""
 PERCENTILES = (1, 99)
-"""Ends of the colour ramp of stretch, as percentiles, so that single Gaussians do not set it."""
+"""Percentiles of the stretch at the ends of its colour ramp; this ignores single outliers."""
 
 
 def pack(
@@ -57,14 +57,14 @@ def pack(
     stage: Staged | None = None,
     shine: Glossy | None = None,
 ) -> bytes:
-    """Return the clip in the form that the player reads.
+    """Pack a clip into the format of the player.
 
     Args:
-        clip: What to pack.
-        camera: The first view; its picture size does not matter.
-        background: Colour behind the Gaussians, 0..1.
+        clip: The clip to pack.
+        camera: The initial view; its image size is ignored.
+        background: Colour behind the Gaussians [3], 0..1.
         stage: The stage to draw in place of the background.
-        shine: The reflective Gaussians, for a clip whose Gaussians are shaped for it.
+        shine: The reflective Gaussians, if the clip's Gaussians were shaped for reflections.
 
     Raises:
         InputError: If the clip is empty.
@@ -117,16 +117,16 @@ def write_html(
     shine: Glossy | None = None,
     viewer: Path = VIEWER,
 ) -> None:
-    """Write one HTML file that plays in any browser with WebGL 2, without a network.
+    """Write one HTML file that plays the clip offline in any browser with WebGL 2.
 
     Args:
-        path: Where to write it.
-        clip: What to show.
-        camera: The first view.
+        path: Path of the HTML file.
+        clip: The clip to show.
+        camera: The initial view; its image size is ignored.
         title: Title of the page.
-        background: Colour behind the Gaussians, 0..1.
+        background: Colour behind the Gaussians [3], 0..1.
         stage: The stage to draw in place of the background.
-        shine: The reflective Gaussians, for a clip whose Gaussians are shaped for it.
+        shine: The reflective Gaussians, if the clip's Gaussians were shaped for reflections.
         viewer: Folder of the player's scripts.
 
     Raises:
@@ -177,7 +177,7 @@ def _asset(path: Path) -> str:
 
 
 def _view(camera: Camera) -> dict[str, Any]:
-    """Return a camera as an orbit around its target [degrees, m]."""
+    """Return the orbit of a camera around its target: angles in degrees, radius in m."""
     away = np.subtract(camera.eye, camera.target)
     radius = float(np.linalg.norm(away))
     return {
@@ -195,14 +195,14 @@ def _colours(clip: Clip) -> NDArray[np.uint8]:
 
 
 def _centres(means: NDArray, low: NDArray, high: NDArray) -> NDArray[np.uint16]:
-    """Quantise positions to 65536 steps of the box, as differences in time [T,3,N]."""
+    """Quantise positions to 16 bits over the box, as differences between frames [T,3,N]."""
     width = np.maximum(high - low, 1e-12)
     steps = np.rint((means - low) / width * 65535).astype("<u2")
     return _differences(_planar(steps))
 
 
 def _split(values: NDArray[np.uint16]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Split integers into low bytes and high bytes."""
+    """Split 16-bit integers into their low bytes and high bytes."""
     return (values & 255).astype(np.uint8), (values >> 8).astype(np.uint8)
 
 
@@ -212,7 +212,7 @@ def _planar(values: NDArray) -> NDArray:
 
 
 def _differences(values: NDArray) -> NDArray:
-    """Subtract the previous frame from each frame, in the type's modular arithmetic."""
+    """Subtract the previous frame from each frame, modulo the range of the integer type."""
     out = values.copy()
     out[1:] -= values[:-1]
     return out
@@ -223,13 +223,13 @@ def _quantise(values: NDArray, low: float, high: float) -> NDArray[np.uint8]:
 
 
 def _reach(ratios: NDArray) -> list[float]:
-    """Smallest and largest log ratio that can be stored."""
+    """Return the ends of the log ratios' range, clipped to +-`TALLEST`."""
     minimum, maximum = float(ratios.min()), float(ratios.max())
     return [max(minimum, -TALLEST), min(maximum, TALLEST)]
 
 
 def _speeds(clip: Clip) -> NDArray:
-    """Speeds [T,N], m/s, from the clip's velocities if it has them, else from its positions."""
+    """Return speeds [T,N], m/s, from the clip's velocities, or from its positions without them."""
     if clip.velocities is not None:
         return np.linalg.norm(clip.velocities, axis=2)
     if len(clip) < 2:
@@ -238,7 +238,10 @@ def _speeds(clip: Clip) -> NDArray:
 
 
 def _stretches(scales: NDArray) -> list[float]:
-    """Ends of the colour ramp: longest axis over longest axis at rest, with 1 in the middle."""
+    """Return the ends of the colour ramp for stretch, which are symmetric about 1.
+
+    Stretch is the longest axis of a Gaussian divided by its longest axis at rest.
+    """
     longest = scales.max(axis=2)
     low, high = np.percentile(longest / np.maximum(longest[0], 1e-9), PERCENTILES).tolist()
     half = max(1 - low, high - 1, 0.01)

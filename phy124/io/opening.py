@@ -1,4 +1,4 @@
-"""Reasons why a file cannot be opened: it is missing, a folder, a pipe, or not permitted."""
+"""Explains why a path cannot be opened: a missing file, a folder, a pipe, or no permission."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ RECORDED = (
     "`python -m bridge info {}` describes it, and `ros2 bag play {}` plays it.",
 )
 NOT_ALONE = "meta.json"
-"""A file that is useless without the other files of its folder."""
+"""A file that cannot be used without the other files of its folder."""
 IN_FOLDERS = {
     NOT_ALONE: (
         "it is the folder of an unpacked SOG.",
@@ -21,9 +21,9 @@ IN_FOLDERS = {
     "metadata.yaml": RECORDED,
     "clip.safetensors": ("it is the folder of a run.", "Give {}/clip.safetensors."),
 }
-"""A file in a folder -> what the folder contains, and the remedy."""
+"""By the name of a file that identifies a folder: what the folder contains, and the remedy."""
 RECORDING = b"\x89MCAP"
-"""First bytes of a recording of messages, as the bridge makes them."""
+"""First bytes of an MCAP file, a recording of messages as written by the bridge."""
 PAGE = (
     "it is a web page, not the file itself.",
     "Download it again, from the link to the file itself.",
@@ -36,13 +36,13 @@ STAND_INS = {
     b"<!doctype html": PAGE,
     b"<html": PAGE,
 }
-"""First bytes, in lower case, of texts that are often saved in place of a file."""
+"""First bytes, in lower case, of texts that are often saved by mistake in place of a file."""
 HEAD = max(map(len, STAND_INS))
-"""Number of first bytes that are examined."""
+"""Number of leading bytes that are examined."""
 
 
 def obstacle(path: PathLike) -> tuple[str, str] | None:
-    """Return why a file cannot be read, and the remedy; None if it can be opened."""
+    """Return why a file cannot be read, and the remedy; return None if it can be opened."""
     path = Path(path)
     try:
         mode = path.stat().st_mode
@@ -55,7 +55,7 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
         with open(path, "rb") as file:
             head = file.read(HEAD)
         return _about(path, *RECORDED) if head.startswith(RECORDING) else stand_in(head)
-    except (FileNotFoundError, NotADirectoryError, ValueError):  # a path may have a zero byte
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: NUL byte in the path
         return "there is no such file.", "Check the path."
     except PermissionError as error:
         return f"it may not be read ({error.strerror}).", "Ask its owner, or change its mode."
@@ -64,13 +64,13 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
 
 
 def stand_in(head: bytes) -> tuple[str, str] | None:
-    """Recognise by its first bytes a text saved in place of a file; return it and the remedy."""
+    """Recognise a text saved in place of a file; return its description and the remedy."""
     head = head[:HEAD].lower()
     return next((words for sign, words in STAND_INS.items() if head.startswith(sign)), None)
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
-    """Return what a folder is, and which file to give instead."""
+    """Return the kind of a folder, and which file to use instead."""
     for name, words in IN_FOLDERS.items():
         if (path / name).is_file():
             return _about(path, *words)

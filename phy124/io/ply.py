@@ -1,21 +1,22 @@
-"""Reads and writes 3DGS PLY files, whose scales are logarithms and whose opacities are logits.
+"""Reads and writes 3DGS PLY files, which store logarithms of the scales and logits of the
+opacities.
 
 The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex` whose
-properties are found by name; colours are spherical harmonics, with all red `f_rest` first, then
-green, then blue. Such files have x right, y down, z into the picture; ours is z up with the object
-facing +x, so the axes are renamed on reading and writing (docs/reference/conventions.md). This
-change of axes is a signed permutation, so it is exact: values read back bit for bit, except for the
-rounding of log and logit.
+properties are found by name. Colours are spherical harmonics, with all red `f_rest` first, then
+green, then blue. The axes of these files are x right, y down, z into the image; those of phy124 are
+z up with the object facing +x (docs/reference/conventions.md). The axes are converted on reading
+and writing. The conversion is a signed permutation and therefore exact: a round trip preserves all
+values bit for bit, except for the rounding of log and logit.
 
-Columns of other trainers that change the Gaussians are applied. Unknown columns are named in a
-note, since they may change the Gaussians, too.
+Columns of other training programs that change the Gaussians are applied. Unknown columns are named
+in a note, since they may change the Gaussians, too.
 
-    program                           columns                     read as
-    Mip-Splatting, GOF, RaDe-GS       filter_3D                   its filter widens and thins
-    2DGS                              no scale_2                  flat
-    isotropic trainings               scale_0 alone               round
-    trainings of plain colours        red, green, blue, no f_dc   colours that do not change
-    Scaffold-GS, Octree-GS, HAC       f_anchor_feat, f_offset     refused: a network makes them
+    program                           columns                     treatment
+    Mip-Splatting, GOF, RaDe-GS       filter_3D                   the filter widens and fades them
+    2DGS                              no scale_2                  read as flat Gaussians
+    isotropic trainings               scale_0 alone               read as spheres
+    trainings of plain colours        red, green, blue, no f_dc   read as degree 0
+    Scaffold-GS, Octree-GS, HAC       f_anchor_feat, f_offset     refused: they need a network
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
 
 FILTER = "filter_3D"
-"""Standard deviation of Mip-Splatting's filter, in the file's unit (Yu et al. 2023, eq. 7)."""
+"""Column with the standard deviation of Mip-Splatting's filter, in the file's unit of length
+(Yu et al. 2023, eq. 7)."""
 CENTRE = ("x", "y", "z")
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 RGB = ("red", "green", "blue")
@@ -54,23 +56,23 @@ SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 SPLATS = (*SCALES, *QUATS, "opacity")
 KNOWN = {*CENTRE, *DC, *RGB, *SPLATS, OBJECT, FILTER, "nx", "ny", "nz"}
-"""Columns that are read, repeat others (red, green, blue), or mean nothing here (normals)."""
+"""Columns that are read, duplicate others (red, green, blue), or are not needed (normals)."""
 ANCHORS = ("f_anchor_feat_0", "f_offset_0")
 FLAT = 0.01
-"""Thickness of a Gaussian without one, in its shorter sides."""
+"""Thickness of a Gaussian without scale_2, as a fraction of its shorter side."""
 MOST_NAMED = 12
-"""Unknown columns that a note names; a numbered group counts as a single column."""
+"""Largest number of unknown columns named in a note; a numbered group counts once."""
 COEFFICIENTS = (*SH_COEFFICIENTS, 25)
-"""Harmonics of degree 0 to 4."""
+"""Numbers of spherical-harmonic coefficients of degree 0 to 4."""
 STANDARD = "Export it in the standard 3DGS layout."
 Columns = dict[str, NDArray[Any]]
 
 
 def check_names(path: Path, header: Header) -> None:
-    """Refuse a PLY without the columns that Gaussians need.
+    """Refuse a PLY that lacks the columns of Gaussians.
 
     Raises:
-        InputError: A column is missing.
+        InputError: If the file has no rows, lacks a column, or has a layout that is not supported.
     """
     names = set(header.row.names or ())
     if "packed_position" in names:
@@ -95,14 +97,14 @@ def check_names(path: Path, header: Header) -> None:
 
 
 def read_columns(path: Path, table: NDArray[Any]) -> tuple[Columns, list[str]]:
-    """Return the activated columns by the names of `Gaussians`, and notes about them.
+    """Return the activated columns by the field names of `Gaussians`, and notes about them.
 
     Args:
         path: The file.
-        table: The rows of element `vertex`, whose names `check_names` has accepted.
+        table: The rows of element `vertex`, whose column names `check_names` has accepted.
 
     Raises:
-        InputError: The number of harmonics is that of no degree from 0 to 4.
+        InputError: If the number of harmonics belongs to no degree from 0 to 4.
     """
     names = table.dtype.names or ()
     scales, opacities, notes = _activate(table)
@@ -126,7 +128,7 @@ def read_columns(path: Path, table: NDArray[Any]) -> tuple[Columns, list[str]]:
 def _group(
     table: NDArray[Any], names: tuple[str, ...], kind: type[np.floating] = np.float32
 ) -> NDArray[Any]:
-    """Copy columns to an array [N,len(names)]; too large doubles become infinite in float32."""
+    """Copy columns to an array [N,len(names)]; doubles beyond float32 become infinite."""
     out = np.empty((len(table), len(names)), kind)
     with np.errstate(over="ignore", invalid="ignore"):
         for i, name in enumerate(names):
@@ -135,7 +137,7 @@ def _group(
 
 
 def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
-    """Return standard deviations [N,3], opacities [N] in 0..1, and notes about them."""
+    """Return standard deviations [N,3], opacities [N] in 0..1, and notes about both."""
     sides = tuple(name for name in SCALES if name in (table.dtype.names or ()))
     scales, notes = _group(table, sides, np.float64), []
     opacities = table["opacity"].astype(np.float64)
@@ -158,9 +160,9 @@ def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def _are_activated(scales: NDArray[np.float64], opacities: NDArray[np.float64]) -> bool:
-    """Whether a file stores lengths and opacities, not logarithms and logits as usual.
+    """Whether a file stores lengths and opacities in place of the usual logarithms and logits.
 
-    Scales alone cannot decide: in a capture in millimetres, all logarithms may be above 0.
+    Scales alone cannot decide this: in a capture in millimetres, all logarithms may be positive.
     """
     sound = np.isfinite(scales).all(axis=1) & np.isfinite(opacities)
     scales, opacities = scales[sound], opacities[sound]
@@ -171,9 +173,9 @@ def _are_activated(scales: NDArray[np.float64], opacities: NDArray[np.float64]) 
 def _apply_filter(
     scales: NDArray[np.float64], opacities: NDArray[np.float64], widths: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Convolve Gaussians with isotropic Gaussians of a width, as Mip-Splatting draws them.
+    """Convolve Gaussians with an isotropic Gaussian each, as the renderer of Mip-Splatting does.
 
-    Variances add, and opacities fall as sqrt(det before / det after).
+    Variances add up; opacities are multiplied by sqrt(det before / det after) of the covariances.
     """
     with np.errstate(all="ignore"):
         before = np.square(scales)
@@ -203,16 +205,16 @@ def _harmonics(path: Path, table: NDArray[Any]) -> tuple[NDArray[np.float32], li
 
 
 def _first_of_rgb(table: NDArray[Any]) -> NDArray[np.float64]:
-    """Convert plain colours, bytes or fractions (float columns), to harmonics of degree 0."""
+    """Convert plain colours (bytes, or fractions in float columns) to harmonics of degree 0."""
     rgb = _group(table, RGB, np.float64)
     kind = table.dtype["red"]
-    # Columns of an ascii file are all read as float64: colours above 1 are bytes.
+    # All columns of an ascii file are read as float64: values above 1 show that they are bytes.
     most = np.iinfo(kind).max if kind.kind in "ui" else 255.0 if (rgb > 1).any() else 1.0
     return (rgb / most - 0.5) / SH_C0
 
 
 def describe_unread(names: Iterable[str]) -> list[str]:
-    """Name the columns that are not read in a sentence, if there are any."""
+    """Return a note that names the columns that are not read, if there are any."""
     shown: list[str] = []
     for _, group in groupby(map(_printable, names), lambda name: name.rstrip("0123456789")):
         alike = list(group)
@@ -228,25 +230,25 @@ def _printable(name: str) -> str:
 
 
 SCALE_FLOOR = 1e-12
-"""Smallest scale written, m, since a perfectly flat Gaussian has no logarithm."""
+"""Smallest scale that is written [m]: the scale 0 of a flat Gaussian has no logarithm."""
 OPACITY_MARGIN = 1e-7
-"""Opacities are kept this far from 0 and 1, whose logits are infinite."""
+"""Opacities are clipped to this distance from 0 and 1, whose logits are infinite."""
 COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is (-z, x, -y) here"
 VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
-"""How Nerfstudio and Brush name the axis that is vertical."""
+"""Pattern of the comment with which Nerfstudio and Brush name the vertical axis."""
 MIP = ("SplatRenderMode: mip", "antialiased 1")
-"""How Brush and Postshot say that a file was trained with Mip-Splatting's filter."""
+"""Comments with which Brush and Postshot mark files trained with Mip-Splatting's filter."""
 NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
 NO_NUMBER = re.compile(rb"[-+]?(nan\([^)]*\)|1\.#\w+)", re.IGNORECASE)
-"""NaN and infinity as programs on Windows write them: -nan(ind), 1.#QNAN, -1.#INF00."""
+"""Spellings of NaN and infinity by programs on Windows: -nan(ind), 1.#QNAN, -1.#INF00."""
 
 
 class Ply(NamedTuple):
-    """Content of a file; `read_gaussians` also returns notes about what it ignored."""
+    """Gaussians of a PLY file; `phy124.io.formats.read_gaussians` also returns notes about it."""
 
     gaussians: Gaussians
-    """The Gaussians in our axes, in metres if that is the file's unit. They are moved to the origin
-    if they are so far from it that float32 could not distinguish them."""
+    """The Gaussians in the axes of phy124, in the file's unit of length (assumed to be the metre).
+    They are moved to the origin if they are so far from it that float32 could not resolve them."""
     dropped: int
     """Number of rows left out because a value was NaN or infinite."""
 
@@ -258,14 +260,14 @@ def read_ply(
     front: str | None = None,
     dialect: str | None = None,
 ) -> Ply:
-    """Read a 3DGS PLY: ascii or binary, any property order, any float type, SH degree 0 to 4.
+    """Read a 3DGS PLY: ascii or binary, any property order, any float type, degree 0 to 4.
 
     Args:
         path: The file.
-        up: Direction in the file that points up, as `phy124.io.axes.orientation` takes it.
-        front: Direction in the file that the object's front faces.
-        dialect: The program that wrote the file, used if `up` is not given. Without it, the file's
-            comment about its vertical axis counts, else the usual axes.
+        up: Direction in the file that points up, in the notation of `phy124.io.axes.orientation`.
+        front: Direction in the file in which the object faces.
+        dialect: The program that wrote the file, used if `up` is None. If both are None, the axes
+            are those of the file's comment about its vertical axis, else the usual axes.
 
     Raises:
         InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
@@ -278,7 +280,7 @@ def read_ply(
 
 
 def read(path: Path) -> Content:
-    """Read the Gaussians of a PLY in the file's axes.
+    """Read the Gaussians of a PLY file in the file's axes.
 
     Raises:
         InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
@@ -291,12 +293,12 @@ def read(path: Path) -> Content:
 
 
 def read_comments(comments: tuple[str, ...]) -> tuple[tuple[str, str | None], bool]:
-    """Return the axes that a header's comments name, and whether they name Mip-Splatting."""
+    """Return the axes stated in a header's comments, and whether they mention Mip-Splatting."""
     axes: tuple[str, str | None] = Y_DOWN
     antialiased = False
     for text in comments:
         if match := VERTICAL.fullmatch(text):
-            # Brush writes y for any up axis, so a bare y only says that up is along y.
+            # Brush writes y for any up axis: a bare y does not say whether +y or -y is up.
             axes = Y_DOWN if match[1].lower() in ("y", "-y") else (match[1].lower(), None)
         antialiased |= text in MIP
     return axes, antialiased
@@ -305,7 +307,7 @@ def read_comments(comments: tuple[str, ...]) -> tuple[tuple[str, str | None], bo
 def write_ply(
     path: str | os.PathLike[str], gaussians: Gaussians, *, antialiased: bool = False
 ) -> None:
-    """Write the Inria layout, binary little-endian float32; it appears whole or not at all."""
+    """Write Gaussians in the Inria layout (binary little-endian float32), atomically."""
     with replacing(path) as temporary:
         temporary.write_bytes(
             encode(rotate_gaussians(gaussians, orientation().T), antialiased=antialiased)
@@ -313,7 +315,7 @@ def write_ply(
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a PLY in the axes of the Gaussians, which should be x right, y down."""
+    """Return the bytes of a PLY file; the Gaussians must have x right, y down already."""
     table = raw_table(gaussians)
     names = table.dtype.names or ()
     tags = [COMMENT, "Vertical axis: -y", *(MIP if antialiased else NOT_MIP)]
@@ -323,10 +325,10 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def read_rows(path: Path) -> NDArray[Any]:
-    """Read the rows of element `vertex` of any PLY file, as a structured array.
+    """Read the rows of element `vertex` of any PLY file as a structured array.
 
     Raises:
-        InputError: If the file is missing, is no PLY file, is too large or cut short.
+        InputError: If the file is missing, is not a PLY, is too large or cut short.
     """
     return _rows(path, read_header(path))
 
@@ -374,7 +376,7 @@ def _cut_short(path: Path, rows: int, wanted: int) -> InputError:
 
 
 def raw_table(gaussians: Gaussians) -> NDArray[Any]:
-    """Return rows of the Inria layout: raw values (logits, log scales) in the Gaussians' axes."""
+    """Return the rows of the Inria layout (logits, log scales) in the axes of the Gaussians."""
     opacity = np.clip(gaussians.opacities.astype(np.float64), OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     rest = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), -1)
     groups = {
@@ -386,7 +388,7 @@ def raw_table(gaussians: Gaussians) -> NDArray[Any]:
         "scale_0 scale_1 scale_2": np.log(np.maximum(gaussians.scales, SCALE_FLOOR)),
         "rot_0 rot_1 rot_2 rot_3": gaussians.quats,
     }
-    if gaussians.object_id is not None:  # Exact in a float: there are few objects.
+    if gaussians.object_id is not None:  # exact in float32, since there are few objects
         groups[OBJECT] = gaussians.object_id.astype(np.float32)[:, None]
     names = " ".join(groups).split()
     values = np.concatenate(list(groups.values()), axis=1, dtype="<f4", casting="same_kind")

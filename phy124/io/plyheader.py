@@ -1,4 +1,4 @@
-"""The header of a PLY file (Turk 1994): what the file contains and how a row is laid out."""
+"""Parses the header of a PLY file (Turk 1994): its elements, and the data type of their rows."""
 
 from __future__ import annotations
 
@@ -14,52 +14,52 @@ from phy124.errors import InputError
 from phy124.io import content
 
 MAX_BYTES = 65536
-"""Length of the longest header that is read; a standard one has about 1500 bytes."""
+"""Size of the longest header that is accepted [bytes]; a usual header has about 1500 bytes."""
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
     "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
-"""Names of the number types, old and new."""
+"""NumPy types by the old and new PLY names of number types."""
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_DIGITS = 30
-"""Largest number of digits of a number of rows."""
+"""Largest number of digits in a row count."""
 LINE_ENDS = rb"\r\n|\n|\r"
-"""Bytes that end a line of a header. Text has further characters that end lines."""
+"""Byte sequences that end a line. `str.splitlines` would also split at other characters."""
 SPLATS = "Keep it as it is: `phy124 convert`, `phy124 simulate` and the others read it."
 CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give OUT.ply."
 
 
 @dataclass(frozen=True)
 class Element:
-    """Rows of one kind in a binary file."""
+    """Name, number, data type and position of the rows of one PLY element."""
 
     name: str
     count: int
     row: np.dtype[Any]
-    """Data type of one row, packed, in the file's byte order."""
+    """Data type of one row, without padding, in the file's byte order."""
     start: int
-    """Number of bytes of the file before the first row."""
+    """Offset of the first row in the file [bytes]."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """Where the rows of element `vertex` are and what they contain."""
+    """Position and data type of the rows of element `vertex`, and the other elements."""
 
     ascii: bool
     count: int
     """Number of rows of `vertex`."""
     row: np.dtype[Any]
-    """Data type of one row of `vertex`, packed, in the file's byte order."""
+    """Data type of one row of `vertex`, without padding, in the file's byte order."""
     start: int
-    """Number of bytes before the first row (binary) or before the data (ascii)."""
+    """Offset of the first row of `vertex` (binary) or of all data (ascii) [bytes]."""
     skip_lines: int
     """Number of lines of other elements before `vertex` (ascii)."""
     elements: tuple[Element, ...]
-    """The elements up to the first that holds lists."""
+    """The elements before the first element that has list properties."""
     comments: tuple[str, ...] = ()
-    """Comments of the program that wrote it."""
+    """Comments, such as those of the program that wrote the file."""
 
 
 @dataclass
@@ -71,10 +71,10 @@ class _Element:
 
 
 def read_header(path: Path) -> Header:
-    """Parse the header of `path`.
+    """Parse the header of a PLY file.
 
     Raises:
-        InputError: If there is no file, it has another format, or its header is invalid.
+        InputError: If the file is missing, is not a PLY, or its header is invalid.
     """
     lines, start = _header_lines(path)
     words = [line for line in lines if line and line[0] not in ("comment", "obj_info")]
@@ -107,12 +107,12 @@ def read_header(path: Path) -> Header:
 
 
 def refusal(path: Path, limit: str, remedy: str) -> InputError:
-    """Return the error for an unusable PLY file; `limit` starts with a lower-case letter."""
+    """Return the error that reports an unusable PLY file; `limit` starts in lower case."""
     return content.refusal("PLY", path, limit, remedy)
 
 
 def _header_lines(path: Path) -> tuple[list[list[str]], int]:
-    """Return the words of each line of the header, and its length in bytes."""
+    """Return the words of each line of the header, and the header's length [bytes]."""
     content.check_opens("PLY", path)
     with open(path, "rb") as file:
         head = file.read(MAX_BYTES)
@@ -123,7 +123,7 @@ def _header_lines(path: Path) -> tuple[list[list[str]], int]:
     if head[:4] not in (b"ply\n", b"ply\r"):
         raise refusal(path, "it is not a PLY file: it does not begin with `ply`.", CONVERT)
     lines, start = [], 0
-    # Where lines end in \r alone, a \n after the last one is the first byte of the data.
+    # If lines end in \r alone, a \n after the last line is the first byte of the data.
     ends = LINE_ENDS if head[3:5] == b"\r\n" or head[3:4] == b"\n" else b"\r"
     for end in re.finditer(ends, head):
         words = head[start : end.start()].split()
@@ -155,7 +155,7 @@ def _elements(words: list[list[str]]) -> list[_Element]:
 
 
 def _locate(elements: list[_Element], order: str, start: int) -> tuple[Element, ...]:
-    """Locate the rows of each element."""
+    """Compute the position of the rows of each element."""
     located = []
     for element in elements:
         located.append(Element(element.name, element.count, _dtype(element, order), start))

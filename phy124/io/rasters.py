@@ -1,4 +1,4 @@
-"""Rasters: pictures of quantities, as PNG of 16 bits or as EXR of 32-bit floats."""
+"""Writes rasters (images of physical quantities) as 16-bit PNG or as EXR with 32-bit floats."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from phy124.runtime.installation import install_command
 
 Raster = NDArray[np.float32]
 LARGEST = 65535
-"""The largest value of 16 bits."""
+"""Largest 16-bit value."""
 MIDDLE = 32768
-"""Zero of values with a sign; 0 itself marks a pixel without a value."""
+"""Raw value that encodes zero of signed quantities; raw 0 marks a pixel without a value."""
 PNG_EFFORT = 3
-"""Compression level, 0 to 9."""
+"""PNG compression level, 0 to 9."""
 
 
 def step_of(largest: float, *, signed: bool) -> float:
-    """Return the step of 16-bit values that reach up to `largest`."""
+    """Return the quantisation step with which 16 bits cover values up to `largest`."""
     return max(largest, 1e-30) / (LARGEST - MIDDLE if signed else LARGEST)
 
 
 def sixteen_bits(
     raster: Raster, covered: NDArray[np.bool_], step: float, *, signed: bool
 ) -> NDArray[np.uint16]:
-    """Convert to integers: raw = value / step, plus `MIDDLE` if signed; 0 where not covered.
+    """Quantise to integers: raw = value / step, plus `MIDDLE` if signed; 0 where not covered.
 
     Args:
         raster: Values [H,W,C].
-        covered: Mask of the pixels that have a value [H,W].
-        step: Difference of neighbouring values.
-        signed: Whether values may be below zero.
+        covered: Mask [H,W] of the pixels that have a value.
+        step: Quantisation step, in the unit of the values.
+        signed: Whether values may be negative.
     """
     raw = np.rint(raster / step) + (MIDDLE if signed else 0)
     return np.where(covered[..., None], np.clip(raw, 1, LARGEST), 0).astype(np.uint16)
 
 
 def write_png16(path: str | os.PathLike[str], raw: NDArray[np.uint16]) -> None:
-    """Write [H,W,C] as a grey PNG (C = 1) or one in red, green and blue (C = 2, blue 0, or 3).
+    """Write [H,W,C] as a 16-bit PNG: grey if C = 1, RGB if C = 3, RGB with blue 0 if C = 2.
 
     Raises:
-        InputError: The file cannot be written.
+        InputError: If the file cannot be written.
     """
     if raw.shape[2] == 2:
         raw = np.concatenate([raw, np.zeros_like(raw[..., :1])], axis=2)
@@ -58,10 +58,10 @@ def write_png16(path: str | os.PathLike[str], raw: NDArray[np.uint16]) -> None:
 
 
 def write_exr(path: str | os.PathLike[str], raster: Raster, channels: tuple[str, ...]) -> None:
-    """Write [H,W,C] as an EXR of 32-bit floats with channels of these names.
+    """Write [H,W,C] as an EXR of 32-bit floats with C channels of the names in `channels`.
 
     Raises:
-        InputError: OpenEXR is not installed, or the file cannot be written.
+        InputError: If OpenEXR is not installed or the file cannot be written.
     """
     exr = _openexr()
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
@@ -73,10 +73,10 @@ def write_exr(path: str | os.PathLike[str], raster: Raster, channels: tuple[str,
 
 
 def refuse_missing_exr() -> None:
-    """Refuse EXR files if the package that writes them is not installed.
+    """Raise an error if OpenEXR, the package that writes EXR files, is not installed.
 
     Raises:
-        InputError: The package is missing.
+        InputError: If the package is missing.
     """
     _openexr()
 

@@ -1,8 +1,8 @@
-"""A sequence of files, one per frame, in a folder or a zip archive.
+"""Writes a sequence of files, one per frame, into a folder or a zip archive.
 
-SuperSplat plays files whose names differ only by a running number (`name_0001.ply`, ...) when they
-are dropped into it together; brush plays a zip of PLY files. The writer of one file converts the
-axes.
+SuperSplat plays files whose names differ only by a running number (`name_0001.ply`, ...) if they
+are dropped into its window together; Brush plays a zip of PLY files. The function that writes a
+single file also converts the axes.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from phy124.progress import Progress, silent
 def write_ply_sequence(
     path: str | os.PathLike[str], clip: Clip, *, name: str = "frame", progress: Progress = silent
 ) -> list[str]:
-    """Write one 3DGS PLY per frame, as `write_sequence` does; return the file names.
+    """Write one 3DGS PLY per frame with `write_sequence`, and return the file names.
 
     Args:
         path: A new or empty folder, or a name ending in .zip.
-        clip: The frames.
-        name: Start of the file names.
-        progress: Called as ("export", frames done, frames in all).
+        clip: The clip whose frames are written.
+        name: Prefix of the file names.
+        progress: Called as progress("export", frames done, total frames).
     """
     return write_sequence(path, clip, write_ply, ".ply", name=name, progress=progress)
 
@@ -50,16 +50,16 @@ def write_sequence(
     The folder or archive appears whole or not at all.
 
     Args:
-        path: A new or empty folder, or a name ending in .zip for one archive (stored, not
-            compressed, since these files hardly shrink).
-        clip: The frames.
-        write: Writes the Gaussians of one frame.
-        suffix: Ending of the files' names, with its point.
-        name: Start of the file names.
-        progress: Called as ("export", frames done, frames in all).
+        path: A new or empty folder, or a name that ends in .zip for an archive. The archive is
+            stored without compression, since these files hardly shrink.
+        clip: The clip whose frames are written.
+        write: Function that writes the Gaussians of one frame to a path.
+        suffix: Extension of the file names, with its dot.
+        name: Prefix of the file names.
+        progress: Called as progress("export", frames done, total frames).
 
     Raises:
-        InputError: If the clip is empty, the name is unusable or the files cannot be written.
+        InputError: If the clip is empty, the name is not usable or a file cannot be written.
     """
     path = resolve_links(Path(path))
     if not len(clip):
@@ -68,7 +68,7 @@ def write_sequence(
         raise InputError("name", name, "it cannot start a file's name.", "Use a word: frame.")
 
     def write_numbered(folder: Path) -> Iterator[Path]:
-        # As many digits for all: players sort the names as text.
+        # All numbers have the same number of digits, since players sort the names as text.
         digits = max(4, len(str(len(clip))))
         for done, frame in enumerate(clip.frames(), 1):
             file = folder / f"{name}_{done:0{digits}}{suffix}"
@@ -97,7 +97,7 @@ def _new_folder(path: Path) -> Iterator[Path]:
     """Provide a temporary folder that becomes `path` if the block succeeds."""
     try:
         if path.exists() and any(path.iterdir()):
-            # Older frames would play among the new ones.
+            # A player would mix frames left from an older sequence with the new frames.
             raise FileExistsError(0, "it exists and is not empty")
         scratch = tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent)
     except OSError as error:

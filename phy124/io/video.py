@@ -1,9 +1,9 @@
-"""Videos: H.264 in MP4 for every player, GIF or animated WebP for messages, PNGs for other tools.
+"""Writes videos: H.264 in MP4 for players, GIF or animated WebP for chats, PNGs for film tools.
 
-Pictures are streamed into the encoder while they are drawn. MP4s are yuv420p, converted with and
-tagged as ITU-R BT.709 limited range (which players assume of untagged HD video, but not of small
-videos). Their index is at the front, so that a browser can start playing before it has the whole
-file.
+Frames are streamed into the encoder while they are rendered. MP4s are yuv420p. They are converted
+to ITU-R BT.709 limited range and tagged so, since players assume BT.709 only for untagged HD video,
+not for smaller video. The index is at the front of the file, so that a browser can start playback
+before it has downloaded the whole file.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from phy124.io.files import replacing
 Picture = NDArray[np.uint8]
 FPS_RANGE = (0.1, 240.0)
 STUCK = 120.0
-"""Time after which an encoder that accepts no picture, or does not end, is killed [s]."""
+"""Time after which an encoder that accepts no frame, or does not finish, is killed [s]."""
 ENCODER = ("-preset", "veryfast", "-crf", "18", "-movflags", "+faststart", "-f", "mp4")
 """CRF 18 is visually lossless; slower presets save few bytes here."""
 BT709 = (
@@ -40,22 +40,22 @@ BT709 = (
     ":flags=accurate_rnd+full_chroma_int,"
     "setparams=range=limited:color_primaries=bt709:color_trc=bt709:colorspace=bt709"
 )
-"""Filters that convert RGB to limited-range BT.709 and tag it so."""
+"""Filters that convert RGB to limited-range BT.709 and tag the video accordingly."""
 CODEC = ("-vf", BT709, "-c:v", "libx264", "-pix_fmt", "yuv420p")
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
-"""Coverage from which a pixel of a GIF, which cannot be half transparent, is drawn."""
+"""Smallest alpha at which a pixel of a GIF is drawn; GIF pixels cannot be half transparent."""
 CLEAR = 255
-"""Index of the GIF colour that is not drawn."""
+"""Index of the transparent colour of a GIF."""
 PNG_EFFORT = 3
-"""Compression level, 0 to 9; higher ones take twice as long and save a few per cent."""
+"""PNG compression level, 0 to 9; higher levels take twice as long and save a few per cent."""
 
 
 def refuse_missing_encoder() -> None:
-    """Refuse MP4s if the encoder does not work; this encodes a picture as a test.
+    """Encode a test frame, and raise an error if the encoder does not work.
 
     Raises:
-        InputError: The encoder is missing or does not work.
+        InputError: If the encoder is missing or does not work.
     """
     if problem := encoder_problem():
         limit = f"the video encoder, ffmpeg, does not work here ({problem})."
@@ -67,7 +67,7 @@ def refuse_missing_encoder() -> None:
 
 
 def encoder_problem() -> str:
-    """Describe why the encoder does not work; empty if it works."""
+    """Return the reason why the encoder does not work; an empty text if it works."""
     try:
         return _problem_of(imageio_ffmpeg.get_ffmpeg_exe())
     except RuntimeError as error:
@@ -76,7 +76,7 @@ def encoder_problem() -> str:
 
 @cache
 def _problem_of(program: str) -> str:
-    """Describe why an encoder cannot encode a picture; empty if it can."""
+    """Return the reason why an encoder cannot encode a test frame; an empty text if it can."""
     size = 16
     command = [program, *_source(size, size, Fraction(24)), *CODEC, "-f", "null", "-"]
     try:
@@ -90,15 +90,15 @@ def _problem_of(program: str) -> str:
 
 
 def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
-    """Write pictures [H,W,3] uint8 as one MP4 and return their number.
+    """Write frames [H,W,3] uint8 as one MP4, and return their number.
 
-    H.264 needs even sizes: if the width or height is odd, the last column or row is repeated. The
-    file appears whole or not at all. If `frames` is a generator, it is closed in any case.
+    H.264 needs an even width and height: if the width or height is odd, the last column or row is
+    repeated. The file appears whole or not at all. A generator `frames` is closed in any case.
 
     Raises:
-        InputError: If there are no pictures, the rate is unusable, the file cannot be written, or
+        InputError: If there are no frames, `fps` is out of range, the file cannot be written, or
             the encoder did not finish.
-        ValueError: If a picture is not uint8 [H,W,3] of the first picture's size.
+        ValueError: If a frame is not uint8 [H,W,3] or differs in size from the first frame.
     """
     with _closing(frames), replacing(path) as temporary:
         _check_rate(fps)
@@ -110,17 +110,17 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
 
 
 def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
-    """Write pictures [H,W,3 or 4] uint8 as an endless .gif or .webp and return their number.
+    """Write frames [H,W,3 or 4] uint8 as an endless .gif or .webp, and return their number.
 
-    WebP times are in milliseconds, GIF times in hundredths of a second: each frame ends at the
-    nearest multiple, so that the total is right. GIF has 256 colours per frame and no
-    half-transparent pixels; prefer WebP. All pictures are held in memory until the last one has
+    Times are multiples of 1 ms in WebP and of 10 ms in GIF. Each frame ends at the multiple nearest
+    to its exact time, so that rounding errors do not add up. GIF has 256 colours per frame and no
+    half-transparent pixels; prefer WebP. All frames are held in memory until the last one has
     arrived.
 
     Raises:
-        InputError: If the name ends in neither, there are no pictures, the rate is unusable, or the
-            file cannot be written.
-        ValueError: If a picture is not uint8 [H,W,3 or 4] of the first picture's size.
+        InputError: If the name ends in neither .gif nor .webp, there are no frames, `fps` is out
+            of range, or the file cannot be written.
+        ValueError: If a frame is not uint8 [H,W,3 or 4] or differs in size from the first frame.
     """
     kind = ANIMATIONS.get(Path(path).suffix.lower())
     if kind is None:
@@ -147,13 +147,14 @@ def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, 
 def write_pictures(
     folder: str | os.PathLike[str], frames: Iterable[Picture], *, name: str = "frame"
 ) -> int:
-    """Write pictures [H,W,3 or 4] uint8 as PNGs numbered from 1 and return their number.
+    """Write frames [H,W,3 or 4] uint8 as PNGs numbered from 1, and return their number.
 
-    They are written into an existing folder as `name_0001.png` and so on, as film tools read them.
+    The PNGs are written into an existing folder as `name_0001.png` and so on, a numbering that film
+    tools read.
 
     Raises:
-        InputError: If there are no pictures or the files cannot be written.
-        ValueError: If a picture is not uint8 [H,W,3 or 4] of the first picture's size.
+        InputError: If there are no frames or a file cannot be written.
+        ValueError: If a frame is not uint8 [H,W,3 or 4] or differs in size from the first frame.
     """
     count = 0
     with _closing(frames):
@@ -164,7 +165,7 @@ def write_pictures(
 
 
 def _gif_frame(picture: Picture) -> Image.Image:
-    """Convert a picture for a GIF; with coverage, to 255 colours and a transparent one."""
+    """Convert a frame for a GIF; a frame with alpha gets 255 colours and a transparent colour."""
     if picture.shape[2] == 3:
         return Image.fromarray(picture)
     image = Image.fromarray(picture[..., :3]).quantize(CLEAR)
@@ -173,9 +174,9 @@ def _gif_frame(picture: Picture) -> Image.Image:
 
 
 def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: float) -> int:
-    """Stream the pictures into ffmpeg; it has ended when this returns or raises.
+    """Stream the frames into ffmpeg, which has ended when this function returns or raises.
 
-    imageio's own writer is not used because it sees neither ffmpeg's exit code nor its messages.
+    imageio's writer is not used because it reports neither ffmpeg's exit code nor its messages.
     """
     first = next(pictures)
     height, width = first.shape[:2]
@@ -203,18 +204,18 @@ def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: flo
 
 
 def _source(width: int, height: int, rate: Fraction) -> list[str]:
-    """Return ffmpeg's options to read raw pictures from its standard input, silently."""
+    """Return the options that make ffmpeg read raw frames from its standard input, silently."""
     return f"-v error -f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
 
 
 def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
-    """Send all pictures, wait for the end, and return the number that the encoder accepted."""
+    """Send all frames to the encoder, wait for its end, and return the number it accepted."""
     sent = 0
     for picture in pictures:
         try:
             with _ended_if_stuck(encoder):
                 _pipe(encoder).write(np.ascontiguousarray(picture).data)
-        except OSError:  # it has stopped; its exit code and message say why
+        except OSError:  # the encoder has stopped; its exit code and messages give the reason
             break
         sent += 1
     with _ended_if_stuck(encoder):
@@ -242,7 +243,7 @@ def _pipe(encoder: subprocess.Popen[bytes]) -> IO[bytes]:
 
 
 def _encoder_error(path: object, sent: int, message: str) -> Exception:
-    """Return the exception for the encoder's last message."""
+    """Return the exception that reports the encoder's last message."""
     if any(words in message.lower() for words in DISK_WORDS):
         return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     message = " ".join(message.split())
@@ -253,7 +254,7 @@ def _encoder_error(path: object, sent: int, message: str) -> Exception:
 
 @contextmanager
 def _closing(frames: Iterable[Picture]) -> Iterator[None]:
-    """Close a generator of frames at the end, so that its threads do not outlive the file."""
+    """Close a generator of frames after the block, so that its threads end with the file."""
     try:
         yield
     finally:
@@ -264,7 +265,7 @@ def _closing(frames: Iterable[Picture]) -> Iterator[None]:
 def _peek(
     frames: Iterable[Picture], channels: tuple[int, ...] = (3,)
 ) -> tuple[Picture, Iterator[Picture]]:
-    """Return the first picture, and an iterator over all pictures that checks each of them."""
+    """Return the first frame, and an iterator over all frames that checks each frame."""
     pictures = iter(frames)
     first = next(pictures, None)
     if first is None:
@@ -286,12 +287,12 @@ def _check_picture(picture: Picture, shape: tuple[int, ...], channels: tuple[int
 
 def _check_rate(fps: float) -> None:
     low, high = FPS_RANGE
-    if not low <= fps <= high:  # also where it is NaN
+    if not low <= fps <= high:  # also refuses NaN
         limit = f"a video shows {low:g} to {high:g} pictures per second."
         raise InputError("fps", fps, limit, "Choose 24.")
 
 
 def _durations(count: int, fps: float, unit: int) -> list[int]:
-    """Return the duration of each picture in milliseconds, a multiple of `unit`."""
+    """Return the duration of each frame [ms], a multiple of `unit`."""
     ends = np.rint(np.arange(count + 1) * 1000 / fps / unit).astype(int) * unit
     return np.diff(ends).tolist()

@@ -1,10 +1,10 @@
-"""The formats of files of Gaussians that are read or written.
+"""Declares the formats of files of Gaussians that are read or written.
 
-`FORMATS` declares each of phy124's own once; the command line and the page list what is declared.
-To add a still format, write a module with `read(path) -> Content` and
-`encode(gaussians, *, antialiased) -> bytes` next to a table of its layout, both in the axes of the
-file, and add a `Format` to `FORMATS`. A package registers its `Format` by an entry point of
-`phy124.formats` (docs/guide/extending-files.md).
+`FORMATS` declares each format of phy124 once; the command line and the web page list its entries.
+To add a format for single frames, write a module with `read(path) -> Content` and
+`encode(gaussians, *, antialiased) -> bytes`, both in the axes of the file, and a table of the
+layout in its docstring; then add a `Format` to `FORMATS`. A package registers its own `Format`
+with an entry point in the group `phy124.formats` (docs/guide/extending-files.md).
 """
 
 from __future__ import annotations
@@ -38,64 +38,64 @@ from phy124.schema.plugins import list_plugins, load_plugin
 
 
 class Encoder(Protocol):
-    """Encodes Gaussians in the file's axes as the bytes of a file."""
+    """Encodes Gaussians, in the axes of the file, as the bytes of a file."""
 
     def __call__(self, gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-        """Return the bytes."""
+        """Return the bytes of the file."""
         ...
 
 
 class ClipWriter(Protocol):
-    """Writes all frames into one file."""
+    """Writes all frames of a clip into one file."""
 
     def __call__(self, path: Path, clip: Clip, *, progress: Progress = silent) -> None:
-        """Write a clip in our axes."""
+        """Write a clip, whose axes are those of phy124."""
         ...
 
 
 @dataclass(frozen=True)
 class Format:
-    """One format of files of Gaussians."""
+    """A format of files of Gaussians, with its reader and writers."""
 
     name: str
-    """Name in commands."""
+    """Name of the format in commands."""
     title: str
     suffix: str
     holds: str
-    """Properties of a Gaussian that the file contains, and their precision."""
+    """Properties of a Gaussian that a file contains, and their precision."""
     opens_in: str
-    """Programs that read it."""
+    """Programs that read the format."""
     bytes_each: float
     """Bytes per frame and Gaussian of degree 0, measured with the example of a duck."""
     degree: int = 3
-    """Highest degree of its harmonics."""
+    """Highest degree of the spherical harmonics."""
     objects: str = ""
-    """The field with the object of each Gaussian; empty if there is none."""
+    """Name of the field with the object of each Gaussian; empty if there is no such field."""
     axes: tuple[str, str] = Y_DOWN
-    """Directions of its files that point up and to the front."""
+    """Up and front directions of the format."""
     read: Callable[[Path], Content] | None = None
     encode: Encoder | None = None
     write_clip: ClipWriter | None = None
-    """Writes all frames into one file; None if a file contains one instant."""
+    """Writes all frames into one file; None if a file holds only one frame."""
     package: str | None = None
-    """Package besides phy124 that must be installed to write it."""
+    """Package, other than phy124, that must be installed to write the format."""
     signs: tuple[bytes, ...] = ()
-    """First bytes of its files; empty if only the ending of a file's name shows the format."""
+    """Possible first bytes of a file; empty if only the file name's extension shows the format."""
     other_suffixes: tuple[str, ...] = ()
-    """Further endings with which it is written."""
+    """Further extensions with which the format can be written."""
 
     @property
     def installed(self) -> bool:
-        """Whether the package that writes it is installed."""
+        """Whether the package needed to write the format is installed."""
         return self.package is None or find_spec(self.package) is not None
 
     @property
     def written(self) -> bool:
-        """Whether phy124 writes it."""
+        """Whether phy124 can write the format."""
         return self.encode is not None or self.write_clip is not None
 
     def write(self, path: Path, gaussians: Gaussians, *, antialiased: bool = False) -> None:
-        """Write one instant; the file appears whole or not at all."""
+        """Write one frame to a file, which appears whole or not at all."""
         if self.encode is None:
             assert self.write_clip is not None, f"{self.name} is not written"
             return self.write_clip(path, Clip.from_frames([Frame(0, 0.0, gaussians)]))
@@ -175,17 +175,17 @@ FORMATS = {
         ),
     )
 }  # fmt: skip
-"""Name -> format; if several have a suffix, the first of them is written with it."""
+"""Formats by name. A suffix shared by several formats stands for the first of them in writing."""
 GZIP = b"\x1f\x8b\x08"
-"""First bytes of a file compressed by gzip."""
+"""First bytes of a file compressed with gzip."""
 HEAD = 4096
-"""Number of first bytes that are examined to recognise a file."""
+"""Number of leading bytes that are examined to recognise a format."""
 
 
 def formats() -> dict[str, Format]:
-    """Return all formats by name: phy124's, then those that packages have registered.
+    """Return all formats by name: those of phy124, then those registered by other packages.
 
-    A registered format is left out if it cannot be loaded, or has the name of a format of phy124.
+    A registered format is left out if it fails to load or its name is that of a format of phy124.
     """
     known = dict(FORMATS)
     for name in list_plugins("formats"):
@@ -197,12 +197,12 @@ def formats() -> dict[str, Format]:
 
 
 def endings() -> tuple[str, ...]:
-    """Return the endings of files that are read."""
+    """Return the file name extensions of all formats that can be read."""
     return tuple(dict.fromkeys(f.suffix for f in formats().values() if f.read))
 
 
 def written_formats() -> dict[str, Format]:
-    """Return the formats that are written, by name."""
+    """Return the formats that can be written, by name."""
     return {name: f for name, f in formats().items() if f.written}
 
 
@@ -214,20 +214,20 @@ def read_gaussians(
     dialect: str | None = None,
     rotate: str | None = None,
 ) -> Content:
-    """Read a file of Gaussians into our axes; its content determines its format.
+    """Read a file of Gaussians and convert it to phy124's axes; its content shows its format.
 
     Args:
         path: The file.
-        up: Direction in the file that points up; default: that of the file or its format.
-        front: Direction in the file that the object's front faces.
-        dialect: The program that wrote a PLY, used where `up` is not given.
-        rotate: Rotation applied to the file before, as `phy124.io.axes.orientation` takes it.
+        up: Direction in the file that points up; default: stated by the file or its format.
+        front: Direction in the file in which the object faces.
+        dialect: The program that wrote a PLY file, used if `up` is None.
+        rotate: Rotation applied first, in the notation of `phy124.io.axes.orientation`.
 
     Raises:
         InputError: If the file is missing, damaged or of an unknown format, or the options
             contradict each other.
     """
-    orientation(up, front if up else None, dialect, rotate)  # refuses before the file is read
+    orientation(up, front if up else None, dialect, rotate)  # refuses bad options before reading
     content = read_as_is(path).in_place
     rotation = rotation_of(content, up, front, dialect, rotate)
     x, y, z = (rotation @ content.origin).tolist()
@@ -236,7 +236,7 @@ def read_gaussians(
 
 
 def read_as_is(path: str | os.PathLike[str]) -> Content:
-    """Read a file of Gaussians in the file's axes.
+    """Read a file of Gaussians, keeping the axes of the file.
 
     Raises:
         InputError: If the file is missing, damaged or of an unknown format.
@@ -250,14 +250,14 @@ def read_as_is(path: str | os.PathLike[str]) -> Content:
 def rotation_of(
     content: Content, up: str | None, front: str | None, dialect: str | None, rotate: str | None
 ) -> NDArray[np.float64]:
-    """Return the rotation [3,3] from a file's axes to ours.
+    """Return the rotation [3,3] from the axes of a file to those of phy124.
 
     Args:
         content: Content of the file.
-        up: Direction that points up, if the user gave it.
-        front: Direction of the front, if the user gave it.
-        dialect: The program that wrote the file, if the user gave it.
-        rotate: Rotation applied before, if the user gave it.
+        up: Direction that points up, if the user chose it.
+        front: Direction in which the object faces, if the user chose it.
+        dialect: The program that wrote the file, if the user chose it.
+        rotate: Rotation applied first, if the user chose it.
 
     Raises:
         InputError: If the options contradict each other.
@@ -274,16 +274,16 @@ def write_gaussians(
     *,
     antialiased: bool = False,
 ) -> Format:
-    """Write Gaussians in our axes; return the format.
+    """Write Gaussians, whose axes are those of phy124, and return the format.
 
     Args:
-        path: The file; it appears whole or not at all.
-        gaussians: What to write.
-        format: Name in `FORMATS`; default: determined by the ending of the path.
-        antialiased: Whether they were trained with Mip-Splatting's filter.
+        path: The file, which appears whole or not at all.
+        gaussians: The Gaussians to write.
+        format: Name in `FORMATS`; default: the format of the path's extension.
+        antialiased: Whether the Gaussians were trained with Mip-Splatting's filter.
 
     Raises:
-        InputError: If the format is unknown, needs a package that is not installed, or the file
+        InputError: If the format is unknown or needs a package that is not installed, or the file
             cannot be written.
     """
     chosen = find_written_format(Path(path), format)
@@ -292,10 +292,10 @@ def write_gaussians(
 
 
 def find_written_format(path: Path, name: str | None = None) -> Format:
-    """Return the format with a name, or the format for the ending of a path.
+    """Return the format of a name, or the format for the extension of a path.
 
     Raises:
-        InputError: If there is no such format, or it is only read.
+        InputError: If there is no such format, or it can only be read.
     """
     written = written_formats()
     if name is None:
@@ -307,7 +307,7 @@ def find_written_format(path: Path, name: str | None = None) -> Format:
         limit = "Its ending is that of no format that can be written."
         raise InputError("output", path, limit, f"End the name in one of {known}.")
     if name not in written:
-        load_plugin("formats", name)  # a broken plug-in says what is wrong with it
+        load_plugin("formats", name)  # raises an error that describes a broken plug-in
         raise InputError(
             "to", name, "This output format is not supported.", suggest(name, list(written))
         )
@@ -315,10 +315,10 @@ def find_written_format(path: Path, name: str | None = None) -> Format:
 
 
 def recognise(path: Path) -> Format:
-    """Return the format of a file, by its first bytes or, for `.splat`, by its rows.
+    """Return the format of a file from its first bytes or, for `.splat`, from its rows.
 
     Raises:
-        InputError: If the file is missing or its format is not read.
+        InputError: If the file is missing or its format cannot be read.
     """
     if hindrance := obstacle(path):
         limit, remedy = hindrance
@@ -336,7 +336,7 @@ def recognise(path: Path) -> Format:
     if head.startswith(GZIP):
         limit = "It is compressed by gzip, but is no SPZ file."
         raise InputError("file", path, limit, "Unpack it with gunzip, and give its content.")
-    # It is broken or has no signature: the reader for its ending says what is wrong.
+    # The file is damaged or has no signature; the reader for its extension reports any damage.
     for chosen in known.values():
         if chosen.read and chosen.suffix == path.suffix.lower():
             return chosen
@@ -348,13 +348,13 @@ def recognise(path: Path) -> Format:
 
 
 def _match_signature(known: Iterable[Format], head: bytes, ending: str) -> Format | None:
-    """Return the format of a file's first bytes; the ending decides between several formats."""
+    """Return the format whose first bytes a file has; the extension decides among several."""
     signed = [f for f in known if f.signs and head.startswith(f.signs)]
     return next((f for f in signed if f.suffix == ending), signed[0] if signed else None)
 
 
 def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
-    """Whether a file contains Gaussians, judged by its ending, else by its content."""
+    """Whether a file contains Gaussians, judged by its extension or else by its content."""
     path = Path(name)
     if path.suffix.lower() in endings():
         return True
@@ -367,13 +367,13 @@ def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
 def write_frames(
     path: Path, clip: Clip, chosen: Format, *, name: str = "frame", progress: Progress = silent
 ) -> list[str]:
-    """Write one file per frame, as `write_sequence` does; return their names.
+    """Write one file per frame with `write_sequence`, and return the file names.
 
     Args:
         path: A new or empty folder, or a name ending in .zip.
-        clip: The frames.
+        clip: The clip whose frames are written.
         chosen: The format of the files.
-        name: Start of the file names.
-        progress: Called as ("export", frames done, frames in all).
+        name: Prefix of the file names.
+        progress: Called as progress("export", frames done, total frames).
     """
     return write_sequence(path, clip, chosen.write, chosen.suffix, name=name, progress=progress)

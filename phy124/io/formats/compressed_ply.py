@@ -1,17 +1,18 @@
-"""Compressed PLY (SuperSplat): a PLY of packed integers, in chunks of 256 Gaussians.
+"""Reads compressed PLY (SuperSplat): a PLY of packed integers, in chunks of 256 Gaussians.
 
     element  property                    meaning
-    chunk    min_x ... max_z             float32, box of the centres of 256 Gaussians
-             min_scale_x ... max_scale_z float32, box of their logarithmic scales
-             min_r ... max_b             float32, box of their colours; absent: 0..1
+    chunk    min_x ... max_z             float32, bounding box of the centres of 256 Gaussians
+             min_scale_x ... max_scale_z float32, range of their log scales
+             min_r ... max_b             float32, range of their colours; absent: 0..1
     vertex   packed_position  uint32     11, 10, 11 bits of x, y, z within the box
-             packed_rotation  uint32     2 bits: which of w, x, y, z is left out as the largest;
-                                         3 x 10 bits: the others, (value / 1023 - 1/2) sqrt 2
-             packed_scale     uint32     11, 10, 11 bits within the box
+             packed_rotation  uint32     2 bits: index in w, x, y, z of the largest component, which
+                                         is omitted; 3 x 10 bits: the other components, each
+                                         (value / 1023 - 1/2) sqrt 2
+             packed_scale     uint32     11, 10, 11 bits within the range
              packed_color     uint32     8 bits each of red, green, blue, opacity
-    sh       f_rest_0 ...     uint8      harmonics -4..4, as in a PLY; absent: degree 0
+    sh       f_rest_0 ...     uint8      harmonics -4..4, in the order of a PLY; absent: degree 0
 
-x right, y down, as in a 3DGS PLY.
+The axes are x right, y down, as in a 3DGS PLY.
 """
 
 from __future__ import annotations
@@ -36,15 +37,15 @@ BOXES = [f"{end}_{axis}" for axis in (*"xyz", *SCALE_AXES) for end in ("min", "m
 
 
 def is_compressed(header: Header) -> bool:
-    """Whether the rows of a PLY are packed."""
+    """Whether the rows of a PLY file are packed."""
     return "packed_position" in (header.row.names or ())
 
 
 def read(path: Path) -> Content:
-    """Read the Gaussians of a compressed PLY.
+    """Read the Gaussians of a compressed PLY file.
 
     Raises:
-        InputError: If the file is missing, cut short, or its elements do not fit together.
+        InputError: If the file is missing or cut short, or its elements contradict each other.
     """
     header = read_header(path)
     size = path.stat().st_size
@@ -82,13 +83,13 @@ def _elements(path: Path, header: Header) -> list[Element]:
 def _rows(path: Path, element: Element, size: int) -> NDArray[Any]:
     there = element.start + element.count * element.row.itemsize <= size
     rows = np.fromfile(path, element.row, element.count if there else 0, offset=element.start)
-    if len(rows) < element.count:  # the file may also shrink while it is read
+    if len(rows) < element.count:  # also catches a file that shrinks while it is read
         raise refusal(KIND, path, f"it is cut short: its element {element.name} is not all there.")
     return rows
 
 
 def _check(path: Path, header: Header, rows: dict[str, NDArray[Any]]) -> None:
-    """Refuse elements that do not fit together."""
+    """Refuse elements whose columns or lengths contradict each other."""
     names = {name: set(table.dtype.names or ()) for name, table in rows.items()}
     if not set(PACKED) <= names["vertex"] or not set(BOXES) <= names.get("chunk", set()):
         raise refusal(KIND, path, "some of its packed columns or boxes are missing.")
@@ -112,7 +113,7 @@ def _check(path: Path, header: Header, rows: dict[str, NDArray[Any]]) -> None:
 
 
 def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
-    """Unpack fields of integers, highest bits first, as fractions [N,len(bits)]."""
+    """Unpack bit fields of integers, highest bits first, as fractions 0..1 [N,len(bits)]."""
     out = np.empty((len(packed), len(bits)), np.float32)
     shift = sum(bits)
     for i, width in enumerate(bits):
@@ -125,7 +126,7 @@ def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
 def _within(
     fractions: NDArray, chunk: NDArray[Any], which: NDArray, axes: str | tuple[str, ...]
 ) -> NDArray[np.float64]:
-    """Scale fractions to the box of each Gaussian's chunk, in double precision."""
+    """Map fractions 0..1 to the range of each Gaussian's chunk, in double precision."""
     out = np.empty(fractions.shape)
     for i, axis in enumerate(axes):
         low, high = (chunk[f"{end}_{axis}"].astype(np.float64)[which] for end in ("min", "max"))
@@ -139,12 +140,12 @@ def _rotations(packed: NDArray) -> NDArray[np.float32]:
 
 
 def _harmonics(first: NDArray, table: NDArray[Any] | None) -> NDArray[np.float32]:
-    """Return colours [N,K,3] of degree 0, and of higher degrees if the file has them."""
+    """Return colours [N,K,3]: degree 0, and the higher degrees if the file has them."""
     if table is None or not table.dtype.names:
         return first[:, None].astype(np.float32)
     count = len(table.dtype.names)
     values = np.stack([table[f"f_rest_{i}"] for i in range(count)], axis=1)
-    # A byte is the middle of its bin; 0 and 255 are the ends of the range.
+    # A byte stands for the middle of its bin, except that 0 and 255 are the ends of the range.
     inside = (values.astype(np.float32) + 0.5) / 256
     inside[values == 0], inside[values == 255] = 0, 1
     rest = ((inside - 0.5) * 8).reshape(len(values), 3, count // 3).transpose(0, 2, 1)

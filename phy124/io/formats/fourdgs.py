@@ -1,10 +1,10 @@
-"""`.4dgs`: all frames in one file, as keyframes and the changes between them.
+"""Writes `.4dgs` files: all frames in one file, as keyframes and the changes between them.
 
-The open container of 4dgs.dev, version 1, model `keyframe-delta`, written by its own library
-(package fourdgs, Apache-2.0, numpy only). It declares the largest error of each value: 2 % of the
-median scale for positions, 0.5 % for scales, 0.0005 for rotations, 0.5 / 255 for colours and
-opacities. Every Gaussian keeps its index in all frames, and a reader can seek. Colours are those of
-degree 0, and constant. Axes are those of glTF: y up, z to the front, metres.
+This is the open container of 4dgs.dev, version 1, model `keyframe-delta`, written by its official
+library (package fourdgs, Apache-2.0, needs only numpy). The file declares an error bound for each
+value: 2 % of the median scale for positions, 0.5 % for scales, 0.0005 for rotations, 0.5 / 255 for
+colours and opacities. Every Gaussian keeps its index in all frames, and readers can seek. Colours
+are constant and of degree 0. The axes are those of glTF: y up, z to the front, metres.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from phy124.progress import Progress, silent
 from phy124.runtime.installation import install_command
 
 PROFILE = "fine"
-"""The library's smallest bounds."""
+"""The library's profile with the smallest error bounds."""
 KEYFRAME = 8
-"""Frames per keyframe, which is the largest number of frames read to show any instant."""
+"""Frames per keyframe, which is the largest number of frames read to show any frame."""
 STILL = 1 / 24
 """Duration of a clip with one frame [s]."""
 FOREVER = 1e6
-"""Width in time of a Gaussian that does not fade [s]; the writer needs a finite one."""
+"""Temporal standard deviation of a Gaussian that does not fade [s]; it must be finite."""
 
 
 def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
@@ -63,7 +63,7 @@ def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progres
 
 
 def _library() -> Any:
-    """Import the functions and classes of fourdgs that are used here."""
+    """Import the functions and classes of fourdgs that this module uses."""
     try:
         from fourdgs import GaussianSet
         from fourdgs.keyframe_delta_file import write_sequence
@@ -83,7 +83,7 @@ def _library() -> Any:
 
 
 def _sample(library: Any, gaussians: Gaussians, time: float, duration: float) -> Any:
-    """Convert all Gaussians at one instant to the library's class."""
+    """Convert all Gaussians of one frame to the library's sample class."""
     count = len(gaussians)
 
     def each(value: float) -> NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""GLB (glTF 2.0) with KHR_gaussian_splatting, as ratified: scales are linear.
+"""Reads and writes GLB (glTF 2.0) with the ratified KHR_gaussian_splatting: scales are linear.
 
     header      "glTF", 2, length (uint32 each)
     chunk JSON  one primitive of mode 0 (points) with the extension
@@ -12,10 +12,10 @@
     KHR_gaussian_splatting:SCALE             VEC3 float     standard deviations
     KHR_gaussian_splatting:OPACITY           SCALAR float   0..1; read also as uint8, uint16
     KHR_gaussian_splatting:SH_DEGREE_l_COEF_n VEC3 float    coefficients of 3DGS, degree by degree
-    _OBJECT_ID                               SCALAR float   ours: which object of several
+    _OBJECT_ID                               SCALAR float   index of the object (phy124 only)
 
-Files of early 2026, made before the text was ratified, have logarithmic scales
-(phy124/io/formats/glb_values.py). Nodes may translate, rotate and evenly scale their Gaussians.
+Files from early 2026, before the extension was ratified, have logarithmic scales
+(phy124/io/formats/glb_values.py). Nodes may translate, rotate and uniformly scale their Gaussians.
 """
 
 from __future__ import annotations
@@ -53,38 +53,38 @@ EXTENSION = "KHR_gaussian_splatting"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<II")
 LONGEST = 1 << 20
-"""Largest description (JSON) that is read [bytes]; a usual one has 4,000."""
+"""Largest JSON description that is read [bytes]; a usual description has 4,000 bytes."""
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
-"""Largest relative difference of the scales of a node's axes that counts as even scaling."""
+"""Largest relative difference between a node's scales along its axes that counts as uniform."""
 EXTENSIONS = (EXTENSION, "KHR_mesh_quantization")
-"""Extensions of glTF that are read."""
+"""glTF extensions that are supported."""
 MAX_NODES = 2000
 OBJECT = "_OBJECT_ID"
-"""An application-specific attribute, which other readers ignore."""
+"""Application-specific attribute with the object index, which other readers ignore."""
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
-"""Programs that turn a PLY upright by half a turn about z."""
+"""Programs that convert a PLY to y up by half a turn about z, which keeps its front at -z."""
 READ = {"POSITION", "COLOR_0", OBJECT}
 READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
 READ |= {f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)}
-"""Attributes that are read, and the colours for readers without the extension."""
+"""Attributes that are read, and COLOR_0, which serves readers without the extension."""
 
 
 class Primitive(NamedTuple):
-    """Gaussians of the scene."""
+    """A glTF primitive whose points are Gaussians."""
 
     attributes: dict[str, int]
-    """Name -> accessor."""
+    """Index of the accessor of each attribute, by name."""
     extension: dict[str, Any]
-    """The primitive's entry of the extension."""
+    """The primitive's entry for the extension."""
     matrix: NDArray[np.float64]
-    """Transform of their node [4,4]."""
+    """World transform of the primitive's node [4,4]."""
     gaussians: int
     """Number of Gaussians."""
 
 
 def read(path: Path) -> Content:
-    """Read the Gaussians of all nodes of a GLB's scene.
+    """Read the Gaussians of all nodes in the scene of a GLB file.
 
     Raises:
         InputError: If the file is missing, cut short or damaged, has no Gaussians, or has an
@@ -110,7 +110,7 @@ def read(path: Path) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a GLB; the extension cannot store whether it is antialiased."""
+    """Return the bytes of a GLB file; the extension cannot store `antialiased`."""
     del antialiased
     arrays = _attributes(gaussians)
     body, views, accessors = bytearray(), [], []
@@ -145,7 +145,7 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
-    """Return the array of each attribute, whose length is a multiple of 4 bytes."""
+    """Return the array of each attribute; the length of each is a multiple of 4 bytes."""
     rgba = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)
     arrays = {
         "POSITION": gaussians.means,
@@ -156,13 +156,13 @@ def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
     }
     names = _names(gaussians.sh.shape[1])
     arrays |= {name: gaussians.sh[:, i] for i, name in enumerate(names)}
-    if gaussians.object_id is not None:  # Exact in a float: there are few objects.
+    if gaussians.object_id is not None:  # exact in float32, since there are few objects
         arrays[OBJECT] = gaussians.object_id.astype(np.float32)
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
 
 
 def _names(count: int) -> list[str]:
-    """Names of the first `count` harmonics' attributes, in our order."""
+    """Return the attribute names of the first `count` harmonics, in the order of `Gaussians.sh`."""
     pairs = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
     return [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree, n in pairs[:count]]
 
@@ -183,7 +183,7 @@ def _accessor(name: str, array: NDArray, view: int) -> dict[str, Any]:
 
 
 def _chunks(path: Path, data: bytes) -> Scene:
-    """Return the description and the binary chunk."""
+    """Return the JSON description and the binary chunk."""
     if len(data) < HEADER.size or data[:4] != MAGIC:
         raise refusal(KIND, path, "it does not begin as a GLB file.", "Give a GLB file.")
     _, version, length = HEADER.unpack_from(data)
@@ -211,22 +211,22 @@ def _chunks(path: Path, data: bytes) -> Scene:
 
 
 def _axes(scene: Scene) -> tuple[str, str]:
-    """Directions of up and front: glTF's, but splat-transform leaves the front of a PLY, -z."""
+    """Return the up and front directions: those of glTF, or front -z by `LEAVES_THE_FRONT`."""
     generator = str(scene.tree.get("asset", {}).get("generator", ""))
     return ("y", "-z") if generator.startswith(LEAVES_THE_FRONT) else Y_UP
 
 
 def _primitives(scene: Scene) -> list[Primitive]:
-    """Return all primitives of the scene that are Gaussians."""
+    """Return all primitives of the scene whose points are Gaussians."""
     total, primitives = 0, []
-    for mesh, matrix in list(_list_meshes(scene)):  # a circle is found before anything is read
+    for mesh, matrix in list(_list_meshes(scene)):  # detects cycles before anything is read
         for primitive in item(scene, "meshes", mesh)["primitives"]:
             extension = primitive.get("extensions", {}).get(EXTENSION)
             if extension is not None:
                 _check_kind(scene, primitive, extension)
                 count = int(item(scene, "accessors", primitive["attributes"]["POSITION"])["count"])
                 total += count
-                # Several nodes may show one mesh, so a small file can describe a large scene.
+                # Several nodes may show the same mesh: a small file can describe a large scene.
                 check_count(KIND, scene.path, total, 60, len(scene.body))
                 primitives.append(Primitive(primitive["attributes"], extension, matrix, count))
     if not total:
@@ -236,7 +236,7 @@ def _primitives(scene: Scene) -> list[Primitive]:
 
 
 def _kind_of_scales(scene: Scene, primitives: list[Primitive]) -> tuple[bool, list[str]]:
-    """Return whether the scales of a file are logarithms, and notes about it."""
+    """Return whether the scales of a file are logarithms, and notes about the decision."""
     generator = str(scene.tree.get("asset", {}).get("generator", ""))
     pairs = [
         (_values(scene, p, f"{EXTENSION}:SCALE", 3), _values(scene, p, "POSITION", 3))
@@ -246,7 +246,7 @@ def _kind_of_scales(scene: Scene, primitives: list[Primitive]) -> tuple[bool, li
 
 
 def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
-    """Return notes about attributes and extensions that are not read."""
+    """Return notes about attributes and extensions that are ignored."""
     names = dict.fromkeys(name for primitive in primitives for name in primitive.attributes)
     fourth = f"{EXTENSION}:SH_DEGREE_4"
     others = [name for name in names if name not in READ and not name.startswith(fourth)]
@@ -260,7 +260,7 @@ def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
 
 
 def _list_meshes(scene: Scene) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Yield each mesh of the scene, with the matrix [4,4] of its node."""
+    """Yield each mesh of the scene with the world transform [4,4] of its node."""
     tree, here = scene.tree, np.eye(4)
     shown = item(scene, "scenes", tree.get("scene", 0)) if "scenes" in tree else {}
     roots = shown.get("nodes", [])
@@ -285,7 +285,7 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    with np.errstate(all="ignore"):  # an invalid rotation becomes NaN and is refused
+    with np.errstate(all="ignore"):  # an invalid rotation becomes NaN, which is refused later
         turn = rotation_matrices(np.array([[w, x, y, z]]))[0]
     matrix[:3, :3] = turn * np.array(node.get("scale", (1, 1, 1)), np.float64)
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
@@ -293,7 +293,7 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _check_kind(scene: Scene, primitive: dict[str, Any], extension: dict[str, Any]) -> None:
-    """Refuse Gaussians of an unsupported kind."""
+    """Refuse Gaussians that use an unsupported feature of the extension."""
     if "indices" in primitive:
         limit = "its Gaussians are selected by indices, which is not supported."
         raise refusal(KIND, scene.path, limit, "Export it without indices.")
@@ -310,13 +310,13 @@ def _values(scene: Scene, primitive: Primitive, name: str, width: int) -> NDArra
     if name not in primitive.attributes:
         raise refusal(KIND, scene.path, f"its Gaussians have no {name}.", "Export it again.")
     index = primitive.attributes[name]
-    # Centres may be multiples of a step, which a node scales (KHR_mesh_quantization).
+    # Centres may be integer multiples of a step that the node's scale sets (KHR_mesh_quantization).
     whole = name == OBJECT or (name == "POSITION" and not is_fractions(scene, index))
     return values(scene, index, width, primitive.gaussians, as_they_are=whole)
 
 
 def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArray[np.float32]]:
-    """Return the columns of a primitive by the names of `Gaussians`."""
+    """Return the columns of a primitive by the field names of `Gaussians`."""
     of = partial(_values, scene, primitive)
     scales = of(f"{EXTENSION}:SCALE", 3)
     with np.errstate(over="ignore"):
@@ -336,7 +336,7 @@ def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArra
 
 
 def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert linear colours [N,K,3] to the display's, to first order about their mean."""
+    """Convert linear colours [N,K,3] to sRGB; degrees above 0 to first order about degree 0."""
     linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     slope = np.where(linear <= 0.0031308, 12.92, (bright + 0.055) / 2.4 / np.maximum(linear, 1e-9))
@@ -346,7 +346,7 @@ def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
-    """Transform columns by the matrix of their node, and add the file's resolution as `step`."""
+    """Transform columns by their node's matrix, and add the file's resolution as `step`."""
     step = step_of(raw["means"])
     if np.array_equal(matrix, np.eye(4)):
         return {**raw, "step": step}
@@ -365,7 +365,7 @@ def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]
 
 
 def _alike(parts: list[dict[str, NDArray]]) -> list[dict[str, NDArray]]:
-    """Pad the harmonics of all parts to the same number."""
+    """Pad all parts with zeros to the same number of harmonics."""
     most = max(part["sh"].shape[1] for part in parts)
     rows = [(0, most - part["sh"].shape[1]) for part in parts]
     padded = [np.pad(p["sh"], ((0, 0), row, (0, 0))) for p, row in zip(parts, rows, strict=True)]

@@ -1,13 +1,13 @@
-"""The values of a GLB: its accessors, and whether its scales are logarithms.
+"""Reads the values of a GLB file, and decides whether its scales are logarithms.
 
 An accessor (glTF 2.0, section 3.6.2) reads numbers of one type from a view of the binary chunk. A
-sparse one replaces some of them, and one without a view begins with zeros.
+sparse accessor replaces some of these numbers; an accessor without a view starts from zeros.
 
-The ratified text of KHR_gaussian_splatting has lengths as scales, its review draft had logarithms,
-and a file does not say which of the two it follows. Negative scales show that they are logarithms,
-and the names of some generators do, too. If all logarithms are above 0, as in a file in
-millimetres, the Gaussians themselves decide: those of an object are about as wide as their
-distance. Logarithms that are read as lengths are far too small for that.
+Scales are lengths in the ratified KHR_gaussian_splatting, but logarithms in its review draft, and a
+file does not say which text it follows. Negative scales must be logarithms, and some generators are
+known to write logarithms. If all logarithms are positive, as in a file in millimetres, the
+Gaussians decide: in an object, their width is about the distance between them. Logarithms that are
+mistaken for lengths are much smaller than this distance.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
 @dataclass(frozen=True)
 class Scene:
-    """The two chunks of a file."""
+    """The JSON description and binary chunk of a GLB file."""
 
     path: Path
     tree: dict[str, Any]
@@ -38,10 +38,10 @@ class Scene:
 
 
 def item(scene: Scene, kind: str, index: Any) -> Any:
-    """Return an entry of a list of the description, such as node 3.
+    """Return an entry of a list of the description, such as the node with index 3.
 
     Raises:
-        ValueError: There is no such entry.
+        ValueError: If there is no such entry.
     """
     entries = scene.tree.get(kind, [])
     if type(index) is not int or not 0 <= index < len(entries):
@@ -60,11 +60,11 @@ def values(
         width: Numbers per value.
         count: Expected number of values.
         as_they_are: Whether to return integers unchanged, even if the file declares them to be
-            fractions of the largest integer.
+            normalised (fractions of the largest integer).
 
     Raises:
-        InputError: The file is cut short.
-        ValueError: The accessor has other values, or exceeds its view.
+        InputError: If the file is cut short.
+        ValueError: If the accessor differs in type or number, or exceeds its view.
     """
     accessor = item(scene, "accessors", index)
     if WIDTHS.get(accessor["type"]) != width:
@@ -86,7 +86,7 @@ def values(
 
 
 def is_fractions(scene: Scene, index: Any) -> bool:
-    """Whether the integers of an accessor are fractions of the largest integer."""
+    """Whether the integers of an accessor are normalised (fractions of the largest integer)."""
     return bool(item(scene, "accessors", index).get("normalized", False))
 
 
@@ -109,7 +109,7 @@ def _read_view(
 
 
 def _apply_sparse(scene: Scene, sparse: dict[str, Any], raw: NDArray[Any]) -> NDArray[Any]:
-    """Replace some of the numbers [N,width] by those of a sparse accessor."""
+    """Replace some of the numbers [N,width] by the values of a sparse accessor."""
     count, kind = int(sparse["count"]), np.dtype(TYPES[sparse["indices"]["componentType"]])
     if kind.kind != "u":
         raise ValueError("a sparse accessor has no whole indices")
@@ -123,28 +123,28 @@ def _apply_sparse(scene: Scene, sparse: dict[str, Any], raw: NDArray[Any]) -> ND
 
 PLAYCANVAS = re.compile(r"splat-transform (\d+)\.(\d+)")
 LENGTHS_SINCE = (2, 7)
-"""Version of splat-transform that first wrote lengths."""
+"""First version of splat-transform that wrote lengths."""
 FEW = 0.01
-"""Fraction up to which negative scales are ignored: a mirrored length is no logarithm."""
+"""Largest fraction of negative scales that is ignored, since a mirrored length is negative, too."""
 NEIGHBOURS = 4
 SOME = 2000
-"""Number of Gaussians that are examined."""
+"""Approximate number of Gaussians that are sampled."""
 BARE = 0.55
-"""Width, in distances to the neighbours, below which Gaussians leave an object full of holes."""
+"""Ratio of width to spacing below which Gaussians would leave the object full of holes."""
 SHORT = 1.0
-"""Smallest median scale that can be a logarithm, if all scales are positive."""
+"""Smallest median scale that can be a logarithm if all scales are positive."""
 COVERING = (0.6, 6.0)
-"""Widths of Gaussians that cover an object, in the same unit; measured were 1.2 to 3.5."""
+"""Ratios of width to spacing for Gaussians that cover an object; measured: 1.2 to 3.5."""
 NOTE = "Its scales are read as logarithms: {}."
 
 
 def kind_of_scales(
     generator: str, parts: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 ) -> tuple[bool, list[str]]:
-    """Return whether scales are logarithms, with a note if that is a guess.
+    """Return whether scales are logarithms, with a note if this is a guess.
 
     Args:
-        generator: The file's name of the program that wrote it.
+        generator: Name of the program that wrote the file, as the file states it.
         parts: Scales [N,3] and centres [N,3] of each primitive.
     """
     negative = sum(np.count_nonzero(scales < 0) for scales, _ in parts)
@@ -161,7 +161,7 @@ def kind_of_scales(
 
 
 def _too_small(scales: NDArray[np.float32], means: NDArray[np.float32]) -> bool:
-    """Whether Gaussians cover an object only if their scales are logarithms."""
+    """Whether Gaussians would cover an object only if their scales are logarithms."""
     sound = np.isfinite(means).all(axis=1) & np.isfinite(scales).all(axis=1)
     longest, places = scales[sound].max(axis=1, initial=0), means[sound].astype(np.float64)
     if len(places) <= NEIGHBOURS:
@@ -169,7 +169,7 @@ def _too_small(scales: NDArray[np.float32], means: NDArray[np.float32]) -> bool:
     from scipy.spatial import KDTree
 
     some = slice(None, None, max(1, len(places) // SOME))
-    # On a surface, k neighbours lie in a circle of k times the area of each.
+    # On a surface, the k nearest neighbours share a disc of k times the area of one Gaussian.
     apart = KDTree(places).query(places[some], NEIGHBOURS + 1)[0][:, -1] / np.sqrt(NEIGHBOURS)
     spacing, length = float(np.median(apart)), float(np.median(longest[some]))
     with np.errstate(over="ignore"):

@@ -1,7 +1,8 @@
-"""Quantisation: codebooks of 256 numbers, palettes of vectors, and quaternions in three components.
+"""Quantises numbers to codebooks of 256 codes, vectors to palettes, and quaternions to 3 numbers.
 
-A unit quaternion is kept without its largest component. Since q and -q are the same rotation, that
-component can be made positive, and follows from the length 1. The others are at most 1 / sqrt 2.
+The largest component of a unit quaternion is not stored. Since q and -q are the same rotation, that
+component can be made positive; it then follows from the length 1. The other components are at most
+1 / sqrt 2.
 """
 
 from __future__ import annotations
@@ -11,18 +12,18 @@ from numpy.typing import NDArray
 
 SIZE = 256
 ROUNDS = 20
-"""Rounds of Lloyd's algorithm; the error falls by less than 1 % after ten."""
+"""Rounds of Lloyd's algorithm; after ten rounds, the error falls by less than 1 %."""
 
 COMPONENTS = 8
-"""Number of principal components that are used to divide vectors."""
+"""Number of principal components used to divide vectors into cells."""
 
 
 def make_codebook(values: NDArray) -> NDArray[np.float64]:
-    """Return 256 ascending codes with the least mean square distance to `values [N]`.
+    """Return 256 ascending codes that minimise the mean square distance to `values [N]`.
 
     This is Lloyd's algorithm in one dimension: since the values are sorted, the mean of each cell
-    is a difference of two cumulative sums. Half of the first codes are quantiles and half are
-    evenly spaced, so that both dense regions and outliers are represented.
+    is a difference of two cumulative sums. Half of the initial codes are quantiles, which represent
+    dense regions; the other half are evenly spaced, which represents outliers.
     """
     ordered = np.sort(np.asarray(values, np.float64))
     sums = np.concatenate([[0], np.cumsum(ordered)])
@@ -43,14 +44,15 @@ def nearest_codes(codes: NDArray, values: NDArray) -> NDArray[np.uint8]:
 
 
 def make_palette(vectors: NDArray, most: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return a palette that approximates `vectors [N,D]`, and the entry of each vector.
+    """Return a palette that approximates `vectors [N,D]`, and the palette index of each vector.
 
-    Up to `most` vectors are the palette themselves. More vectors are divided at the median of their
-    widest principal component until there are `most` cells, whose means are the palette.
+    If there are at most `most` vectors, the palette consists of the vectors. Otherwise the vectors
+    are divided repeatedly, each cell at the median of its principal component of largest variance,
+    until there are `most` cells. The palette consists of the cells' means.
 
     Args:
         vectors: The vectors.
-        most: Largest number of entries, a power of 2.
+        most: Largest number of palette entries, a power of 2.
     """
     count = len(vectors)
     if count <= most:
@@ -67,14 +69,14 @@ def make_palette(vectors: NDArray, most: int) -> tuple[NDArray[np.float32], NDAr
 
 
 def _principal(vectors: NDArray) -> NDArray[np.float32]:
-    """Return the largest principal components [N,C]."""
+    """Return the `COMPONENTS` largest principal components [N,C] of vectors."""
     centred = vectors - vectors.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     return np.ascontiguousarray(centred @ axes[:, -COMPONENTS:], np.float32)
 
 
 def _sort_halves(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:
-    """Sort vectors by cell, and within a cell by its coordinate of largest variance."""
+    """Sort vectors by cell, and within a cell by the coordinate of largest variance."""
     sizes = np.bincount(cell, minlength=cells)[:, None]
     order = np.argsort(cell, kind="stable")
     starts = np.concatenate([[0], np.cumsum(sizes[:, 0])[:-1]])
@@ -85,7 +87,7 @@ def _sort_halves(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArr
 
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""Indices of the stored components, by the index of the component that is left out."""
+"""Indices of the stored components, by the index of the omitted component."""
 
 
 def drop_largest(quats: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -97,7 +99,7 @@ def drop_largest(quats: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64]
 
 
 def restore_largest(others: NDArray, which: NDArray) -> NDArray[np.float32]:
-    """Return unit quaternions [N,4] from three components and the index of the missing one [N]."""
+    """Return unit quaternions [N,4] from three components and the missing one's index [N]."""
     which = np.asarray(which, np.int64)
     out = np.empty((len(others), 4), np.float32)
     np.put_along_axis(out, OTHERS[which], others.astype(np.float32), 1)

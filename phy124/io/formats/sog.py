@@ -1,20 +1,21 @@
-"""SOG version 2 (PlayCanvas): pictures in lossless WebP, one pixel per Gaussian, in a zip.
+"""Reads and writes SOG version 2 (PlayCanvas): lossless WebP images in a zip, a pixel per Gaussian.
 
     meta.json                     {version: 2, count, antialias, and an entry for each below}
-    means: mins, maxs, files      two pictures, low and high byte of 16 bits between the ends;
+    means: mins, maxs, files      two images: low and high byte of 16 bits between mins and maxs;
                                   sign(v) (exp|v| - 1) is the coordinate; x right, y down
     quats: files                  three components of wxyz, (value / 255 * 2 - 1) / sqrt 2;
-                                  alpha - 252 is which was left out as the largest
-    scales: codebook, files       index among 256 logarithms, per axis
+                                  alpha - 252 is the index of the largest, which is omitted
+    scales: codebook, files       index among 256 log scales, per axis
     sh0: codebook, files          index among 256 coefficients of degree 0, per channel;
                                   alpha is the opacity
-    shN: count, bands, codebook,  higher harmonics: labels (low byte, high byte) name an entry of a
-         files                    palette; its picture has 64 entries per row, one pixel per
+    shN: count, bands, codebook,  higher harmonics: labels (low byte, high byte) are indices into a
+         files                    palette; the palette's image has 64 entries per row, one pixel per
                                   coefficient, each channel an index among 256 values
-    extras: phy124: object_id:    the specification leaves `extras` to programs; ours is a picture
-            files                 with the object of each Gaussian in 24 bits, the low byte red
+    extras: phy124: object_id:    the specification reserves `extras` for applications; phy124
+    stores
+            files                 an image with the object index in 24 bits, lowest byte in red
 
-Row by row, the picture's pixel i is Gaussian i.
+Pixels are numbered row by row: pixel i of an image belongs to Gaussian i.
 """
 
 from __future__ import annotations
@@ -53,26 +54,26 @@ from phy124.io.formats.quantise import (
 KIND = "SOG"
 META = "meta.json"
 LONGEST = 1 << 20
-"""Largest meta.json that is read [bytes]; a usual one has 20,000."""
+"""Largest meta.json that is read [bytes]; a usual meta.json has 20,000 bytes."""
 WIDEST = 16383
-"""Largest side of a WebP picture."""
+"""Largest width or height of a WebP image [pixels]."""
 ENTRIES_PER_ROW = 64
 MOST_ENTRIES = 1 << 16
-"""Entries of the palette of harmonics."""
+"""Largest number of entries in the palette of harmonics."""
 COEFFICIENTS = (0, 3, 8, 15, 24)
-"""Harmonics above degree 0, by degree."""
+"""Number of harmonics above degree 0, for degrees 0 to 4."""
 TAG = 252
 OBJECT = "object_id"
 BROKEN = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, OSError, EOFError)
 BROKEN += (RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error)
-"""Exceptions of zip, JSON and WebP readers on broken files."""
+"""Exceptions that the zip, JSON and WebP readers raise for damaged files."""
 
 
 def read(path: Path) -> Content:
     """Read the Gaussians of a SOG file.
 
     Raises:
-        InputError: If the file is missing, cut short, damaged or of another version.
+        InputError: If the file is missing, cut short, damaged or not of format version 2.
     """
     check_opens(KIND, path)
     try:
@@ -118,7 +119,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a SOG file, with the Gaussians in their order."""
+    """Return the bytes of a SOG file; the order of the Gaussians is kept."""
     meta: dict[str, Any] = {
         "version": 2,
         "asset": {"generator": "phy124"},
@@ -146,7 +147,7 @@ def _zip(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> bytes:
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:
         for name, picture in pictures.items():
             file = io.BytesIO()
-            # `exact` keeps the colour of pixels whose alpha is 0.
+            # `exact` preserves the colour of pixels whose alpha is 0.
             Image.fromarray(picture).save(file, "WEBP", lossless=True, exact=True, method=2)
             archive.writestr(zipfile.ZipInfo(name), file.getvalue())
         archive.writestr(zipfile.ZipInfo(META), json.dumps(meta, allow_nan=False))
@@ -154,7 +155,7 @@ def _zip(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> bytes:
 
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Read a member of the archive, of at most `most` bytes."""
+    """Read a member of the archive that has at most `most` bytes."""
     known = {info.filename.rpartition("/")[2]: info for info in archive.infolist()}
     if name == META and name not in known:
         limit = "it is a zip archive, but no SOG: it has no meta.json."
@@ -169,7 +170,7 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes
 
 
 def _picture(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> NDArray[np.uint8]:
-    """Read a WebP picture [H,W,4] of at most `most` pixels."""
+    """Read a WebP image [H,W,4] that has at most `most` pixels."""
     data = _member(path, archive, str(name), 4 * most + 4096)
     width, height = _size(data)
     if width * height > most:
@@ -177,12 +178,12 @@ def _picture(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> NDAr
     try:
         with Image.open(io.BytesIO(data), formats=["WEBP"]) as picture:
             return np.asarray(picture.convert("RGBA"))
-    except Exception as error:  # Pillow raises many types.
+    except Exception as error:  # Pillow raises exceptions of many types
         raise ValueError(f"{str(name)[:80]} cannot be decoded") from error
 
 
 def _size(data: bytes) -> tuple[int, int]:
-    """Read the width and height of a WebP picture from its header."""
+    """Read the width and height of a WebP image from its header."""
     kind = data[12:16]
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP" or len(data) < 30:
         raise ValueError("a picture is no WebP")
@@ -224,7 +225,7 @@ def _rotations(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
 def _harmonics(
     path: Path, archive: zipfile.ZipFile, entry: dict[str, Any], pixels: Any
 ) -> NDArray[np.float32]:
-    """Return the coefficients of degree 1 and higher [N,K-1,3]."""
+    """Return the coefficients above degree 0 [N,K-1,3]."""
     count, each = int(entry["count"]), COEFFICIENTS[int(entry["bands"])]
     if not 0 < count <= MOST_ENTRIES or not each:
         raise ValueError("its palette of harmonics is empty or too large")
@@ -241,7 +242,7 @@ def _harmonics(
 
 
 def _objects(meta: dict[str, Any], pixels: Any) -> dict[str, NDArray[np.int32]]:
-    """Return the object of each Gaussian, if phy124 wrote it; other programs may have extras."""
+    """Return the object of each Gaussian, if `extras` has an entry that phy124 wrote."""
     extras = meta.get("extras")
     ours = extras.get("phy124") if isinstance(extras, dict) else None
     if ours is None:
@@ -297,7 +298,7 @@ def _put_harmonics(meta: dict, pictures: dict, gaussians: Gaussians) -> None:
 
 
 def _square(values: NDArray, alpha: NDArray | None = None) -> NDArray[np.uint8]:
-    """Arrange rows [N,3] as a roughly square picture [H,W,4]; alpha is 255 by default."""
+    """Arrange rows [N,3] as a roughly square image [H,W,4]; the default of alpha is 255."""
     width = 4 * -(-max(int(np.ceil(np.sqrt(len(values)))), 1) // 4)
     height = 4 * -(-len(values) // (4 * width))
     pixels = np.zeros((height * width, 4), np.uint8)

@@ -1,4 +1,4 @@
-"""`.splat` (antimatter15): rows of 32 bytes without a header, in the order of the Gaussians.
+"""Reads and writes `.splat` (antimatter15): rows of 32 bytes, one per Gaussian, without a header.
 
     offset  field    type       meaning
     0       centre   3 float32  x right, y down, as in a 3DGS PLY
@@ -6,7 +6,7 @@
     24      colour   4 uint8    red, green, blue, opacity; value / 255
     28      rotation 4 uint8    wxyz; (value - 128) / 128
 
-It has no spherical harmonics above degree 0.
+The format has no spherical harmonics above degree 0.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def read(path: Path) -> Content:
     """Read the Gaussians of a `.splat` file.
 
     Raises:
-        InputError: If the file is missing, cut short, too large, or nothing in it is finite.
+        InputError: If the file is missing, cut short or too large, or no Gaussian is finite.
     """
     check_opens("splat", path)
     size = path.stat().st_size
@@ -54,7 +54,7 @@ def read(path: Path) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a `.splat` file; it cannot store whether it is antialiased."""
+    """Return the bytes of a `.splat` file; the format cannot store `antialiased`."""
     del antialiased
     rows = np.empty(len(gaussians), ROW)
     rows["centre"], rows["scale"] = gaussians.means, gaussians.scales
@@ -65,7 +65,7 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def likely(path: Path) -> bool:
-    """Whether bytes without a header can be rows of Gaussians."""
+    """Whether a file without a signature is likely to contain rows of Gaussians."""
     size = path.stat().st_size
     if not size or size % ROW.itemsize:
         return False

@@ -1,7 +1,7 @@
-"""SPZ (Niantic), versions 1 to 4: Gaussians in 16 to 64 bytes, then gzip (1-3) or Zstandard (4).
+"""Reads and writes SPZ (Niantic), versions 1 to 4: 16 to 64 bytes per Gaussian, then compressed.
 
     header, 16 bytes        magic "NGSP", version, count (uint32 each), degree of the harmonics,
-                            bits after the point of the centres, flags (1: antialiased,
+                            fractional bits of the centres, flags (1: antialiased,
                             2: there are extensions), reserved
     version 4, 16 more      "reserved" is the number of streams; offset of their table (uint32), 0
     table (version 4)       sizes of each stream (uint64): compressed, raw
@@ -12,15 +12,15 @@
     opacity     1          / 255
     colour      3          degree 0: (value / 255 - 1/2) / 0.15
     scale       3          logarithm: value / 16 - 10
-    rotation    3          versions 1 and 2: x, y, z: value / 127.5 - 1, and w is the rest
-                4          later: 2 bits which of x, y, z, w is left out as the largest; for each
-                           other a sign and 9 bits, / 511 sqrt 2
+    rotation    3          versions 1 and 2: x, y, z: value / 127.5 - 1; w follows from the length 1
+                4          later: 2 bits: index in x, y, z, w of the largest component, which is
+                           omitted; for each other component a sign and 9 bits, / 511 sqrt 2
     harmonics   9, 24, 45  of degree 1 to 3: coefficient by coefficient, (value - 128) / 128
 
-Version 4 holds each section as a stream of its own, the others all together. Extensions come after
-the sections, in version 4 before the table. x right, y up, z to the viewer, unless one says
-otherwise. Scales come in steps of 6.5 %, harmonics of degree 1 are written in 5 bits and higher
-ones in 4, as Niantic does.
+Versions 1 to 3 compress the file with gzip; version 4 compresses each section as a Zstandard
+stream. Extensions follow the sections; in version 4 they precede the table. The axes are x right,
+y up, z to the viewer, unless an extension says otherwise. Scales are quantised in steps of 6.5 %.
+As in Niantic's program, harmonics are written with 5 bits for degree 1 and 4 bits above.
 """
 
 from __future__ import annotations
@@ -53,34 +53,34 @@ SYSTEMS = (
     *(x + y + z for z in "BF" for y in "DU" for x in "LR"),
     *(x + y + z for y in "FB" for z in "DU" for x in "LR"),
 )
-"""Names of the systems 1 to 16."""
+"""Names of the coordinate systems 1 to 16, as letters for the directions of x, y and z."""
 USUAL = "RUB"
-"""The system of a file that does not name one."""
+"""The coordinate system of a file that does not state one."""
 DIRECTIONS = {"R": (1, 0, 0), "U": (0, 1, 0), "B": (0, 0, 1)}
 DIRECTIONS |= {"L": (-1, 0, 0), "D": (0, -1, 0), "F": (0, 0, -1)}
 MOST_NAMED = 8
 
 
 class Extensions(NamedTuple):
-    """The extensions of a file that are understood, and notes about the others."""
+    """The supported extensions of a file, and notes about the others."""
 
     system: str = USUAL
-    """Directions of x, y and z."""
+    """Directions of x, y and z, as letters: right, left, up, down, back or front."""
     notes: tuple[str, ...] = ()
 
     @property
     def axes(self) -> tuple[str, str]:
-        """Directions of the file that point up, and to the front of the object (the viewer)."""
+        """Directions of the file that point up and to the object's front (towards the viewer)."""
         return _axis(self.system, "UD"), _axis(self.system, "BF")
 
     @property
     def left_handed(self) -> bool:
-        """Whether the axes are left-handed, so that the file must be mirrored."""
+        """Whether the axes are left-handed, which means that the file must be mirrored."""
         return bool(np.linalg.det([DIRECTIONS[letter] for letter in self.system]) < 0)
 
 
 def read_extensions(data: bytes) -> Extensions:
-    """Read the records of extensions; damaged ones are ignored, with a note."""
+    """Read the records of the extensions; a damaged record is ignored, with a note."""
     system, notes, unknown, at = None, [], [], 0
     while at < len(data):
         kind, size = RECORD.unpack_from(data, at) if at + RECORD.size <= len(data) else (0, 1 << 32)
@@ -107,7 +107,7 @@ def read_extensions(data: bytes) -> Extensions:
 
 
 def _axis(system: str, letters: str) -> str:
-    """Return the axis, with its sign, that points to the first of two opposite letters."""
+    """Return the signed axis of the direction that the first of two opposite letters names."""
     (at,) = (i for i, letter in enumerate(system) if letter in letters)
     return "xyz"[at] if system[at] == letters[0] else f"-{'xyz'[at]}"
 
@@ -116,29 +116,29 @@ KIND = "SPZ"
 MAGIC = b"NGSP"
 GZIP = b"\x1f\x8b"
 FOURTH = struct.pack("<I", 4)
-"""Bytes after the magic in a file of version 4."""
+"""Bytes that follow the magic in a file of version 4."""
 HEADER = struct.Struct("<4sIIBBBB")
 MORE = struct.Struct("<I12x")
 ENTRY = struct.Struct("<QQ")
 ANTIALIASED, EXTENDED = 1, 2
 MOST_RECORDS = 1 << 20
-"""Largest size of the extensions that are read [bytes]."""
+"""Number of bytes of the extensions that are read at most."""
 COLOUR = 0.15
 MOST_BITS = 16
-"""Fractional bits that are written; fewer if the object is larger than 128 units."""
+"""Fractional bits that are written; fewer if a coordinate exceeds 128 units."""
 REACH = (1 << 23) - 1
 GZIP_LEVEL = 4
-"""6 takes twice as long and saves 1 %."""
+"""gzip level; level 6 takes twice as long and saves 1 %."""
 LEVEL = 9
-"""Zstandard's level: higher ones take longer and save hardly anything."""
+"""Zstandard level; higher levels take longer and save hardly anything."""
 WINDOW = 1 << 27
-"""Largest window [bytes] of a Zstandard stream that is read."""
+"""Largest window of a Zstandard stream that is read [bytes]."""
 HARMONIC_BITS = (5, 4, 4)
 """Bits written for harmonics of degree 1, 2, 3."""
 
 
 class Head(NamedTuple):
-    """The first 16 bytes."""
+    """The fields of the first 16 bytes of a file."""
 
     magic: bytes
     version: int
@@ -150,7 +150,7 @@ class Head(NamedTuple):
 
     @property
     def sizes(self) -> list[int]:
-        """Size of each section that is not empty [bytes]."""
+        """Sizes of the sections that are not empty [bytes]."""
         centre, rotation = 6 if self.version < 2 else 9, 3 if self.version < 3 else 4
         harmonics = 3 * ((self.degree + 1) ** 2 - 1)
         rows = (centre, 1, 3, 3, rotation, harmonics)
@@ -161,7 +161,7 @@ def read(path: Path) -> Content:
     """Read the Gaussians of an SPZ file.
 
     Raises:
-        InputError: If the file is missing, cut short, damaged or of another version.
+        InputError: If the file is missing, cut short, damaged or of an unsupported version.
     """
     data = read_whole_file(KIND, path)
     in_streams = data[:4] == MAGIC and data[4:8] == FOURTH
@@ -188,13 +188,13 @@ def read(path: Path) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a file of version 3, which most programs read."""
+    """Return the bytes of a file of format version 3, which most programs read."""
     head, sections = _pack(gaussians, 3, antialiased=antialiased)
     return _gzip(HEADER.pack(*head) + b"".join(sections))
 
 
 def encode_v4(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a file of version 4."""
+    """Return the bytes of a file of format version 4."""
     head, sections = _pack(gaussians, 4, antialiased=antialiased)
     streams = [zstandard.ZstdCompressor(level=LEVEL).compress(section) for section in sections]
     start = HEADER.size + MORE.size
@@ -203,7 +203,7 @@ def encode_v4(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def begins(data: bytes) -> bool:
-    """Whether a file with these first bytes is an SPZ file."""
+    """Whether these first bytes belong to an SPZ file."""
     if data[:4] == MAGIC:
         return True
     try:
@@ -213,17 +213,17 @@ def begins(data: bytes) -> bool:
 
 
 def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
-    """Mirror columns along x, from a left-handed system to a right-handed one."""
+    """Mirror columns along x, which turns a left-handed system into a right-handed system."""
     raw["means"] *= np.array([-1, 1, 1], np.float32)
-    # A mirror reverses rotations about the axes that lie in it.
+    # Mirroring along x reverses rotations about y and z.
     raw["quats"] *= np.array([1, 1, -1, -1], np.float32)
     raw["sh"] *= mirror_signs(raw["sh"].shape[1]).astype(np.float32)[:, None]
 
 
 def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Return header, sections and extensions of versions 1 to 3."""
+    """Return header, sections and extensions of a file of version 1, 2 or 3."""
     if data[:4] == MAGIC:
-        # Browsers have unpacked a file that a server declares as compressed by gzip.
+        # A browser has unpacked the file, because its server declared it as compressed by gzip.
         data = _gzip(data, level=0)
     packer = zlib.decompressobj(31)
     try:
@@ -241,7 +241,7 @@ def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
 
 
 def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Return header, sections and extensions of version 4."""
+    """Return header, sections and extensions of a file of version 4."""
     head = _head(path, data[: HEADER.size], len(data), versions=(4,))
     if len(data) < HEADER.size + MORE.size:
         raise _short(path)
@@ -264,7 +264,7 @@ def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
 
 
 def _unpack(path: Path, stream: bytes, wanted: int) -> bytes:
-    """Decompress a Zstandard stream, whose header must agree with the file's table."""
+    """Decompress a Zstandard stream whose size must agree with the file's table."""
     try:
         announced = zstandard.frame_content_size(stream)
         if announced in (-1, wanted):
@@ -297,28 +297,28 @@ def _short(path: Path) -> Exception:
 
 
 def _places(head: Head, data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return centres [N,3]."""
+    """Decode centres [N,3]."""
     if head.version < 2:
         return np.ascontiguousarray(data).view("<f2").astype(np.float32)
     return _read_24_bits(data) / np.float32(2**head.bits)
 
 
 def _read_24_bits(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Read integers of 24 bits, low byte first [N,9] -> [N,3]."""
+    """Decode 24-bit integers, low byte first: [N,9] -> [N,3]."""
     wide = np.zeros((len(data), 3, 4), np.uint8)
     wide[..., 1:] = data.reshape(-1, 3, 3)
     return (wide.view("<i4")[..., 0] >> 8).astype(np.float32)
 
 
 def _from_three(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return quaternions wxyz of versions 1 and 2."""
+    """Decode quaternions wxyz of versions 1 and 2."""
     vector = data.astype(np.float32) / np.float32(127.5) - 1
     scalar = np.sqrt(np.maximum(1 - np.square(vector).sum(axis=1, keepdims=True), 0))
     return np.concatenate([scalar, vector], axis=1)
 
 
 def _from_four(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return quaternions wxyz of version 3 and later."""
+    """Decode quaternions wxyz of version 3 and later."""
     packed = np.ascontiguousarray(data).view("<u4")
     fields = (packed >> np.array([20, 10, 0], np.uint32)) & np.uint32(1023)
     size = (fields & 511).astype(np.float32) / np.float32(511 * np.sqrt(2))
@@ -327,7 +327,7 @@ def _from_four(data: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _pack(gaussians: Gaussians, version: int, *, antialiased: bool) -> tuple[Head, list[bytes]]:
-    """Return header and uncompressed sections."""
+    """Return the header and the uncompressed sections of a file."""
     bits = _bits(gaussians.means)
     steps = np.rint(gaussians.means.astype(np.float64) * 2**bits).clip(-REACH, REACH)
     centres = steps.astype("<i4").view(np.uint8).reshape(-1, 3, 4)[..., :3]
@@ -347,7 +347,7 @@ def _pack(gaussians: Gaussians, version: int, *, antialiased: bool) -> tuple[Hea
 
 
 def _bits(means: NDArray) -> int:
-    """Largest number of fractional bits with which the farthest centre fits."""
+    """Return the largest number of fractional bits with which all centres fit into 24 bits."""
     reach = float(np.abs(means).max(initial=1e-6))
     return int(np.clip(np.floor(np.log2(REACH / reach)), 0, MOST_BITS))
 
@@ -365,7 +365,7 @@ def _to_four(quats: NDArray) -> NDArray[np.uint8]:
 
 
 def _harmonics(rest: NDArray) -> NDArray[np.uint8]:
-    """Return bytes of the harmonics above degree 0, rounded to multiples of a step."""
+    """Return the bytes of the harmonics above degree 0, rounded to `HARMONIC_BITS`."""
     count = rest.shape[1]
     bits = np.repeat(HARMONIC_BITS, (3, 5, 7))[:count, None]
     step = (1 << (8 - bits)).astype(np.int16)

@@ -1,7 +1,7 @@
-"""OpenUSD: the whole clip as one animated prim, ParticleField3DGaussianSplat (OpenUSD 26.03).
+"""Writes OpenUSD: a whole clip as one animated prim, ParticleField3DGaussianSplat (OpenUSD 26.03).
 
-It is the only open format that keeps moving Gaussians in a single file. Units and axes are the
-project's (metres, z up), which USD declares in its header; opacities and scales are linear.
+Apart from `.4dgs`, no other open format stores moving Gaussians in a single file. Units and axes
+are those of phy124 (metres, z up), which the USD header declares. Opacities and scales are linear.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ REACH = 3.0
 def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
     """Write a clip as .usdc (binary), .usda (text) or .usd; needs the extra `usd`.
 
-    Positions, orientations, scales and, where they rotate with the material, spherical harmonics
-    are sampled in time; one time code is one frame. The file appears whole or not at all.
+    Positions, orientations and scales are sampled in time, as are spherical harmonics if they
+    rotate with the material. One time code is one frame. The file appears whole or not at all.
 
     Raises:
         InputError: If usd-core is not installed or too old, the clip is empty, or the file cannot
@@ -54,16 +54,16 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
 
 
 def refuse_missing_usd() -> None:
-    """Refuse USD files if the package that writes them is not installed.
+    """Raise an error if usd-core, the package that writes USD files, is missing or too old.
 
     Raises:
-        InputError: The package is missing or too old.
+        InputError: If the package is missing or too old.
     """
     _pxr()
 
 
 def _pxr() -> Any:
-    """Import the modules of OpenUSD that are used here."""
+    """Import the modules of OpenUSD that this module uses."""
     try:
         from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
 
@@ -75,7 +75,7 @@ def _pxr() -> Any:
 
 
 def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
-    """Create a stage with everything that does not change in time, and its prim of splats."""
+    """Create a stage with all constant properties, and return it and its prim of Gaussians."""
     stage = pxr.Usd.Stage.CreateNew(os.fspath(path))
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -97,9 +97,9 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 
 
 def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
-    """Set everything that moves, at a time code."""
+    """Set positions, scales, orientations and the bounding box at a time code."""
     vectors = pxr.Vt.Vec3fArray.FromNumpy
-    # In memory USD quaternions are (x, y, z, w).
+    # USD stores quaternions as (x, y, z, w) in memory.
     quats = np.ascontiguousarray(np.roll(gaussians.quats, -1, axis=1))
     splats.CreatePositionsAttr().Set(vectors(gaussians.means), code)
     splats.CreateScalesAttr().Set(vectors(gaussians.scales), code)
@@ -118,5 +118,5 @@ def _colour(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
 
 
 def _rate(clip: Clip) -> float:
-    """Frames per second at which the clip plays in real time."""
+    """Return the frame rate at which the clip plays in real time [1/s]."""
     return float((len(clip) - 1) / (clip.times[-1] - clip.times[0])) if len(clip) > 1 else 24.0
