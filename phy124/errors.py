@@ -56,9 +56,9 @@ class Incomplete(Exception):
         super().__init__(kept)
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
+def did_you_mean(word: str, known: Iterable[str], *, similarity: float = 0.6) -> str:
     """The sentence "Did you mean ...?" if a known word is close, else nothing."""
-    close = difflib.get_close_matches(word, [*known], 1)
+    close = difflib.get_close_matches(word, [*known], 1, similarity)
     return f"Did you mean {close[0]}?" if close else ""
 
 

@@ -1,5 +1,6 @@
 import json
 import re
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -375,6 +376,16 @@ def test_study_on_the_command_line(tmp_path, capsys, monkeypatch):
     assert made >= {"accuracy.json", "accuracy.html"}
     assert main(["accuracy"]) == 2
     assert "nothing to study" in capsys.readouterr().err
+
+
+def test_missing_matplotlib_is_a_note(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setattr(study_of.Study, "_row", lambda *_: (None, "left out"))
+    main(["accuracy", "drop", "--levels", "8", "12", "16", "--out", str(tmp_path / "o")])
+    lines = capsys.readouterr().out.splitlines()
+    (note,) = [line for line in lines if line.startswith("note: accuracy.png was not drawn: this")]
+    assert "accuracy.html shows the same figures." in note
+    assert lines[-1] == str(tmp_path / "o/accuracy.json")
 
 
 def test_study_without_levels_has_a_status(tmp_path, capsys, monkeypatch):

@@ -37,6 +37,9 @@ from support.shapes import ball
         ("generate x.png --max-seconds soon", "max-seconds = soon: it is not a number."),
         ("generate x.png --accuracy fnie", "there is no such choice. Did you mean fine?"),
         ("generate x.png --sise 3", "has no such option. Did you mean --size?"),
+        ("render clip.safetensors --frames 3", "no such option. See `phy124 render --help`."),
+        ("generate x.png --scene nofile.toml", "scene = nofile.toml: there is no such file. Give"),
+        ("generate x.png --size 10x", "view.size = 10x: it must be a number or WIDTHxHEIGHT"),
         ("render clip.safetensors --sise=3", "option = --sise: `phy124 render` has no such"),
         ("generate x.png y.png", "image = y.png: the scene takes one picture. Leave it out, or"),
         ("cutout x.png y.png", "argument = y.png: `phy124 cutout` takes no more values."),
@@ -177,6 +180,19 @@ def test_quiet_prints_nothing_but_problems(capsys):
     with silence(), Bars() as bars:
         bars("simulate", 1, 1)
     assert capsys.readouterr().err == ""
+
+
+def test_bars_repeat_no_line(capsys):
+    with Bars() as bars:
+        for done in range(3):
+            bars("study", 4, 6)
+            bars("compile", done, 2)
+        bars("study", 5, 6)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines.count("study: 4 of 6") == 1 and lines[-1] == "study: 5 of 6"
+    assert [line for line in lines if "compile" in line] == [
+        f"compile kernels, once: {done} of 2" for done in (0, 2)
+    ]
 
 
 def test_compiling_is_told_as_what_happens_once(capsys):

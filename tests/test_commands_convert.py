@@ -34,7 +34,7 @@ def told(capsys, *words) -> dict:
 def test_one_frame_and_all_frames_of_still_formats(clip, capsys, three_gaussians, name):
     suffix = FORMATS[name].suffix
     (file,) = told(capsys, "export", clip, "--to", name, "--frame", 2)["files"]
-    assert file == str(clip.with_name(f"clip_0002{suffix}"))
+    assert file == str(clip.with_name(f"clip_0003{suffix}")), "named as with --all"
     there = read_gaussians(file).gaussians.means
     np.testing.assert_allclose(there, three_gaussians.means + [2, 0, 0], atol=1e-3)
     files = told(capsys, "export", clip, "--to", name, "--all")["files"]

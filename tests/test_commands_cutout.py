@@ -136,3 +136,15 @@ def test_what_was_ignored_in_a_picture_is_noted(tmp_path, capsys):
     assert "note: The picture's colour profile cannot be used" in said.err
     assert "note: Nothing in the picture is opaque" in said.err
     assert "cut out by the picture's own transparency" in said.out
+
+
+def test_cutout_into_a_closed_folder_is_refused(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def refuse(*_: object, **options: object) -> None:
+        raise PermissionError(13, "Permission denied", "out")
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    assert main(["cutout", str(DUCK)]) == 2
+    error = capsys.readouterr().err
+    assert "it cannot be written (Permission denied). Choose another folder." in error

@@ -107,11 +107,11 @@ class ShowAccuracy:
             bars.close()
             write_whole(folder / "accuracy.json", json.dumps(report.data(), indent=1))
             save_page(report, folder / "accuracy.html", title=f"{name}: accuracy and time")
-            missing = ""
+            note = ""
             try:
                 save_picture(report, folder / "accuracy.png", title=f"{name} on {context.device}")
             except InputError as refusal:
-                missing = str(refusal)
+                note = f"accuracy.png was not drawn: {refusal.limit} {refusal.remedy}"
         if self.json:
             print(json.dumps(report.data()))
             return bars.status(KEPT) or _status(report)
@@ -122,7 +122,9 @@ class ShowAccuracy:
             print(self._advice(levels, report, study.scene.particles_per_axis), end="")
         for preset, said in report.promises.items():
             print(f"promise of {preset}: {said}")
-        print("\n".join(str(path) for path in sorted(out.glob("accuracy.*"))), missing, sep="\n")
+        if note:
+            print(f"note: {note}")
+        print("\n".join(str(path) for path in sorted(out.glob("accuracy.*"))))
         return bars.status(KEPT) or _status(report)
 
     def _sorted_levels(self, scene: Scene) -> tuple[int, ...]:

@@ -59,7 +59,9 @@ class Bars:
         """Whether Ctrl-C has ended the work or a part of it."""
         self.ended: Exception | None = None
         """The exception that ended the work early, including Ctrl-C."""
-        self._stage, self._said, self._next_line = "", "", 0.0
+        self._stage, self._next_line = "", 0.0
+        self._lines: dict[str, str] = {}
+        """Stage -> its last line."""
         self._signals = handling(self._remember)
 
     def __enter__(self) -> Bars:
@@ -133,8 +135,9 @@ class Bars:
         """Print a line when a stage begins and ends, and at intervals in between."""
         now, line = time.monotonic(), f"{stage}: {done} of {total}{self._left()}"
         due = stage != self._stage or done == total or now >= self._next_line
-        if due and line != self._said:
-            self._stage, self._said, self._next_line = stage, line, now + BETWEEN_LINES
+        if due and line != self._lines.get(stage):
+            self._stage, self._next_line = stage, now + BETWEEN_LINES
+            self._lines[stage] = line
             self._say(line)
 
     def _left(self) -> str:

@@ -78,7 +78,8 @@ class Export:
     """clip.safetensors made by `phy124 generate`."""
     to: Annotated[str, tyro.conf.arg(help=f"Format. {TO}", metavar="FORMAT")]
     frame: int | None = None
-    """Number of the frame to write, from 0; default 0, or all frames if the format holds motion."""
+    """Number of the frame to write, from 0; default 0, or all frames if the format holds motion.
+    The file is named as with --all, where the first is 0001."""
     all: bool = False
     """Write every frame, as one file or as numbered files."""
     out: Path | None = None
@@ -120,7 +121,7 @@ class Export:
             names = write_frames(path, clip, chosen, name=self.clip.stem, progress=bars)
             return [path] if path.is_file() else [path / name for name in names]
         index = self.frame or 0
-        name = f"{self.clip.stem}_{index:04}{chosen.suffix}"
+        name = f"{self.clip.stem}_{index + 1:04}{chosen.suffix}"
         path = self.out or self.clip.with_name(name)
         chosen.write(path, clip.frame(index).gaussians)
         return [path]

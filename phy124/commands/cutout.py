@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -68,9 +69,14 @@ class CutOut:
         if out.suffix.lower() not in KINDS:
             limit = "A cut-out needs a format with transparency."
             raise InputError("out", out, limit, "End the name in .png or .webp.")
-        if self.out is None:
-            out.parent.mkdir(exist_ok=True)
-        with replacing(out) as temporary:
+        with ExitStack() as stack:
+            try:
+                if self.out is None:
+                    out.parent.mkdir(exist_ok=True)
+                temporary = stack.enter_context(replacing(out))
+            except PermissionError as error:
+                limit = f"it cannot be written ({error.strerror})."
+                raise InputError("out", out, limit, "Choose another folder.") from None
             cutout = self._cut_out()
             cutout.save(temporary)
         if self.json:

@@ -33,7 +33,10 @@ def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
         return tomllib.loads(Path(path).read_text("utf-8-sig"))
     except (OSError, UnicodeDecodeError) as error:
         preset = " or a preset name" if field == "scene" else ""
-        limit, remedy = f"it cannot be read ({error}).", f"Give a TOML file{preset}."
+        why = error.strerror if isinstance(error, OSError) else error
+        limit, remedy = f"it cannot be read ({why}).", f"Give a TOML file{preset}."
+        if isinstance(error, FileNotFoundError):
+            limit = "there is no such file."
     except RecursionError:
         limit, remedy = "its lists are nested too deep.", "Leave out what does not belong to it."
     except tomllib.TOMLDecodeError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -26,7 +27,13 @@ Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
 def _width_and_height(size: Any) -> Any:
-    """Convert 512, "512", [640, 480] or "640x480" to two numbers; leave the rest to validation."""
+    """Convert 512, "512", [640, 480] or "640x480" to two numbers; leave the rest to validation.
+
+    Raises:
+        ValueError: A text is neither a number nor two numbers.
+    """
+    if isinstance(size, str) and not re.fullmatch(r"\s*\d+\s*(x\s*\d+\s*)?", size.lower()):
+        raise ValueError("it must be a number or WIDTHxHEIGHT in pixels, such as 512 or 640x480.")
     sides = size.lower().split("x") if isinstance(size, str) else size
     sides = sides if isinstance(sides, (tuple, list)) else [sides]
     return [*sides, *sides] if len(sides) == 1 else sides

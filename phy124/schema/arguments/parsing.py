@@ -24,6 +24,8 @@ from phy124.schema.arguments.words import (
 
 NARROWEST = 40
 """Smallest number of columns for which help is laid out."""
+SIMILAR = 0.75
+"""Similarity of an unknown option to a known one that is suggested instead."""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
 
@@ -221,7 +223,7 @@ def _explain_unknown(tokens: Sequence[str], command: str, options: Sequence[str]
         limit = f"`{command}` takes no more values."
         return InputError("argument", tokens[0], limit, f"See `{command} --help`.")
     name = strange[0].partition("=")[0]
-    hint = did_you_mean(name, options) or f"See `{command} --help`."
+    hint = did_you_mean(name, options, similarity=SIMILAR) or f"See `{command} --help`."
     return InputError("option", name, f"`{command}` has no such option.", hint)
 
 
