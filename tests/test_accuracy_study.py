@@ -84,9 +84,10 @@ def test_study_loses_energy_and_omits_momentum_in_contact(study):
 
 def test_it_is_told_where_the_energy_went(study):
     for row in study[1].rows:
-        assert sum(row.lost_to.values()) == pytest.approx(row.energy_lost, abs=1e-6)
+        inside = row.lost_to["material"] + row.lost_to["numerical"]
+        assert inside == pytest.approx(row.energy_lost, abs=1e-6), "walls are not in energy_lost"
         assert row.lost_to["material"] > 0.002, "the ball is damped"
-        assert abs(row.lost_to["contact"]) < 1e-6, "it lands straight from above"
+        assert 0 <= row.lost_to["contact"] < 2e-3, "it hardly slides on the ground"
     by_name = {row.name: row.lost_to["numerical"] for row in study[1].rows}
     assert by_name["D/8"] > 2 * by_name["D/16"] > 0, "finer grids lose less"
 
