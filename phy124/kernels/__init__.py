@@ -1,8 +1,8 @@
-"""Device code, one formula per function, and how it is compiled; nothing else.
+"""Device code: one formula per function, and the helpers that compile it.
 
-The arguments of every kernel come in one order: the model's, which a launch does not change
-(numbers, the model's arrays, lattice, window, clock and the tables of the tracks); the state's,
-which are read; and those that are written, or read and written. Names of arrays that are written
-end in `_out`, and no others do. Launches pass their arguments in the same order.
-tests/test_kernels_order.py checks this. `arguments` declares what the names mean.
+All kernels take their arguments in one order. First come the model's arguments, which a launch does
+not change (numbers, the model's arrays, lattice, window, clock and the tables of the tracks). Then
+come the state arrays that are only read, and last the arrays that are written. Only names of
+written arrays end in `_out`. Launches pass their arguments in the same order.
+tests/test_kernels_order.py checks these rules. `arguments` declares what each name means.
 """

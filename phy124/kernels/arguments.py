@@ -1,8 +1,9 @@
 """Types of one precision, and the arguments of kernels: each has one name, type and meaning.
 
-A kernel that is built for a precision names its arguments; `build.kernel` gives them the types that
-are declared here. An argument that is written has the name of what is read, followed by `_out`.
-Arguments with other types, or of a single kernel, are annotated in its signature.
+A kernel that is built for one precision only names its arguments; `build.kernel` gives them the
+types that are declared in this module. A written array is named like the array that is read,
+followed by `_out`. Arguments with other types, or used by a single kernel, are annotated in the
+kernel's signature.
 """
 
 from functools import cache
@@ -13,11 +14,11 @@ import warp as wp
 Ints = wp.array(dtype=int)
 Doubles = wp.array(dtype=wp.float64)
 Box = wp.array(dtype=wp.vec3i)
-"""A box of nodes: the lowest, and their number along each axis."""
+"""A box of nodes: its lowest node, and the number of nodes along each axis."""
 
 
 class Types(NamedTuple):
-    """Numbers, vectors and matrices of one precision, and arrays of them."""
+    """Number, vector and matrix types of one precision, and types of arrays of them."""
 
     real: Any
     vec2: Any
@@ -34,7 +35,7 @@ class Types(NamedTuple):
 
 @cache
 def types(real: Any) -> Types:
-    """The types of one precision; `real` is wp.float32 or wp.float64."""
+    """Return the types of one precision; `real` is wp.float32 or wp.float64."""
     vector, matrix = wp.types.vector, wp.types.matrix
     single = [real, *(vector(n, real) for n in (2, 3, 4)), matrix((3, 3), real)]
     return Types(*single, matrix((4, 4), real), *(wp.array(dtype=kind) for kind in single))
@@ -42,11 +43,11 @@ def types(real: Any) -> Types:
 
 @cache
 def arguments(real: Any, width: int = 0) -> dict[str, Any]:
-    """Name -> type of the arguments of kernels.
+    """Return the types of the kernels' arguments by name.
 
     Args:
         real: wp.float32 or wp.float64.
-        width: Number of parameters of the law.
+        width: Number of parameters of the constitutive law.
     """
     t = types(real)
     model = {

@@ -1,8 +1,9 @@
-"""Particles beyond the grid: nothing but the uniform acceleration acts on them.
+"""Ballistic motion of particles outside the grid: only the uniform acceleration acts on them.
 
-Whether a particle takes part in a substep is decided when it scatters. While the others gather, it
-is moved to where no particle gathers; otherwise a particle that crosses the edge during the
-gather, in either direction, would be moved twice.
+Whether a particle is outside the grid is decided when particles scatter, and holds for the whole
+substep. Such particles are moved out of the gather's window until the gather is over. Otherwise a
+particle that crosses the window's edge during the gather, in either direction, would be moved
+twice.
 """
 
 from functools import cache
@@ -20,7 +21,7 @@ OUT_OF_SIGHT = wp.constant(4)
 
 @cache
 def make_hide(real: Any):
-    """Kernel: moves the chosen particles that were outside the scatter's window away."""
+    """Kernel: hides the chosen particles that were outside the window during the scatter."""
     t = types(real)
 
     @kernel(f"phy124_hide_{real.__name__}", real)
@@ -43,7 +44,7 @@ def make_hide(real: Any):
 
 @cache
 def make_fly(real: Any):
-    """Kernel: moves the hidden particles back, then kicks and moves them ballistically."""
+    """Kernel: restores the hidden particles' positions, then kicks and moves them ballistically."""
     t = types(real)
 
     @kernel(f"phy124_fly_{real.__name__}", real)

@@ -1,10 +1,12 @@
-"""How kernels are compiled: forward only, each variant in a module with a name of its own.
+"""Compilation of kernels: forward only, each variant in a module with a name of its own.
 
-Warp hashes the set of functions that a closure uses, but not their roles, so variants need names.
-Products and sums are contracted to fused multiply-adds, as CUDA compilers do by default: a substep
-takes a seventh less time on a CPU and rounds less. Nothing is reordered, but which of two products
-is contracted depends on the layout of the code: merging two early returns of `collide.contact`
-changed the last digit of float32 results. tests/benchmarks/fingerprints.py compares two commits.
+Warp hashes the set of functions that a closure uses, but not the role of each, so two variants that
+use the same functions would share a hash: each needs its own module name. Products and sums are
+contracted to fused multiply-adds, as CUDA compilers do by default: this shortens a substep by one
+seventh on a CPU and reduces rounding errors. Operations are not reordered, but which of two
+products is contracted depends on the layout of the code: merging two early returns of
+`collide.contact` changed the last digit of float32 results. tests/benchmarks/fingerprints.py
+compares two commits.
 """
 
 import inspect
@@ -23,15 +25,15 @@ CONTRACT = "-ffp-contract=fast"
 def kernel(
     module: str, real: Any = None, *, width: int = 0, seconds: float = 0.0
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: a kernel of the Warp module of that name.
+    """Return a decorator that compiles a function as a kernel of the named Warp module.
 
     Args:
         module: The module's name.
-        real: Precision, in which arguments that the kernel only names are declared
-            (`arguments.arguments`); None: all are annotated.
+        real: Precision of the arguments that the signature does not annotate, whose types
+        `arguments.arguments` declares; None if the signature annotates all arguments.
         width: Number of parameters of the law, if the kernel is built for one.
-        seconds: Processor time to compile the module on one core of an AMD EPYC [s], kept as the
-            kernel's attribute; 0 where it hardly matters.
+        seconds: CPU time to compile the module on one core of an AMD EPYC [s], kept as the kernel's
+        attribute; 0 if it is negligible.
     """
     flags = wp.config.cpu_compiler_flags
     native = "-march=native" if flags is None else flags
@@ -39,7 +41,7 @@ def kernel(
 
     def build(function: Callable[..., Any]) -> Any:
         declared = {} if real is None else arguments(real, width)
-        # Warp takes the order of the arguments from that of the annotations.
+        # Warp takes the order of the arguments from the order of the annotations.
         types = {**declared, **function.__annotations__}
         names = inspect.signature(function).parameters
         function.__annotations__ = {name: types[name] for name in names}

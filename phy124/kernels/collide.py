@@ -1,15 +1,17 @@
-"""Colliders: nodes near a wall respond to it between the grid update and the gather.
+"""Colliders: nodes near a wall respond to the wall between the grid update and the gather.
 
-Node n of the window is at origin + (window[0] + (i, j, k)) dx. A collider is built from a distance
-function and a response, so an absent shape or mode costs nothing.
+Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx. A collider is compiled for
+one distance function and one response, so shapes and modes that are not used cost nothing.
 
-`make_contact` places contact at the wall itself, between the nodes: see phy124/kernels/columns.py.
-At a flat wall every node is in one column. At a curved one columns cross: there the nodes stay as
-they are until all columns have said how they should change, and `make_settle` gives each node the
-mean of that, so that the result does not depend on the order of the nodes. (The sum would be twice
-too much where columns agree: it squeezed bodies flat.)
+`make_contact` enforces contact at the wall itself, between the nodes: see
+phy124/kernels/columns.py. At a flat wall every node is in one column. At a curved wall columns
+cross: there the nodes keep their velocities until every column has computed its changes.
+`make_settle` then adds the mean change to each node, so that the result does not depend on the
+order of the nodes. (The sum of the changes would be up to twice too large where columns agree, and
+squeezed bodies flat.)
 
-`make_collider` is the usual rule, node by node, for regions that are held only in some directions.
+`make_collider` applies the usual rule, node by node, for regions that are held only in some
+directions.
 """
 
 from functools import cache
@@ -33,7 +35,7 @@ from phy124.kernels.distance import SHAPES
 
 @wp.func
 def steepest(n: Any):
-    """The axis closest to a direction."""
+    """Return the axis closest to a direction."""
     axis = int(0)
     if wp.abs(n[1]) >= wp.abs(n[0]):
         axis = 1
@@ -44,7 +46,7 @@ def steepest(n: Any):
 
 @wp.func
 def inward(s: Any, axis: int):
-    """The step along an axis from one node to the next, towards a wall at the distance s."""
+    """Return the step along an axis to the next node towards a wall; s is normal and distance."""
     step = wp.vec3i()
     step[axis] = -int(wp.sign(s[axis]))
     return step
@@ -52,7 +54,7 @@ def inward(s: Any, axis: int):
 
 @wp.func
 def place(lattice: Any, node: wp.vec3i):
-    """Position of a node of the grid [m]."""
+    """Return the position of a node of the grid [m]."""
     dx = lattice[3]
     return wp.vector(
         lattice[0] + dx * type(dx)(node[0]),
@@ -63,13 +65,13 @@ def place(lattice: Any, node: wp.vec3i):
 
 @wp.func
 def front(s: Any, axis: int, dx: Any):
-    """Whether a node at the distance s is at least half a cell in front of a wall along an axis."""
+    """Return whether a node is at least half a cell in front of a wall, measured along an axis."""
     return s[3] >= type(dx)(0.5) * dx * wp.abs(s[axis])
 
 
 @wp.func
 def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
-    """Whether a node is in the window and in the layers that a launch may touch."""
+    """Return whether a node is in the window and in the layers that a launch may change."""
     return (
         node[0] >= span[0]
         and node[1] >= 0
@@ -82,13 +84,13 @@ def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
 
 @wp.func
 def strides(size: wp.vec3i):
-    """Distance in memory between neighbours along each axis."""
+    """Return the distance in memory between neighbours along each axis."""
     return wp.vec3i(size[1] * size[2], size[2], 1)
 
 
 @wp.func
 def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
-    """Whether a node may be touched by this launch and has mass."""
+    """Return whether this launch may change a node and the node has mass."""
     if not holds(size, span, node):
         return False
     q = grid[wp.dot(node, strides(size))]
@@ -97,13 +99,13 @@ def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.ve
 
 @wp.func
 def add_velocity(nodes_out: wp.array(dtype=Any), n: int, change: Any):
-    """Change the velocity of a node and leave its mass as it is, which other threads read."""
+    """Change the velocity of a node, but not its mass, which other threads read."""
     nodes_out[n] += wp.vector(change[0], change[1], change[2], type(change[0])(0.0))
 
 
 @wp.func
 def add_wish(changes_out: wp.array(dtype=Any), n: int, change: Any):
-    """Add how a node should change, which weighs as much as it changes."""
+    """Add a velocity change requested for a node, weighted by the size of the change."""
     weight = wp.length(change)
     changes_out[n] += weight * wp.vector(change[0], change[1], change[2], type(weight)(1.0))
 
@@ -114,10 +116,11 @@ FLAT = {"half_space"}
 
 @cache
 def make_settle(real: Any):
-    """Kernel over the nodes of a sub-box: changes each by the mean of what its columns want.
+    """Kernel over the nodes of a sub-box: adds the mean change that a node's columns request.
 
-    `changes_out` holds the sums of changes times weights and of weights, and is zero afterwards. A
-    column weighs as much as it changes, so that one that is hardly pushed does not count suddenly.
+    `changes_out` holds the sums of weighted changes and of weights, and is zero afterwards. The
+    weight of a column is the size of its change, so that the mean varies continuously when a column
+    begins to push.
     """
     t = types(real)
 
@@ -137,16 +140,17 @@ def make_settle(real: Any):
 
 @cache
 def make_contact(shape: str, response: str, moving: bool, real: Any):
-    """Kernel over parts of rows in a sub-box, `each` nodes long: columns of three nodes respond.
+    """Kernel over segments of rows in a sub-box, `each` nodes long: columns of three nodes respond.
 
-    A column's first node handles all three. Nodes further behind, or in columns
-    without material in front, respond one by one below `reach` [m] of signed distance; so do
-    columns that leave `span`, the layers first <= i < last that this launch may touch. A moving
-    shape is displaced by the value of its track, and its wall moves at the track's rate, while the
-    track is active. `lightest` is the mass of a node inside the lightest of several materials [kg],
-    or infinite, and `full` the fraction of the expected mass with which they count as having come
-    to the wall. Below `loose` [m], nodes of columns that the wall does not push respond one by one.
-    A flat wall changes `grid_out`, others `changes_out` (see `make_settle`).
+    A column's first node handles all three nodes. Nodes further behind the wall, or in columns
+    without material in front of the wall, respond one by one if their signed distance is below
+    `reach` [m]. So do nodes of columns that extend beyond `span`, the layers first <= i < last that
+    this launch may change. A moving shape is displaced by the value of its track, and its wall
+    moves at the track's rate, while the track is active. `lightest` is the mass of a fully covered
+    node in the lightest of several materials [kg], or infinite. `full` is the fraction of the
+    expected mass at which material counts as having reached the wall. In columns that the wall does
+    not push, nodes below the signed distance `loose` [m] respond one by one. A flat wall changes
+    `grid_out`, other walls change `changes_out` (see `make_settle`).
 
     Args:
         shape: Name of a distance function.
@@ -185,7 +189,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         if grid_out[n][3] <= real(0.0):
             return
 
-        # The first of three nodes at the wall leads; this may be that one, or one of those behind.
+        # The column's first node is the first of three nodes at the wall: this node, or one of the
+        # two in front of it.
         dx = lattice[3]
         s = distance(place(lattice, low + here) - moved, geometry)
         axis = steepest(s)
@@ -205,7 +210,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         s2 = distance(place(lattice, low + end) - moved, geometry)
         column = front(s0, axis, dx) and s2[3] <= real(0.0)
 
-        # A node without such a column responds by itself.
+        # A node without a complete column responds by itself.
         if not (column and laden(grid_out, size, span, lead) and holds(size, span, end)):
             if s[3] < reach:
                 v = answer(xyz(grid_out[n]), wall, xyz(s), friction)
@@ -217,8 +222,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         if not leads:
             return
 
-        # The column follows the wall; masses are shares, for squares of momenta in small units
-        # would be nothing in float32.
+        # The column follows the wall. Masses are fractions of the column's mass, because squares of
+        # momenta in SI units would underflow in float32.
         q0 = grid_out[n]
         q1 = grid_out[n + step]
         q2 = grid_out[n + 2 * step]
@@ -234,7 +239,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         above = real(0.0)
         if laden(grid_out, size, span, lead - back):
             above = grid_out[n - step][3] / mass
-        # Drops and grains get behind a wall now and then, see below.
+        # Drops and grains sometimes get behind a wall, see below.
         beyond = real(0.0)
         if wp.isinf(loose) and laden(grid_out, size, span, end + back):
             beyond = grid_out[n + 3 * step][3] / mass
@@ -250,8 +255,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
                 add_rows(changes_out, n, step, m, weight * change, weight)
             return
 
-        # Next to a tip or a hair, a column that the wall does not push yet would let material out
-        # that the body squeezes through the wall.
+        # Next to a tip or a hair, the body squeezes material through the wall: a column that the
+        # wall does not push yet must hold this material back.
         if wp.isinf(loose):
             if wp.min(m[1], m[2]) > real(0.0):
                 last = n + 2 * step
@@ -262,8 +267,9 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
                     add_wish(changes_out, last, wanted)
             return
 
-        # What has got behind the wall would go on while nothing in front of it presses. (Where it
-        # does, the linear velocity decides: nodes stopped then would press on the lowest layer.)
+        # Material behind the wall would move on if nothing in front of the wall presses. (If
+        # something presses, the column's linear velocity applies: nodes stopped before would press
+        # on the lowest layer.)
         for row in range(1, 3):
             behind = n + row * step
             s = s1
@@ -331,7 +337,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
 def make_collider(shape: str, response: str, moving: bool, real: Any):
     """Kernel over the nodes of a sub-box: velocities inside a shape respond to its wall.
 
-    A node counts as inside below `reach` [m] of signed distance. A moving shape is displaced by the
+    A node is inside if its signed distance is below `reach` [m]. A moving shape is displaced by the
     value of its track, and its wall moves at the track's rate, while the track is active.
 
     Args:

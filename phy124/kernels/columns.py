@@ -1,20 +1,22 @@
-"""Columns: three nodes in a row at a wall, which respond to it together.
+"""Columns: three nodes in a row at a wall, which respond to the wall together.
 
-Contact is at the wall itself, between the nodes. Along the axis closest to the
-wall's normal, the velocity relative to the wall is to be linear in the distance and zero on the
-wall: the first node at least half a cell in front of the wall leads, and the two behind it follow
-with the ratios g of their distances (quadratic B-splines reproduce linear functions, and reach no
-further behind). Momentum is projected onto such velocities, v_1 = sum(g m v) / sum(g^2 m), which
-never adds energy and pushes on all three nodes alike; without this a wall is as soft as a layer one
-cell thick. (Extended B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has
-reached it, as the masses of the nodes on its two sides show: see `coverage`.
+Contact is enforced at the wall itself, between the nodes. Along the axis closest to the wall's
+normal, the velocity relative to the wall is made linear in the distance and zero on the wall. The
+first node is the last one that is at least half a cell in front of the wall; the velocities of the
+two nodes behind it are its velocity times the ratios g of their distances. (Quadratic B-splines
+reproduce linear functions, and reach no further behind the wall.) Momentum is projected onto such
+velocities, v_1 = sum(g m v) / sum(g^2 m). This projection never adds energy and pushes on all three
+nodes; without it, a wall is as compliant as a layer of material one cell thick. (Extended
+B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has reached it, which is
+determined from the masses of the nodes on its two sides: see `coverage`.
 
-Held material ends in the same way at the surface of its region: the nodes inside are held, and the
-one next to the surface follows the one in front of it so that the velocity is zero where the region
-ends, g = (1, -w0 / w1, 0) with the weights w of the nodes there.
+Held material is treated in the same way at the surface of its region. The nodes inside the region
+are held. The velocity of the node next to the surface is set from the node in front of it, so that
+the interpolated velocity is zero where the region ends: g = (1, -w0 / w1, 0) with the weights w of
+the nodes at the surface.
 
-A node by itself responds by `sticky`, `slip` or `separate`; `all_of_it`, `none_of_it` and `coulomb`
-are the fraction of the motion along the wall that a column loses.
+A single node responds by `sticky`, `slip` or `separate`. For a column, `all_of_it`, `none_of_it`
+and `coulomb` return the fraction of the tangential motion that the wall stops.
 """
 
 from typing import Any, NamedTuple
@@ -26,19 +28,19 @@ from phy124.kernels.transfer import spline
 
 @wp.func
 def sticky(v: Any, wall: Any, n: Any, friction: Any):
-    """The node moves with the wall."""
+    """Return the wall's velocity: the node sticks to the wall."""
     return wall
 
 
 @wp.func
 def slip(v: Any, wall: Any, n: Any, friction: Any):
-    """No motion through or away from the wall, free motion along it."""
+    """Remove the normal velocity relative to the wall; tangential motion is free."""
     return v - wp.dot(v - wall, n) * n
 
 
 @wp.func
 def separate(v: Any, wall: Any, n: Any, friction: Any):
-    """May leave the wall; Coulomb friction while pressed on it (Stomakhin et al. 2013, sec. 8)."""
+    """Let the node leave the wall; else Coulomb friction (Stomakhin et al. 2013, sec. 8)."""
     relative = v - wall
     speed = wp.dot(relative, n)
     if speed >= type(speed)(0.0):
@@ -52,19 +54,19 @@ def separate(v: Any, wall: Any, n: Any, friction: Any):
 
 @wp.func
 def all_of_it(along: Any, pressed: Any, friction: Any):
-    """1: a sticky wall takes all of the motion along it."""
+    """Return 1: a sticky wall stops all tangential motion."""
     return type(pressed)(1.0)
 
 
 @wp.func
 def none_of_it(along: Any, pressed: Any, friction: Any):
-    """0: a wall without friction takes none of the motion along it."""
+    """Return 0: a wall without friction stops no tangential motion."""
     return type(pressed)(0.0)
 
 
 @wp.func
 def coulomb(along: Any, pressed: Any, friction: Any):
-    """Fraction of the motion along the wall that friction can stop."""
+    """Return the fraction of the tangential motion that Coulomb friction can stop."""
     wanted = wp.length(along)
     if wanted <= friction * pressed:
         return type(pressed)(1.0)
@@ -72,15 +74,19 @@ def coulomb(along: Any, pressed: Any, friction: Any):
 
 
 NARROWING = wp.constant(1.45)
-"""Power between the ratios of neighbouring nodes: 1.1 to 1.3 of an edge, 1.2 to 1.6 of a cone."""
+"""Exponent that relates the mass ratios of successive node pairs: 1.1 to 1.3 for an edge, 1.2 to
+1.6 for a cone.
+"""
 OUT_OF_REACH = wp.constant(-1.25)
-"""Distance [cells] of a node behind a wall from which on it has nothing of a body in front of it:
-the nearest particles are a quarter of a cell away from the wall."""
+"""Distance [cells] of a node from a wall, negative behind it, below which the node has no mass from
+a body in front of the wall: the body's nearest particles are a quarter of a cell away from the
+wall.
+"""
 
 
 @wp.func
 def coverage(u: Any):
-    """Fraction of a quadratic B-spline beyond a plane that is u cells before its centre."""
+    """Return the fraction of a quadratic B-spline beyond a plane u cells before its centre."""
     unit = type(u)(1.0)
     sixth = type(u)(1.0 / 6.0)
     reach = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
@@ -94,24 +100,25 @@ def coverage(u: Any):
 
 @wp.func
 def xyz(q: Any):
-    """The first three components: a node's velocity, a distance's normal, or a track's value."""
+    """Return three components: a node's velocity, a distance's normal, or a track's value."""
     return wp.vector(q[0], q[1], q[2])
 
 
 @wp.func
 def relative(q0: Any, q1: Any, q2: Any, wall: Any):
-    """The velocities of a column's nodes relative to a wall [node, axis]."""
+    """Return the velocities of a column's nodes relative to a wall [node, axis]."""
     return wp.matrix_from_rows(xyz(q0) - wall, xyz(q1) - wall, xyz(q2) - wall)
 
 
 @wp.func
 def narrow(m: Any, farther: Any, u: Any):
-    """Factor on the mass expected nearer to a wall, of a body that narrows towards it.
+    """Return the factor on the mass expected at the next node, for a body narrowing to the wall.
 
-    The body has the mass m on a node u cells in front of the wall, and `farther` on the next one.
-    If it were straight, their ratio would be that of `coverage`. Where its cross-section grows with
-    a power of the distance, the ratio is smaller by a factor, and the next ratio towards the wall
-    by about that factor to the power of `NARROWING`.
+    The body has the mass m on a node u cells in front of the wall, and the mass `farther` on the
+    next node away from the wall. For a body of constant cross-section, the ratio of these masses is
+    the ratio of their `coverage`. If the cross-section grows with a power of the distance, this
+    ratio is smaller by a factor, and the next ratio towards the wall is smaller by about the same
+    factor to the power of `NARROWING`.
     """
     unit = type(u)(1.0)
     return wp.pow(
@@ -121,17 +128,20 @@ def narrow(m: Any, farther: Any, u: Any):
 
 @wp.func
 def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
-    """Whether material has reached a wall: nodes u cells in front of it have masses m.
+    """Return whether material has reached a wall; m are the masses of nodes u cells in front.
 
-    A body that touches the wall covers their splines in a known ratio; with a gap, less is on the
-    nearer node. The ratio does not depend on how dense or wide the body is. Irregular particles
-    scatter about it, and a body must not stand on the few fullest columns only, so a fraction
-    `full` of it is enough. If something heavier lies on it, the farther node counts as at most a
-    full node of the `lightest` material.
+    A body that touches the wall covers the B-splines of two nodes in a known ratio; if there is a
+    gap, the nearer node has less mass. The ratio does not depend on the body's density or width.
+    Irregular particles scatter about this ratio, and the body must not rest on the few fullest
+    columns only, so the fraction `full` of the expected mass is enough. In case something heavier
+    lies on the body, the mass of the farther node is capped at the mass of a full node of the
+    `lightest` material.
 
-    Tips, edges and hairs have less on the nearer node although they touch. How they narrow is seen
-    one node farther from the wall: with the first two nodes for the one behind it, or with the mass
-    `above` the first where a body at the wall does not reach that one. What has mass `beyond` the
+    Tips, edges and hairs have less mass on the nearer node although they touch the wall. Their
+    narrowing is estimated one node farther from the wall: from the first two nodes for the third
+    node, or from the first node and the node in front of it (mass `above`) if a body at the wall
+    does not reach the third node. Mass behind the three nodes (`beyond`) means that material has
+    passed through the wall.
     three nodes has got through.
     """
     zero = type(above)(0.0)
@@ -150,19 +160,22 @@ def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: An
 
 @wp.func
 def has_mass(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
-    """Whether the node next to the surface of a region that holds has mass."""
+    """Return whether the node next to the surface of a holding region has mass."""
     return not m[1] <= type(above)(0.0)
 
 
 @wp.func
 def linear(distances: Any, across: Any):
-    """Ratios g of a velocity that is linear in the distance and zero on the wall."""
+    """Return the ratios g of a velocity that is linear in the distance and zero on the wall."""
     return distances / distances[0]
 
 
 @wp.func
 def ending(distances: Any, across: Any):
-    """Ratios g of a velocity that is zero where the region ends; `across` is the cell size [m]."""
+    """Return the ratios g of a velocity that is zero where the region ends.
+
+    `across` is the cell size [m].
+    """
     unit = type(across)(1.0)
     w = spline(distances[0] / across)
     return wp.vector(unit, -w[0] / w[1], type(across)(0.0))
@@ -170,16 +183,16 @@ def ending(distances: Any, across: Any):
 
 @wp.func
 def tie(v: Any, m: Any, g: Any):
-    """Change of the velocities [node, axis] of masses m that makes them follow with ratios g."""
+    """Return the change of velocities [node, axis] of masses m that makes them follow ratios g."""
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
 
 
 @wp.func
 def hold_back(behind: Any, front: Any, normal: Any):
-    """Change of a velocity behind a wall that goes into it faster than one in front of it does.
+    """Return the change of a velocity behind a wall that moves into it faster than one in front.
 
-    It only makes the motion slower, so it never adds energy.
+    The change only slows the motion, so it never adds energy.
     """
     zero = type(normal[0])(0.0)
     fastest = wp.min(wp.dot(front, normal), zero)
@@ -188,25 +201,25 @@ def hold_back(behind: Any, front: Any, normal: Any):
 
 @wp.func
 def along_wall(change: Any, normal: Any):
-    """The part of changes [node, axis] that is along a wall."""
+    """Return the tangential component of velocity changes [node, axis] at a wall."""
     return change - wp.outer(change * normal, normal)
 
 
 @wp.func
 def pressing(pressed: Any):
-    """Whether the wall pushes: it lets go of material that leaves."""
+    """Return whether the wall pushes: material that moves away is not held."""
     return pressed > type(pressed)(0.0)
 
 
 @wp.func
 def either_way(pressed: Any):
-    """Always true: the wall does not let go of material that leaves."""
+    """Return True: the wall acts on approaching and on departing material."""
     return True
 
 
 @wp.func
 def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any, fourth: Any):
-    """Add changes of velocity [node, axis], and a number, to a column's nodes with mass."""
+    """Add velocity changes [node, axis], and a fourth component, to a column's nodes with mass."""
     for row in range(3):
         if m[row] > type(m[row])(0.0):
             nodes[first + row * step] += wp.vector(
@@ -215,18 +228,19 @@ def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: 
 
 
 class Response(NamedTuple):
-    """How nodes respond to a wall: one by one, or as a column of three."""
+    """Functions of a wall's response, for single nodes and for columns of three."""
 
     answer: Any
-    """`(v, wall, n, friction) -> v` of a node by itself."""
+    """`(v, wall, n, friction) -> v` of a single node."""
     acts: Any
-    """`(m, above, beyond, u, lightest, full)`: whether the wall acts on a column yet."""
+    """`(m, above, beyond, u, lightest, full)`: whether material has reached the wall."""
     ratios: Any
-    """`(distances, across) -> g`, how the velocities of a column follow the first."""
+    """`(distances, across) -> g`: ratios of the velocities in a column to that of its first node.
+    """
     pushes: Any
-    """`(pressed)`: whether it acts, by the impulse per mass along its normal."""
+    """`(pressed)`: whether the wall acts, from the impulse per mass along its normal."""
     hold: Any
-    """`(along, pressed, friction)`: the fraction of the motion along the wall that it takes."""
+    """`(along, pressed, friction)`: the fraction of the tangential motion that the wall stops."""
 
 
 RESPONSES = {

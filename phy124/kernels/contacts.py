@@ -1,9 +1,9 @@
-"""What single walls give: to each particle (contacts), and in all (wrenches), in a substep.
+"""Impulse of single walls in a substep: on each particle (contacts) and in total (wrenches).
 
-A wall changes the velocity of nodes. With the weights w_ip by which the particles' mass came to a
-node, its impulse m_i (v_after - v_before) is shared out as m_p w_ip (v_after - v_before): the
-shares of all particles are the whole, since m_i = sum_p m_p w_ip. A wrench is the impulse of a wall
-on all nodes and its moment, in float64.
+A wall changes the velocity of nodes. The impulse m_i (v_after - v_before) on a node is divided
+among the particles by the weights w_ip with which their mass was scattered to the node: particle p
+receives m_p w_ip (v_after - v_before). The shares add up to the node's impulse, since m_i = sum_p
+m_p w_ip. A wrench is the total impulse of a wall on all nodes and its moment, in float64.
 """
 
 from functools import cache
@@ -21,7 +21,7 @@ from phy124.kernels.transfer import first_node, in_window, spline
 
 @cache
 def make_contact_copy(real: Any):
-    """Kernel over parts of rows in a box, `each` nodes long: stores what they are before a wall."""
+    """Kernel over segments of rows in a box, `each` nodes long: copies the nodes before a wall."""
 
     @kernel(f"phy124_contact_copy_{real.__name__}", real, seconds=0.15)
     def contact_copy(each, box, window, grid, kept_out, low_out: Ints, high_out: Ints):
@@ -40,8 +40,9 @@ def make_contact_copy(real: Any):
 
 @cache
 def make_contact_reach(real: Any):
-    """Kernel over the same parts: how the wall has changed each velocity, in place of the kept one,
-    and the lowest and the highest node that it has changed.
+    """Kernel over the same segments: replaces each copied node by the change that a wall made.
+
+    It also stores the lowest and the highest changed node.
     """
     t = types(real)
 
@@ -76,7 +77,7 @@ def make_contact_reach(real: Any):
 
 @cache
 def make_contacts(real: Any):
-    """Kernel over particles: adds its share of what changed since `contact_copy`."""
+    """Kernel over particles: adds each particle's share of the changes since `contact_copy`."""
     t = types(real)
 
     @kernel(f"phy124_contacts_{real.__name__}", real, seconds=0.4)
@@ -128,10 +129,10 @@ IMPULSE, MOMENT, SUMS = 0, 3, 6
 
 @cache
 def make_wall_wrench(real: Any):
-    """Kernel over the parts of `make_wall_copy`: adds what a wall has given since then.
+    """Kernel over the segments of `make_wall_copy`: adds a wall's wrench since that copy.
 
-    The moment of an impulse is taken about the origin of the world. The gather keeps the angular
-    momentum of the nodes (APIC, Jiang et al. 2015), so it is what the material is given.
+    The moment is taken about the origin of the world. The gather preserves the angular momentum of
+    the nodes (APIC, Jiang et al. 2015), so the sum equals the wrench on the material.
     """
 
     @kernel(f"phy124_wall_wrench_{real.__name__}", real, seconds=0.2)

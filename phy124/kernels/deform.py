@@ -1,11 +1,11 @@
-"""Device code of `phy124.simulation.deform`: carrying Gaussians with the material, all in float64.
+"""Device code of `phy124.simulation.deform`: Gaussians follow the material, all in float64.
 
-One-sided Jacobi (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) of A = F R0 S0 V
-makes the columns of A orthogonal by plane rotations of at most 45 degrees: their directions are
-the axes of F Sigma0 F^T, their lengths the scales. It starts from V of the previous frame. Columns
-that are already orthogonal to within `TOLERANCE` are left alone, so axes of equal length move with
-the material instead of flickering. Needles keep their thin axes, which would be lost if Sigma
-itself were decomposed. Quaternions are wxyz vectors.
+One-sided Jacobi rotations (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) of A = F R0
+S0 V make the columns of A orthogonal by plane rotations of at most 45 degrees: their directions are
+the axes of F Sigma0 F^T, their lengths the scales. The iteration starts from V of the previous
+frame. Columns that are already orthogonal to within `TOLERANCE` are left alone, so axes of equal
+length move with the material instead of flickering. The thin axes of needle-shaped Gaussians stay
+accurate; they would be lost if Sigma itself were decomposed. Quaternions are in wxyz order.
 """
 
 from functools import cache
@@ -24,22 +24,24 @@ SWEEPS = wp.constant(24)
 TOLERANCE = wp.constant(wp.float64(4e-6))
 EXACT = wp.constant(wp.float64(1e-14))
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
-"""Trace above which a rotation is below 45 degrees, so that no relabelling of axes is closer."""
+"""Trace above which a rotation is below 45 degrees: then no relabelling of axes is closer."""
 LARGEST = wp.constant(wp.float64(3.0e38))
 TINY = wp.constant(wp.float64(1e-12))
 SOUND_SHAPE = wp.constant(wp.float64(1.5))
 ROUND_SHAPE = wp.constant(wp.float64(4.0))
-"""Elongation of a Gaussian of plastic or fluid material, relative to rest, from which on it becomes
-rounder, and at which it is a ball."""
+"""Elongations of a Gaussian of plastic or fluid material, relative to rest: above `SOUND_SHAPE` it
+becomes rounder, from `ROUND_SHAPE` on it is a ball.
+"""
 
 ARM = wp.constant(wp.float64(2.0))
 """Largest distance of a Gaussian of plastic or fluid material from a particle that carries it,
-relative to that at rest."""
+relative to their distance at rest.
+"""
 
 
 @wp.func
 def matrix_of(q: wp.vec4d) -> wp.mat33d:
-    """Rotation matrix of a quaternion wxyz of any length but zero."""
+    """Return the rotation matrix of a wxyz quaternion of any non-zero length."""
     two = wp.float64(2.0)
     unit = wp.float64(1.0)
     u = q / wp.length(q)
@@ -59,7 +61,7 @@ def matrix_of(q: wp.vec4d) -> wp.mat33d:
 
 @wp.func
 def quaternion_of(r: wp.mat33d) -> wp.vec4d:
-    """Unit quaternion wxyz of a rotation matrix (Shepperd's method)."""
+    """Return the unit wxyz quaternion of a rotation matrix (Shepperd's method)."""
     unit = wp.float64(1.0)
     t = r[0, 0] + r[1, 1] + r[2, 2]
     q = wp.vec4d(unit + t, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
@@ -87,13 +89,13 @@ def quaternion_of(r: wp.mat33d) -> wp.vec4d:
 
 @wp.func
 def column(m: wp.mat33d, j: int) -> wp.vec3d:
-    """Column j of a matrix."""
+    """Return column j of a matrix."""
     return wp.vec3d(m[0, j], m[1, j], m[2, j])
 
 
 @wp.func
 def plane_rotation(a: wp.vec3d, b: wp.vec3d, tolerance: wp.float64) -> wp.vec2d:
-    """Cosine and sine of the rotation that makes two columns orthogonal; (1, 0) if they are."""
+    """Return cosine and sine of the rotation that makes two columns orthogonal, or (1, 0)."""
     unit = wp.float64(1.0)
     turn = wp.vec2d(unit, wp.float64(0.0))
     p = wp.dot(a, a)
@@ -111,7 +113,7 @@ def plane_rotation(a: wp.vec3d, b: wp.vec3d, tolerance: wp.float64) -> wp.vec2d:
 
 @wp.func
 def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
-    """(A W, V W) for the rotation W that makes the columns of A W orthogonal."""
+    """Return (A W, V W) for the rotation W that makes the columns of A W orthogonal."""
     zero = wp.float64(0.0)
     a0, a1, a2 = column(a, 0), column(a, 1), column(a, 2)
     v0, v1, v2 = column(v, 0), column(v, 1), column(v, 2)
@@ -152,7 +154,7 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
-    """Unit vector orthogonal to the unit vector e, in the plane of e and `wanted`, or `spare`."""
+    """Return a unit vector orthogonal to e, in the plane of e and `wanted`, else e and `spare`."""
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):
         u = spare - wp.dot(e, spare) * e
@@ -161,10 +163,11 @@ def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat33d:
-    """Proper rotation along the (nearly) orthogonal columns of A.
+    """Return the proper rotation along the (nearly) orthogonal columns of A.
 
-    The longest is exact; the shortest is the cross product, whose sign also removes reflections.
-    Columns of zero length take the previous axes as far as possible.
+    The longest axis is exact; the shortest is the cross product, whose sign also removes
+    reflections. Columns of zero length are replaced by the previous axes, made orthogonal to the
+    others.
     """
     i = int(0)
     if lengths[1] > lengths[i]:
@@ -196,7 +199,7 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
 
 @wp.func
 def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
-    """The signed permutation W, one of 24 proper ones, that brings U W closest to `previous`."""
+    """Return the signed permutation W, of 24 proper ones, with U W closest to `previous`."""
     unit = wp.float64(1.0)
     m = wp.transpose(previous) * u
     best = wp.identity(n=3, dtype=wp.float64)
@@ -229,9 +232,10 @@ def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
 
 @wp.func
 def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
-    """Axes of a Gaussian of plastic or fluid material: the longer it is, the closer to equal.
+    """Return the axes of a Gaussian of plastic or fluid material, more equal the longer it is.
 
-    A ball of sqrt(a b), of its two longest axes a and b, covers as much of a picture as it does.
+    A ball of radius sqrt(a b), where a and b are the two longest axes, covers as much of a frame as
+    the Gaussian does.
     """
     unit = wp.float64(1.0)
     longest = wp.max(lengths)
@@ -245,10 +249,11 @@ def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
 
 @wp.func
 def within(f: wp.mat33d, limit: wp.float64) -> wp.mat33d:
-    """F with its logarithmic strain scaled down until its largest stretch is `limit`.
+    """Return F with its logarithmic strain scaled down until its largest stretch is `limit`.
 
-    F = U S V^T becomes U S^p V^T with p = log(limit) / log(s_1): continuous as s_1 passes the
-    limit, with the same rotation, and the shape at rest is stretched as if nothing were torn.
+    F = U S V^T becomes U S^p V^T with p = log(limit) / log(s_1). The result is continuous as s_1
+    passes the limit and keeps the rotation; the Gaussian is stretched as if the material were not
+    torn.
     """
     if wp.ddot(f, f) <= limit * limit:
         return f
@@ -274,8 +279,9 @@ def shape_of(
     inner: wp.vec4f,
     quat: wp.vec4f,
 ):
-    """Sigma_t = F Sigma0 F^T of a Gaussian: (V, quaternion, scales), V and quaternion follow on
-    those of the previous frame.
+    """Return V, quaternion and scales of a deformed Gaussian, Sigma_t = F Sigma0 F^T.
+
+    V and the quaternion continue those of the previous frame.
     """
     s0 = wp.vec3d(scale0)
     last = wp.vec4d(quat)
@@ -310,12 +316,12 @@ def deform_shapes(
     max_stretch: wp.array(dtype=wp.float64),
     rounds: wp.array(dtype=wp.bool),
     deformation: wp.array(dtype=wp.mat33d),
-    # in place: the previous frame becomes this one
+    # in place: read for the previous frame, written for this one
     inner_out: wp.array(dtype=wp.vec4f),
     quats_out: wp.array(dtype=wp.vec4f),
     scales_out: wp.array(dtype=wp.vec3f),
 ):
-    """One frame: Sigma_t = F Sigma0 F^T as quaternion and scales."""
+    """Compute one frame's Sigma_t = F Sigma0 F^T as quaternions and scales."""
     i = wp.tid()
     inner, quat, scale = shape_of(
         deformation[carrier[i]],
@@ -348,7 +354,7 @@ shapes_of_eight = native_func(
     "shapes_of_eight",
     returns=int,
 )
-"""The shapes of Gaussians `8 thread` and the next seven; a bit is set for each that is unusual."""
+"""Deforms the Gaussians `8 thread` to `8 thread + 7`; returns one bit for each that is unusual."""
 
 
 @kernel("phy124_deform_simd", seconds=1.5)
@@ -360,12 +366,12 @@ def deform_shapes_simd(
     max_stretch: wp.array(dtype=wp.float64),
     rounds: wp.array(dtype=wp.bool),
     deformation: wp.array(dtype=wp.mat33d),
-    # in place: the previous frame becomes this one
+    # in place: read for the previous frame, written for this one
     inner_out: wp.array(dtype=wp.vec4f),
     quats_out: wp.array(dtype=wp.vec4f),
     scales_out: wp.array(dtype=wp.vec3f),
 ):
-    """One thread per eight Gaussians, of which the unusual ones are left to `shape_of`."""
+    """Deform eight Gaussians per thread; `shape_of` handles the unusual ones."""
     group = wp.tid()
     left = shapes_of_eight(
         group,
@@ -404,10 +410,10 @@ def deform_shapes_simd(
 def turn_of_material(
     carrier: wp.array(dtype=wp.int32),
     deformation: wp.array(dtype=wp.mat33d),
-    # in place: the previous frame becomes this one
+    # in place: read for the previous frame, written for this one
     rotations_out: wp.array(dtype=wp.vec4f),
 ):
-    """The rotation closest to F (the polar rotation if det F > 0)."""
+    """Compute the rotation closest to F (the polar rotation if det F > 0)."""
     i = wp.tid()
     last = wp.vec4d(rotations_out[i])
     a, v = orthogonal_columns(deformation[carrier[i]], wp.identity(n=3, dtype=wp.float64), EXACT)
@@ -423,8 +429,9 @@ def turn_of_material(
 def make_carry(real: Any):
     """Kernel: centres and deformation gradients of the Gaussians, from particles of a precision.
 
-    x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carriers i. The F of
-    plastic or fluid material grows without bound, so there the arms F_i (X_g - X_i) are limited.
+    x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carrying particles i. The F of
+    plastic or fluid material grows without bound, so for such material the arms F_i (X_g - X_i) are
+    limited.
     """
     t = types(real)
 

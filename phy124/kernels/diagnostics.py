@@ -1,8 +1,8 @@
-"""Diagnostics of a state: momentum, energy, volume ratio; unsound particles, and their reset.
+"""Diagnostics of a state: momentum, energy, volume ratio; detection and reset of unsound particles.
 
-All sums are in float64; each thread sums a part before it adds that to the total. The kinetic
-energy includes what APIC stores in C: m/2 (|v|^2 + dx^2/4 |C|^2), with the inertia of a quadratic
-B-spline (Jiang et al. 2017, eq. 12).
+All sums are in float64; each thread sums several particles before it adds the result to the total.
+The kinetic energy includes the energy of APIC's C: m/2 (|v|^2 + dx^2/4 |C|^2), with the inertia of
+a quadratic B-spline (Jiang et al. 2017, eq. 12).
 """
 
 from functools import cache
@@ -18,19 +18,19 @@ from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law
 
 MOMENTUM, ANGULAR, KINETIC, ELASTIC, MIDDLE, POWER, SUMS = 0, 3, 6, 7, 8, 11, 12
-"""Index of each sum (of a vector: its first), and the number of sums.
+"""Index of each sum (for a vector: of its first component), and the number of sums.
 
-`MIDDLE` is mass times position; the power is that of the elastic stress, V tau : C.
+`MIDDLE` is the sum of mass times position; `POWER` is the power of the elastic stress, V tau : C.
 """
 LEAST_J, LARGEST_J = 0, 1
 """Index of each end of the range of J; the smallest J is stored as the maximum of -J."""
 BROKEN, INVERTED = 0, 1
-"""Index of each kind of unsound particle: not finite, inside out."""
+"""Index of each kind of unsound particle: not finite, inverted."""
 
 
 @wp.func
 def wide(a: Any):
-    """A three-vector in float64."""
+    """Return a three-vector in float64."""
     return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
 
 
@@ -44,14 +44,14 @@ def add3(sums: wp.array(dtype=wp.float64), at: int, a: wp.vec3d):
 
 @wp.func
 def kinetic_energy(m: wp.float64, v: wp.vec3d, C: Any, dx: Any):
-    """m/2 (|v|^2 + dx^2/4 |C|^2), including what APIC stores in C [J]."""
+    """Return m/2 (|v|^2 + dx^2/4 |C|^2) [J], which includes the energy of APIC's C."""
     spread = wp.float64(dx * dx) / wp.float64(4.0)
     return m / wp.float64(2.0) * (wp.dot(v, v) + spread * wp.float64(wp.ddot(C, C)))
 
 
 @wp.func
 def spin(C: Any, dx: Any):
-    """Angular momentum per mass that APIC stores in C [m^2/s]."""
+    """Return the angular momentum per mass that APIC stores in C [m^2/s]."""
     spread = wp.float64(dx * dx) / wp.float64(4.0)
     return spread * wp.vec3d(
         wp.float64(C[2, 1] - C[1, 2]), wp.float64(C[0, 2] - C[2, 0]), wp.float64(C[1, 0] - C[0, 1])
@@ -60,11 +60,11 @@ def spin(C: Any, dx: Any):
 
 @cache
 def make_totals(law: Law, real: Any):
-    """Kernel: `SUMS` over the particles, the range of J, and the unsound particles.
+    """Kernel: computes the `SUMS` over the particles, the range of J, and the unsound particles.
 
-    The power is the rate at which kinetic energy becomes elastic. `counts_out` is the number of
-    unsound particles of each kind, `first_out` the lowest index of each. Each thread sums `each`
-    particles before it writes, as in `make_measure`.
+    The power is the rate at which kinetic energy becomes elastic energy. `counts_out` is the number
+    of unsound particles of each kind, `first_out` the lowest index of each kind. Each thread sums
+    `each` particles before it writes, as in `make_measure`.
     """
     energy, stress = law.energy, law.stress
     exact, all_sums = (wp.types.vector(n, wp.float64) for n in (law.width, SUMS))
@@ -99,7 +99,7 @@ def make_totals(law: Law, real: Any):
                 h = wp.vec2d()
                 if wp.static(has_history):
                     h = wp.vec2d(wp.float64(history[p][0]), wp.float64(history[p][1]))
-                # In float64: the energy of a small strain is the difference of large numbers.
+                # In float64: the energy of a small strain is a small difference of large numbers.
                 row = wp.min(p, theta.shape[0] - 1)
                 parameters = exact()
                 for i in range(wp.static(law.width)):
@@ -140,7 +140,7 @@ def make_totals(law: Law, real: Any):
 
 @cache
 def make_energies(law: Law, real: Any):
-    """Kernel: kinetic and elastic energy of each particle [J]; to find one, not to sum them."""
+    """Kernel: kinetic plus elastic energy of each particle [J], to locate a particle."""
     energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 
@@ -163,7 +163,7 @@ def make_energies(law: Law, real: Any):
 
 @cache
 def make_probe(law: Law, real: Any):
-    """Kernel: stress, modulus, energy and return mapping of a law for single states."""
+    """Kernel: stress, modulus, energy and return mapping of a law for individual states."""
     t = types(real)
     stress, modulus, energy, project = law.stress, law.modulus, law.energy, law.project
     plastic = project is not None
@@ -197,11 +197,12 @@ def make_probe(law: Law, real: Any):
 
 @cache
 def make_reset(real: Any):
-    """Kernel: deformations that no law can handle become the identity.
+    """Kernel: replaces deformations that no law can handle by the identity.
 
-    Sound are volume ratios between `min_J` and `max_J`, norms up to `max_norm`, and a smallest
-    stretch of at least the fraction `narrowest` of the largest, compared as J / |cof F| and |F|.
-    `found_out` is the number of others, and the lowest index of one.
+    A deformation is sound if its volume ratio is between `min_J` and `max_J`, its norm is at most
+    `max_norm`, and its smallest stretch is at least the fraction `narrowest` of the largest,
+    compared as J / |cof F| and |F|. `found_out` receives the number of unsound deformations and the
+    lowest index.
     """
     t = types(real)
 
@@ -215,7 +216,7 @@ def make_reset(real: Any):
         J = wp.dot(deformation[0], a)
         size = wp.sqrt(wp.ddot(deformation, deformation))
         cofactor = wp.sqrt(wp.dot(a, a) + wp.dot(b, b) + wp.dot(c, c))
-        # A comparison with NaN is false, so the condition is written for sound ones.
+        # A comparison with NaN is false, so the condition is written for sound deformations.
         if not (
             J >= min_J and J <= max_J and size <= max_norm and J >= narrowest * size * cofactor
         ):
@@ -229,7 +230,7 @@ def make_reset(real: Any):
 
 @cache
 def make_limit_total(real: Any):
-    """Kernel: scales down the F_total of flowing material before it overflows."""
+    """Kernel: scales down the F_total of fluid or plastic material before it overflows."""
 
     @kernel(f"phy124_limit_total_{real.__name__}", real, seconds=0.15)
     def limit_total(max_norm: real, F, total_out):
@@ -245,11 +246,11 @@ def make_limit_total(real: Any):
 
 @cache
 def make_apart(real: Any):
-    """Kernel: finds particles that are stretched apart from their neighbours.
+    """Kernel: counts particles that are stretched apart from their neighbours.
 
-    `most` is the square of the stretch at which each is: at rest it fills a cube, whose side is the
-    distance of its neighbours. `found_out` is the number of those that are stretched more and their
-    lowest index, `max_out` the largest stretch.
+    At rest a particle fills a cube whose side is the distance between neighbours. `most` is the
+    square of the stretch above which particles lose contact. `found_out` receives the number of
+    particles beyond it and their lowest index, `max_out` the largest stretch.
     """
     t = types(real)
 

@@ -1,4 +1,4 @@
-"""Shapes of colliders: the distance from a point to a wall, and the normal there.
+"""Shapes of colliders: the distance from a point to a wall, and the wall's normal.
 
 Each function takes a point x [m] and three vectors that define the shape. It returns the unit
 normal, which points out of the solid, and the signed distance [m], negative inside.
@@ -11,14 +11,14 @@ import warp as wp
 
 @wp.func
 def half_space(x: Any, shape: Any):
-    """Normal and signed distance to the plane through shape[0] with unit normal shape[1]."""
+    """Return normal and signed distance of the plane through shape[0] with unit normal shape[1]."""
     n = shape[1]
     return wp.vector(n[0], n[1], n[2], wp.dot(x - shape[0], n))
 
 
 @wp.func
 def sphere(x: Any, shape: Any):
-    """Normal and signed distance to the sphere about shape[0] with radius shape[1, 0]."""
+    """Return normal and signed distance of the sphere about shape[0] with radius shape[1, 0]."""
     d = x - shape[0]
     r = wp.length(d)
     n = wp.vector(type(r)(0.0), type(r)(0.0), type(r)(1.0))
@@ -29,7 +29,7 @@ def sphere(x: Any, shape: Any):
 
 @wp.func
 def box(x: Any, shape: Any):
-    """Normal and signed distance (exact inside, per face) to the box shape[0] +- shape[1]."""
+    """Return normal and signed distance of the box shape[0] +- shape[1], per face; exact inside."""
     d = x - shape[0]
     out = wp.vector(
         wp.abs(d[0]) - shape[1, 0], wp.abs(d[1]) - shape[1, 1], wp.abs(d[2]) - shape[1, 2]
@@ -50,7 +50,7 @@ def box(x: Any, shape: Any):
 
 @wp.func
 def capsule(x: Any, shape: Any):
-    """Normal and signed distance to the segment shape[0]-shape[1] with radius shape[2, 0]."""
+    """Return normal and distance of the capsule shape[0] to shape[1] with radius shape[2, 0]."""
     axis = shape[1] - shape[0]
     zero = type(x[0])(0.0)
     s = wp.clamp(wp.dot(x - shape[0], axis) / wp.dot(axis, axis), zero, type(x[0])(1.0))
@@ -64,7 +64,7 @@ def capsule(x: Any, shape: Any):
 
 @wp.func
 def cylinder(x: Any, shape: Any):
-    """Normal and signed distance (per face) to the cylinder about shape[0] along shape[1].
+    """Return normal and signed distance, per face, of the cylinder about shape[0] along shape[1].
 
     shape[2] is (radius, half length, 0).
     """

@@ -1,9 +1,9 @@
-"""Elastic laws: Kirchhoff stress tau [Pa] of a deformation gradient F.
+"""Elastic laws: Kirchhoff stress tau [Pa] as a function of the deformation gradient F.
 
-Every law has a stress, an energy per rest volume whose derivative it is, and a modulus: an upper
-bound of the largest eigenvalue of d tau / d ln sigma, which limits the substep
-(docs/design/laws.md).
-`theta` holds the law's parameters, `h` its history (unused here), `C` the velocity gradient.
+Every law has a stress, an energy per rest volume from which the stress derives, and a modulus: an
+upper bound of the largest eigenvalue of d tau / d ln sigma, which limits the substep
+(docs/design/laws.md). `theta` holds the law's parameters, `h` its history (unused here), `C` the
+velocity gradient.
 """
 
 from typing import Any
@@ -20,24 +20,24 @@ from phy124.kernels.spectral import (
 )
 
 SMALLEST_J = wp.constant(1.0e-4)
-"""Volume ratio below which log J follows its tangent, so that inverted elements push back."""
+"""Volume ratio below which log J is continued by its tangent, so that inverted elements resist."""
 
 
 @wp.func
 def polar_miss(s: wp.float32):
-    """Largest |R|^2 - 3 that passes in float32: R is then a rotation to 1e-6."""
+    """Return the largest |R|^2 - 3 accepted in float32: R is then a rotation to within 1e-6."""
     return wp.float32(2.0e-6)
 
 
 @wp.func
 def polar_miss(s: wp.float64):  # noqa: F811
-    """Largest |R|^2 - 3 that passes in float64."""
+    """Return the largest |R|^2 - 3 accepted in float64."""
     return wp.float64(1.0e-12)
 
 
 @wp.func
 def polar_step(R: Any):
-    """One step of Newton's iteration: the mean of R and its inverse transpose."""
+    """Do one step of Newton's iteration: return the mean of R and its inverse transpose."""
     half = type(R[0, 0])(0.5)
     a = wp.cross(R[1], R[2])
     b = wp.cross(R[2], R[0])
@@ -48,11 +48,11 @@ def polar_step(R: Any):
 
 @wp.func
 def polar(F: Any):
-    """Rotation of the polar decomposition by Newton's iteration (Higham 1986); needs det F > 0.
+    """Return the polar rotation by Newton's iteration (Higham 1986); needs det F > 0.
 
-    After each step the singular values of R are at least 1, so |R|^2 - 3 measures its distance from
-    a rotation. In float32 three steps suffice for stretches between 0.75 and 1.35, and five for
-    stretches between 0.3 and 4.
+    After each step the singular values of R are at least 1, so |R|^2 - 3 measures the deviation of
+    R from a rotation. In float32 three steps suffice for stretches between 0.75 and 1.35, and five
+    steps for stretches between 0.3 and 4.
     """
     s = F[0, 0]
     R = polar_step(polar_step(polar_step(F)))
@@ -63,7 +63,7 @@ def polar(F: Any):
 
 @wp.func
 def stretch(F: Any):
-    """V of F = V R for every F: by Newton's iteration, or in float64 if that does not converge."""
+    """Return V of F = V R for any F: Newton's iteration, or float64 if it does not converge."""
     s = F[0, 0]
     R = polar(F)
     if wp.determinant(F) > type(s)(0.0) and wp.ddot(R, R) < type(s)(3.0) + polar_miss(s):
@@ -73,7 +73,7 @@ def stretch(F: Any):
 
 @wp.func
 def log_volume_far(J: Any):
-    """log J, continued linearly below SMALLEST_J: finite and repelling for every J."""
+    """Return log J, continued linearly below SMALLEST_J: finite for every J and repulsive."""
     floor = type(J)(SMALLEST_J)
     if J > floor:
         return wp.log(J)
@@ -82,17 +82,17 @@ def log_volume_far(J: Any):
 
 @wp.func
 def log_volume(J: wp.float64):
-    """As `log_volume_far`, in float64."""
+    """Return `log_volume_far` in float64."""
     return log_volume_far(J)
 
 
 @wp.func
 def log_volume(J: wp.float32):  # noqa: F811
-    """As `log_volume_far`; near J = 1 a polynomial, which costs a third of a call of log.
+    """Return `log_volume_far`, near J = 1 by a polynomial that costs a third of a call of log.
 
-    It is the best approximation of log(1 + y) / y for |y| < 0.2: its error is 3e-8, with rounding
-    1.4e-7, and log J is exactly 0 at J = 1. Its two halves are independent, so that a processor can
-    compute them in parallel.
+    The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2: its error is 3e-8,
+    with rounding 1.4e-7, and log J is exactly 0 at J = 1. Its two halves are independent, so a
+    processor can compute them in parallel.
     """
     y = J - 1.0
     if wp.abs(y) >= 0.2:
@@ -105,7 +105,7 @@ def log_volume(J: wp.float32):  # noqa: F811
 
 @wp.func
 def largest_stretch_squared(F: Any):
-    """Upper bound of the largest eigenvalue of F F^T, without an SVD."""
+    """Return an upper bound of the largest eigenvalue of F F^T, without an SVD."""
     b = gram(F)
     s = F[0, 0]
     dev = deviator(b)
@@ -114,7 +114,7 @@ def largest_stretch_squared(F: Any):
 
 @wp.func
 def neo_hookean_energy(F: Any, h: Any, theta: Any):
-    """mu/2 (|F|^2 - 3) - mu log J + lam/2 (log J)^2 (Bonet and Wood 2008, eq. 6.27)."""
+    """Return mu/2 (|F|^2 - 3) - mu log J + lam/2 (log J)^2 (Bonet and Wood 2008, eq. 6.27)."""
     two = type(theta[0])(2.0)
     log_j = log_volume(wp.determinant(F))
     return (
@@ -126,11 +126,11 @@ def neo_hookean_energy(F: Any, h: Any, theta: Any):
 
 @wp.func
 def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
-    """mu (F F^T - I) + lam log J I (Bonet and Wood 2008, eq. 6.29); theta = (mu, lam)."""
+    """Return mu (F F^T - I) + lam log J I (Bonet and Wood 2008, eq. 6.29); theta = (mu, lam)."""
     p = theta[1] * log_volume(wp.determinant(F)) - theta[0]
     b = gram(F)
     mu = theta[0]
-    # Entry by entry, since the compiler does not remove the products with zeros of the identity.
+    # Written per entry, since the compiler does not remove products with the identity's zeros.
     return symmetric(
         mu * b[0, 0] + p, mu * b[0, 1], mu * b[0, 2],
         mu * b[1, 1] + p, mu * b[1, 2], mu * b[2, 2] + p,
@@ -139,7 +139,7 @@ def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def neo_hookean_modulus(F: Any, h: Any, theta: Any):
-    """2 mu s^2 + 3 lam, s the largest stretch; lam counts only if positive (auxetics: nu < 0)."""
+    """Return 2 mu s^2 + 3 max(lam, 0), s the largest stretch; lam < 0 for auxetics (nu < 0)."""
     zero = type(theta[0])(0.0)
     return type(zero)(2.0) * theta[0] * largest_stretch_squared(F) + type(zero)(3.0) * wp.max(
         theta[1], zero
@@ -148,7 +148,7 @@ def neo_hookean_modulus(F: Any, h: Any, theta: Any):
 
 @wp.func
 def fixed_corotated_energy(F: Any, h: Any, theta: Any):
-    """mu |F - R|^2 + lam/2 (J - 1)^2 = mu |V - I|^2 + ... (Stomakhin et al. 2012)."""
+    """Return mu |F - R|^2 + lam/2 (J - 1)^2, with |F - R| = |V - I| (Stomakhin et al. 2012)."""
     j1 = wp.determinant(F) - type(theta[0])(1.0)
     d = stretch(F) - wp.identity(3, dtype=type(j1))
     return theta[0] * wp.ddot(d, d) + type(j1)(0.5) * theta[1] * j1 * j1
@@ -156,7 +156,10 @@ def fixed_corotated_energy(F: Any, h: Any, theta: Any):
 
 @wp.func
 def fixed_corotated(F: Any, C: Any, h: Any, theta: Any):
-    """2 mu (F - R) F^T + lam J (J - 1) I (Stomakhin et al. 2012); (F - R) F^T = F F^T - V."""
+    """Return 2 mu (F - R) F^T + lam J (J - 1) I (Stomakhin et al. 2012).
+
+    (F - R) F^T = F F^T - V.
+    """
     J = wp.determinant(F)
     V = stretch(F)
     b = gram(F)
@@ -171,7 +174,7 @@ def fixed_corotated(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def fixed_corotated_modulus(F: Any, h: Any, theta: Any):
-    """2 mu (2 s^2 - s) + 3 max(lam (2 J^2 - J), 0), s the largest stretch (at least 1)."""
+    """Return 2 mu (2 s^2 - s) + 3 max(lam (2 J^2 - J), 0), s the largest stretch (at least 1)."""
     unit = type(theta[0])(1.0)
     two = type(theta[0])(2.0)
     s2 = wp.max(largest_stretch_squared(F), unit)
@@ -182,10 +185,10 @@ def fixed_corotated_modulus(F: Any, h: Any, theta: Any):
 
 @wp.func
 def newtonian(F: Any, C: Any, eta: Any):
-    """J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, with D the rate of strain.
+    """Return J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, with D the rate of strain.
 
-    For an inverted element it is zero, so that it never adds energy; for one larger than at rest, J
-    counts as 1, since the limit of the substep assumes that.
+    For an inverted element the stress is zero, so that it never adds energy. For an element larger
+    than at rest, J is capped at 1, as the limit of the substep assumes.
     """
     strength = wp.clamp(wp.determinant(F), type(eta)(0.0), type(eta)(1.0)) * eta
     return strength * (C + wp.transpose(C))
@@ -193,11 +196,11 @@ def newtonian(F: Any, C: Any, eta: Any):
 
 @wp.func
 def neo_hookean_damped(F: Any, C: Any, h: Any, theta: Any):
-    """Neo-Hookean with viscosity; theta = (mu, lam, eta)."""
+    """Return the neo-Hookean stress plus viscosity; theta = (mu, lam, eta)."""
     return neo_hookean(F, C, h, theta) + newtonian(F, C, theta[2])
 
 
 @wp.func
 def fixed_corotated_damped(F: Any, C: Any, h: Any, theta: Any):
-    """Fixed corotated with viscosity; theta = (mu, lam, eta)."""
+    """Return the fixed corotated stress plus viscosity; theta = (mu, lam, eta)."""
     return fixed_corotated(F, C, h, theta) + newtonian(F, C, theta[2])

@@ -1,14 +1,15 @@
-"""What damps the motion of particles in the transfers, and what keeps it: fluctuations, and RPIC.
+"""Damping in the transfers, and its reduction: fluctuations (FLIP, AFLIP, XPIC) and RPIC.
 
-The grid does not carry all of the particles' motion, and APIC forgets the rest in every substep,
-which damps. It is what is left of (v, C) after a round trip over the grid, D = 1 - S S^+ in the
-notation of Hammerquist and Nairn 2017. FLIP gives it all back, AFLIP (Fei et al. 2021) a share of
-it, XPIC(m) all but D^m, in which only noise is left. Here C makes the round trip as v does, so that
-the trip changes neither momentum nor angular momentum.
+The grid does not represent all of the particles' motion. APIC discards the rest, called the
+fluctuation, in every substep, which damps the motion. The fluctuation is the difference between (v,
+C) and (v, C) after a round trip over the grid; this operator is D = 1 - S S^+ in the notation of
+Hammerquist and Nairn 2017. FLIP restores all of the fluctuation, AFLIP (Fei et al. 2021) a fraction
+of it, and XPIC(m) all but D^m, in which only noise remains. Here C makes the round trip together
+with v, so that the round trip changes neither momentum nor angular momentum.
 
-RPIC: the symmetric part of C decays, its skew part, which is spin, stays. PhysGaussian's
+RPIC: the symmetric part of C decays; its skew part, the spin, does not. PhysGaussian's
 `rpic_damping` r scatters (1 - r) C + r/2 (C - C^T) in each substep, so that r = 1 is RPIC (Jiang et
-al. 2015, section 5.1) and what it damps depends on the substep. Here it is a rate.
+al. 2015, section 5.1) and the damping depends on the substep. Here the damping is a rate.
 """
 
 from functools import cache
@@ -23,7 +24,7 @@ from phy124.kernels.transfer import GATHERS, SCATTERS, columns4, first_node, in_
 
 @cache
 def make_carry(real: Any, form: str):
-    """Kernel: the momentum and mass of a motion (v, C) to the grid, without stress."""
+    """Kernel: scatters momentum and mass of a motion (v, C) to the grid, without stress."""
     spread = SCATTERS[form]
 
     @kernel(f"phy124_carry_{real.__name__}_{form}", real, seconds=0.3)
@@ -47,7 +48,7 @@ def make_carry(real: Any, form: str):
 
 @cache
 def make_fluctuation(real: Any, form: str):
-    """Kernel: a motion (v, C) less what the grid carries of it; zero outside the window."""
+    """Kernel: subtracts from a motion (v, C) its round trip over the grid; zero off the window."""
     t = types(real)
     collect = GATHERS[form]
 
@@ -80,7 +81,7 @@ def make_fluctuation(real: Any, form: str):
 
 @cache
 def make_keep(real: Any):
-    """Kernel: gives particles back a share of what the grid did not carry, less the noise in it."""
+    """Kernel: restores a share of the fluctuation, without its noise, to the particles."""
     t = types(real)
 
     @kernel(f"phy124_keep_{real.__name__}", real)
@@ -94,20 +95,20 @@ def make_keep(real: Any):
 
 @wp.func
 def decay(x: Any):
-    """1 - exp(-x), right to rounding for small x, too."""
+    """Return 1 - exp(-x), accurate to rounding for small x, too."""
     t = wp.tanh(type(x)(0.5) * x)
     return type(x)(2.0) * t / (type(x)(1.0) + t)
 
 
 @wp.func
 def without_strain(C: Any, share: Any):
-    """C less a share of its symmetric part; a skew C comes back bit for bit."""
+    """Return C less a share of its symmetric part; a skew C is returned bit for bit."""
     return C - (type(share)(0.5) * share) * (C + wp.transpose(C))
 
 
 @cache
 def make_rpic(real: Any):
-    """Kernel, right before a scatter: sym C decays as exp(-rate t), rate in 1/s."""
+    """Kernel, right before a scatter: sym C decays as exp(-rate t), with the rate in 1/s."""
 
     @kernel(f"phy124_rpic_{real.__name__}", real)
     def rpic(chosen, rate: real, clock, C_out):

@@ -1,8 +1,9 @@
-"""Weakly compressible fluid: pressure of the volume ratio J, viscosity of the velocity gradient.
+"""Weakly compressible fluid: pressure from the volume ratio J, viscosity from the velocity
+gradient.
 
-The elastic F of a fluid is j I with j = J^(1/3), which keeps its volume but not its shape. Its
+The elastic F of a fluid is j I with j = J^(1/3), which keeps the volume but not the shape. Its
 history variable is J about one relaxation time ago: for faster changes the fluid is stiffer, and
-the energy of that extra stiffness is dissipated (Mandelstam and Leontovich 1937).
+the energy of this extra stiffness is dissipated (Mandelstam and Leontovich 1937).
 """
 
 from typing import Any
@@ -12,13 +13,15 @@ import warp as wp
 MIN_J = wp.constant(1.0e-4)
 """Volume ratio below which the pressure no longer rises."""
 TAIT_J = wp.constant(0.8)
-"""Volume ratio below which J p rises only as log J. Otherwise a few particles that are compressed
-further, by impacts faster than a quarter of the speed of sound, would limit everybody's substep."""
+"""Volume ratio below which J p rises only as log J. Without this limit, a few particles that are
+compressed further, by impacts faster than a quarter of the speed of sound, would limit the substep
+of all particles.
+"""
 
 
 @wp.func
 def squeeze(F: Any):
-    """J for Tait's pressure, and the log of the compression beyond `TAIT_J`."""
+    """Return J for Tait's pressure, and the log of the compression beyond `TAIT_J`."""
     J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     bounded = wp.max(J, type(J)(TAIT_J))
     return bounded, wp.log(J / bounded)
@@ -26,27 +29,30 @@ def squeeze(F: Any):
 
 @wp.func
 def weight_of_pressure(J: Any, theta: Any):
-    """J p, p = K / gamma (J^-gamma - 1) (Cole 1948; Becker 2007, eq. 7)."""
+    """Return J p, p = K / gamma (J^-gamma - 1) (Cole 1948; Becker 2007, eq. 7)."""
     return J * theta[0] / theta[1] * (wp.pow(J, -theta[1]) - type(J)(1.0))
 
 
 @wp.func
 def hardness(J: Any, theta: Any):
-    """d(-J p) / d log J = K / gamma ((gamma - 1) J^(1 - gamma) + J)."""
+    """Return d(-J p) / d log J = K / gamma ((gamma - 1) J^(1 - gamma) + J)."""
     less = theta[1] - type(J)(1.0)
     return theta[0] / theta[1] * (less * wp.pow(J, -less) + J)
 
 
 @wp.func
 def lag(F: Any, h: Any):
-    """log of J divided by its value about one relaxation time ago."""
+    """Return log of J divided by its value about one relaxation time ago."""
     J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     return wp.log(J / wp.max(h[0], type(J)(MIN_J)))
 
 
 @wp.func
 def tait_energy(F: Any, h: Any, theta: Any):
-    """K / gamma (J + J^(1 - gamma) / (gamma - 1) - gamma / (gamma - 1)), zero at J = 1."""
+    """Return K / gamma (J + J^(1 - gamma) / (gamma - 1) - gamma / (gamma - 1)), zero at J = 1.
+
+    The energy of the lag, K' lag^2 / 2, is added.
+    """
     J, more = squeeze(F)
     less = theta[1] - type(J)(1.0)
     late = lag(F, h)
@@ -57,12 +63,12 @@ def tait_energy(F: Any, h: Any, theta: Any):
 
 @wp.func
 def tait(F: Any, C: Any, h: Any, theta: Any):
-    """-J p I + 2 j eta dev(sym C) + zeta tr C I + K' lag I.
+    """Return the Kirchhoff stress -J p I + 2 j eta dev(sym C) + zeta tr C I + K' lag I.
 
-    theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]); tension
-    is allowed, as cohesion.
-    With j = min(J, 1), fluid that has spread out keeps its viscosity per mass, which limits the
-    substep, and not that per volume. zeta damps sound wherever there is pressure.
+    theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). Tension is
+    allowed and acts as cohesion. With j = min(J, 1), the viscosity per mass of fluid that has
+    spread out stays constant, not the viscosity per volume; the viscosity per mass limits the
+    substep. zeta damps sound where the fluid is compressed.
     """
     unit = type(theta[0])(1.0)
     J, more = squeeze(F)
@@ -78,16 +84,18 @@ def tait(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def tait_modulus(F: Any, h: Any, theta: Any):
-    """3 d(-J p) / d log J, constant below `TAIT_J`, and 3 K'."""
+    """Return 3 d(-J p) / d log J + 3 K'; the first term is constant below `TAIT_J`."""
     J, _ = squeeze(F)
     return type(J)(3.0) * (hardness(J, theta) + theta[4])
 
 
 @wp.func
 def isotropic(F: Any, h: Any, theta: Any, dt: Any):
-    """tr F / 3 I: with F = (I + dt C) j I, the change of volume without the error of rotation.
+    """Return F = tr F / 3 I, and the history: volume change without an error from rotation.
 
-    For a rotation, det(I + dt W) exceeds 1 by (dt omega)^2, which would let a vortex expand.
+    For F = (I + dt C) j I, the trace gives the change of volume to first order. The determinant
+    would not do: for a rotation, det(I + dt W) exceeds 1 by (dt omega)^2, which would let a vortex
+    expand.
     """
     unit = type(dt)(1.0)
     j = wp.max(wp.trace(F) / type(dt)(3.0), type(dt)(0.0))

@@ -1,12 +1,12 @@
-"""Forces on particles before they scatter: accelerations, wrenches, pulls, a test's body force.
+"""Forces on particles before the scatter: accelerations, wrenches, pulls, a test's body force.
 
-`chosen` lists the particles that a force acts on; `slot` is the track with its strength, averaged
-over the kick and zero while the force is off.
+`chosen` lists the particles that a force acts on. `slot` is the track with the force's strength,
+averaged over the kick and zero while the force is off.
 
-A pull or a wrench acts on a part as a whole: a list of particles with weights w from 0 to 1. Its
-centre X is the mean of their positions weighted by w m, and V that of their velocities, so the part
-turns and deforms freely about X. A force f gives each particle w f / sum(w m), which adds up to f
-whatever the weights are.
+A pull or a wrench acts on a group of particles as a whole: each particle has a weight w from 0 to
+1. The group's centre X is the mean of the positions weighted by w m, and V is the same mean of the
+velocities. The group may turn and deform freely about X. A force f gives each particle the
+acceleration w f / sum(w m); with any weights, the total force is f.
 """
 
 from functools import cache
@@ -20,7 +20,7 @@ from phy124.kernels.build import kernel
 
 @cache
 def make_accelerate(real: Any, per_mass: bool):
-    """Kernel: v += kick a, or kick f / m where `per_mass` (the paper's particle force)."""
+    """Kernel: v += kick a, or kick f / m if `per_mass` (the paper's particle force)."""
     name = f"phy124_accelerate_{'force' if per_mass else 'field'}_{real.__name__}"
 
     @kernel(name, real)
@@ -37,9 +37,9 @@ def make_accelerate(real: Any, per_mass: bool):
 
 @cache
 def make_zone(real: Any):
-    """Kernel: v += kick a for particles that are inside a box now.
+    """Kernel: v += kick a for the particles that are inside a box at the current time.
 
-    With an `axis` from 0 to 2, only the cylinder along that axis about the box's centre counts.
+    With an `axis` from 0 to 2, the zone is the cylinder along that axis about the box's centre.
     """
     t = types(real)
 
@@ -66,9 +66,10 @@ def make_zone(real: Any):
 def make_drag(real: Any):
     """Kernel: v approaches the wind, dv/dt = rate (u - v), exactly, and never overshoots.
 
-    The uniform acceleration a acts after it, on the grid. Both at once would give
-    v + (u + a / rate - v)(1 - exp(-rate kick)), so that less a kick is what is left here: one after
-    the other, what falls through a stream would be too fast by rate kick / 2.
+    The uniform acceleration a acts after the drag, on the grid, and adds kick a. Both at once would
+    give v + (u + a / rate - v)(1 - exp(-rate kick)), so this kernel adds the change to this
+    velocity minus kick a. If drag and acceleration simply acted one after the other, the terminal
+    velocity of an object falling through a stream would be too high by the fraction rate kick / 2.
     """
 
     @kernel(f"phy124_drag_{real.__name__}", real)
@@ -101,7 +102,7 @@ def make_attract(real: Any):
 
 @cache
 def make_set_velocity(real: Any):
-    """Kernel: v = s (u + omega x (x - centre)) and C = s [omega]x while active, s the profile."""
+    """Kernel: v = s (u + omega x (x - centre)), C = s [omega]x while active; s is the profile."""
     t = types(real)
 
     @kernel(f"phy124_set_velocity_{real.__name__}", real)
@@ -118,17 +119,18 @@ def make_set_velocity(real: Any):
 
 
 PLACE, SPEED = 0, 1
-"""Where X and V stand among the means."""
+"""Indices of X and V in the array of means."""
 FLAT = wp.constant(wp.float64(1e-6))
-"""Fraction of the largest moment of inertia below which one counts as zero: a line of particles."""
+"""Fraction of the trace of the second moments that is added to the inertia, so that a line of
+particles, with one moment of zero, has an invertible inertia tensor."""
 
 
 @wp.func
 def spring_damper(gap: wp.vec3d, slip: wp.vec3d, spring: wp.vec4d, kick: wp.float64):
-    """Force [N] at the end of a kick, by implicit Euler, so that no stiffness is too large.
+    """Return the force [N] at the end of a kick, by implicit Euler, stable for any stiffness.
 
-    `spring` is stiffness [N/m], damping [N s/m], the mass that is drawn [kg] and the largest
-    force [N]; `gap` and `slip` are what is missing to the target's place and velocity.
+    `spring` is stiffness [N/m], damping [N s/m], the mass that the spring pulls [kg] and the
+    largest force [N]; `gap` and `slip` are the target's position and velocity minus the group's.
     """
     drag = spring[1] + kick * spring[0]
     f = (spring[0] * gap + drag * slip) / (wp.float64(1.0) + kick * drag / spring[2])
@@ -140,7 +142,7 @@ def spring_damper(gap: wp.vec3d, slip: wp.vec3d, spring: wp.vec4d, kick: wp.floa
 
 @wp.func
 def angular_acceleration(torque: wp.vec3d, mass: wp.float64, second: wp.mat33d):
-    """Of a rigid part [rad/s^2], whose moments about its centre are mass times `second` [m^2]."""
+    """Return the angular acceleration [rad/s^2] of a rigid group; `second` is per mass [m^2]."""
     spread = wp.trace(second)
     inertia = wp.diag(wp.vec3d(spread, spread, spread)) - second
     inertia = inertia + FLAT * wp.diag(wp.vec3d(spread, spread, spread))
@@ -154,7 +156,7 @@ def forget(
     means_out: wp.array(dtype=wp.vec3d),
     second_out: wp.array(dtype=wp.mat33d),
 ):
-    """The means of a part become zero."""
+    """Set the means of a group to zero."""
     for i in range(2):
         means_out[i] = wp.vec3d()
     second_out[0] = wp.mat33d()
@@ -162,7 +164,7 @@ def forget(
 
 @cache
 def make_centre(real: Any):
-    """Kernel: X and V of a part, while its track is active."""
+    """Kernel: X and V of a group of particles, while its track is active."""
 
     @kernel(f"phy124_held_centre_{real.__name__}", real)
     def centre(first, each, stride, chosen, share: Doubles, slot, values, x, v, means_out):
@@ -183,7 +185,7 @@ def make_centre(real: Any):
 
 @cache
 def make_second(real: Any):
-    """Kernel: the second moments of a part about X, divided by its mass [m^2]."""
+    """Kernel: the second moments of a group about X, divided by its mass [m^2]."""
 
     @kernel(f"phy124_held_second_{real.__name__}", real)
     def second(first, each, stride, chosen, share: Doubles, slot, values, x, means, second_out):
@@ -201,7 +203,7 @@ def make_second(real: Any):
 
 @cache
 def make_draw(real: Any):
-    """Kernel: a spring and a damper draw X to a target that moves."""
+    """Kernel: a spring and a damper pull X to a moving target."""
     t = types(real)
 
     @kernel(f"phy124_held_draw_{real.__name__}", real)
@@ -222,7 +224,7 @@ def make_draw(real: Any):
 
 @cache
 def make_wrench(real: Any):
-    """Kernel: a force at X, and a torque about it as if the part were rigid."""
+    """Kernel: a force at X, and a torque about X as if the group were rigid."""
     t = types(real)
 
     @kernel(f"phy124_held_wrench_{real.__name__}", real)
@@ -256,17 +258,18 @@ def make_wrench(real: Any):
 
 @cache
 def make_vortex(real: Any):
-    """Kernel: v += kick b(x, t), with b for which a chosen motion is exact (manufactured solution).
+    """Kernel: v += kick b(x, t), with the b that makes a given motion exact (manufactured
+    solution).
 
-    The generalised vortex of Kamojjala, Brannon, Sadeghirad, Guilkey 2015 (doi
+    The motion is the generalised vortex of Kamojjala, Brannon, Sadeghirad, Guilkey 2015 (doi
     10.1007/s00366-013-0342-x): each radius of a ring rotates by beta(R, t) = h(R) g(t) about z,
 
         h = 1 - 8 s^2 + 16 s^4, s = (R - mean) / width,   g = A (1 - cos(2 pi t)) / 2.
 
     For a neo-Hookean solid tau = mu (b - I) + lambda ln(J) I of density rho, with gamma = R beta',
-    the force per mass is -R beta_t^2 + mu gamma^2 / (rho R) in the radial direction and
-    R beta_tt - mu (3 beta' + R beta'') / rho in the tangential one. Both edges of the ring remain
-    free of stress.
+    the force per mass is -R beta_t^2 + mu gamma^2 / (rho R) in the radial direction and R beta_tt -
+    mu (3 beta' + R beta'') / rho in the tangential direction. Both edges of the ring remain free of
+    stress.
 
     `ring` is (mean radius [m], width [m], A [rad], mu / rho [m^2/s^2]).
     """

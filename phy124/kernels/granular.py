@@ -1,4 +1,4 @@
-"""Sand and snow: materials that cohere only under pressure, or until they break."""
+"""Sand and snow: materials that cohere only under pressure, or until they fracture."""
 
 from typing import Any
 
@@ -21,17 +21,18 @@ from phy124.kernels.spectral import (
 )
 
 HARDEST = wp.constant(4.0)
-"""Largest exponent of snow's hardening: at most e^4 = 55 times stiffer than fresh."""
+"""Largest exponent of snow's hardening: snow becomes at most e^4 = 55 times stiffer than fresh."""
 LOOSEST = wp.constant(1.0e6)
-"""Largest Jp of snow that flies apart, so that it does not overflow."""
+"""Largest Jp of scattered snow, to prevent overflow."""
 
 
 @wp.func
 def drucker_prager(F: Any, h: Any, theta: Any, dt: Any):
-    """Cone without cohesion (Klar et al. 2016, sec. 7) with volume correction (Tampubolon 2017).
+    """Project onto a cone without cohesion (Klar et al. 2016, sec. 7; Tampubolon 2017).
 
-    theta = (mu, lam, alpha), alpha = sqrt(2/3) 2 sin phi / (3 - sin phi). h[0] >= 0 is the log of
-    the volume gained while loose, which must be lost again before grains carry pressure.
+    Tampubolon's volume correction is included. theta = (mu, lam, alpha), alpha = sqrt(2/3) 2 sin
+    phi / (3 - sin phi). h[0] >= 0 is the log of the volume gained while loose; grains carry
+    pressure again only after this volume is lost.
     """
     zero = type(theta[0])(0.0)
     third = type(theta[0])(1.0) / type(theta[0])(3.0)
@@ -55,32 +56,32 @@ def drucker_prager(F: Any, h: Any, theta: Any, dt: Any):
 
 @wp.func
 def snow_hardening(h: Any, theta: Any):
-    """exp(xi (1 - Jp)); theta = (mu, lam, smallest, largest, xi), h[0] = Jp - 1."""
+    """Return exp(xi (1 - Jp)); theta = (mu, lam, smallest, largest, xi), h[0] = Jp - 1."""
     s = theta[4]
     return wp.exp(wp.clamp(-s * h[0], -type(s)(HARDEST), type(s)(HARDEST)))
 
 
 @wp.func
 def snow_energy(F: Any, h: Any, theta: Any):
-    """Fixed corotated, stiffer the more it was compressed (Stomakhin et al. 2013, eq. 1)."""
+    """Return the fixed corotated energy times the hardening (Stomakhin et al. 2013, eq. 1)."""
     return snow_hardening(h, theta) * fixed_corotated_energy(F, h, theta)
 
 
 @wp.func
 def snow(F: Any, C: Any, h: Any, theta: Any):
-    """Kirchhoff stress of `snow_energy` at fixed Jp."""
+    """Return the Kirchhoff stress of `snow_energy` at fixed Jp."""
     return snow_hardening(h, theta) * fixed_corotated(F, C, h, theta)
 
 
 @wp.func
 def snow_modulus(F: Any, h: Any, theta: Any):
-    """Modulus of fixed corotated, scaled by the hardening."""
+    """Return the modulus of fixed corotated material times the hardening."""
     return snow_hardening(h, theta) * fixed_corotated_modulus(F, h, theta)
 
 
 @wp.func
 def clamp_stretches(s: wp.vec3d, minimum: wp.float64, maximum: wp.float64) -> wp.vec3d:
-    """Stretches clamped to their range."""
+    """Return the stretches clamped to a range."""
     return wp.vec3d(
         wp.clamp(s[0], minimum, maximum),
         wp.clamp(s[1], minimum, maximum),
@@ -90,7 +91,7 @@ def clamp_stretches(s: wp.vec3d, minimum: wp.float64, maximum: wp.float64) -> wp
 
 @wp.func
 def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float64) -> wp.float64:
-    """`fixed_corotated_energy` of stretches; the smallest counts as `side` = -1 if inverted."""
+    """Return `fixed_corotated_energy` of stretches; `side` = -1 if the smallest is inverted."""
     unit = wp.float64(1.0)
     d = wp.vec3d(s[0] - unit, s[1] - unit, side * s[2] - unit)
     j1 = side * s[0] * s[1] * s[2] - unit
@@ -99,12 +100,12 @@ def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float6
 
 @wp.func
 def snow_return(F: Any, h: Any, theta: Any, dt: Any):
-    """Clamps the stretches to [smallest, largest] and moves the rest to Jp (eqs. 9 and 10 there).
+    """Clamp the stretches to [smallest, largest]; the excess changes Jp (eqs. 9, 10 there).
 
     Nothing is clamped if that would raise the energy, including hardening: a stretch under pressure
-    does not break, however long it is. Without this rule, snow with a Poisson's ratio near 1/2
-    gains energy by breaking. For most elastic particles, bounds of the eigenvalues of F F^T that
-    need no root are enough.
+    causes no fracture, however large it is. Without this rule, snow with a Poisson's ratio near 1/2
+    gains energy by fracture. For most elastic particles, bounds of the eigenvalues of F F^T are
+    within the range; computing these bounds needs no eigenvalues.
     """
     s = F[0, 0]
     b = gram(F)

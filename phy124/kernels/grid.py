@@ -1,7 +1,7 @@
-"""The grid update between scatter and gather, and what is done to rows of nodes.
+"""The grid update between scatter and gather, and operations on rows of nodes.
 
-Rows of nodes in a box of the grid are copied, cleared, added and compared by loops in C++ that a
-CPU vectorises (native/reduction.h). On a GPU each thread has one node, the part before the loop.
+Loops in C++ that a CPU vectorises copy, clear, add and compare rows of nodes in a box of the grid
+(native/reduction.h). On a GPU each thread handles one node, in the code before the loop.
 """
 
 from functools import cache
@@ -17,7 +17,7 @@ from phy124.kernels.reduction import raise_to
 
 @wp.func
 def row_in_grid(box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i), i: int, j: int):
-    """Index of the first node of row (i, j) of a box (lowest node, extent) in a window's nodes."""
+    """Return the index in a window's nodes of the first node of row (i, j) of a box."""
     low = box[0]
     size = window[1]
     return ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
@@ -25,7 +25,7 @@ def row_in_grid(box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
 
 @wp.func
 def row_in_copy(box: wp.array(dtype=wp.vec3i), i: int, j: int):
-    """Index of the first node of row (i, j) of a box in a copy of its nodes."""
+    """Return the index in a copy of a box's nodes of the first node of row (i, j)."""
     count = box[1]
     return (i * count[1] + j) * count[2]
 
@@ -34,13 +34,13 @@ def row_in_copy(box: wp.array(dtype=wp.vec3i), i: int, j: int):
 def copy_row(
     nodes: wp.array(dtype=Any), at: int, others: wp.array(dtype=Any), start: int, count: int
 ):
-    """Copy nodes that follow each other from others."""
+    """Copy consecutive nodes from another array."""
     ...
 
 
 @wp.func_native(code("reduction:clear_row"))
 def clear_row(nodes: wp.array(dtype=Any), at: int, count: int):
-    """Set nodes that follow each other to zero."""
+    """Set consecutive nodes to zero."""
     ...
 
 
@@ -48,11 +48,11 @@ def clear_row(nodes: wp.array(dtype=Any), at: int, count: int):
 def add_row(
     nodes: wp.array(dtype=Any), at: int, others: wp.array(dtype=Any), start: int, count: int
 ):
-    """Add others to nodes that follow each other."""
+    """Add nodes of another array to consecutive nodes."""
     ...
 
 
-# Warp forgets the result of a generic native function, so this one has an overload per precision.
+# Warp loses the return type of a generic native function, so there is an overload per precision.
 for vec4 in (wp.vec4, wp.vec4d):
 
     @wp.func_native(code("reduction:next_changed"))
@@ -64,13 +64,13 @@ for vec4 in (wp.vec4, wp.vec4d):
         first: int,
         end: int,
     ) -> int:
-        """Return the first k >= `first` whose nodes differ in velocity, or `end` if none does."""
+        """Return the first k >= `first` at which the velocities differ, or `end` if none does."""
         ...
 
 
 @cache
 def make_update(real: Any):
-    """Kernel: (momentum, mass) to (velocity, mass), kicked by the uniform acceleration."""
+    """Kernel: (momentum, mass) becomes (velocity, mass), kicked by the uniform acceleration."""
 
     @kernel(f"phy124_grid_{real.__name__}", real, seconds=0.15)
     def update(clock, values, grid_out):
@@ -90,11 +90,11 @@ def make_update(real: Any):
 
 @cache
 def make_merge(real: Any):
-    """Kernel over rows of nodes: adds what several workers scattered.
+    """Kernel over rows of nodes: sums the grids that several workers scattered to.
 
-    Each box of private nodes lies in the window; `boxes` holds its lowest node and its extent,
-    `starts` its first node in `pool`, where its nodes follow each other like those of a window.
-    The boxes are added in order, whoever adds them.
+    Each worker's box of private nodes lies in the window. `boxes` holds the lowest node and the
+    extent of each box, `starts` the index of its first node in `pool`, where the box's nodes are
+    stored like those of a window. The boxes are always added in the same order.
     """
     t = types(real)
 
@@ -126,7 +126,7 @@ def make_merge(real: Any):
 
 @cache
 def make_grid_speed(real: Any):
-    """Kernel: the largest squared speed of a node with mass, which decides about step rejection."""
+    """Kernel: the largest squared speed of nodes with mass, used for step rejection."""
     t = types(real)
 
     @kernel(f"phy124_grid_speed_{real.__name__}", real)
@@ -134,7 +134,7 @@ def make_grid_speed(real: Any):
         q = grid[wp.tid()]
         if q[3] > real(0.0):
             square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
-            # A comparison with NaN is false, and NaN must not count as slow.
+            # A comparison with NaN is false, so without this NaN would be ignored.
             if not wp.isfinite(square):
                 square = real(1.0e38)
             raise_to(fastest_out, 0, square)

@@ -1,10 +1,10 @@
-"""Hencky strain, the logarithm of the stretch, and the elastic law built on it, without an SVD.
+"""Hencky strain, the logarithm of the stretch, and the elastic law based on it, without an SVD.
 
 With b = F F^T and Z = (b - I)(b + I)^-1 the strain is log V = 1/2 log b = atanh Z, an odd power
-series. X = b - I has the invariants i and Z is a quadratic in it,
-Z = (i3 + (4 + 2 i1) X - 2 X^2) / (8 + 4 i1 + 2 i2 + i3). In float32 the series is used for
-stretches between 0.72 and 1.39 (error 3e-8), in float64 between 0.91 and 1.09 (error 2e-15); for
-particles outside, the closed form of `spectral` is used.
+series. Let X = b - I, with invariants i. Then Z is a quadratic in X, Z = (i3 + (4 + 2 i1) X - 2
+X^2) / (8 + 4 i1 + 2 i2 + i3). In float32 the series is used for stretches between 0.72 and 1.39
+(error 3e-8), in float64 between 0.91 and 1.09 (error 2e-15). For particles outside these ranges,
+the closed form of `spectral` is used.
 """
 
 from typing import Any
@@ -25,24 +25,24 @@ from phy124.kernels.spectral import (
 )
 
 SMALLEST_STRETCH = wp.constant(1.0e-4)
-"""Smaller stretches count as this one, so that the strain of a flat element is finite."""
+"""Lower bound applied to stretches, so that the strain of a flat element is finite."""
 
 
 @wp.func
 def series_range(s: wp.float32):
-    """Largest |Z|^2 of the series in float32; the first term left out is Z^13 / 13."""
+    """Return the largest |Z|^2 for the series in float32; the first omitted term is Z^13 / 13."""
     return wp.float32(0.1)
 
 
 @wp.func
 def series_range(s: wp.float64):  # noqa: F811
-    """Largest |Z|^2 of the series in float64."""
+    """Return the largest |Z|^2 for the series in float64."""
     return wp.float64(0.008)
 
 
 @wp.func
 def left_strain(F: Any):
-    """X = F F^T - I."""
+    """Return X = F F^T - I."""
     s = F[0, 0]
     b = gram(F)
     unit = type(s)(1.0)
@@ -51,10 +51,11 @@ def left_strain(F: Any):
 
 @wp.func
 def inverse_tanh(z: Any):
-    """Coefficients of atanh Z as a quadratic in Z, from the invariants of Z; up to Z^11 / 11.
+    """Return the coefficients of atanh Z as a quadratic in Z, from Z's invariants; to Z^11 / 11.
 
-    Z (1 + W/3 + W^2/5 + ...) with W = Z^2: the sum is first a quadratic in W; then Z W = Z^3 and
-    Z W^2 = Z^5 are quadratics in Z. This takes half as many steps as a series in Z.
+    With W = Z^2, atanh Z = Z (1 + W/3 + W^2/5 + ...). The sum is first reduced to a quadratic in W;
+    then Z W = Z^3 and Z W^2 = Z^5 are reduced to quadratics in Z. This takes half as many steps as
+    a series in Z.
     """
     unit = type(z[0])(1.0)
     two = type(z[0])(2.0)
@@ -76,7 +77,7 @@ def inverse_tanh(z: Any):
 
 @wp.func
 def log_strain(F: Any):
-    """Hencky strain log V of F = V R for every F; inverted elements count as their mirror image."""
+    """Return Hencky strain log V of F = V R for any F; inverted elements as if mirrored."""
     s = F[0, 0]
     two = type(s)(2.0)
     four = type(s)(4.0)
@@ -96,7 +97,7 @@ def log_strain(F: Any):
 
 @wp.func
 def hencky_energy(F: Any, h: Any, theta: Any):
-    """mu |e|^2 + lam/2 (tr e)^2, e = log V; theta = (mu, lam, ...)."""
+    """Return mu |e|^2 + lam/2 (tr e)^2, e = log V; theta = (mu, lam, ...)."""
     e = log_strain(F)
     t = wp.trace(e)
     return theta[0] * wp.ddot(e, e) + type(t)(0.5) * theta[1] * t * t
@@ -104,7 +105,7 @@ def hencky_energy(F: Any, h: Any, theta: Any):
 
 @wp.func
 def hencky(F: Any, C: Any, h: Any, theta: Any):
-    """2 mu e + lam tr(e) I, e = log V (Hencky 1928; Klar et al. 2016, eq. 26)."""
+    """Return 2 mu e + lam tr(e) I, e = log V (Hencky 1928; Klar et al. 2016, eq. 26)."""
     e = log_strain(F)
     t = wp.trace(e)
     return type(t)(2.0) * theta[0] * e + theta[1] * t * wp.identity(3, dtype=type(t))
@@ -112,10 +113,11 @@ def hencky(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def cosh_of_difference(F: Any):
-    """Upper bound of cosh x, x the largest difference of two principal strains; 1 at rest.
+    """Return an upper bound of cosh x, x the largest difference of principal strains; 1 at rest.
 
-    With F F^T scaled to determinant 1, eigenvalues e^y, half of its trace and that of its inverse
-    are sum cosh y. Since sum y = 0, this is at least 1 + 2 cosh x: no eigenvalue is needed.
+    Scale F F^T to determinant 1, with eigenvalues e^y. Half of the sum of its trace and the trace
+    of its inverse is sum cosh y. Since sum y = 0, this is at least 1 + 2 cosh x, so no eigenvalue
+    is needed.
     """
     s = F[0, 0]
     a = wp.cross(F[1], F[2])
@@ -130,11 +132,11 @@ def cosh_of_difference(F: Any):
 
 @wp.func
 def hencky_modulus(F: Any, h: Any, theta: Any):
-    """2 mu min(k^(2/3), 1 + ln 2k) + 3 lam, k = `cosh_of_difference`; lam counts only if positive.
+    """Return 2 mu min(k^(2/3), 1 + ln 2k) + 3 max(lam, 0), k = `cosh_of_difference`.
 
-    Shear between two axes has the modulus 2 mu x coth x, x the difference of their strains. It is
-    below 2 mu (1 + x), and below 2 mu (cosh x)^(2/3), by Lazarevic's inequality
-    (sinh x / x)^3 > cosh x.
+    Shear between two axes has the modulus 2 mu x coth x, where x is the difference of the axes'
+    strains. This modulus is below 2 mu (1 + x), and below 2 mu (cosh x)^(2/3) by Lazarevic's
+    inequality (sinh x / x)^3 > cosh x.
     """
     zero = type(theta[0])(0.0)
     two = type(theta[0])(2.0)
@@ -146,5 +148,5 @@ def hencky_modulus(F: Any, h: Any, theta: Any):
 
 @wp.func
 def hencky_damped(F: Any, C: Any, h: Any, theta: Any):
-    """Hencky with viscosity; theta = (mu, lam, eta)."""
+    """Return the Hencky stress plus viscosity; theta = (mu, lam, eta)."""
     return hencky(F, C, h, theta) + newtonian(F, C, theta[2])

@@ -1,6 +1,6 @@
-"""Points on the surface F = 0: where F and its gradient are, steps onto it, neighbours' push.
+"""Implicit surfaces F = 0: values and gradients, projection of points, repulsion of neighbours.
 
-Lengths are pixels of the picture that the surface was made of. All in float64.
+Lengths are in pixels of the picture from which the surface was made. All values are in float64.
 """
 
 from typing import Any, NamedTuple
@@ -11,15 +11,17 @@ from phy124.kernels.build import kernel
 
 Fields = wp.array3d[wp.float64]
 REACH = wp.constant(wp.float64(1.25))
-"""Distance up to which neighbours push, in wanted spacings."""
+"""Distance up to which neighbours repel each other, in target spacings."""
 STRENGTH = wp.constant(wp.float64(0.45))
-"""How much of what is missing neighbours move apart in a round."""
+"""Fraction of the missing distance by which neighbours move apart in one round."""
 SAME_SIDE = wp.constant(wp.float64(0.3))
-"""Least cosine between normals of neighbours; others are on the other side of a thin part."""
+"""Smallest cosine between normals of neighbours; below it, they are on opposite sides of a thin
+part.
+"""
 COUNTED = wp.constant(6)
-"""Neighbours whose distance is the spacing of a point."""
+"""Number of nearest neighbours whose mean distance is the spacing of a point."""
 LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
-"""Range of the spacing, in wanted spacings."""
+"""Range of the spacing, in target spacings."""
 
 
 @wp.struct
@@ -32,23 +34,23 @@ class Inflated:
 
 @wp.struct
 class Hull:
-    """F = w(x, y) + s(z, y), but negative beyond planes across y."""
+    """F = w(x, y) + s(z, y), but negative outside the planes across y."""
 
     front: Fields
-    """w and its slopes along x and y [H,W,3]; x = 0 is in the middle."""
+    """w and its slopes along x and y [H,W,3]; x = 0 is at the middle column."""
     side: Fields
-    """s and its slopes along z and y [H,D,3]; z = 0 is in the middle."""
+    """s and its slopes along z and y [H,D,3]; z = 0 is at the middle column."""
     first: wp.float64
     """y of the first row."""
     pitch: wp.float64
-    """Distance of two rows."""
+    """Distance between two rows [px]."""
     planes: wp.array[wp.vec3d]
-    """Sign, place and steepness of each plane."""
+    """Sign, y position and steepness of each plane."""
 
 
 @wp.struct
 class Corner:
-    """Where between four pixels a point is."""
+    """Position of a point among four pixels: the upper left pixel, and the offset from it."""
 
     row: int
     column: int
@@ -58,12 +60,12 @@ class Corner:
 
 @wp.func
 def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
-    """The pixel at the upper left of a point, which is beyond no edge, and how far it is away."""
+    """Return the pixel at the upper left of a point, clamped to the image, and the offset."""
     last_row, last_column = fields.shape[0] - 1, fields.shape[1] - 1
     x = wp.clamp(x, wp.float64(0.0), wp.float64(last_column))
     y = wp.clamp(y, wp.float64(0.0), wp.float64(last_row))
     at = Corner()
-    # The last pixel has none beyond it.
+    # The last pixel has no next one to interpolate with.
     at.row = wp.clamp(int(y), 0, last_row - 1)
     at.column = wp.clamp(int(x), 0, last_column - 1)
     at.down = y - wp.float64(at.row)
@@ -73,7 +75,7 @@ def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
 
 @wp.func
 def sample(fields: Fields, at: Corner, channel: int) -> wp.float64:
-    """A field, linear between pixels."""
+    """Return a channel of a field, interpolated linearly between pixels."""
     above = wp.lerp(
         fields[at.row, at.column, channel], fields[at.row, at.column + 1, channel], at.right
     )
@@ -85,7 +87,7 @@ def sample(fields: Fields, at: Corner, channel: int) -> wp.float64:
 
 @wp.func
 def evaluate_inflated(surface: Inflated, p: wp.vec3d) -> wp.vec4d:
-    """F and its gradient at a point."""
+    """Return F and its gradient at a point."""
     at = corner(surface.fields, p[0], p[1])
     z = p[2] - sample(surface.fields, at, 1)
     return wp.vec4d(
@@ -98,7 +100,7 @@ def evaluate_inflated(surface: Inflated, p: wp.vec3d) -> wp.vec4d:
 
 @wp.func
 def evaluate_hull(surface: Hull, p: wp.vec3d) -> wp.vec4d:
-    """F and its gradient at a point."""
+    """Return F and its gradient at a point."""
     zero = wp.float64(0.0)
     row = (p[1] - surface.first) / surface.pitch
     front = corner(surface.front, p[0] + wp.float64(surface.front.shape[1] // 2), row)
@@ -121,7 +123,7 @@ class Kernels(NamedTuple):
     """The kernels of one kind of surface."""
 
     evaluate: Any
-    """(surface, points) -> F, its gradient."""
+    """(surface, points) -> F, gradient of F."""
     orient: Any
     """(surface, points) -> outward unit normals."""
     project: Any
@@ -185,15 +187,15 @@ def push(
     moved_out: wp.array[wp.vec3d],
     spacings_out: wp.array[wp.float64],
 ):
-    """Points pushed along the surface by neighbours nearer than wanted, and their mean distance.
+    """Move points along the surface, away from neighbours that are too close.
 
     Args:
-        points: Places [N].
-        normals: Unit normals there [N].
-        wanted: The distance that neighbours should have [N].
+        points: Positions [N].
+        normals: Unit normals at the points [N].
+        wanted: The target distance of neighbours [N].
         near: Each point's neighbours, nearest first [N,K].
-        moved_out: Receives the places [N].
-        spacings_out: Receives the mean distance of neighbours [N].
+        moved_out: Receives the new positions [N].
+        spacings_out: Receives the mean distance of each point's neighbours [N].
     """
     i = wp.tid()
     p, n, far = points[i], normals[i], wanted[i]

@@ -1,7 +1,7 @@
-"""The maxima over the particles that limit a substep and bound the particles.
+"""Maxima over the particles that limit a substep, and the particles' bounding box.
 
-`timestep.make_timestep` reads them on the device and phy124/mpm/timestep.py on the host. The lowest
-corner is stored as the maximum of -x.
+`timestep.make_timestep` reads these maxima on the device and phy124/mpm/timestep.py on the host.
+The lowest corner is stored as the maximum of -x.
 """
 
 from functools import cache
@@ -16,28 +16,28 @@ from phy124.kernels.reduction import finite, greater, raise_to
 from phy124.kernels.transfer import Law, between, member
 
 SPEED = 0
-"""|v| [m/s]."""
+"""Index of |v| [m/s]."""
 GRADIENT = 1
-"""|C| [1/s]."""
+"""Index of |C| [1/s]."""
 STIFFNESS = 2
-"""A / rho0 [m^2/s^2]."""
+"""Index of A / rho0 [m^2/s^2]."""
 LOW = 3
-"""The first of three: minus the lowest corner of the particles [m]."""
+"""Index of the first of three components: minus the lowest corner of the particles [m]."""
 HIGH = 6
-"""The first of three: the highest corner [m]."""
+"""Index of the first of three components: the highest corner of the particles [m]."""
 COUNT = 9
 """Number of maxima."""
 SPEEDS = 2
-"""Number of those that `make_measure_speeds` computes: the first."""
+"""Number of maxima that `make_measure_speeds` computes: the first ones."""
 
 
 @cache
 def make_measure(law: Law, real: Any):
     """Kernel: measures the limits of the substep and the extent of the particles.
 
-    The maxima are over the particles inside the domain. Those that are
-    not finite are counted as stray. Each thread measures `each` particles, `stride` apart, starting
-    with that of index `first` times its number.
+    The maxima are over the particles inside the domain. Particles with non-finite values are
+    counted as stray. Each thread measures `each` particles, `stride` apart, starting with index
+    `first` times the thread's number.
     """
     t = types(real)
     modulus = law.modulus
@@ -62,7 +62,7 @@ def make_measure(law: Law, real: Any):
         maxima_out: t.reals,
         stray_out: Ints,
     ):
-        # Squares, from 0 on: the root of -inf would be NaN in a thread without particles.
+        # Squares start from 0: the root of -inf would be NaN in a thread without particles.
         speed = real(0.0)
         gradient = real(0.0)
         stiffness = real(-wp.inf)
@@ -112,15 +112,15 @@ for kinds in (types(wp.float32), types(wp.float64)):
         v: kinds.vec3s,
         C: kinds.mat33s,
     ) -> kinds.vec3:
-        """Largest |v|^2 and |C|^2 of some particles, and the number that are not finite."""
+        """Return the largest |v|^2 and |C|^2 of some particles, and how many are not finite."""
         ...
 
 
 @cache
 def make_measure_speeds(real: Any):
-    """Kernel: measures `SPEED` and `GRADIENT` alone, of all particles of any law.
+    """Kernel: measures only `SPEED` and `GRADIENT`, of all particles of any law.
 
-    Its threads have the same particles as those of `make_measure`.
+    Its threads handle the same particles as those of `make_measure`.
     """
     t = types(real)
 

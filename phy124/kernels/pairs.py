@@ -1,17 +1,19 @@
-"""Contact between two bodies: where both have mass at a node, their velocities there become one.
+"""Contact between two bodies: at a node where both have mass, their velocities are made equal.
 
-Each body has a field of velocities of its own, and an impulse acts between two at the nodes that
-they share (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al. 2001). Its normal is that of
-the gradients of both bodies' volumes (Nairn 2013), which both bodies see alike.
+Each body has its own velocity field, and an impulse acts between two bodies at the nodes that they
+share (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al. 2001). The normal of the impulse
+is computed from the gradients of both bodies' volumes (Nairn 2013), so it is the same for both
+bodies.
 
-Nodes are shared before bodies touch, so contact needs a criterion of its own. The weights of a
-quadratic B-spline have the variance dx^2 / 4 along every direction: the fraction of its volume that
-a body fills around a node tells how far its surface is from there, whatever the direction. Two
-surfaces meet where the fractions add up to 1. (Nairn et al. 2020 find the distance by a regression
-over the particles.) A fraction is one of the mass in the body's depth, which takes account of its
-edges, of its density, and of its compression. Three nodes in a row, along the axis closest to the
-normal, are in contact or not together, by the one that both bodies share most; at the rim of a
-contact, where the gap is curved, its mean around a node is larger than the gap at the node.
+Nodes are shared before bodies touch, so contact needs another criterion. The weights of a quadratic
+B-spline have the variance dx^2 / 4 along every direction: the volume fraction that a body fills
+around a node therefore gives the distance of its surface, whatever the direction. Two surfaces meet
+if the fractions add up to 1. (Nairn et al. 2020 compute the distance by a regression over the
+particles.) The fraction is the ratio of the body's mass at the node to its mass in the interior,
+which accounts for the body's edges, density and compression. Three nodes in a row, along the axis
+closest to the normal, are in contact or not together; the node with the largest overlap of both
+bodies decides. At the rim of a contact, where the gap is curved, the mean of the gap around a node
+is larger than the gap at the node.
 """
 
 from functools import cache
@@ -27,22 +29,25 @@ from phy124.kernels.contacts import IMPULSE, MOMENT
 from phy124.kernels.diagnostics import add3, wide
 
 LIGHTEST = wp.constant(1e-6)
-"""Fraction of its volume that each body must fill to be looked at."""
+"""Smallest volume fraction of each body at a node for contact to be considered."""
 NARROWEST = wp.constant(0.05)
-"""Fraction of its volume that a body must fill in its depth: a half at an edge, a quarter at a
-corner; less is beyond it, or a single particle."""
+"""Smallest volume fraction of a body in its interior: it is 1/2 at an edge and 1/4 at a corner;
+smaller fractions occur beyond the body, or for a single particle.
+"""
 ROUNDING = wp.constant(0.375)
-"""Part of what the gaps of four neighbours have more than that of a node by which it may be open,
-where surfaces have met: 1/4 is what two splines see of a gap's curvature, more is fitted to balls
-(docs/lab/contact-force.md)."""
+"""Contact tolerance for curved gaps: a node may be open by this fraction of the sum of its four
+neighbours' gaps minus its own. The curvature of a gap as seen by two splines gives 1/4; the larger
+value is fitted to balls (docs/lab/contact-force.md).
+"""
 STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
-"""How soon a steeper slope counts alone, and how many times as much the squared slope of a body
-counts which never moves."""
+"""`STEEPER`: how fast the normal changes from the mean of two slopes to the steeper slope alone.
+`TRUSTED`: factor on the squared slope of a body that never moves.
+"""
 
 
 @wp.func
 def mass_at(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i):
-    """Mass of a body at a node of the lattice [kg]; nothing outside its window."""
+    """Return the mass of a body at a node of the lattice [kg]; zero outside its window."""
     at = node - window[0]
     size = window[1]
     n = wp.dot(at, strides(size))
@@ -60,10 +65,10 @@ def mass_at(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: w
 
 @wp.func
 def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i, zero: Any):
-    """Gradient of a body's mass at a node [kg per 32 cells], from `zero` on.
+    """Return the gradient of a body's mass at a node [kg per 32 cells], added to `zero`.
 
-    Along each axis it is a mean of nine differences: a surface that is rough by a hundredth of a
-    cell would otherwise brake what slides over it.
+    The gradient along each axis is a mean of nine differences: otherwise a surface with a roughness
+    of a hundredth of a cell would brake an object that slides over it.
     """
     sum = zero
     for n in range(27):
@@ -76,15 +81,17 @@ def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.
 
 @wp.func
 def trust(yields: Any):
-    """How much the slope of a body's volume counts: more, if the body never moves."""
+    """Return the weight of the slope of a body's volume, larger if the body never moves."""
     return type(yields)(TRUSTED) - (type(yields)(TRUSTED) - type(yields)(1.0)) * yields
 
 
 @wp.func
 def normal(to: Any, away: Any, yields: Any):
-    """The normal of contact, from where the slopes of two bodies' volumes point: to the second, and
-    away from it. The steeper slope is that of the flatter surface (Nairn 2013 takes the steeper
-    one; a mean of equals is less rough). That of a body that never moves is not rough at all.
+    """Return the contact normal from the slopes of two bodies' volumes.
+
+    `to` is the slope of the second body's volume, `away` that of the first body's. The steeper
+    slope belongs to the flatter surface and is preferred (Nairn 2013 takes the steeper slope; the
+    mean of equal slopes is less rough). The slope of a body that never moves has no roughness.
     """
     a = wp.length_sq(to) * trust(yields[1])
     b = wp.length_sq(away) * trust(yields[0])
@@ -95,7 +102,7 @@ def normal(to: Any, away: Any, yields: Any):
 
 @wp.func
 def outward(n: Any):
-    """The step to the next node along the axis closest to a normal."""
+    """Return the step to the next node along the axis closest to a normal."""
     axis = steepest(n)
     step = wp.vec3i()
     step[axis] = int(wp.sign(n[axis]))
@@ -111,7 +118,7 @@ def shared_most(
     node: wp.vec3i,
     step: wp.vec3i,
 ):
-    """The node that two bodies share most, of three in a row: the one closest to their surfaces."""
+    """Return the node, of three in a row, with the largest overlap of two bodies."""
     at = node
     most = mass_at(first, first_window, node) * mass_at(second, second_window, node)
     for side in range(-1, 2, 2):
@@ -132,10 +139,11 @@ def fill_fraction(
     fill: Any,
     narrowest: Any,
 ):
-    """Mass of a body around a node as a fraction of that in its depth, up to two nodes inward; -1
-    where it fills less than `narrowest` there.
+    """Return the ratio of a body's mass at a node to its mass in the interior.
 
-    At an edge of the body, and where it is compressed, both change alike.
+    The interior is taken up to two nodes inward. The ratio is -1 if the body's volume fraction
+    there is less than `narrowest`. At an edge of the body, and under compression, both masses
+    change by the same factor.
     """
     m = mass_at(grid, window, node)
     deep = wp.max(mass_at(grid, window, node + inward), mass_at(grid, window, node + 2 * inward))
@@ -155,7 +163,7 @@ def gap(
     step: wp.vec3i,
     fill: Any,
 ):
-    """What two bodies do not fill around a node, as a fraction; 1 where only one of them is."""
+    """Return the volume fraction around a node that two bodies leave empty; 1 without both."""
     a = fill_fraction(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
     b = fill_fraction(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
     unit = type(a)(1.0)
@@ -164,7 +172,7 @@ def gap(
 
 @wp.func
 def neighbour(step: wp.vec3i, n: int):
-    """The step to one of the four nodes next to a row along an axis."""
+    """Return the step to neighbour n (0 to 3) of a node, across the axis of `step`."""
     axis = steepest(wp.vec3(float(step[0]), float(step[1]), float(step[2])))
     to = wp.vec3i()
     to[(axis + 1 + n / 2) % 3] = 1 - 2 * (n % 2)
@@ -173,9 +181,9 @@ def neighbour(step: wp.vec3i, n: int):
 
 @wp.func
 def is_closed(gap: Any, more: Any):
-    """Return whether contact is closed at a gap whose four neighbours are larger by `more` in sum.
+    """Return whether a gap is closed; `more` is the sum of the neighbours' gaps minus this gap.
 
-    At the rim of a contact the gap beyond it is a part of what a node sees.
+    At the rim of a contact, the gap beyond the rim contributes to the gap at a node.
     """
     unit = type(gap)(1.0)
     return gap < unit and gap <= type(gap)(ROUNDING) * wp.max(more, type(gap)(0.0))
@@ -191,7 +199,7 @@ def surfaces_meet(
     step: wp.vec3i,
     fill: Any,
 ):
-    """Whether the surfaces of two bodies have met at the node of a row that they share most."""
+    """Return whether the surfaces of two bodies meet at the node with their largest overlap."""
     here = gap(first, first_window, second, second_window, at, step, fill)
     more = type(here)(0.0)
     for n in range(4):
@@ -205,8 +213,10 @@ def surfaces_meet(
 
 @wp.func
 def stop(relative: Any, n: Any, friction: Any):
-    """The part of a relative velocity that contact takes: all of the approach along the normal n,
-    and of the motion across it as much as Coulomb friction can.
+    """Return the part of a relative velocity that contact removes.
+
+    It is the whole approach along the normal n, and the motion across n as far as Coulomb friction
+    allows.
     """
     approach = wp.dot(relative, n)
     if approach <= type(approach)(0.0):
@@ -217,13 +227,13 @@ def stop(relative: Any, n: Any, friction: Any):
 
 @cache
 def make_pair(real: Any):
-    """Kernel over nodes that two bodies share: an impulse between them, as large as it is opposite.
+    """Kernel over nodes that two bodies share: applies equal and opposite impulses to the bodies.
 
     `low` is the first of these nodes on the lattice, `fill` the volume fraction per mass at a node
-    of each body, `yields` 1 for a body that gives way and 0 for one that never moves. A sticky pair
-    has one velocity wherever both have mass. `sums_out` collects what the first body gives to the
-    second: the impulse, and its moment about the origin of the world. Of the nodes around its own a
-    thread reads the masses alone, which no thread changes.
+    of each body, `yields` 1 for a body that can move and 0 for a body that never moves. A sticky
+    pair has one velocity at each node where both have mass. `sums_out` sums the impulse of the
+    first body on the second, and its moment about the origin of the world. Of neighbouring nodes, a
+    thread reads only the masses, which no thread changes.
     """
     t = types(real)
 

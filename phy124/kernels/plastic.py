@@ -1,8 +1,8 @@
-"""Return mappings on Hencky strain, which bring the elastic part of F back to the yield surface.
+"""Return mappings on Hencky strain: they project the elastic part of F onto the yield surface.
 
 They change only e = log V: the new F is exp(e_new - e) F, which keeps the rotation and needs no
-singular vectors. Strengths are stored as norms of the deviatoric Kirchhoff stress,
-limit = sqrt(2/3) sigma_Y, with sigma_Y the uniaxial yield stress.
+singular vectors. Strengths are stored as norms of the deviatoric Kirchhoff stress, limit =
+sqrt(2/3) sigma_Y, with sigma_Y the uniaxial yield stress.
 """
 
 from typing import Any
@@ -15,10 +15,10 @@ from phy124.kernels.spectral import deviator, exponential
 
 @wp.func
 def von_mises(F: Any, h: Any, theta: Any, dt: Any):
-    """Radial return with linear hardening or softening (Simo and Hughes 1998, box 3.1).
+    """Do a radial return with linear hardening or softening (Simo and Hughes 1998, box 3.1).
 
-    theta = (mu, lam, limit, slope, minimum): the limit rises by `slope` per plastic strain, never
-    below `minimum`; h[0] is the plastic strain so far, the sum of |d e_p|.
+    theta = (mu, lam, limit, slope, minimum): the limit changes by `slope` per plastic strain and is
+    at least `minimum`; h[0] is the accumulated plastic strain, the sum of |d e_p|.
     """
     zero = type(theta[0])(0.0)
     shear = type(theta[0])(2.0) * theta[0]
@@ -36,7 +36,7 @@ def von_mises(F: Any, h: Any, theta: Any, dt: Any):
 
 @wp.func
 def remaining_fraction(log_k: Any, m: Any):
-    """The root r in (0, 1] of r + k r^m = 1 with k >= 0, m >= 1, by Newton's method from above."""
+    """Return the root r in (0, 1] of r + k r^m = 1, k >= 0 and m >= 1, by Newton's method."""
     unit = type(log_k)(1.0)
     r = wp.exp(wp.min(-log_k / m, type(log_k)(0.0)))
     if log_k > type(log_k)(40.0):
@@ -50,10 +50,10 @@ def remaining_fraction(log_k: Any, m: Any):
 
 @wp.func
 def herschel_bulkley(F: Any, h: Any, theta: Any, dt: Any):
-    """Viscoplastic flow (Yue et al. 2015): the excess over the limit decays at a finite rate.
+    """Apply viscoplastic flow (Yue et al. 2015): the excess over the limit decays at a finite rate.
 
-    Backward Euler of d|s|/dt = -2 mu (x / eta)^(1/n), x = |s| - limit;
-    theta = (mu, lam, limit, eta [Pa s^n], n). h[0] sums the plastic strain.
+    The step is backward Euler of d|s|/dt = -2 mu (x / eta)^(1/n), x = |s| - limit; theta = (mu,
+    lam, limit, eta [Pa s^n], n). h[0] is the accumulated plastic strain.
     """
     zero = type(theta[0])(0.0)
     unit = type(theta[0])(1.0)

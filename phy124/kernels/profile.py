@@ -1,9 +1,10 @@
-"""Tables of time on the device: piecewise linear tracks, sampled once per substep.
+"""Time tables on the device: piecewise linear tracks, sampled once per substep.
 
 A wall needs its current position and speed. A force needs its mean over the interval of its kick,
 from half a substep ago to half a substep ahead. These intervals cover time without gaps, so any
-force gives its exact impulse whatever the substeps are. A profile may be quicker than a substep:
-means count all its periods, and a wall's speed is then that between its two positions.
+force has its exact impulse for any sequence of substeps. A profile's period may be shorter than a
+substep: means include all its periods, and a wall's speed is then the difference of its two
+positions divided by the substep.
 """
 
 from functools import cache
@@ -17,18 +18,18 @@ from phy124.kernels.build import kernel
 MEAN = 1
 """Flag of a track that is averaged over the kick."""
 JOINS = 2
-"""Flag of a track that adds to the uniform acceleration in slot 0."""
+"""Flag of a track that is added to the uniform acceleration in slot 0."""
 LIMITED = 4
-"""Flag of a track whose stage says itself how much it may accelerate a particle."""
+"""Flag of a track whose stage sets its own limit on the acceleration of particles."""
 KICK = 8
-"""Flag of a track that is averaged over the kick, whether active or not."""
+"""Flag of a track that is averaged over the kick, even while inactive."""
 DRIFT = 16
-"""Flag of a track that is averaged over the substep ahead, whether active or not."""
+"""Flag of a track that is averaged over the substep ahead, even while inactive."""
 
 
 @wp.func
 def value_at(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), i: int, at: Any):
-    """Value on the segment from key i to the next."""
+    """Return the value of a track between key i and the next key."""
     span = times[i + 1] - times[i]
     return keys[i] + ((at - times[i]) / span) * (keys[i + 1] - keys[i])
 
@@ -37,7 +38,7 @@ def value_at(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), i: int, at: 
 def integral(
     times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any
 ):
-    """Integral of a track from a to b [s]; outside its keys it is constant."""
+    """Return the integral of a track from a to b [s]; outside its keys the track is constant."""
     zero = a - a
     total = wp.max(wp.min(b, times[first]) - a, zero) * keys[first]
     total += wp.max(b - wp.max(a, times[last]), zero) * keys[last]
@@ -53,7 +54,7 @@ def integral(
 
 @wp.func
 def fold(at: Any, period: Any):
-    """Time since the current period began; unchanged without a period, or before the first."""
+    """Return the time since the current period began; unchanged without a period or before 0."""
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
     return at
@@ -69,7 +70,7 @@ def mean(
     a: Any,
     b: Any,
 ):
-    """Mean from a to b [s], zero outside span = (start, end, origin, period)."""
+    """Return the mean from a to b [s]; zero outside span = (start, end, origin, period)."""
     zero = a - a
     low = wp.max(a, span[0])
     high = wp.min(b, span[1])
@@ -92,7 +93,7 @@ def mean(
 
 @wp.func
 def read(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, at: Any):
-    """Value of a track and its rate; outside its keys it is constant."""
+    """Return the value of a track and its rate; outside its keys the track is constant."""
     value = keys[last]
     rate = value - value
     if at < times[first]:
@@ -108,7 +109,7 @@ def read(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last
 
 @wp.func
 def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any):
-    """Number of keys after the first that are later than a [s] and no later than b."""
+    """Return the number of keys after the first that are later than a [s] and no later than b."""
     count = int(0)
     for i in range(first + 1, last + 1):
         if times[i] > a and times[i] <= b:
@@ -118,7 +119,7 @@ def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: An
 
 @wp.func
 def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, period: Any):
-    """Whether a whole piece between two keys lies between two times [s]."""
+    """Return whether a whole segment between two keys lies between two times [s]."""
     passed = keys_within(times, first, last, at, to)
     if period > type(at)(0.0) and to > period:
         passed += keys_within(times, first, last, type(at)(0.0), to - period)

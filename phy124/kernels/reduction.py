@@ -1,13 +1,13 @@
-"""What many threads do together: sums, maxima, stores, and a barrier.
+"""Operations over many threads: sums, maxima, stores, and a barrier.
 
-On a GPU, atomic operations on one address are serialised, so each thread first reduces its own
-part, and then the 32 threads of a warp theirs: one of them writes for all. Where some of a warp
-are elsewhere (at the end of a launch, or in another branch), each writes for itself. From compute
-capability 9.0 on, a GPU adds four float32 to a node in one transaction; older ones, float64 and
-the CPU add component by component.
+On a GPU, atomic operations on one address are serialised. Each thread therefore first reduces its
+own items, then the 32 threads of a warp reduce theirs, and one of them writes the result. If
+threads of a warp are inactive (at the end of a launch, or in another branch), each thread writes
+its own result. From compute capability 9.0 on, a GPU adds four float32 to a node in one
+transaction; older GPUs, float64 and the CPU add each component separately.
 
-At the barrier CPU threads that run kernels in parallel wait for each other. They spin inside a
-kernel, where Warp has released Python's global lock, for tens of microseconds; the caller yields
+At the barrier, CPU threads that run kernels in parallel wait for each other. They spin for tens of
+microseconds inside a kernel, where Warp has released Python's global lock; the caller then yields
 the core before it tries again.
 """
 
@@ -23,10 +23,11 @@ EACH, MOST_THREADS = 32, 2**14
 
 
 def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
-    """Number of threads that reduce all particles, and first, each and stride of their parts.
+    """Return the number of threads that reduce all particles, and `first`, `each`, `stride`.
 
-    A thread has the particles `thread * first + k * stride`, k < each. On the CPU these are
-    neighbours; on a GPU those of neighbouring threads are, so that memory reads coalesce.
+    A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU a thread's
+    particles are neighbours; on a GPU, neighbouring threads have neighbouring particles, so that
+    memory reads coalesce.
     """
     if device == "cpu":
         return -(-particles // EACH), EACH, EACH, 1
@@ -35,9 +36,10 @@ def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
 
 
 def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int], int]:
-    """Threads (i, j, part) over a box of nodes, and how many nodes of row (i, j) each has.
+    """Return the threads (i, j, segment) over a box of nodes, and the nodes of row (i, j) per
+    thread.
 
-    On the CPU that is the whole row, on a GPU one node.
+    A thread has the whole row on the CPU, and one node on a GPU.
     """
     x, y, z = (int(count) for count in extent)
     return ((x, y, min(z, 1)), z) if device == "cpu" else ((x, y, z), 1)
@@ -57,25 +59,25 @@ def add(grid: wp.array(dtype=wp.vec4d), node: int, value: wp.vec4d):  # noqa: F8
 
 @wp.func
 def finite(a: Any):
-    """Whether a number is finite; on the CPU `wp.isfinite` is a function call and slower."""
+    """Return whether a number is finite; on the CPU `wp.isfinite` is a slower function call."""
     return a - a == type(a)(0.0)
 
 
 @wp.func
 def greater(a: Any, b: Any):
-    """The larger of two numbers, without the check for NaN of `wp.max`."""
+    """Return the larger of two numbers, without the NaN check of `wp.max`."""
     return wp.where(b > a, b, a)
 
 
 @wp.func_native(code("reduction:load"))
 def load(grid: wp.array(dtype=wp.vec4), node: int) -> wp.vec4:
-    """A node; a GPU reads its four numbers at once, which Warp's alignment of 4 bytes forbids."""
+    """Return a node; a GPU reads four numbers at once, which Warp's 4-byte alignment prevents."""
     ...
 
 
 @wp.func_native("return wp::index(grid, node);")
 def load(grid: wp.array(dtype=wp.vec4d), node: int) -> wp.vec4d:  # noqa: F811
-    """A node in float64."""
+    """Return a node in float64."""
     ...
 
 
@@ -87,19 +89,19 @@ def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
 
 @wp.func_native(code("reduction:most", "reduction:warp", "reduction:raise_to"))
 def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
-    """Raise a maximum over all threads."""
+    """Raise a maximum over all threads to a value, if the value is larger."""
     ...
 
 
 @wp.func_native(code("reduction:least", "reduction:warp", "reduction:lower_to"))
 def lower_to(minima: wp.array(dtype=int), index: int, value: int):
-    """Lower a minimum over all threads of integers."""
+    """Lower an integer minimum over all threads to a value, if the value is smaller."""
     ...
 
 
 @wp.func_native(code("reduction:store"))
 def store(matrices: wp.array(dtype=wp.mat33), particle: int, value: wp.mat33):
-    """Write a particle's matrix; on a GPU 32 neighbouring particles write theirs together."""
+    """Write a particle's matrix; on a GPU 32 neighbouring particles are written together."""
     ...
 
 
@@ -116,5 +118,5 @@ def meet(
     counter_out: wp.array(dtype=int),
     ticket_out: wp.array(dtype=int),
 ):
-    """One thread's attempt to pass in `spins` looks; `ticket_out[0]` is zero once it has."""
+    """Check the barrier up to `spins` times; `ticket_out[0]` is 0 once all threads have arrived."""
     ...

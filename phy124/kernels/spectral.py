@@ -1,14 +1,15 @@
 """Functions of a symmetric 3x3 matrix through its eigenvalues, in float64, without eigenvectors.
 
-The eigenvalues have a closed form (Smith 1961). A function of the matrix is then the quadratic with
-the function's values there (Newton's divided differences). It remains exact to rounding where
-eigenvalues coincide, because the error of a node is multiplied by the gap. The laws use this for
-the few particles outside the range of their fast forms.
+The eigenvalues have a closed form (Smith 1961). A function of the matrix is then the quadratic
+polynomial that has the function's values at the eigenvalues (Newton's divided differences). The
+polynomial remains exact to rounding if eigenvalues coincide, because the error of each divided
+difference is multiplied by the gap between the eigenvalues. The laws use these functions for the
+few particles outside the range of their fast forms.
 
-Symmetric 3x3 matrices: squares, and power series by the Cayley-Hamilton theorem.
-
-Every power of A is a quadratic c0 I + c1 A + c2 A^2 whose coefficients follow from the invariants
-of A, so each further term of a series costs a few scalar operations but no matrix product.
+The module also has squares of symmetric 3x3 matrices, and power series by the Cayley-Hamilton
+theorem. Every power of A is a quadratic c0 I + c1 A + c2 A^2 whose coefficients follow from the
+invariants of A, so each further term of a series costs a few scalar operations but no matrix
+product.
 """
 
 from typing import Any
@@ -20,7 +21,7 @@ THIRD_TURN = wp.constant(wp.float64(2.0943951023931953))
 
 @wp.func
 def to_double(m: Any):
-    """A 3x3 matrix in float64."""
+    """Return a 3x3 matrix in float64."""
     return wp.mat33d(
         wp.float64(m[0, 0]), wp.float64(m[0, 1]), wp.float64(m[0, 2]),
         wp.float64(m[1, 0]), wp.float64(m[1, 1]), wp.float64(m[1, 2]),
@@ -30,7 +31,7 @@ def to_double(m: Any):
 
 @wp.func
 def from_double(m: wp.mat33d, like: Any):
-    """A float64 matrix in the precision of the scalar `like`."""
+    """Return a float64 matrix in the precision of the scalar `like`."""
     return wp.matrix_from_rows(
         wp.vector(type(like)(m[0, 0]), type(like)(m[0, 1]), type(like)(m[0, 2])),
         wp.vector(type(like)(m[1, 0]), type(like)(m[1, 1]), type(like)(m[1, 2])),
@@ -40,7 +41,7 @@ def from_double(m: wp.mat33d, like: Any):
 
 @wp.func
 def eigenvalues(b: wp.mat33d) -> wp.vec3d:
-    """The eigenvalues of a symmetric matrix, largest first."""
+    """Return the eigenvalues of a symmetric matrix, largest first."""
     unit = wp.float64(1.0)
     q = wp.trace(b) / wp.float64(3.0)
     d = b - q * wp.identity(3, dtype=wp.float64)
@@ -57,7 +58,7 @@ def eigenvalues(b: wp.mat33d) -> wp.vec3d:
 
 @wp.func
 def slope(rise: wp.float64, run: wp.float64) -> wp.float64:
-    """rise / run, or 0 if the two nodes coincide."""
+    """Return rise / run, or 0 if the two nodes coincide."""
     if run > wp.float64(0.0):
         return rise / run
     return wp.float64(0.0)
@@ -65,7 +66,7 @@ def slope(rise: wp.float64, run: wp.float64) -> wp.float64:
 
 @wp.func
 def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
-    """The function of b that is f_i at its eigenvalues at_i (largest first)."""
+    """Return the function of b that has the values f_i at its eigenvalues at_i (largest first)."""
     first = slope(f[0] - f[1], at[0] - at[1])
     second = slope(first - slope(f[1] - f[2], at[1] - at[2]), at[0] - at[2])
     unit = wp.identity(3, dtype=wp.float64)
@@ -74,9 +75,9 @@ def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
 
 @wp.func
 def signed_stretch(F: wp.mat33d) -> wp.mat33d:
-    """V of the polar decomposition F = V R, with R a rotation for every F, even flat or inverted.
+    """Return V of F = V R, with R a rotation for every F, even if F is flat or inverted.
 
-    The smallest stretch carries the sign of det F.
+    The smallest stretch has the sign of det F.
     """
     b = F * wp.transpose(F)
     at = eigenvalues(b)
@@ -91,7 +92,7 @@ def signed_stretch(F: wp.mat33d) -> wp.mat33d:
 
 @wp.func
 def floored_log(F: wp.mat33d, floor: wp.float64) -> wp.mat33d:
-    """log V of F = V R; stretches below `floor` count as `floor`, and reflections are ignored."""
+    """Return log V of F = V R; stretches are raised to `floor`, and reflections are ignored."""
     b = F * wp.transpose(F)
     at = eigenvalues(b)
     half = wp.float64(0.5)
@@ -110,13 +111,13 @@ def floored_log(F: wp.mat33d, floor: wp.float64) -> wp.mat33d:
 
 @wp.func
 def symmetric(xx: Any, xy: Any, xz: Any, yy: Any, yz: Any, zz: Any):
-    """A symmetric matrix from its six entries."""
+    """Return a symmetric matrix from its six entries."""
     return wp.matrix_from_rows(wp.vector(xx, xy, xz), wp.vector(xy, yy, yz), wp.vector(xz, yz, zz))
 
 
 @wp.func
 def gram(a: Any):
-    """A A^T; the square of a symmetric A."""
+    """Return A A^T, which is the square of a symmetric A."""
     x = a[0]
     y = a[1]
     z = a[2]
@@ -127,14 +128,14 @@ def gram(a: Any):
 
 @wp.func
 def deviator(a: Any):
-    """A without its mean, A - tr A / 3 I."""
+    """Return the deviator of A, A - tr A / 3 I."""
     mean = wp.trace(a) / type(a[0, 0])(3.0)
     return symmetric(a[0, 0] - mean, a[0, 1], a[0, 2], a[1, 1] - mean, a[1, 2], a[2, 2] - mean)
 
 
 @wp.func
 def invariants(a: Any, squared: Any):
-    """The principal invariants of A, given its square."""
+    """Return the principal invariants of A; `squared` is A^2."""
     first = wp.trace(a)
     second = (first * first - wp.trace(squared)) * type(first)(0.5)
     return wp.vector(first, second, wp.determinant(a))
@@ -142,13 +143,13 @@ def invariants(a: Any, squared: Any):
 
 @wp.func
 def next_power(c: Any, i: Any):
-    """Coefficients of A (c0 I + c1 A + c2 A^2), with i the invariants of A."""
+    """Return the coefficients of A (c0 I + c1 A + c2 A^2), with i the invariants of A."""
     return wp.vector(c[2] * i[2], c[0] - c[2] * i[1], c[1] + c[2] * i[0])
 
 
 @wp.func
 def quadratic(c: Any, a: Any, squared: Any):
-    """c0 I + c1 A + c2 A^2."""
+    """Return c0 I + c1 A + c2 A^2."""
     return symmetric(
         c[0] + c[1] * a[0, 0] + c[2] * squared[0, 0],
         c[1] * a[0, 1] + c[2] * squared[0, 1],
@@ -161,7 +162,7 @@ def quadratic(c: Any, a: Any, squared: Any):
 
 @wp.func
 def linear_range(s: wp.float32):
-    """|A|^2 below which, in float32, exp A is I + A to rounding and atanh A is A.
+    """Return |A|^2 below which exp A = I + A and atanh A = A to rounding in float32.
 
     Higher powers of such a small matrix would be denormal numbers, which are slow.
     """
@@ -170,25 +171,25 @@ def linear_range(s: wp.float32):
 
 @wp.func
 def linear_range(s: wp.float64):  # noqa: F811
-    """The same in float64."""
+    """Return |A|^2 below which exp A = I + A and atanh A = A to rounding in float64."""
     return wp.float64(1.0e-18)
 
 
 @wp.func
 def small_enough(s: wp.float32):
-    """|A|^2 for which the series of exp A up to A^5 / 120 is exact in float32."""
+    """Return |A|^2 up to which the series of exp A to A^5 / 120 is exact in float32."""
     return wp.float32(0.015625)
 
 
 @wp.func
 def small_enough(s: wp.float64):  # noqa: F811
-    """|A|^2 for which the series of exp A up to A^5 / 120 is exact in float64."""
+    """Return |A|^2 up to which the series of exp A to A^5 / 120 is exact in float64."""
     return wp.float64(2.5e-5)
 
 
 @wp.func
 def exponential(a: Any):
-    """exp A: A is halved until small, then the power series up to A^5 / 120 is squared again."""
+    """Return exp A: halve A until it is small, sum the series to A^5 / 120, square repeatedly."""
     s = a[0, 0]
     small = a
     size = wp.ddot(a, a)

@@ -1,7 +1,7 @@
-"""The length of the next substep, chosen on the device, so that a frame does not need the host.
+"""Choice of the next substep's length on the device, so that a frame does not wait for the host.
 
 The limits, their double precision and their order are those of phy124/mpm/timestep.py and
-phy124/mpm/rejection.py; on one device both take the same substeps, bit for bit.
+phy124/mpm/rejection.py. On one device, both versions take the same substeps, bit for bit.
 """
 
 from functools import cache
@@ -14,17 +14,19 @@ from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import kernel
 
 DONE, LOOK, CAREFUL = 1, 2, 3
-"""Why substeps end: the time is reached, the host must look, or the next may be violent."""
+"""Reasons why substeps end: the time is reached, the host must measure, or the next substep could
+move something too far.
+"""
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(5)
-"""The limits of a substep."""
+"""Index of each limit of a substep."""
 
 
 @wp.struct
 class Limits:
-    """Values that the host sets for the substeps up to a time."""
+    """Values that the host sets for the substeps up to a given time."""
 
     until: wp.float64
-    """Time to reach [s]."""
+    """Time at which the substeps end [s]."""
     dx: wp.float64
     """Grid spacing [m]."""
     reach: wp.float64
@@ -32,9 +34,9 @@ class Limits:
     stride: wp.float64
     """Largest distance that a particle moves in a substep [m]."""
     turn: wp.float64
-    """Largest |C| dt."""
+    """Largest |C| dt of a substep."""
     viscous: wp.float64
-    """Longest substep that viscosity allows [s]."""
+    """Largest |C| dt of a substep."""
     ceiling: wp.float64
     """Longest substep that the user allows [s]."""
     wall: wp.float64
@@ -42,13 +44,13 @@ class Limits:
     acceleration: wp.float64
     """Upper bound of the acceleration of a particle by forces [m/s^2]."""
     memory: wp.float64
-    """Fraction of an earlier stiffness that still counts."""
+    """Fraction of an earlier stiffness that the current stiffness cannot fall below."""
     strain: wp.float64
     """Sum of |C| dt after which control returns to the host."""
     most: wp.int32
     """Number of substeps after which control returns to the host."""
     apart: wp.int32
-    """1 if particles have left the grid, so that only the host can measure."""
+    """1 if particles have left the grid, so that only the host can measure them."""
     origin: wp.vec3d
     """Position of node 0 [m]."""
     margin: wp.int32
@@ -59,20 +61,20 @@ class Limits:
 
 @wp.struct
 class Progress:
-    """The progress of the substeps."""
+    """State of the substeps."""
 
     time: wp.float64
-    """Time [s]."""
+    """Current time [s]."""
     last: wp.float64
     """Length of the last substep [s]."""
     next: wp.float64
-    """Length of the next substep [s]; 0: not chosen yet."""
+    """Length of the next substep [s]; 0 if it is not chosen yet."""
     speed: wp.float64
-    """Largest |v| [m/s]."""
+    """Largest |v| at the last measurement [m/s]."""
     gradient: wp.float64
-    """Largest |C| [1/s]."""
+    """Largest |C| at the last measurement [1/s]."""
     stiffness: wp.float64
-    """Largest A / rho0 [m^2/s^2]."""
+    """Largest A / rho0, decaying from earlier measurements [m^2/s^2]."""
     fastest: wp.float64
     """Largest speed so far [m/s]."""
     steepest: wp.float64
@@ -84,12 +86,12 @@ class Progress:
     since: wp.int32
     """Number of substeps since the last measurement."""
     reason: wp.int32
-    """Why the substeps have ended; 0: they continue."""
+    """Reason why the substeps have ended; 0 while they continue."""
 
 
 @wp.func
 def over(a: wp.float64, b: wp.float64):
-    """a / b, infinity for b = 0."""
+    """Return a / b, or infinity for b = 0."""
     if b > wp.float64(0.0):
         return a / b
     return wp.float64(wp.inf)
@@ -97,7 +99,7 @@ def over(a: wp.float64, b: wp.float64):
 
 @wp.func
 def finish(s: Progress, bounds: Limits):
-    """Count the substep that was taken, if any."""
+    """Count the last substep, if one was taken."""
     if s.next > wp.float64(0.0):
         rest = bounds.until - s.time
         s.strain += s.gradient * s.next
@@ -113,19 +115,19 @@ def finish(s: Progress, bounds: Limits):
 
 @wp.func
 def spare(x: wp.float64, origin: wp.float64, dx: wp.float64):
-    """The first of the three nodes along an axis that a particle at x touches."""
+    """Return the first of the three nodes along an axis that a particle at x touches."""
     return int(wp.floor((x - origin) / dx - wp.float64(0.5)))
 
 
 @wp.func
 def corner(maxima: wp.array(dtype=Any), i: int):
-    """Three of the maxima, from the i-th on, as a float64 vector."""
+    """Return three of the maxima, starting at index i, as a float64 vector."""
     return wp.vec3d(wp.float64(maxima[i]), wp.float64(maxima[i + 1]), wp.float64(maxima[i + 2]))
 
 
 @wp.func
 def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bounds: Limits):
-    """Whether the window leaves enough room around the particles, but not too much."""
+    """Return whether the window's margin around the particles is neither too small nor too wide."""
     fits = bool(True)
     for axis in range(3):
         first = window[0][axis]
@@ -140,7 +142,7 @@ def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bound
 
 @wp.func
 def limiter(s: Progress, bounds: Limits):
-    """The shortest of all limits [s], and which one it is; the first of equal ones."""
+    """Return the shortest limit [s] and its index; the first index if several are equal."""
     dt = over(bounds.reach, wp.sqrt(s.stiffness))
     which = int(wp.static(ELASTIC))
     if over(bounds.stride, s.speed) < dt:
@@ -160,7 +162,7 @@ def limiter(s: Progress, bounds: Limits):
 
 @wp.func
 def violent(dt: wp.float64, s: Progress, bounds: Limits):
-    """Whether a substep may move something by more than a cell."""
+    """Return whether a substep may move something too far, by about a cell."""
     two = wp.float64(2.0)
     return (
         two * wp.max(s.speed, bounds.wall) * dt > bounds.stride
@@ -171,10 +173,10 @@ def violent(dt: wp.float64, s: Progress, bounds: Limits):
 
 @cache
 def make_timestep(real: Any):
-    """Kernel of one thread: finishes a substep, then chooses the next or ends with a reason.
+    """Kernel of one thread: finishes a substep, then chooses the next or stops with a reason.
 
-    `look_out` says whether the particles are to be measured after the next one. `needed_out` sums
-    the lengths of substeps in units of what each limit allowed.
+    `look_out` is 1 if the particles are to be measured after the next substep. `needed_out` sums
+    the ratios of substep length to the limit, for each limit.
     """
 
     @kernel(f"phy124_timestep_{real.__name__}", real)
@@ -198,7 +200,7 @@ def make_timestep(real: Any):
             low = -corner(maxima, wp.static(at.LOW))
             high = corner(maxima, wp.static(at.HIGH))
             look = look or bounds.apart > 0 or stray[0] > 0 or not roomy(low, high, window, bounds)
-            # What the host has to look at, it also measures itself.
+            # If the host has to take over, it also measures.
             if not look:
                 s.speed = wp.float64(maxima[wp.static(at.SPEED)])
                 s.gradient = wp.float64(maxima[wp.static(at.GRADIENT)])

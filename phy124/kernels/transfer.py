@@ -1,22 +1,23 @@
-"""Particles to grid and back: MLS-MPM with APIC velocities and quadratic B-splines.
+"""Transfers between particles and grid: MLS-MPM with APIC velocities and quadratic B-splines.
 
-Hu et al. 2018 (eqs. 16-19, 22), Jiang et al. 2015. The grid is a flat array of four-vectors: first
-(momentum, mass), after the grid update (velocity, mass). It covers only a window of cells around
-the particles: `window[0]` is its lowest node, `window[1]` its extent. `lattice` is
-(origin x, y, z, dx). `clock` is (kick, drift, time): velocities are kicked by the mean of two
-successive substeps and positions drift by the current one, which makes free fall exact.
+See Hu et al. 2018 (eqs. 16-19, 22) and Jiang et al. 2015. The grid is a flat array of four-vectors:
+(momentum, mass) after the scatter, (velocity, mass) after the grid update. It covers only a window
+of cells around the particles: `window[0]` is the window's lowest node, `window[1]` its extent.
+`lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time): the kick is the mean length of
+two successive substeps, the drift the length of the current one, which makes free fall exact.
 
 There is a kernel for each law and precision. Each variant has a module with its own name, since
 Warp hashes the set of functions that a closure uses, but not their roles.
 
-The transfers run over the `chosen` particles, or over all of a slice if none are chosen.
+The transfers run over the `chosen` particles, or over all particles of a slice if `chosen` is
+empty.
 
-By default stress and strain come from the affine fit around a particle. That is no gradient of the
-velocities that move the positions, so F comes to differ from the gradient of the motion: a beam of
-two cells and two particles per cell and axis is bent by a quarter more than its F says. In the form
-"spline", with `scatter_with_stress` and `gather_slopes`, F follows grad v = sum v_i (grad w_i)^T,
-and the force on a node is -sum V tau grad w_i, its counterpart in the balance of energy (Sulsky et
-al. 1994; Stomakhin et al. 2013, eq. 6).
+By default stress and strain use the affine fit C around a particle. C is not the gradient of the
+velocities that move the positions, so F drifts from the gradient of the motion: a beam with a
+thickness of two cells and two particles per cell and axis bends by a quarter more than its F
+indicates. In the form "spline", with `scatter_with_stress` and `gather_slopes`, F follows grad v =
+sum v_i (grad w_i)^T, and the force on a node is -sum V tau grad w_i, its counterpart in the balance
+of energy (Sulsky et al. 1994; Stomakhin et al. 2013, eq. 6).
 
 Parameters of all laws: F, the deformation gradient; C, the velocity gradient [1/s]; h, the history
 variables of the particle; theta, the parameters of the law; dt, the length of the substep [s].
@@ -37,28 +38,29 @@ class Law(NamedTuple):
     """The device side of a constitutive law."""
 
     name: str
-    """Unique name, which is part of the names of compiled modules."""
+    """Unique name, used in the names of compiled modules."""
     stress: Any
     """`(F, C, history, theta) -> tau`, Kirchhoff stress [Pa]."""
     modulus: Any
-    """`(F, history, theta) -> A`, largest eigenvalue of d tau / d ln sigma [Pa]."""
+    """`(F, history, theta) -> A`, upper bound of the largest eigenvalue of d tau / d ln sigma [Pa].
+    """
     width: int
     """Number of parameters in `theta`."""
     project: Any = None
-    """`(F, history, theta, dt) -> (F, history)`, the return mapping; None if purely elastic."""
+    """`(F, history, theta, dt) -> (F, history)`, the return mapping; None for an elastic law."""
     energy: Any = None
     """`(F, history, theta) -> psi`, elastic energy per rest volume [J/m^3]."""
 
 
 NOWHERE = wp.constant(-1e9)
-"""Grid coordinate of a position that is no number: in no window."""
+"""Grid coordinate assigned to NaN positions: outside every window."""
 
 
 @wp.func
 def lowest_node(g: Any):
-    """The lowest of the three nodes of an axis, for a grid coordinate that may be no number.
+    """Return the lowest of the three nodes along an axis for a grid coordinate, which may be NaN.
 
-    GPUs and some CPUs convert NaN to 0, which is a node like any other.
+    GPUs and some CPUs convert NaN to 0, which is a valid node.
     """
     start = g - type(g)(0.5)
     return int(wp.floor(wp.where(start > type(g)(NOWHERE), start, type(g)(NOWHERE))))
@@ -66,15 +68,16 @@ def lowest_node(g: Any):
 
 @wp.func
 def first_node(g: Any):
-    """The lowest of the three nodes per axis that a particle at grid coordinates g touches."""
+    """Return the lowest of the three nodes per axis touched by a particle at grid coordinates g."""
     return wp.vec3i(lowest_node(g[0]), lowest_node(g[1]), lowest_node(g[2]))
 
 
 @wp.func
 def in_window(first: wp.vec3i, size: wp.vec3i):
-    """Whether all 27 nodes are inside the window.
+    """Return whether all 27 nodes are inside the window.
 
-    For positions far away devices give the smallest or largest integer, so nothing is added to it.
+    Positions far away convert to the smallest or largest integer, so nothing may be added to
+    `first`.
     """
     return (
         first[0] >= 0
@@ -88,7 +91,7 @@ def in_window(first: wp.vec3i, size: wp.vec3i):
 
 @wp.func
 def member(chosen: wp.array(dtype=int), i: int):
-    """Index of the i-th of the chosen particles; of an empty list, i itself."""
+    """Return the index of the i-th chosen particle; i itself if the list is empty."""
     if chosen.shape[0] > 0:
         return chosen[i]
     return i
@@ -96,7 +99,7 @@ def member(chosen: wp.array(dtype=int), i: int):
 
 @wp.func
 def between(x: Any, low: Any, high: Any):
-    """Whether a point is in the box between two corners."""
+    """Return whether a point is in the box between two corners."""
     return (
         x[0] >= low[0]
         and x[1] >= low[1]
@@ -109,7 +112,9 @@ def between(x: Any, low: Any, high: Any):
 
 @wp.func
 def spline(f: Any):
-    """Quadratic B-spline weights of three nodes; f in [0.5, 1.5) is the distance to the first."""
+    """Return quadratic B-spline weights of three nodes; f in [0.5, 1.5) is the offset from the
+    first.
+    """
     half = type(f)(0.5)
     a = type(f)(1.5) - f
     b = f - type(f)(1.0)
@@ -119,13 +124,13 @@ def spline(f: Any):
 
 @wp.func
 def slope(f: Any):
-    """Derivatives of these weights by the particle's place, per cell."""
+    """Return the derivatives of `spline` with respect to the particle's position, per cell."""
     return wp.vector(f - type(f)(1.5), type(f)(2.0) - type(f)(2.0) * f, f - type(f)(0.5))
 
 
 @wp.func
 def offsets(f: Any):
-    """0, 1, 2 in the precision of f (casting a loop index would retype the index itself)."""
+    """Return 0, 1, 2 in the precision of f (casting a loop index would retype the index itself)."""
     return wp.vector(type(f)(0.0), type(f)(1.0), type(f)(2.0))
 
 
@@ -166,7 +171,7 @@ def scatter_with_stress(
 
 @wp.func
 def gather_slopes(grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any):
-    """Rows: sum (dw/dx) v, sum (dw/dy) v, sum (dw/dz) v over the 27 nodes, per cell."""
+    """Return rows sum (dw/dx) v, sum (dw/dy) v, sum (dw/dz) v over the 27 nodes, per cell."""
     wx = spline(f[0])
     wy = spline(f[1])
     wz = spline(f[2])
@@ -218,7 +223,7 @@ def scatter(
 
 @wp.func
 def gather(grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any):
-    """Rows: sum w v, sum w i v, sum w j v, sum w k v over the 27 nodes."""
+    """Return rows sum w v, sum w i v, sum w j v, sum w k v over the 27 nodes."""
     wx = spline(f[0])
     wy = spline(f[1])
     wz = spline(f[2])
@@ -243,7 +248,7 @@ def gather(grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any):
 
 @wp.func
 def columns4(a: Any, s: Any):
-    """The columns of a 3x3 matrix times s, each as a four-vector without mass."""
+    """Return the columns of a 3x3 matrix times s, each as a four-vector without mass."""
     z = type(s)(0.0)
     return (
         s * wp.vector(a[0, 0], a[1, 0], a[2, 0], z),
@@ -263,7 +268,7 @@ def scatter_rows(
     column_y: wp.vec4,
     column_z: wp.vec4,
 ):
-    """`scatter` for the vector units of a CPU, in float32."""
+    """Scatter in float32 on the vector units of a CPU, as `scatter` does."""
     ...
 
 
@@ -271,19 +276,20 @@ def scatter_rows(
 def gather_rows(
     grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3
 ) -> wp.mat44:
-    """`gather` for the vector units of a CPU, in float32."""
+    """Gather in float32 on the vector units of a CPU, as `gather` does."""
     ...
 
 
 SCATTERS = {"plain": scatter, "simd": scatter_rows, "spline": scatter}
 GATHERS = {"plain": gather, "simd": gather_rows, "spline": gather}
-"""Two forms of one algorithm: a readable one that GPUs use, and one for CPU cores in float32; with
-"spline" stress and strain go by the weights' own gradients (`scatter_with_stress`)."""
+"""Forms of the transfers: a readable one, which GPUs use, and a float32 one for CPU cores. The form
+"spline" computes stress and strain with the gradients of the weights (`scatter_with_stress`).
+"""
 
 
 @cache
 def make_p2g(law: Law, real: Any, form: str):
-    """Kernel: stress, then momentum and mass to the grid."""
+    """Kernel: computes stress, then scatters momentum and mass to the grid."""
     t = types(real)
     stress = law.stress
     spread = SCATTERS[form]
@@ -322,11 +328,11 @@ def make_p2g(law: Law, real: Any, form: str):
 
 @cache
 def make_g2p(law: Law, real: Any, form: str):
-    """Kernel: velocities back to particles, then x and F.
+    """Kernel: gathers velocities from the grid, then updates x and F.
 
-    A particle outside the window is not changed and `missed_out` is set: it is ballistic
-    (kernels/ballistic.py), or the run is unstable. Plastic laws also update F_total, which the
-    Gaussians follow.
+    A particle outside the window is not changed, and `missed_out` is set: either the particle is
+    ballistic (kernels/ballistic.py), or the run is unstable. Plastic laws also update F_total,
+    which the Gaussians follow.
     """
     project, collect = law.project, GATHERS[form]
     plastic = project is not None
@@ -367,7 +373,7 @@ def make_g2p(law: Law, real: Any, form: str):
                 wp.vector(s[3, 0], s[3, 1], s[3, 2]) - f[2] * v,
             )
             dt = clock[1]
-            # Kahan's compensated sum: in float32 rounding would otherwise stop a slow drift.
+            # Kahan's compensated sum: without it, rounding in float32 would stop a slow drift.
             change = dt * v - residue_out[p]
             moved = x_out[p] + change
             residue_out[p] = (moved - x_out[p]) - change
@@ -391,7 +397,7 @@ def make_g2p(law: Law, real: Any, form: str):
                 history_out[p] = h
             else:
                 store(F_out, p, trial)
-                # Another material of the run is plastic, so the Gaussians follow `total` for all.
+                # Another material of the run is plastic, so all Gaussians follow `total`.
                 if total_out.shape[0] > 0:
                     store(total_out, p, trial)
         else:

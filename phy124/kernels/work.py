@@ -1,9 +1,9 @@
 """Impulse and work in every substep: of forces and walls, and of the stress of the material.
 
-They are summed in float64 in every substep, because they depend on the path, and compared with the
-change of the state (phy124/kernels/diagnostics.py). The stress in a substep is the mean of those at
-its ends, which is correct to second order for elastic material, and at the yield stress during
-plastic flow.
+Impulse and work depend on the path, so they are summed in every substep, in float64. They are then
+compared with the change of the state (phy124/kernels/diagnostics.py). The stress in a substep is
+the mean of the stresses at its ends: this is correct to second order for elastic material, and
+equals the yield stress during plastic flow.
 """
 
 from functools import cache
@@ -21,10 +21,10 @@ from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, member
 
 IMPULSE, WORK, MOVED, TURNED, GIVEN = 0, 3, 4, 5, 6
-"""Index of each sum (of the impulse: its first), and the number of sums.
+"""Index of each sum (for the impulse: of its first component), and the number of sums.
 
-`MOVED` and `TURNED` are the sums of the norms of all impulses and of the absolute values of work;
-of forces on particles, those of what a thread has summed.
+`MOVED` and `TURNED` are the sums of the norms of all impulses and of the absolute values of work.
+For forces on particles, each term is already a thread's sum.
 """
 
 
@@ -45,7 +45,7 @@ def add_given(
 
 @cache
 def make_push_copy(real: Any, keeps_C: bool = False):
-    """Kernel: stores v, and C unless all forces keep it, before forces act on the particles."""
+    """Kernel: stores v, and C unless no force changes C, before forces act on the particles."""
 
     @kernel(f"phy124_push_copy_{'v' if keeps_C else 'vC'}_{real.__name__}", real)
     def push_copy(v, C, v_out, C_out):
@@ -68,13 +68,13 @@ for kinds in (types(wp.float32), types(wp.float64)):
         v: kinds.vec3s,
         kept: kinds.vec3s,
     ) -> wp.vec4d:
-        """Change of momentum and of kinetic energy of particles whose velocities were `kept`."""
+        """Return the change of momentum and kinetic energy since velocities `kept` were stored."""
         ...
 
 
 @cache
 def make_push_sums_v(real: Any):
-    """Kernel: as `make_push_sums` makes it, for forces that keep C, which is not read."""
+    """Kernel: does what `make_push_sums` does for forces that do not change C."""
     t = types(real)
 
     @kernel(f"phy124_push_sums_v_{real.__name__}", real)
@@ -88,7 +88,7 @@ def make_push_sums_v(real: Any):
 
 @cache
 def make_push_sums(real: Any):
-    """Kernel: adds the change of momentum and kinetic energy since `push_copy` to `GIVEN` sums."""
+    """Kernel: adds changes of momentum and kinetic energy since `push_copy` to the `GIVEN` sums."""
     t = types(real)
 
     @kernel(f"phy124_push_sums_vC_{real.__name__}", real)
@@ -113,7 +113,7 @@ def make_push_sums(real: Any):
 
 @cache
 def make_wall_copy(real: Any):
-    """Kernel over parts of rows in a box, `each` nodes long: stores what they are before walls."""
+    """Kernel over segments of rows in a box, `each` nodes long: copies nodes before walls act."""
 
     @kernel(f"phy124_wall_copy_{real.__name__}", real, seconds=0.15)
     def wall_copy(each, box, window, grid, kept_out):
@@ -127,11 +127,11 @@ def make_wall_copy(real: Any):
 
 @cache
 def make_wall_sums(real: Any):
-    """Kernel over the same parts: adds impulse and work of the walls to the `GIVEN` sums.
+    """Kernel over the same segments: adds impulse and work of the walls to the `GIVEN` sums.
 
-    The work of an impulse J is J . v with the velocity after it, which moves the material: zero for
-    walls at rest, negative for friction. With the velocity before it, stress that presses on a wall
-    without moving it would count as work.
+    The work of an impulse J is J . v with the velocity v after the impulse, since this velocity
+    moves the material: it is zero for walls at rest and negative for friction. With the velocity
+    before the impulse, stress that presses on a wall without moving it would count as work.
     """
 
     @kernel(f"phy124_wall_sums_{real.__name__}", real, seconds=0.2)
@@ -164,9 +164,9 @@ def make_wall_sums(real: Any):
 def make_uniform_sums(real: Any):
     """Kernel of one thread: adds impulse and work of the uniform acceleration in a substep.
 
-    It acts after forces on particles and before walls, so `walls_out` stores the walls' sums up to
-    the previous substep. `base` is the momentum without the open sums. Of `pushes` and `walls`,
-    there is one row of sums for each worker.
+    The acceleration acts after forces on particles and before walls, so `walls_out` stores the
+    walls' sums up to the previous substep. `base` is the momentum without the sums that are still
+    being accumulated. `pushes` and `walls` have one row of sums for each worker.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)
@@ -198,13 +198,14 @@ def make_uniform_sums(real: Any):
 
 
 RUBBED, STRAINED, LOST = 0, 1, 2
-"""Index of each sum, and the number of sums: the work of the part of the stress that depends on the
-rate, and of the part that does not [J]."""
+"""Index of each sum, and the number of sums: the work of the rate-dependent part of the stress, and
+of the rate-independent part [J].
+"""
 
 
 @cache
 def make_dissipation(law: Law, real: Any):
-    """Kernel, right after a gather: adds the work of a substep to the `LOST` sums.
+    """Kernel, right after a gather: adds the work of the stress in a substep to the `LOST` sums.
 
     Each thread sums `each` particles before it writes, as in `make_measure`.
     """

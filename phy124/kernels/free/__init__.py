@@ -1,25 +1,27 @@
-"""Free bodies: rigid solids that push the material and are pushed back.
+"""Free bodies: rigid solids that exchange momentum with the material.
 
-A body has its place X, its turn q, its velocity V and its angular momentum L about X, in float64.
-In a substep the nodes that it touches take on the velocity of its surface, as at a wall: along the
-normal n while they approach it, and across it as much as Coulomb friction can. Body and nodes do so
-together, since a light body would not be still between nodes that give it what it had: with
-u = V + w x r at a node of mass m, the impulse m W (u' - v) holds for the velocity u' after it, W
-being 1 along n and a fraction across it, so that
+The state of a body is its position X, its orientation q, its velocity V and its angular momentum L
+about X, in float64. In a substep the nodes that the body touches take on the velocity of its
+surface, as at a wall: along the normal n if they approach the surface, and along the surface as far
+as Coulomb friction allows. Body and nodes are solved together, because a light body would not come
+to rest if it exchanged momentum with one node after the other. Let u = V + w x r be the surface
+velocity at a node of mass m. The impulse on the node is m W (u' - v), with the velocity u' after
+the exchange, where W is 1 along n and a fraction of 1 across n. This gives six equations,
 
     (M + sum B^T m W B) (V', w') = M (V, w) + sum B^T m W v,    u = B (V, w),
 
-six equations, which `assemble` sums and `solve` solves. Which nodes approach, and how much friction
-they have, is as the solution before found it (a semi-smooth Newton iteration). Whatever W is, the
-exchange conserves momentum and angular momentum and adds no energy. What nodes were given in their
-own precision is summed and taken from the body, so that this holds to the rounding of the sums.
+which `assemble` sums and `solve` solves. Whether a node approaches the surface, and how much
+friction it has, is taken from the previous solution (a semi-smooth Newton iteration). For any W,
+the exchange conserves momentum and angular momentum and adds no energy. The impulses on the nodes,
+in the precision of the nodes, are summed and subtracted from the body, so that conservation holds
+to the rounding of the sums.
 
-Flat walls stop the body at its lowest points, without a bounce and with Coulomb friction; these
-impulses are found with the same six equations (projected Gauss-Seidel), so that a body between
-material and floor rests.
+Flat walls stop the body at its lowest points, without a bounce and with Coulomb friction. The
+walls' impulses are computed with the same six equations (projected Gauss-Seidel), so that a body
+between material and floor rests.
 
-What is kept of a body: `numbers`. Where it touches: `touch`. What nodes and it give each other:
-`exchange`. What walls give it, and how it moves on: `walls`.
+The state of a body is in `numbers`, its contact with material in `touch`, the exchange with nodes
+in `exchange`, and the impulses of walls and the motion in `walls`.
 """
 
 from phy124.kernels.free.exchange import make_apply, make_assemble, make_begin, make_finish

@@ -1,4 +1,4 @@
-"""What nodes and a free body give each other."""
+"""Exchange of momentum between grid nodes and a free body."""
 
 from functools import cache
 from typing import Any
@@ -43,8 +43,9 @@ from phy124.kernels.reduction import add_to
 
 @wp.func
 def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
-    """Fractions of a velocity, of the surface relative to a node, that the node takes on: along the
-    normal out of the body and across it.
+    """Return the fractions of a surface's relative velocity that a node takes on.
+
+    The first is along the normal out of the body, the second across the normal.
     """
     if sticky == 1:
         return wp.vec2d(wp.float64(1.0), wp.float64(1.0))
@@ -56,7 +57,7 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @cache
 def make_begin(real: Any):
-    """Kernel of one thread: a body is kicked once in a substep, and is the first solution."""
+    """Kernel of one thread: kicks a body once per substep; its state is the first solution."""
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):
@@ -72,7 +73,7 @@ def make_begin(real: Any):
 
 @cache
 def make_assemble(real: Any):
-    """Kernel over rows of the nodes around a body: adds their part of the six equations."""
+    """Kernel over rows of the nodes around a body: adds their terms to the six equations."""
     numbers = wp.types.vector(SYSTEM, wp.float64)
 
     @kernel(f"phy124_free_assemble_{real.__name__}", real, seconds=0.6)
@@ -128,9 +129,10 @@ def make_assemble(real: Any):
 
 @cache
 def make_apply(real: Any):
-    """Kernel over rows of the nodes around a body: they take on the velocity of its surface.
+    """Kernel over rows of the nodes around a body: nodes take on the velocity of its surface.
 
-    `given_out` collects what they are given, in the `GIVEN` sums; the moment is about the body.
+    `given_out` collects the impulses on the nodes, in the `GIVEN` sums; the moment is about the
+    body's centre.
     """
     t = types(real)
     numbers = wp.types.vector(GIVEN, wp.float64)
@@ -186,10 +188,10 @@ def make_apply(real: Any):
 
 @cache
 def make_finish(real: Any):
-    """Kernel of one thread: takes from the body what nodes were given, and adds what walls gave.
+    """Kernel of one thread: subtracts the nodes' impulses from the body and adds the walls'.
 
-    `total_out` is what the nodes of one grid were given since the start, its moment about the
-    origin of the world.
+    `total_out` sums the impulses on the nodes of one grid since the start, with the moment about
+    the origin of the world.
     """
 
     @kernel(f"phy124_free_finish_{real.__name__}", real)

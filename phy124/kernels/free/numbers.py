@@ -1,29 +1,30 @@
-"""The numbers of a free body and of a solution, and what follows from them."""
+"""State of a free body and of a solution as arrays of numbers, and quantities derived from them."""
 
 from typing import Any
 
 import warp as wp
 
 PLACE, TURN, VELOCITY, ANGULAR, KICKED, SIZE = 0, 3, 7, 10, 13, 14
-"""Where the numbers of a body stand: X [m], q (wxyz), V [m/s], L [kg m^2/s], and whether V is that
-of this substep yet; and how many they are."""
+"""Offsets in a body's array: X [m], q (wxyz), V [m/s], L [kg m^2/s], 1 if V includes the kick of
+this substep; and the array's length.
+"""
 GUESS, PRIOR, WALLS, TRIAL = 0, 6, 12, 18
-"""Where those of a solution stand: V and w, those before, and what walls give: impulse, moment."""
+"""Offsets in a solution: V and w, the previous V and w, the walls' impulse and moment; length."""
 A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
-"""Where those of the six equations stand: blocks [3,3] of the matrix, and the right-hand side."""
+"""Offsets in the six equations: [3,3] blocks of the matrix, then the right-hand side; length."""
 IMPULSE, MOMENT, WORK, MOVED, TURNED, GIVEN = 0, 3, 6, 7, 8, 9
-"""Where the sums of what nodes are given stand, as in phy124/kernels/work.py."""
+"""Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py; and their number."""
 
 
 @wp.func
 def at3(values: wp.array(dtype=wp.float64), i: int):
-    """Three numbers from an index on."""
+    """Return three numbers, starting at an index."""
     return wp.vec3d(values[i], values[i + 1], values[i + 2])
 
 
 @wp.func
 def put3(values: wp.array(dtype=wp.float64), i: int, a: wp.vec3d):
-    """Set three numbers from an index on."""
+    """Set three numbers, starting at an index."""
     values[i] = a[0]
     values[i + 1] = a[1]
     values[i + 2] = a[2]
@@ -31,32 +32,32 @@ def put3(values: wp.array(dtype=wp.float64), i: int, a: wp.vec3d):
 
 @wp.func
 def at33(values: wp.array(dtype=wp.float64), i: int):
-    """Nine numbers from an index on, row by row."""
+    """Return nine numbers as rows of a matrix, starting at an index."""
     return wp.matrix_from_rows(at3(values, i), at3(values, i + 3), at3(values, i + 6))
 
 
 @wp.func
 def axes(body: wp.array(dtype=wp.float64)):
-    """The body's own axes as columns."""
+    """Return the body's principal axes as columns."""
     w, x, y, z = body[TURN], body[TURN + 1], body[TURN + 2], body[TURN + 3]
     return wp.quat_to_matrix(wp.quatd(x, y, z, w))
 
 
 @wp.func
 def inertia_of(R: wp.mat33d, moments: wp.vec3d):
-    """Tensor of inertia in the world's axes [kg m^2]."""
+    """Return the inertia tensor in the world's axes [kg m^2]."""
     return R @ wp.diag(moments) @ wp.transpose(R)
 
 
 @wp.func
 def spin_of(R: wp.mat33d, moments: wp.vec3d, L: wp.vec3d):
-    """Angular velocity of an angular momentum [rad/s]."""
+    """Return the angular velocity that belongs to an angular momentum [rad/s]."""
     return R @ wp.cw_div(wp.transpose(R) @ L, moments)
 
 
 @wp.func
 def turn_after(body: wp.array(dtype=wp.float64), w: wp.vec3d, dt: wp.float64):
-    """The body's turn after `dt` s at an angular velocity."""
+    """Return the body's orientation after rotating for `dt` [s] at angular velocity w."""
     angle = wp.length(w) * dt
     q = wp.quatd(body[TURN + 1], body[TURN + 2], body[TURN + 3], body[TURN])
     return wp.normalize(wp.quat_from_axis_angle(wp.normalize(w), angle) * q)
@@ -64,20 +65,20 @@ def turn_after(body: wp.array(dtype=wp.float64), w: wp.vec3d, dt: wp.float64):
 
 @wp.func
 def put_turn(body: wp.array(dtype=wp.float64), q: wp.quatd):
-    """Set the turn."""
+    """Set the orientation."""
     body[TURN] = q[3]
     put3(body, TURN + 1, wp.vec3d(q[0], q[1], q[2]))
 
 
 @wp.func
 def moving(trial: wp.array(dtype=wp.float64), which: int, r: wp.vec3d):
-    """Velocity of a solution's body at r from its centre [m/s]."""
+    """Return the velocity at r from the centre of a solution's body [m/s]."""
     return at3(trial, which) + wp.cross(at3(trial, which + 3), r)
 
 
 @wp.func
 def first_node(body: wp.array(dtype=wp.float64), lattice: Any, reach: int):
-    """The lowest node of the lattice that a body may touch, `reach` nodes below its centre."""
+    """Return the lowest node that a body may touch, `reach` nodes below the body's centre."""
     dx = wp.float64(lattice[3])
     return wp.vec3i(
         int(wp.floor((body[PLACE] - wp.float64(lattice[0])) / dx)) - reach,
@@ -88,7 +89,7 @@ def first_node(body: wp.array(dtype=wp.float64), lattice: Any, reach: int):
 
 @wp.func
 def arm_of(body: wp.array(dtype=wp.float64), lattice: Any, node: wp.vec3i):
-    """From the body's centre to a node of the lattice [m]."""
+    """Return the vector from the body's centre to a node of the lattice [m]."""
     dx = wp.float64(lattice[3])
     origin = wp.vec3d(wp.float64(lattice[0]), wp.float64(lattice[1]), wp.float64(lattice[2]))
     at = wp.vec3d(wp.float64(node[0]), wp.float64(node[1]), wp.float64(node[2]))

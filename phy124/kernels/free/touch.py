@@ -1,4 +1,4 @@
-"""Where a free body touches material, and the normal there."""
+"""Contact of a free body with material: contact nodes and their normals."""
 
 from functools import cache
 from typing import Any
@@ -15,27 +15,32 @@ from phy124.kernels.free.numbers import arm_of, axes, first_node
 from phy124.kernels.pairs import fill_fraction, is_closed, mass_at, neighbour, outward
 
 NARROWEST = wp.constant(0.2)
-"""Fraction of its volume that each must fill in its depth. Less lets a light box hover over
-jelly by a cell: next to its lower edge the thin end of the jelly would count as all of it."""
+"""Smallest fraction of a cell's volume that both bodies must fill in their interior. A smaller
+limit lets a light box hover a cell above jelly: next to the box's lower edge the thin end of the
+jelly would count as its interior.
+"""
 THINNEST = wp.constant(0.015)
-"""Fraction that the solid must fill around a node to touch anything there: a cell away from a flat
-side it is 0.021. With nodes farther away a light box creeps under its load."""
+"""Volume fraction that the solid must fill around a node for the node to be in contact: a cell away
+from a flat side the fraction is 0.021. If nodes farther away take part, a light box creeps under
+its load.
+"""
 ROUND = wp.constant(0.6)
-"""How much of the `ROUNDING` between two bodies of particles there is at a solid, whose surface is
-not smeared: fitted to a ball on a box (docs/lab/contact-force.md)."""
+"""Fraction of the `ROUNDING` between two particle bodies that applies to a solid, whose surface is
+not smeared: fitted to a ball on a box (docs/lab/contact-force.md).
+"""
 STEEP = wp.constant(1e-4)
-"""Slope of a box's volume [1/cell] below which the nearest face has the normal."""
+"""Slope of a box's volume fraction [1/cell] below which the nearest face gives the normal."""
 
 
 @wp.func
 def volume_of_round(d: Any, s: Any, geometry: Any, dx: Any):
-    """Normal, and fraction of the volume around a node that a round body fills, as if flat."""
+    """Return normal and filled volume fraction around a node, for a round body taken as flat."""
     return wp.vector(s[0], s[1], s[2], coverage(-s[3] / dx))
 
 
 @wp.func
 def weight(u: Any):
-    """A quadratic B-spline u cells from its centre."""
+    """Return a quadratic B-spline at u cells from its centre."""
     far = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
     if wp.abs(u) < type(u)(0.5):
         return type(u)(0.75) - u * u
@@ -44,8 +49,10 @@ def weight(u: Any):
 
 @wp.func
 def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
-    """Normal, and fraction of the volume around a node that a box fills; the normal is where the
-    fraction falls, so that it turns at an edge and does not jump.
+    """Return normal and filled volume fraction around a node, for a box.
+
+    The normal points in the direction in which the fraction decreases, so that it turns
+    continuously at an edge.
     """
     fill = type(dx)(1.0)
     n = d - d
@@ -62,11 +69,11 @@ def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
 
 @cache
 def make_touch(shape: str, real: Any):
-    """Kernel over the nodes around a body: where it touches material, and the normal there.
+    """Kernel over the nodes around a body: marks the nodes in contact, with their normals.
 
-    Surfaces meet as those of two bodies of particles do (phy124/kernels/pairs.py), but what the
-    solid fills around a node is known. `fill` is the volume fraction per mass at a node of the
-    material.
+    The surfaces meet by the same criterion as those of two particle bodies
+    (phy124/kernels/pairs.py), but the fraction that the solid fills around a node is known exactly.
+    `fill` is the volume fraction per mass at a node of the material.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -74,7 +81,7 @@ def make_touch(shape: str, real: Any):
 
     @wp.func
     def solid(node: wp.vec3i, geometry: Any, lattice: Any, body: wp.array(dtype=wp.float64)):
-        """Normal, and fraction of the volume around a node that the body fills."""
+        """Return normal and the fraction of the volume around a node that the body fills."""
         R = axes(body)
         local = wp.transpose(R) @ arm_of(body, lattice, node)
         d = t.vec3(real(local[0]), real(local[1]), real(local[2]))
@@ -95,7 +102,7 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """The node of three in a row that the body and the material share most."""
+        """Return the node, of three in a row, where the overlap of body and material is largest."""
         at = node
         most = real(0.0)
         for n in range(3):
@@ -119,7 +126,7 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """What neither fills around a node, as a fraction; 1 where only one of them is."""
+        """Return the unfilled volume fraction around a node; 1 if only one of the two is there."""
         inside = fill_fraction(grid, window, at, step, fill, type(fill)(NARROWEST))
         part = solid(at, geometry, lattice, body)[3]
         deep = part

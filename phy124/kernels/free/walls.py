@@ -1,4 +1,4 @@
-"""What flat walls give a free body, and how it moves on."""
+"""Impulses of flat walls on a free body, and the motion of the body."""
 
 from functools import cache
 from typing import Any
@@ -34,19 +34,19 @@ from phy124.kernels.free.numbers import (
 )
 
 SWEEPS = wp.constant(24)
-"""Over the points at which walls act."""
+"""Number of Gauss-Seidel sweeps over the contact points of walls."""
 
 
 @wp.func
 def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
-    """From the centre to one of the points of a solid that a plane of normal n may touch [m].
+    """Return the vector from the centre to a point of a solid that a plane may touch [m].
 
     Args:
-        shape: Number of such points: 1 of a sphere, 2 of a capsule, 8 of a box.
-        point: Which of them.
+        shape: Number of such points: 1 for a sphere, 2 for a capsule, 8 for a box.
+        point: Index of the point.
         R: The body's axes as columns.
-        half: Half its sides along them [m].
-        n: Out of the wall.
+        half: Half its sides along these axes [m].
+        n: Normal of the plane, out of the wall.
     """
     unit = wp.float64(1.0)
     if shape == 1:
@@ -65,20 +65,20 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
 
 @wp.func
 def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
-    """Change of the angular velocity by an impulse J at r, of the system's inverse blocks a, c."""
+    """Return the angular velocity change of impulse J at r; a, c: the system's inverse blocks."""
     return c @ (wp.cross(r, J) - wp.transpose(b) @ (a @ J))
 
 
 @wp.func
 def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """How much faster the solid is at r, along a unit vector, by an impulse of 1 N s along it."""
+    """Return the velocity change at r, along a unit vector, per impulse of 1 N s along it."""
     turn = turn_by(a, b, c, r, way)
     return wp.dot(way, a @ (way - b @ turn) + wp.cross(turn, r))
 
 
 @wp.func
 def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64):
-    """An impulse of `push` along n, and across it as much of J as Coulomb friction can hold."""
+    """Return an impulse of `push` along n, its part of J across n limited by Coulomb friction."""
     grip = J - wp.dot(J, n) * n
     most = friction * push
     if wp.length(grip) > most:
@@ -88,11 +88,12 @@ def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64
 
 @cache
 def make_walls(drifts: bool, real: Any):
-    """Kernel of one thread: the solution of the six equations, with what flat walls give.
+    """Kernel of one thread: solves the six equations together with the impulses of flat walls.
 
-    Each wall, a point and a normal out of it, may act at `points` of the body (see `arm_to`). The
-    one that drifts ends a substep: walls stop the body, and it moves on; L stays, and w follows
-    from it half way through the turn. A turning corner that would be in a wall is taken back.
+    Each wall, defined by a point and an outward normal, may act at `points` of the body (see
+    `arm_to`). The variant that drifts ends a substep: walls stop the body, then the body moves. L
+    is constant during the motion, and w is computed from L at half of the rotation. If a rotating
+    corner would enter a wall, the body is moved back out of the wall.
     """
     name = f"phy124_free_{'drift' if drifts else 'solve'}_{real.__name__}"
 
@@ -148,7 +149,7 @@ def make_walls(drifts: bool, real: Any):
                     pressed = wp.dot(J, normal)
                     lacking = -wp.max(gap, zero) / dt - wp.dot(u, normal)
                     if lacking > zero or pressed > zero:
-                        # Along the normal, then across it, as if the other points gave nothing.
+                        # Along the normal, then across it, with the other points' impulses fixed.
                         push = pressed + lacking / yielding(a, b, c, r, normal)
                         along = u - wp.dot(u, normal) * normal
                         slip = wp.length(along)

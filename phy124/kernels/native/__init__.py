@@ -1,12 +1,12 @@
-"""Device functions in C++, for what Warp's language cannot say: vector units, atomics of a GPU.
+"""Device functions in C++, for features that Warp lacks: CPU vector units, some GPU atomics.
 
-A file `NAME.h` of this folder holds bodies of functions; their arguments have the names that the
-signature in Python gives them. A line `//: PIECE` begins a piece of the file. The text becomes part
-of a Warp module, and so of its hash: a module whose text has changed is compiled again. Inside a
-body `float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
+A file `NAME.h` in this folder holds bodies of functions, whose arguments have the names in the
+Python signature. A line `//: PIECE` begins a piece of the file. The text becomes part of a Warp
+module, and therefore of its hash: a module whose text has changed is compiled again. Inside a body
+`float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
 
-Each body has a plain form in Python, which defines what it computes, and a test that compares the
-two; the head of each file names both.
+Each body has a plain form in Python, which defines the result, and a test that compares the two;
+the head of each file names both.
 """
 
 import inspect
@@ -24,7 +24,7 @@ FOLDER = Path(__file__).parent
 
 
 def code(*pieces: str) -> str:
-    """Return the C++ of pieces, one after the other.
+    """Return the C++ text of the pieces, joined in order.
 
     Args:
         pieces: "tile:store" is the piece `store` of tile.h, "tile" the text before its first piece.
@@ -39,7 +39,7 @@ def code(*pieces: str) -> str:
 
 
 def constants(kind: str, **values: Any) -> str:
-    """Return the C++ declaration of numbers and vectors of a kind, "float" or "double"."""
+    """Return the C++ declaration of constants and arrays of a type, "float" or "double"."""
     parts = []
     for name, value in values.items():
         numbers = [repr(float(number)) for number in np.ravel(value)]
@@ -49,13 +49,13 @@ def constants(kind: str, **values: Any) -> str:
 
 
 def native_func(body: str, like: Callable[..., Any], name: str, *, returns: Any = None) -> Any:
-    """Return a device function in C++ that takes the number of a thread and a kernel's arguments.
+    """Return a device function in C++ that takes a thread index and a kernel's arguments.
 
     Args:
-        body: Its C++, to which the number is known as `thread`.
-        like: Function of the kernel, whose parameters are declared only there.
+        body: The function's C++ body, in which `thread` is the thread index.
+        like: Function of the kernel, which declares the parameters.
         name: Name of the device function.
-        returns: Type of its result, if it has one.
+        returns: Return type, or None.
     """
     result = "" if returns is None else " -> returns"
     # Warp reads from the text of the decorator that the function is native.
@@ -66,16 +66,16 @@ def native_func(body: str, like: Callable[..., Any], name: str, *, returns: Any 
 def native_kernel(
     module: str, body: str, *, name: str = "", seconds: float = 0.0
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: a kernel of a Warp module that does nothing but call C++.
+    """Return a decorator that makes a kernel of a Warp module which only calls C++.
 
-    The decorated function declares the parameters. It is a stub, or the function of a kernel that
+    The decorated function declares the parameters. It is a stub, or the function of the kernel that
     is the plain form (`plain.func`).
 
     Args:
         module: The module's name.
-        body: The C++, to which the number of the thread is known as `thread`.
-        name: Name of the kernel; that of the decorated function by default.
-        seconds: Time to compile it, as for `build.kernel`.
+        body: The C++ body, in which `thread` is the thread index.
+        name: Name of the kernel; by default the name of the decorated function.
+        seconds: CPU time to compile the kernel, as for `build.kernel`.
     """
 
     def build(like: Callable[..., Any]) -> Any:
@@ -89,12 +89,12 @@ def native_kernel(
 
 
 def _declare(like: Callable[..., Any]) -> str:
-    """Return the parameters of a function as source text, which takes their types from `types`."""
+    """Return a function's parameters as source text that takes their types from `types`."""
     return ", ".join(f"{name}: types[{name!r}]" for name in inspect.signature(like).parameters)
 
 
 def _define(source: str, name: str, like: Callable[..., Any], **known: Any) -> Any:
-    """Return the function that a source text defines, which Warp can read as if from a file."""
+    """Return the function defined by a source text, registered so that Warp can read the text."""
     file = f"<{like.__module__}.{name}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     space = {"wp": wp, "types": like.__annotations__, "__name__": like.__module__, **known}

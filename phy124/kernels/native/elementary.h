@@ -1,9 +1,9 @@
-// Elementary functions for loops that are to be vectorised.
+// Elementary functions for vectorised loops.
 // Plain form: wp.exp and wp.log.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 
-// 2^power for -126 < power < 127. Adding 1.5 2^23 rounds to the nearest whole number, whose
-// bits then go into the exponent. The polynomial is Taylor's, |rest| <= 1/2.
+// Returns 2^power for -126 < power < 127. Adding 1.5 2^23 rounds to the nearest whole number, whose
+// bits are then added to the exponent. The polynomial is Taylor's, with |rest| <= 1/2.
 const auto power_of_2 = [](float power) {
     const float shifted = power + 12582912.0f;
     const float rest = power - (shifted - 12582912.0f);
@@ -14,8 +14,8 @@ const auto power_of_2 = [](float power) {
     result.bits += whole.bits << 23;
     return result.value;
 };
-// The natural logarithm of a normal number above 0: that of its fraction, which is between
-// sqrt(1/2) and sqrt(2), is 2 artanh((f - 1) / (f + 1)).
+// Returns the natural logarithm of a normal number above 0. The fraction f of the number is between
+// sqrt(1/2) and sqrt(2); its logarithm is 2 artanh((f - 1) / (f + 1)).
 const auto logarithm = [](float x) {
     union { float value; int bits; } given, fraction;
     given.value = x;
@@ -27,7 +27,7 @@ const auto logarithm = [](float x) {
 };
 
 //: sixteen
-// Sixteen Gaussians that lie side by side in memory. Fewer, at the end, are followed by zeros.
+// Sixteen Gaussians that are consecutive in memory. If there are fewer at the end, zeros follow.
 // Plain form: the arrays of Gaussians.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 

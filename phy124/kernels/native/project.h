@@ -1,4 +1,4 @@
-// Projects sixteen Gaussians; those with colours that depend on the direction have none yet.
+// Projects sixteen Gaussians; view-dependent colours are computed later.
 // Plain form: `project` of splat/project.py.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 
@@ -26,7 +26,7 @@ for (int i = 0; i < 16; ++i) {
     const float z = turn[2][0] * px + turn[2][1] * py + turn[2][2] * pz + from[2];
     const float u = clamped(x / z, view.limit[0]), v = clamped(y / z, view.limit[1]);
     const float f = focal / z;
-    // Rows of the Jacobian, turned to the world.
+    // Rows of the Jacobian, rotated to world axes.
     const float ax = f * (turn[0][0] - u * turn[2][0]), bx = f * (turn[1][0] - v * turn[2][0]);
     const float ay = f * (turn[0][1] - u * turn[2][1]), by = f * (turn[1][1] - v * turn[2][1]);
     const float az = f * (turn[0][2] - u * turn[2][2]), bz = f * (turn[1][2] - v * turn[2][2]);
@@ -48,14 +48,14 @@ for (int i = 0; i < 16; ++i) {
     const float b2 = rz * (bx * xz + by * yz + bz * zz);
     const float aa = a0 * a0 + a1 * a1 + a2 * a2, bb = b0 * b0 + b1 * b1 + b2 * b2;
     const float ab = a0 * b0 + a1 * b1 + a2 * b2;
-    // Lagrange's identity: the determinant as a sum of positive terms, no cancellation.
+    // Lagrange's identity gives the determinant as a sum of positive terms, without cancellation.
     const float c0 = a1 * b2 - a2 * b1, c1 = a2 * b0 - a0 * b2, c2 = a0 * b1 - a1 * b0;
     const float area = c0 * c0 + c1 * c1 + c2 * c2;
     const float det = area + low * (aa + bb) + low_area, d = bb + low;
     const float mean_x = f * x + view.centre[0], mean_y = f * y + view.centre[1];
     const float given = opaque[i];
     const float opacity = keeps_light ? given * root(area / det) : given;
-    // Not a number fails every test.
+    // Any comparison with NaN is false.
     const bool shown = z > view.near && opacity >= MIN_ALPHA && given < LARGEST
         && norm < LARGEST && det < LARGEST
         && mean_x > -LARGEST && mean_x < LARGEST && mean_y > -LARGEST && mean_y < LARGEST;

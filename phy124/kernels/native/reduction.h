@@ -1,4 +1,4 @@
-// Sums, maxima and stores that a GPU makes once for a warp, or in one transaction.
+// Sums, maxima and stores that a GPU does once per warp, or in one transaction.
 // Plain form: the lines outside `#if`.
 // Test: tests/test_kernels_cuda.py, test_a_warp_reduces_before_it_writes.
 
@@ -52,11 +52,11 @@ if (whole > wp::index(maxima, index)) wp::atomic_max(maxima, index, whole);
 if (whole < wp::index(minima, index)) wp::atomic_min(minima, index, whole);
 
 //: store
-// A thread that writes the nine numbers of its own matrix leaves gaps of 36 bytes between its own
-// and its neighbours': 32 threads touch 36 sectors of 32 bytes nine times. Here they exchange their
-// numbers in shared memory first, and write 32 neighbouring numbers nine times, four or five
-// sectors each. Where some of a warp are elsewhere, or their particles are not neighbours, each
-// writes its own.
+// If each thread wrote the nine numbers of its matrix, 32 threads would touch 36 sectors of 32
+// bytes nine times, since neighbouring threads' numbers are 36 bytes apart. Instead the threads
+// exchange their numbers in shared memory and write 32 consecutive numbers nine times, which touch
+// four or five sectors each. If threads of the warp are inactive, or their particles are not
+// consecutive, each thread writes its own numbers.
 #if defined(__CUDA_ARCH__)
 enum { WARPS = 8 };  // of a block: every launch of phy124 has blocks of 256 threads
 const unsigned all = 0xffffffffu;
@@ -76,8 +76,8 @@ if (__activemask() == all && blockDim.x <= 32 * WARPS
 wp::array_store(matrices, particle, value);
 
 //: change
-// Change of momentum and of kinetic energy of some particles whose velocities were `kept`: Warp's
-// own code for such a loop takes three times as long on a CPU.
+// Change of momentum and of kinetic energy of some particles whose velocities were `kept`. Warp's
+// code for this loop takes three times as long on a CPU.
 wp::vec_t<4, double> sums(0.0, 0.0, 0.0, 0.0);
 for (int k = 0; k < each; ++k) {
     const int p = first + k * stride;
@@ -92,8 +92,8 @@ for (int k = 0; k < each; ++k) {
 return sums;
 
 //: meet
-// A barrier for CPU threads: arrive once, then look whether the others have.
-// Plain form: none, since Warp has no loads that acquire.
+// A barrier for CPU threads: arrive once, then check whether the others have arrived.
+// Plain form: none, since Warp has no atomic loads with acquire order.
 // Test: tests/test_mpm_threads.py, test_nobody_leaves_a_barrier_before_all_have_come.
 
 int* shared = counter_out.data;
@@ -115,7 +115,8 @@ for (int i = 0; i < spins; ++i)
     }
 
 //: fastest
-// Largest |v|^2 and |C|^2 of some particles, and how many are not finite, in C++ for the same reason.
+// Largest |v|^2 and |C|^2 of some particles, and the number of non-finite ones; C++ as for
+// `change`.
 decltype(v.data[0].c[0] + 0) fast = 0, rate = 0, broken = 0;
 for (int k = 0; k < each; ++k) {
     const int i = first + k * stride;
@@ -131,7 +132,7 @@ for (int k = 0; k < each; ++k) {
 return {fast, rate, broken};
 
 //: copy_row
-// Rows of nodes in loops that a CPU vectorises; on a GPU a thread has one node, the part before
+// Rows of nodes in loops that a CPU vectorises; on a GPU each thread has one node, handled before
 // the loop. Plain form: a loop over nodes. Test: tests/test_rows.py,
 // test_wall_momentum_is_summed_over_changed_nodes.
 if (count > 0) wp::array_store(nodes, at, wp::index(others, start));

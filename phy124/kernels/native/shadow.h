@@ -1,4 +1,4 @@
-// Adds sixteen Gaussians to the layers of a shadow, cells of a row sixteen at a time.
+// Adds sixteen Gaussians to the layers of a shadow, sixteen cells of a row at a time.
 // Plain form: `cover` of splat/shadow.py.
 // Test: tests/test_stage_shadow.py, test_both_forms_of_the_kernel_cover_the_same_cells.
 
@@ -47,7 +47,7 @@ for (int i = 0; i < 16; ++i) {
     const float x = (px - origin[0] + height * slope[0]) * per_cell - 0.5f;
     const float y = (py - origin[1] + height * slope[1]) * per_cell - 0.5f;
     const float o = opaque[i] > 0.99f ? 0.99f : opaque[i];
-    // Not a number fails every test.
+    // Any comparison with NaN is false.
     const bool seen = o > 0.004f && pz > -LARGEST && pz < LARGEST && aa + cc < LARGEST
         && x > -extent && y > -extent && x < 2.0f * extent && y < 2.0f * extent;
     const bool narrow = (aa > cc ? aa : cc) < NARROW * NARROW;
@@ -88,7 +88,7 @@ const auto add_point = [&](float* lower, float upper, int n) {
 
 const float HALF_LOG2_E = 0.72134752f;
 const auto add_disc = [&](float* lower, float upper, int n) {
-    // A needle is as wide as a cell's fraction, as in project.py; its depth shrinks with that.
+    // A needle is widened to a fraction of a cell, as in project.py; its optical depth is reduced.
     const float area = made.area[n], aa = made.aa[n] + 0.1f, cc = made.cc[n] + 0.1f;
     const float det = area * area + 0.1f * (made.aa[n] + made.cc[n]) + 0.01f;
     if (!(det < LARGEST)) return;
@@ -105,7 +105,7 @@ const auto add_disc = [&](float* lower, float upper, int n) {
     const int start_y = first(v0 - reach_y);
     for (int i = first(u0 - reach_x); i < stop_x && i < cells_x; ++i)
         for (int at = start_y; at < stop_y && at < cells_y; at += 16) {
-            // Sixteen cells of a row, of which those before `at` are done already.
+            // Sixteen cells of a row; cells before `at` are already done.
             const int j = at + 16 < cells_y ? at : cells_y - 16;
             const float u = (float)i - u0;
             float* low = lower + i * cells_y + j;

@@ -1,11 +1,11 @@
-// The stage of a tile, drawn around its Gaussians before they are stored. Where the corners of a
-// tile see the same two faces of a box, away from its edges, so does all of the tile, since faces
-// are convex: its opacity is one number there.
+// Draws the surroundings of a tile around its Gaussians, before the Gaussians are stored. If the
+// corners of a tile see the same two faces of a box, away from the box's edges, so does the whole
+// tile, since faces are convex: the box then has one opacity over the tile.
 // Plain form: `draw_setting` and `tint_splats` of splat/stage.py.
 // Test: tests/test_stage.py, test_every_form_of_the_renderer_draws_the_same_stage.
 
 typedef float Row __attribute__((vector_size(64), aligned(4)));
-// How much of what is behind is seen; Gaussians may let through less than a byte can tell.
+// Transmittance of the Gaussians; a transmittance below one grey level of a byte is ignored.
 const Row none = {0.0f};
 Row open[16], widest = none;
 for (int y = 0; y < 16; ++y) {
@@ -77,10 +77,10 @@ const int cells = setting.cells;
 const float last = (float)(cells - 1), nearer = 1.0f / setting.reach;
 const float scale = 0.5f * (float)cells * nearer, middle = 0.5f * last;
 const float ex = view.eye[0] - setting.middle[0], ey = view.eye[1] - setting.middle[1];
-// All shade is between the centres of these cells, which have none.
+// All shade is between the centres of these cells, which have no shade.
 const float first_i = (float)setting.shaded[0] - 1.0f, end_i = (float)setting.shaded[1] + 1.0f;
 const float first_j = (float)setting.shaded[2] - 1.0f, end_j = (float)setting.shaded[3] + 1.0f;
-// Directions of a row's rays, but for what its height adds.
+// Directions of a row's rays, without the term from the row's height.
 Row column;
 for (int i = 0; i < 16; ++i) column[i] = ((float)(left + i) + 0.5f - view.centre[0]) * step;
 const Row along_x = turn[0][0] * column + turn[2][0];
@@ -93,7 +93,7 @@ const auto look_up = [&](const float* at_i, const float* at_j, float* __restrict
         const bool inside = u >= 0.0f && v >= 0.0f && u < last && v < last;
         const int i = inside ? (int)u : 0, j = inside ? (int)v : 0, cell = i * cells + j;
         const float a = u - (float)i, b = v - (float)j;
-        // Two neighbours are read at once: reading takes most of the time here.
+        // Two neighbours are read at once, since reading takes most of the time in this loop.
         const unsigned near = *(const Pair*)(shades + cell);
         const unsigned far = *(const Pair*)(shades + (cell + cells));
         const float p = (float)(int)(near & 0xffff), q = (float)(int)(near >> 16);
@@ -102,7 +102,7 @@ const auto look_up = [&](const float* at_i, const float* at_j, float* __restrict
         light[x] = inside ? 1.0f - (one + b * (two - one)) * (1.0f / 65535.0f) : 1.0f;
     }
 };
-// What the floor takes of the backdrop's light along rays, and adds to it in the middle.
+// Fraction of the backdrop's light left by the floor's shadow, and the pool of light it adds.
 const auto shine = [&](float at, Row& light, Row& pool) {
     const float v = (at - view.centre[1]) * step;
     const Row z = along_z + turn[1][2] * v;
@@ -199,8 +199,8 @@ for (int i = 0; i < count && glazed; ++i)
         }
 
 //: veil
-// The opacity of a solid of glass for sixteen rays at once. A ray that misses is computed as well,
-// so that no loop over rays has a branch.
+// The opacity of a glass solid for sixteen rays at once. Rays that miss are computed as well, so
+// that no loop over rays has a branch.
 // Plain form: `veil` of splat/glass.py.
 // Test: tests/test_stage.py, test_every_form_of_the_renderer_draws_the_same_stage.
 
@@ -217,7 +217,7 @@ const auto least = [](float a, float b) { return a < b ? a : b; };
 const auto most = [](float a, float b) { return a > b ? a : b; };
 const auto size_of = [](float a) { return a < 0.0f ? -a : a; };
 const auto clamped = [](float a) { return a < 0.0f ? 0.0f : a > 1.0f ? 1.0f : a; };
-// Is a rectangle of pixels' centres outside one of an outline's half planes?
+// Returns whether a rectangle of pixel centres is outside one of an outline's half planes.
 const auto beside = [&](const auto& seen, float x, float y, float half_x, float half_y) {
     for (int k = 0; k < seen.count; ++k) {
         const float* side = seen.sides.data[k];
@@ -254,7 +254,7 @@ const auto box_veil = [&](const auto& solid, const Rays& rays, Veil& veil) {
         const float px = 1.0f / (size_of(dx) < 1e-9f ? 1e-9f : dx);
         const float py = 1.0f / (size_of(dy) < 1e-9f ? 1e-9f : dy);
         const float pz = 1.0f / (size_of(dz) < 1e-9f ? 1e-9f : dz);
-        // The middle of a slab, and half of what a ray crosses of it.
+        // The middle of a slab, and half of the ray's path through the slab.
         const float mx = -o[0] * px, my = -o[1] * py, mz = -o[2] * pz;
         const float hx = half[0] * size_of(px), hy = half[1] * size_of(py);
         const float hz = half[2] * size_of(pz);

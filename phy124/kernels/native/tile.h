@@ -1,17 +1,17 @@
-// A tile of 16 x 16 pixels, with three numbers R, G, B for each. A row of a tile is 16 floats: one
-// AVX-512, two AVX2 or four NEON registers. The loop over a row has no branch; a finished pixel
-// (T < 0) and a skipped splat contribute a weight of zero instead.
+// A tile of 16 x 16 pixels, with three numbers R, G, B for each pixel. A row of a tile is 16
+// floats: one AVX-512, two AVX2 or four NEON registers. The loop over a row has no branch; a
+// finished pixel (T < 0) and a skipped splat contribute with weight zero instead.
 // Plain form: `blend_tiles` of splat/blend.py.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 
 const int tile = first + thread;
-// Of each pixel what is left of what is behind; negative: the pixel is done.
+// Transmittance of each pixel; negative: the pixel is finished.
 alignas(64) float T[256], R[256], G[256], B[256];
 const int left = tile % view.columns * 16, top = tile / view.columns * 16;
 const int right = left + 16 < view.width ? left + 16 : view.width, count = right - left;
 const int bottom = top + 16 < view.height ? top + 16 : view.height, rows = bottom - top;
 for (int j = 0; j < 256; ++j) {
-    // Beyond the image's edge a pixel counts as done from the start.
+    // Pixels beyond the image's edge are finished from the start.
     T[j] = j % 16 < count && j / 16 < rows ? 1.0f : -1.0f;
     R[j] = G[j] = B[j] = 0.0f;
 }
@@ -23,9 +23,9 @@ for (int j = 0; j < 256; ++j) {
 #define AFTER_SPLAT
 
 //: splats
-// Goes through the splats from front to back, until all pixels are done. Macros say what to do:
-// ON_SPLAT with splat `index`, ON_ROW with each row that it reaches, whose first pixel is `at`,
-// ON_PIXEL with each pixel `x` of the row, of which it makes up `weight`, AFTER_SPLAT at its end.
+// Loops over the splats from front to back, until all pixels are finished. Macros define the work:
+// ON_SPLAT for splat `index`, ON_ROW for each row within its reach, whose first pixel is `at`,
+// ON_PIXEL for each pixel `x` of the row, with the splat's `weight`, AFTER_SPLAT after the splat.
 {
     alignas(64) float centres[16];
     for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
@@ -35,7 +35,7 @@ for (int j = 0; j < 256; ++j) {
     const int begin = starts.data[tile], end = ends.data[tile];
 
     for (int k = begin; k < end; ++k) {
-        // Splats of a tile lie anywhere in memory: fetch one that comes soon.
+        // Splats of a tile are scattered in memory: prefetch one that is needed soon.
         if (k + 6 < end) __builtin_prefetch(&splats.data[pairs.data[k + 6]]);
         const int index = pairs.data[k];
         const auto& splat = splats.data[index];
@@ -49,7 +49,7 @@ for (int j = 0; j < 256; ++j) {
             if (!(open >> (y - top) & 1)) continue;
             const float dy = (float)y + 0.5f - splat.mean[1];
             const float middle = splat.mean[0] + splat.shear * dy, row = cy * dy * dy;
-            // A row whose nearest pixel is out of reach stays as it is.
+            // A row whose nearest pixel is out of reach is not changed.
             const float inside =
                 middle < nearest ? nearest : middle > farthest ? farthest : middle;
             if (cx * (inside - middle) * (inside - middle) + row < least) continue;
@@ -106,7 +106,7 @@ for (int y = 0; y < rows; ++y) {
 }
 
 //: gather
-// The adjoint of blending: adds to each splat how much of the pixels' values it makes up.
+// The adjoint of blending: adds the pixels' values to each splat, weighted by its contribution.
 // Plain form: `gather_pixels` of splat/gather.py.
 // Test: tests/test_compose.py, test_both_forms_of_the_sums_agree_gaussian_by_gaussian.
 
@@ -148,7 +148,7 @@ int* __restrict lists = pairs_out.data;
 const auto* __restrict boxes = tiles.data;
 const int* __restrict sorted = order.data;
 for (int k = 0; k < count; ++k) {
-    // Splats lie anywhere in memory: fetch one that comes soon.
+    // Splats are scattered in memory: prefetch one that is needed soon.
     if (k + 16 < count) __builtin_prefetch(&boxes[sorted[k + 16]]);
     const int i = sorted[k];
     const auto box = boxes[i];

@@ -1,4 +1,4 @@
-"""Solids of glass as a camera sees them: where they are, and before or behind the Gaussians."""
+"""Glass solids as a camera sees them: their outlines, and their order relative to the Gaussians."""
 
 import warp as wp
 
@@ -8,24 +8,26 @@ from phy124.kernels.splat.glass import Outline, Solid
 from phy124.kernels.splat.screen import View
 
 BEFORE = wp.constant(0)
-"""Rank of glass that is before all Gaussians."""
+"""Rank of glass in front of all Gaussians."""
 AMONG = wp.constant(1)
-"""Rank of glass that is among them, or may be."""
+"""Rank of glass that may be among the Gaussians."""
 BEHIND = wp.constant(2)
 """Rank of glass that is behind all Gaussians."""
 THIN = wp.constant(0.2)
 """Thickness, as a fraction of the width, below which a box is a plate."""
 GIVE = wp.constant(0.3)
-"""Depth, as a fraction of half its thickness, to which things may be inside a plate and still count
-as outside."""
+"""Depth, as a fraction of half a plate's thickness, to which an object may penetrate the plate and
+still count as outside.
+"""
 
 
 @wp.func
 def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
-    """Whether a solid is before, among or behind things in a box, for an eye that looks at them.
+    """Return whether a solid is in front of, among or behind the contents of a box, for an eye.
 
-    A plane through one of its faces may have the box on its other side. If the eye is there too,
-    no ray to the box meets the solid; else every ray leaves the solid before it comes to the box.
+    The rank is BEFORE or BEHIND if the plane of one of the solid's faces separates the solid from
+    the box. If the eye is on the box's side, no ray to the box meets the solid before the box; else
+    every ray leaves the solid before it reaches the box.
     """
     if not (finite(low[0] + low[1] + low[2]) and finite(high[0] + high[1] + high[2])):
         return AMONG
@@ -47,9 +49,10 @@ def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
 
 @wp.func
 def corner_on_screen(view: View, solid: Solid, corner: int) -> wp.vec3:
-    """One of the eight corners of a solid's box: its place on the screen [px] and its depth [m].
+    """Return a corner of a solid's box: its position on the screen [px] and its depth [m].
 
-    The bits of its number say on which side of the middle it is along each axis.
+    Each bit of the corner's index gives the side of the centre on which the corner lies along one
+    axis.
     """
     away = solid.half + wp.vec3(solid.radius, solid.radius, solid.radius)
     for axis in range(3):
@@ -63,7 +66,7 @@ def corner_on_screen(view: View, solid: Solid, corner: int) -> wp.vec3:
 
 @wp.func
 def faces_camera(view: View, solid: Solid, axis: int, upper: bool) -> bool:
-    """Whether a face of a solid's box is turned to the camera."""
+    """Return whether a face of a solid's box faces the camera."""
     along = wp.dot(solid.axes[axis], view.eye - solid.centre)
     reach = solid.half[axis] + solid.radius
     if upper:
@@ -73,11 +76,11 @@ def faces_camera(view: View, solid: Solid, axis: int, upper: bool) -> bool:
 
 @wp.func
 def outline(view: View, solid: Solid) -> Outline:
-    """Where on the screen a solid is.
+    """Return the outline of a solid on the screen.
 
-    The sides of an outline are the edges of the solid's box between a face that is turned to the
-    camera and one that is not; they are half a pixel farther out. A box around the camera, or
-    partly behind it, has none.
+    The sides of an outline are the edges of the solid's box between a face that faces the camera
+    and one that does not, moved outwards by half a pixel. A box around the camera, or partly behind
+    it, has no outline.
     """
     seen = Outline()
     seen.nearest = float(1.0e30)
@@ -89,7 +92,7 @@ def outline(view: View, solid: Solid) -> Outline:
     if seen.nearest <= 1.0e-3:
         return seen
     for edge in range(12):
-        # Four edges along each axis, between faces across the two others.
+        # Four edges along each axis, between faces across the other two axes.
         axis = edge / 4
         second = (axis + 1) % 3
         third = (axis + 2) % 3
@@ -105,7 +108,7 @@ def outline(view: View, solid: Solid) -> Outline:
                 inwards = -inwards
             c = 0.5 - wp.dot(inwards, wp.vec2(start[0], start[1]))
             seen.sides[seen.count] = wp.vec3(inwards[0], inwards[1], c)
-            # The same in space: a x + b y + c of a ray's place, times its depth.
+            # The same in space: a x + b y + c at a ray's screen position, times the ray's depth.
             seen.planes[seen.count] = wp.transpose(view.rotation) * wp.vec3(
                 view.focal * inwards[0],
                 view.focal * inwards[1],
@@ -125,10 +128,10 @@ def arrange(
     outlines_out: wp.array(dtype=Outline),
     counts_out: wp.array(dtype=int),
 ):
-    """One thread per solid: its place among those in the order of their ranks, and its outline.
+    """Sort the solids by rank and compute their outlines, one thread per solid.
 
-    `low` and `high` are the corners of a box around all Gaussians; `counts_out` says how many
-    solids are before, among and behind them.
+    `low` and `high` are the corners of a box around all Gaussians; `counts_out` receives the number
+    of solids in front of, among and behind the Gaussians.
     """
     k = wp.tid()
     own_rank = rank(solids[k], view.eye, low, high)

@@ -1,7 +1,8 @@
 """Blends splats front to back: per pixel (CUDA), per tile, or per tile in C++ (CPUs).
 
-The last two are one algorithm; tests/test_render.py compares them. `gather_pixels` is the adjoint:
-how much of each pixel a splat's colour makes up, summed by splat.
+The last two use the same algorithm; tests/test_render.py compares them. `gather_pixels` is the
+adjoint: for each splat, it sums the pixels' values, weighted by the splat's contribution to each
+pixel.
 """
 
 import warp as wp
@@ -35,7 +36,7 @@ def blend_pixels(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """One thread per pixel, 256 in a row for each tile from `first` on."""
+    """Blend with one thread per pixel, 256 consecutive threads for each tile from `first` on."""
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE
@@ -70,7 +71,7 @@ def blend_tiles(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """One thread per tile, splat by splat over the pixels in its box; T < 0: pixel is finished."""
+    """Blend with one thread per tile, splat by splat; T < 0 marks a finished pixel."""
     tile = first + wp.tid()
     left = (tile % view.columns) * TILE
     top = (tile / view.columns) * TILE
@@ -134,7 +135,7 @@ def gather_pixels(
     sums_out: wp.array(dtype=wp.vec3),
     weights_out: wp.array(dtype=float),
 ):
-    """One thread per pixel, as in `blend.blend_pixels`: adds its value and 1, as it shows it."""
+    """Add each pixel's value and 1, weighted as in `blend.blend_pixels`; one thread per pixel."""
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE
@@ -158,4 +159,6 @@ def gather_pixels(
 gather_tiles_simd = native_kernel(
     "phy124_gather_simd", OPEN_TILE + code("tile:gather", "tile:splats"), name="gather_tiles_simd"
 )(gather_pixels.func)
-"""`gather_pixels` for CPUs, one tile per thread; tiles run in turn since they share splats."""
+"""`gather_pixels` for CPUs, one tile per thread; tiles run one after the other, since they share
+splats.
+"""

@@ -1,6 +1,6 @@
-"""Boundaries as glass: where a ray enters and leaves them, and what its light loses there.
+"""Boundaries drawn as glass: a ray's entry and exit, and the opacity of the faces there.
 
-The player draws the same in its shaders (phy124/io/viewer/stage.js), function by function.
+The player draws the same glass in its shaders (phy124/io/viewer/stage.js), function by function.
 """
 
 import warp as wp
@@ -16,44 +16,46 @@ RIM = wp.constant(0.50)
 WIDTH = wp.constant(1.5)
 """Width of an edge, and of the soft outline of a face [px]."""
 NEARLY = wp.constant(0.9999)
-"""Part of the way to what is behind at which a face counts as lying on it, unseen."""
+"""Fraction of the ray up to the surface behind the glass; a face beyond it is taken as lying on
+that surface and is not drawn.
+"""
 TINT = wp.constant(wp.vec3(0.36, 0.44, 0.52))
 """Colour of the glass."""
 
 
 @wp.struct
 class Solid:
-    """A box along its own axes, or a capsule along the first of them; a ball is a short one."""
+    """A box along its own axes, or a capsule along its first axis; a ball is a short capsule."""
 
     centre: wp.vec3  # [m]
     axes: wp.mat33  # a unit vector in each row
-    half: wp.vec3  # half sizes [m]; of a capsule half the length of its axis, 0, 0
-    radius: float  # of a capsule [m]; 0: a box
+    half: wp.vec3  # half sizes [m]; for a capsule (half the length of its axis, 0, 0)
+    radius: float  # of a capsule [m]; 0 for a box
 
 
 @wp.struct
 class Outline:
-    """A solid on the screen: a convex polygon that contains it."""
+    """A convex polygon on the screen that contains a solid."""
 
     sides: wp.types.matrix(shape=(6, 3), dtype=float)  # a, b, c: inside is a x + b y + c >= 0 [px]
-    planes: wp.types.matrix(shape=(6, 3), dtype=float)  # n: the same as n . ray >= 0
-    count: int  # of its sides; 0: it may be anywhere
-    nearest: float  # least depth of a corner of its box [m]
+    planes: wp.types.matrix(shape=(6, 3), dtype=float)  # n: the sides in space, n . ray >= 0
+    count: int  # number of sides; 0: the solid may be anywhere
+    nearest: float  # smallest depth of the corners of the solid's box [m]
 
 
 @wp.struct
 class Hit:
-    """Where a ray is inside a solid, and its two faces there."""
+    """The part of a ray inside a solid, and the opacities of the faces at its two ends."""
 
     enters: float
-    leaves: float  # before it enters: the ray misses
+    leaves: float  # smaller than `enters` if the ray misses
     first: float  # opacity of the face at which it enters
     second: float  # opacity of the face at which it leaves
 
 
 @wp.func
 def edge(solid: Solid, at: wp.vec3, pixel: float) -> float:
-    """Opacity of a box's face at a point in its own axes; lines are drawn along the edges.
+    """Return the opacity of a box's face at a point in the box's axes, higher at the edges.
 
     On a face one coordinate is at its limit; the second nearest limit is the nearest edge.
     """
@@ -66,7 +68,7 @@ def edge(solid: Solid, at: wp.vec3, pixel: float) -> float:
 
 @wp.func
 def box_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3, pixel: float) -> Hit:
-    """A ray and a box; `pixel` is the size of a pixel at distance 1 along the ray [m]."""
+    """Intersect a ray and a box; `pixel` is a pixel's size at distance 1 along the ray [m]."""
     o = solid.axes * (origin - solid.centre)
     d = solid.axes * ray
     hit = Hit()
@@ -88,7 +90,7 @@ def box_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3, pixel: float) -> Hit:
 
 @wp.func
 def rim(towards: wp.vec3, ray: wp.vec3) -> float:
-    """Opacity of a round face whose normal is `towards`."""
+    """Return the opacity of a round face whose normal is `towards`."""
     facing = wp.abs(wp.dot(towards, ray)) / (wp.length(towards) * wp.length(ray))
     grazing = 1.0 - facing
     return 0.6 * FACE + (RIM - 0.6 * FACE) * grazing * grazing * grazing
@@ -96,7 +98,7 @@ def rim(towards: wp.vec3, ray: wp.vec3) -> float:
 
 @wp.func
 def from_axis(solid: Solid, point: wp.vec3) -> wp.vec3:
-    """Vector to a point from the nearest one on the axis of a capsule."""
+    """Return the vector to a point from the nearest point on a capsule's axis."""
     axis = solid.axes[0]
     away = point - solid.centre
     return away - wp.clamp(wp.dot(away, axis), -solid.half[0], solid.half[0]) * axis
@@ -104,11 +106,11 @@ def from_axis(solid: Solid, point: wp.vec3) -> wp.vec3:
 
 @wp.func
 def ball_hit(centre: wp.vec3, radius: float, origin: wp.vec3, ray: wp.vec3) -> wp.vec2:
-    """Where a ray enters and leaves a ball; if it misses, it leaves before it enters."""
+    """Return where a ray enters and leaves a ball; the exit is first if the ray misses."""
     o = origin - centre
     a = wp.dot(ray, ray)
     b = wp.dot(o, ray)
-    # The discriminant from the distance at the closest approach: no cancellation far away.
+    # The discriminant from the distance at the closest approach avoids cancellation far away.
     closest = o - (b / a) * ray
     rest = radius * radius - wp.dot(closest, closest)
     if rest <= 0.0:
@@ -119,7 +121,7 @@ def ball_hit(centre: wp.vec3, radius: float, origin: wp.vec3, ray: wp.vec3) -> w
 
 @wp.func
 def capsule_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3) -> Hit:
-    """A ray and a capsule: the union of two balls and the tube between them, which is convex."""
+    """Intersect a ray and a capsule, the convex union of two balls and the tube between them."""
     hit = Hit()
     axis = solid.axes[0]
     ends = ball_hit(solid.centre - solid.half[0] * axis, solid.radius, origin, ray)
@@ -128,7 +130,7 @@ def capsule_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3) -> Hit:
         ends = other
     elif other[1] >= other[0]:
         ends = wp.vec2(wp.min(ends[0], other[0]), wp.max(ends[1], other[1]))
-    # Across the axis the tube is a disc; along it a slab.
+    # Across the axis the tube is a disc; along the axis it is a slab.
     o = origin - solid.centre
     along = wp.dot(ray, axis)
     across = ray - along * axis
@@ -156,7 +158,7 @@ def capsule_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3) -> Hit:
 
 @wp.func
 def veil(solid: Solid, origin: wp.vec3, ray: wp.vec3, limit: float, pixel: float) -> float:
-    """Opacity of a solid in front of whatever is `limit` along the ray."""
+    """Return the opacity of a solid in front of a surface at `limit` along the ray."""
     hit = Hit()
     if solid.radius > 0.0:
         hit = capsule_hit(solid, origin, ray)
@@ -169,14 +171,14 @@ def veil(solid: Solid, origin: wp.vec3, ray: wp.vec3, limit: float, pixel: float
         clear *= 1.0 - hit.first
     if hit.leaves < NEARLY * limit:
         clear *= 1.0 - hit.second
-    # A ray that only grazes the solid sees it fade.
+    # The solid fades towards its outline, where rays only graze it.
     chord = (hit.leaves - wp.max(hit.enters, 0.0)) * wp.length(ray)
     return (1.0 - clear) * wp.clamp(chord / (WIDTH * pixel * hit.leaves), 0.0, 1.0)
 
 
 @wp.func
 def within(outline: Outline, x: float, y: float) -> bool:
-    """Whether a solid may be seen at a place of the screen [px]."""
+    """Return whether a solid may be visible at a position on the screen [px]."""
     for k in range(outline.count):
         if outline.sides[k, 0] * x + outline.sides[k, 1] * y + outline.sides[k, 2] < 0.0:
             return False

@@ -1,7 +1,7 @@
 """Projects Gaussians to the screen, evaluates their colours, and assigns each splat to its tiles.
 
-The projection is that of Zwicker et al. 2001, EWA Splatting. A counting sort lists the splats that
-touch a tile from front to back.
+The projection is EWA splatting (Zwicker et al. 2001). A counting sort lists the splats that touch a
+tile from front to back.
 """
 
 import warp as wp
@@ -21,7 +21,7 @@ C3 = wp.constant(wp.types.vector(7, float)(*SH_C3))
 
 @wp.func
 def colour_towards(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, d: wp.vec3) -> wp.vec3:
-    """Colour of Gaussian i along the unit direction d, unclamped; signs as in phy124.gaussians."""
+    """Return the unclamped colour of Gaussian i along direction d; signs as in phy124.gaussians."""
     rgb = wp.vec3(0.5, 0.5, 0.5) + C0 * sh[i, 0]
     if degree > 0:
         x = d[0]
@@ -46,7 +46,7 @@ def colour_towards(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, d: wp.vec
 
 @wp.func
 def colour_seen(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, away: wp.vec3) -> wp.vec3:
-    """Colour of Gaussian i, which is `away` from the camera, unclamped."""
+    """Return the unclamped colour of Gaussian i; `away` is the vector from camera to Gaussian."""
     towards = wp.vec3()
     if degree > 0:
         towards = wp.normalize(away)
@@ -55,12 +55,12 @@ def colour_seen(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, away: wp.vec
 
 @wp.func
 def screen_axes(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, view: View):
-    """The Gaussian's axes on the screen in two rows [px]; their dot products are its covariance."""
+    """Return the Gaussian's screen axes as two rows [px]; their dot products are its covariance."""
     u = wp.clamp(p[0] / p[2], -view.limit[0], view.limit[0])
     v = wp.clamp(p[1] / p[2], -view.limit[1], view.limit[1])
     f = view.focal / p[2]
     turn = wp.quat_to_matrix(wp.normalize(wp.quat(quat[1], quat[2], quat[3], quat[0])))
-    # The Jacobian's rows, turned to the world.
+    # The Jacobian's rows, rotated to world axes.
     across = f * (view.rotation[0] - u * view.rotation[2])
     down = f * (view.rotation[1] - v * view.rotation[2])
     return wp.matrix_from_rows(wp.cw_mul(across * turn, scale), wp.cw_mul(down * turn, scale))
@@ -68,13 +68,13 @@ def screen_axes(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, view: View):
 
 @wp.func
 def first_pixel(edge: float, size: int) -> int:
-    """First pixel whose centre is at or past `edge`, within the image for any finite edge."""
+    """Return the first pixel whose centre is at or past `edge`, clamped to the image."""
     return int(wp.clamp(wp.ceil(edge - 0.5), 0.0, float(size)))
 
 
 @wp.func
 def box_around(mean: wp.vec2, reach: wp.vec2, view: View) -> wp.vec4i:
-    """Box of pixels whose centres are within `reach` of the mean; empty if off screen."""
+    """Return the box of pixels whose centres are within `reach` of the mean; may be empty."""
     return wp.vec4i(
         first_pixel(mean[0] - reach[0], view.width),
         first_pixel(mean[1] - reach[1], view.height),
@@ -85,7 +85,7 @@ def box_around(mean: wp.vec2, reach: wp.vec2, view: View) -> wp.vec4i:
 
 @wp.func
 def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: View) -> Splat:
-    """The splat without its colour; its box is empty if it cannot be seen or is not finite."""
+    """Return the splat without its colour; its box is empty if invisible or not finite."""
     splat = Splat()
     # Written so that NaN fails every test.
     if not (p[2] > view.near and opacity >= MIN_ALPHA):
@@ -102,7 +102,7 @@ def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: Vi
     det = area + low * (xx + yy) + view.low_area
     d = yy + low
     mean = view.focal * wp.vec2(p[0], p[1]) / p[2] + view.centre
-    # Normalising would turn a NaN quaternion into none at all.
+    # Normalising would turn a NaN quaternion into a finite rotation, so check it first.
     if not finite(quat[0] + quat[1] + quat[2] + quat[3] + det + mean[0] + mean[1] + opacity):
         return splat
     if view.keeps_light != 0:
@@ -136,7 +136,7 @@ def project(
     order_out: wp.array(dtype=int),
     corners_out: wp.array2d(dtype=int),
 ):
-    """One thread per Gaussian; `corners_out` collects each tile rectangle as four +-1 steps."""
+    """Project one Gaussian per thread; `corners_out` gets each tile rectangle as four +-1 steps."""
     i = wp.tid()
     p = view.rotation * means[i] + view.translation
     splat = splat_of(p, quats[i], scales[i], opacities[i], view)
@@ -167,7 +167,7 @@ project_sixteen = native_func(
     project.func,
     "project_sixteen",
 )
-"""Gaussians `16 thread` and the next fifteen; those of a degree above 0 have no colour yet."""
+"""Projects Gaussians `16 thread` to `16 thread + 15`; colours of a degree above 0 are left out."""
 
 
 @kernel("phy124_project_simd")
@@ -185,7 +185,7 @@ def project_simd(
     order_out: wp.array(dtype=int),
     corners_out: wp.array2d(dtype=int),
 ):
-    """One thread per sixteen Gaussians."""
+    """Project with one thread per sixteen Gaussians."""
     group = wp.tid()
     project_sixteen(
         group,
@@ -226,11 +226,11 @@ def bin_serial(
     last: int,
     order: wp.array(dtype=int),
     tiles: wp.array(dtype=wp.vec4i),
-    # in place: start of each tile's list, then its end
+    # in place: start of each tile's list, then the list's end
     ends_out: wp.array(dtype=int),
     pairs_out: wp.array(dtype=int),
 ):
-    """A single thread, for CPUs: following `order` keeps every list in depth order."""
+    """Fill the tiles' lists in a single thread, for CPUs; `order` keeps lists in depth order."""
     ...
 
 
@@ -241,12 +241,12 @@ def bin_parallel(
     last: int,
     order: wp.array(dtype=int),
     tiles: wp.array(dtype=wp.vec4i),
-    # in place: start of each tile's list, then its end
+    # in place: start of each tile's list, then the list's end
     ends_out: wp.array(dtype=int),
     ranks_out: wp.array(dtype=int),
     pairs_out: wp.array(dtype=int),
 ):
-    """One thread per splat, for GPUs: the lists are unordered and are then sorted by rank."""
+    """Fill the tiles' lists, one thread per splat, for GPUs; lists must then be sorted by rank."""
     k = wp.tid()
     i = order[k]
     box = tiles[i]

@@ -1,8 +1,8 @@
-"""What the stages share: the camera, a Gaussian seen on the screen, and its alpha at a pixel.
+"""Definitions for all stages: the camera, a splat on the screen, and its alpha at a pixel.
 
-Conventions of Kerbl et al. 2023 (3D Gaussian Splatting, section 4): alpha is capped at 0.99,
-contributions below 1/255 are skipped, and a pixel is done before its transmittance would fall
-below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
+The conventions are those of Kerbl et al. 2023 (3D Gaussian Splatting, section 4): alpha is capped
+at 0.99, contributions below 1/255 are skipped, and a pixel is finished before its transmittance
+would fall below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
 """
 
 import warp as wp
@@ -16,7 +16,7 @@ MIN_TRANSMITTANCE = wp.constant(1.0e-4)
 
 @wp.struct
 class View:
-    """A pinhole camera, OpenCV axes."""
+    """A pinhole camera with OpenCV axes."""
 
     rotation: wp.mat33  # world to camera
     translation: wp.vec3  # world to camera [m]
@@ -28,19 +28,19 @@ class View:
     width: int  # [px]
     height: int  # [px]
     columns: int  # tiles per row
-    rows: int  # of tiles
+    rows: int  # rows of tiles
     low_pass: float  # added to screen covariances [px^2]
-    low_area: float  # its square, rounded: not to be contracted with a sum [px^4]
-    keeps_light: int  # whether what is widened by it becomes fainter
+    low_area: float  # low_pass^2, rounded, so that it is not contracted into an FMA [px^4]
+    keeps_light: int  # 1 if splats that low_pass widens become fainter
 
 
 @wp.struct
 class Splat:
     """A Gaussian on the screen.
 
-    With the screen covariance ((a, b), (b, d)) the exponent is a sum of two squares,
-    -1/2 ((dx - shear dy)^2 precision_x + dy^2 precision_y), shear = b/d, precision_x = d/det,
-    precision_y = 1/d: never positive, and exact for needles, unlike the expanded conic.
+    With the screen covariance ((a, b), (b, d)) the exponent is a sum of two squares, -1/2 ((dx -
+    shear dy)^2 precision_x + dy^2 precision_y), shear = b/d, precision_x = d/det, precision_y =
+    1/d. It is never positive, and exact for needles, unlike the expanded conic.
     """
 
     mean: wp.vec2  # [px]
@@ -48,14 +48,14 @@ class Splat:
     precision_x: float  # [1/px^2]
     precision_y: float  # [1/px^2]
     opacity: float
-    least: float  # log2 of the Gaussian, its opacity apart, below which alpha is under 1/255
+    least: float  # log2 of exp(exponent) below which alpha is less than 1/255
     colour: wp.vec3  # linear blend, 0..
-    box: wp.vec4i  # x0, y0, x1, y1: pixels it can reach, half open; empty if unseen
+    box: wp.vec4i  # x0, y0, x1, y1: pixels within reach, half open; empty if invisible
 
 
 @wp.func
 def alpha_at(splat: Splat, x: int, y: int) -> float:
-    """Alpha of the splat at the centre of a pixel; 0 where 3DGS skips it."""
+    """Return the splat's alpha at the centre of a pixel; 0 below 1/255, as in 3DGS."""
     dy = float(y) + 0.5 - splat.mean[1]
     dx = float(x) + 0.5 - splat.mean[0] - splat.shear * dy
     power = -0.5 * (splat.precision_x * dx * dx + splat.precision_y * dy * dy)
@@ -67,7 +67,7 @@ def alpha_at(splat: Splat, x: int, y: int) -> float:
 
 @wp.func
 def tiles_of(splat: Splat) -> wp.vec4i:
-    """Tiles the splat's box touches: first column, first row, and one past the last of each."""
+    """Return the tiles that a splat's box touches: first column and row, one past the last ones."""
     box = splat.box
     if box[2] <= box[0] or box[3] <= box[1]:
         return wp.vec4i(0, 0, 0, 0)
@@ -76,5 +76,5 @@ def tiles_of(splat: Splat) -> wp.vec4i:
 
 @wp.func
 def blend_over(light: wp.vec3, transmittance: float, background: wp.vec3) -> wp.vec3:
-    """Final colour of a pixel: its light plus the background that shines through, at most 1."""
+    """Return a pixel's colour: its light plus the transmitted background, at most 1."""
     return wp.min(light + transmittance * background, wp.vec3(1.0, 1.0, 1.0))

@@ -1,4 +1,4 @@
-"""How densely Gaussians cover the floor, in layers of height, as seen from the light."""
+"""Optical depth of the Gaussians over the floor, seen from the light, in layers of height."""
 
 import warp as wp
 
@@ -7,15 +7,19 @@ from phy124.kernels.native import code, constants, native_kernel
 from phy124.kernels.reduction import finite
 
 NARROW = wp.constant(0.9)
-"""A Gaussian narrower than this [cells] counts as a point between four cells, or as none where the
-map ends between them."""
+"""Width [cells] below which a Gaussian is treated as a point between four cells; such a point is
+dropped if not all four cells are on the map.
+"""
 REACH = wp.constant(3.0)
-"""How far a wider Gaussian is followed [standard deviations]."""
+"""Distance up to which a wider Gaussian is evaluated [standard deviations]."""
 
 
 @wp.func
 def thickness(opacity: float) -> float:
-    """Integral of -log(1 - opacity exp(-r^2 / 2)) over the plane, over 2 pi: a dilogarithm."""
+    """Return the integral of -log(1 - opacity exp(-r^2 / 2)) over the plane, divided by 2 pi.
+
+    The integral is a dilogarithm, computed by a polynomial.
+    """
     o = opacity
     return o * (1.0 + o * (0.25 + o * (0.1111 + o * (0.0625 + o * (0.04 + o * 0.12)))))
 
@@ -42,16 +46,17 @@ def cover(
     # in place: optical depth [layers, cells, cells]
     layers_out: wp.array3d(dtype=float),
 ):
-    """One thread per Gaussian; layer k is at height tallest (k / last)^2 above the floor.
+    """Add the optical depth of each Gaussian to the layers, one thread per Gaussian.
 
-    `origin` is the corner of the map on the floor, `slope` how far the light's rays move sideways
-    per metre that they fall, `weight` how many Gaussians each one stands for.
+    Layer k is at height tallest (k / last)^2 above the floor. `origin` is the corner of the map on
+    the floor, `slope` the sideways displacement of the light's rays per metre of descent, and
+    `weight` the number of Gaussians that each given Gaussian represents.
     """
     n = wp.tid()
     mean = means[n]
     scale = scales[n]
     sums = mean[0] + mean[1] + mean[2] + scale[0] + scale[1] + scale[2]
-    # Not a number is not more than anything.
+    # Any comparison with NaN is false.
     if not (opacities[n] > 0.004 and finite(sums)):
         return
     opacity = wp.min(opacities[n], 0.99)
@@ -62,7 +67,7 @@ def cover(
     upper = level - float(layer)
     q = quats[n]
     turn = wp.quat_to_matrix(wp.normalize(wp.quat(q[1], q[2], q[3], q[0])))
-    # Screen axes as in project.py, in cells.
+    # Screen axes as in project.py, but in cells.
     radii = wp.sqrt(weight) / cell * scale
     across = wp.cw_mul(turn[0] + slope[0] * turn[2], radii)
     along = wp.cw_mul(turn[1] + slope[1] * turn[2], radii)
@@ -91,7 +96,7 @@ def cover(
         put(layers_out, i, j + 1, layer, upper, amount * (1.0 - u) * v)
         put(layers_out, i + 1, j + 1, layer, upper, amount * u * v)
         return
-    # A needle is as wide as a cell's fraction, as in project.py; its depth shrinks with that.
+    # A needle is widened to a fraction of a cell, as in project.py; its optical depth is reduced.
     det = area * area + 0.1 * (a + c) + 0.01
     a += 0.1
     c += 0.1
@@ -118,5 +123,6 @@ cover_simd = native_kernel(
     + code("shadow"),
     name="cover_simd",
 )(cover.func)
-"""`cover` for the vector units of a CPU, sixteen Gaussians per thread, on a map of sixteen cells or
-more; tests/test_stage_shadow.py compares them."""
+"""`cover` for the vector units of a CPU, sixteen Gaussians per thread, for maps of at least sixteen
+cells; tests/test_stage_shadow.py compares the two.
+"""

@@ -1,9 +1,9 @@
-"""What stands around the object: backdrop, floor with its shadow, and boundaries as glass.
+"""Surroundings of the object: backdrop, floor with its shadow, and boundaries drawn as glass.
 
-Whatever is not a Gaussian is drawn behind all of them, pixel by pixel, and glass before all of them
-is laid over their light. A Gaussian that is seen through glass among them takes on its colour
-instead. Blending is linear, so this equals inserting the glass at its depth, without a depth per
-pixel.
+Backdrop and floor are drawn behind all Gaussians, pixel by pixel, and glass in front of all
+Gaussians is blended over their light. A Gaussian seen through glass that lies among the Gaussians
+is tinted with the glass's colour instead. Blending is linear, so this equals inserting the glass at
+its depth, without a depth per pixel.
 """
 
 import warp as wp
@@ -17,22 +17,22 @@ from phy124.kernels.splat.screen import Splat, View
 
 @wp.struct
 class Setting:
-    """Backdrop and floor."""
+    """Backdrop, floor and shadow map of a frame."""
 
     top: wp.vec3  # colour of the backdrop's first row
-    bottom: wp.vec3  # colour of its last row
-    floor: int  # whether there is a floor
+    bottom: wp.vec3  # colour of the backdrop's last row
+    floor: int  # 1 if there is a floor
     height: float  # of the floor [m]
-    middle: wp.vec2  # of the square that the shadow map covers [m]
-    reach: float  # half its side [m]
-    cells: int  # along its side
-    shaded: wp.vec4i  # first and last of them with shade along x, then along y
-    pool: float  # how much brighter the floor is in the middle, for a grey of 1/2
+    middle: wp.vec2  # centre of the square that the shadow map covers [m]
+    reach: float  # half the side of that square [m]
+    cells: int  # number of cells along the side
+    shaded: wp.vec4i  # first and last cells with shade, along x, then along y
+    pool: float  # added brightness of the floor at the centre, for a grey of 1/2
 
 
 @wp.func
 def shade_at(setting: Setting, shade: wp.array2d(dtype=wp.uint16), u: float, v: float) -> float:
-    """The light that the shadow takes, between the centres of cells; none outside the map.
+    """Return the fraction of light that the shadow removes, interpolated; 0 outside the map.
 
     The outermost cells have no shadow.
     """
@@ -50,14 +50,14 @@ def shade_at(setting: Setting, shade: wp.array2d(dtype=wp.uint16), u: float, v: 
 
 @wp.func
 def pool_at(x: float, y: float) -> float:
-    """How bright the pool of light is at a place, in units of the map's reach."""
+    """Return the relative brightness of the pool of light; x and y are in units of `reach`."""
     rest = wp.max(1.0 - 0.5 * (x * x + y * y), 0.0)
     return rest * rest
 
 
 @wp.func
 def ray_through(view: View, x: int, y: int) -> wp.vec3:
-    """Direction of the ray through a pixel's centre, of length 1 along the camera's axis."""
+    """Return the ray through a pixel's centre, with length 1 along the camera's axis."""
     seen = wp.vec3(
         (float(x) + 0.5 - view.centre[0]) / view.focal,
         (float(y) + 0.5 - view.centre[1]) / view.focal,
@@ -68,7 +68,7 @@ def ray_through(view: View, x: int, y: int) -> wp.vec3:
 
 @wp.func
 def floor_along(setting: Setting, eye: wp.vec3, ray: wp.vec3) -> float:
-    """Where a ray meets the floor; far away if it does not, or from below."""
+    """Return where a ray meets the floor from above; 1e30 if it does not."""
     if setting.floor == 1 and eye[2] > setting.height and ray[2] < 0.0:
         return (setting.height - eye[2]) / ray[2]
     return 1.0e30
@@ -84,16 +84,16 @@ def draw_setting(
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
     coverage: wp.array(dtype=float),
-    # in place: light of the Gaussians, then the picture
+    # in place: light of the Gaussians, then the finished frame
     image_out: wp.array(dtype=wp.vec3),
 ):
-    """One thread per pixel, for GPUs, and a readable form of `blend_staged_simd`.
+    """Draw the surroundings, one thread per pixel; GPU and readable form of `blend_staged_simd`.
 
-    The first `before` solids are before all Gaussians.
+    The first `before` solids are in front of all Gaussians.
     """
     pixel = wp.tid()
     open = 1.0 - coverage[pixel]
-    # Of what is behind, Gaussians may let through less than a byte can tell.
+    # A residual transmittance of the Gaussians below one grey level of a byte is ignored.
     if open <= 1.0e-3:
         if before == 0:
             return
@@ -137,9 +137,9 @@ def tint_splats(
     means: wp.array(dtype=wp.vec3),
     splats_out: wp.array(dtype=Splat),
 ):
-    """One thread per Gaussian: the colour of what is seen through glass among them.
+    """Tint Gaussians that are seen through glass among the Gaussians, one thread per Gaussian.
 
-    `first` and `last` are the numbers of the first such solid and of the one after the last.
+    The solids `first` <= k < `last` are the glass among the Gaussians.
     """
     i = wp.tid()
     mean = splats_out[i].mean
@@ -152,7 +152,7 @@ def tint_splats(
     splats_out[i].colour = TINT + clear * (splats_out[i].colour - TINT)
 
 
-# A function of its own: within the one that sums splats it made that slower, by a sixtieth.
+# A function of its own: inlined into the function that sums splats, it made that sum 1/60 slower.
 APART = "__attribute__((noinline))"
 DRAW = f"const auto draw = [&]() {APART} {{ {VEIL + code('stage')} }};\ndraw();"
 
@@ -178,7 +178,7 @@ def blend_staged_simd(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """One thread per tile: its splats, and the stage around them before they are stored."""
+    """Blend the splats of a tile and draw the surroundings, one thread per tile."""
     ...
 
 
