@@ -1,22 +1,23 @@
-"""Error and time of a run: forecasts, promised errors, and the choice of an accuracy for a goal.
+"""Predicts the time and the error of a run, and chooses the accuracy that meets a goal.
 
 The web page and other callers need three calls:
 
-    forecaster = Forecaster(context)         # keep it: it caches measurements of this machine
+    forecaster = Forecaster(context)         # reuse it: it caches measurements of this machine
     stops = forecaster.stops(gaussians, scene)
     # {"draft": Stop, "standard": Stop, "fine": Stop}; each has
-    #   .seconds   predicted seconds of particles, simulation, shapes, pictures, video, saving
-    #   .error     error measured for such scenes, a fraction of the size; .pixels in the picture;
-    #              None where it was not measured, .promise.why says so
-    #   .caveat    None, or a sentence: why the seconds are a guess
+    #   .seconds   predicted time of particles, simulation, shapes, rendering, video and saving [s]
+    #   .error     error bound as a fraction of the object's size, from measured similar scenes;
+    #              None if no similar scene was measured, for the reason in .promise.why
+    #   .pixels    the error bound in the video [pixels], or None
+    #   .caveat    None, or the reason why the predicted time is only a guess
     #   .forecast  the whole Forecast (seconds by stage, particles, substeps)
 
-    forecast = forecaster.forecast(gaussians, scene)   # one setting, scene.accuracy
+    forecast = forecaster.forecast(gaussians, scene)   # for the accuracy in scene.accuracy
     forecast.compare(spent)                            # predicted, spent, ratio by stage
 
-`gaussians` are the generator's output, of any size. The first call takes a few seconds; a second
-call with the same Gaussians and law takes a fraction of a second. The report of a run with a
-forecaster has the comparison under "forecast".
+`gaussians` are the generator's output, at any scale. The first call takes a few seconds. A second
+call with the same Gaussians and material law takes a fraction of a second. If a run has a
+forecaster, its report contains the comparison of predicted and measured times under "forecast".
 
     pipeline.generate(..., goal=choose.Goal.error("2px"))    # or "1%", "3mm", Goal.time(20)
 """

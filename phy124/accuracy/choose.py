@@ -1,12 +1,13 @@
-"""Chooses the accuracy that meets a goal: an error or a time.
+"""Chooses the accuracy that meets a goal: a maximum error or a maximum time.
 
-For an error, the order and errors of three cheap levels are estimated first. Then the coarsest grid
-that should meet the goal is run, and the errors are estimated again from all levels. If these do
-not converge yet, another level is run. There is at most one refinement. If a level tears the
-material (phy124/monitor/tearing.py), it and all later levels use one more particle per cell and
-axis.
+A level is a run of the scene on one grid. For a maximum error, three cheap levels are run first,
+and the order of convergence and their errors are estimated. Then the coarsest grid that is
+predicted to meet the goal is run, and the errors are estimated again from all levels. If the levels
+do not converge yet, another level is run. If the error still exceeds the goal, the grid is refined
+once more, and only once. If a level tears the material (phy124/monitor/tearing.py), that level is
+repeated with one more particle per cell and axis, and all later levels use as many.
 
-For a time, the finest grid whose forecast fits is run.
+For a maximum time, the finest grid whose forecast fits is run.
 """
 
 from __future__ import annotations
@@ -42,27 +43,32 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
 CHEAP = (16, 24)
-"""Cells across the object of the levels that are run first and may be chosen."""
+"""Cells across the object of the cheap levels; the chosen grid may be one of them."""
 CHECK = 12
-"""Cells of a third level, which is needed to observe an order."""
+"""Cells across the object of the third cheap level; observing an order requires three levels."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-"""Grids that may be chosen; the finest take minutes, and less than 2 GB, on two cores."""
+"""Cells across the object of the grids that may be chosen.
+
+The finest grids take minutes, and less than 2 GB of memory, on two cores.
+"""
 GUESSED_ORDER = 1.0
-"""Order assumed if the cheap levels show none; free surfaces are of first order."""
+"""Order assumed if the cheap levels do not converge; free surfaces converge with first order."""
 FAR = 2.5
-"""Largest ratio of a level's cells to those of the previous finest one; errors of grids further
-away cannot be predicted."""
+"""Largest ratio of a new level's cells to the cells of the finest level so far.
+
+Errors on still finer grids cannot be predicted.
+"""
 FINER = 1.3
-"""Ratio of cells above which a level is clearly finer."""
+"""Smallest ratio of cells at which a level counts as clearly finer."""
 DENSEST = 4.0
-"""Largest number of particles per cell and axis."""
+"""Maximum number of particles per cell and axis."""
 LAST_CHANCE = 0.85
-"""Fraction of the target error at which a refinement aims, since there is no second one."""
+"""Fraction of the goal's error that the refinement aims at, since there is no second refinement."""
 
 
 @dataclass
 class Reached:
-    """A finished run and how it meets the goal."""
+    """A finished run, and the error or time that it reached."""
 
     simulation: Simulation
     clip: Clip
@@ -81,20 +87,20 @@ def reach(
     forecaster: Forecaster | None = None,
     see: Callable[[Simulation], object] = lambda run: None,
 ) -> Reached:
-    """Run a scene on the grid that meets a goal; the scene's own cells are ignored.
+    """Run a scene on the grid that meets a goal, ignoring the scene's number of cells.
 
     Args:
-        goal: An error or a time.
+        goal: A maximum error or a maximum time.
         gaussians: The object.
         scene: The scene.
         context: Device, threads, progress and stopwatch.
-        elapsed: Seconds of a target time that have been used already.
-        crop: Where the object is in the picture that the masks of parts were painted on.
-        forecaster: Predicts times; None: a new one.
-        see: Called with each run after each of its frames.
+        elapsed: Part of the maximum time that has already been used [s].
+        crop: Rectangle of the object in the picture on which the masks of parts were painted.
+        forecaster: Predicts times; None: a new forecaster.
+        see: Callback that receives the simulation after each frame of each run.
 
     Raises:
-        InputError: No grid meets the goal; the message says what the best one would achieve.
+        InputError: No grid meets the goal. The message gives the error or time of the best grid.
     """
     context = context or RunContext()
     forecaster = forecaster or Forecaster(context)
@@ -106,22 +112,22 @@ def reach(
 
 @dataclass
 class _Runs:
-    """Runs of a scene on several grids, each made once."""
+    """Runs a scene on several grids, and stores the result of each grid."""
 
     gaussians: Gaussians
     scene: Scene
     context: RunContext
     crop: Crop
     see: Callable[[Simulation], object] = lambda run: None
-    """Called with each run after each of its frames."""
+    """Callback that receives the simulation after each frame of each run."""
     done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
     spent: dict[int, float] = field(default_factory=dict)
-    """Cells of each run -> its duration [s]."""
+    """Cells across the object -> duration of the run on this grid [s]."""
     denser: bool = False
-    """Whether a level tore the material, so that there is one more particle per cell and axis."""
+    """Whether runs use one more particle per cell and axis, because a level tore the material."""
 
     def simulation(self, cells: int) -> Simulation:
-        """Create a run that has not started."""
+        """Create a simulation on this grid without starting it."""
         base = self.scene.resolution
         per_axis = self.scene.particles_per_axis + self.denser
         accuracy = base.model_copy(update={"cells": cells, "particles_per_axis": per_axis})
@@ -129,7 +135,7 @@ class _Runs:
         return Simulation(prepare(self.gaussians, changed, self.context, crop=self.crop))
 
     def clip(self, cells: int) -> Clip:
-        """Return the clip on a grid; run it if it does not exist yet."""
+        """Return the clip on this grid; run the simulation if the clip does not exist yet."""
         if cells not in self.done:
             start = time.perf_counter()
             self._make(cells)
@@ -147,7 +153,7 @@ class _Runs:
         return simulation.run(lambda _: self.see(simulation))
 
     def _make_denser(self, cells: int) -> None:
-        """Run a torn level again with more particles, unless they are too many."""
+        """Repeat a torn level with more particles, unless they would exceed a limit."""
         self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
@@ -155,12 +161,12 @@ class _Runs:
 
     @property
     def complete(self) -> bool:
-        """Whether no run stopped early."""
+        """Whether all runs reached their last frame."""
         return all(clip.report["complete"] for _, clip in self.done.values())
 
     @property
     def torn(self) -> list[int]:
-        """Levels on which the grid may have torn the material, which are not used."""
+        """Levels on which the grid may have torn the material; error estimates ignore them."""
         tearing = {level: run.find(Tearing) for level, (run, _) in self.done.items()}
         return sorted(level for level, search in tearing.items() if search and search.likely)
 
@@ -183,7 +189,7 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
     cells = meets or _find_coarsest(goal, max(CHEAP), error, order, above=min(CHEAP))
     if cells is None:
         raise _unreachable(goal, _describe_best(goal, runs, error, order))
-    # Without a reliable order, errors of much finer grids cannot be predicted.
+    # Without a reliable order, errors on much finer grids cannot be predicted.
     reliable = result.errors and not result.note
     _run(goal, runs, min(cells, _finest_up_to(FAR * max(CHEAP)) if reliable else _next(max(CHEAP))))
     result = _estimate(goal, runs)
@@ -204,7 +210,7 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
 
 
 def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
-    """Return the error of the finest level without tears, and the order to continue with."""
+    """Return the error of the finest level without tears, and the order for extrapolation."""
     if result.error is not None:
         order = result.order or GUESSED_ORDER
         return result.error, min(max(order, TRUSTED[0]), TRUSTED[1])
@@ -214,7 +220,7 @@ def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
 
 
 def _run(goal: Goal, runs: _Runs, cells: int) -> None:
-    """Run a level; raise InputError if it would take too long or too much memory."""
+    """Run a level; raise InputError if it would need too much time or memory."""
     try:
         runs.clip(cells)
     except InputError as error:
@@ -223,7 +229,7 @@ def _run(goal: Goal, runs: _Runs, cells: int) -> None:
 
 
 def _next(cells: int) -> int:
-    """Return the coarsest level that is clearly finer, or the finest of all."""
+    """Return the coarsest grid that is clearly finer than this one, or else the finest grid."""
     return next((n for n in CELLS if n >= FINER * cells), CELLS[-1])
 
 
@@ -232,7 +238,7 @@ def _finest_up_to(cells: float) -> int:
 
 
 def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
-    """Describe error and time of the finest grid, extrapolated from the finest run."""
+    """Describe the error and time of the finest grid, extrapolated from the finest run."""
     known, finest = max(runs.done), CELLS[-1]
     best = format_error(goal.kind, error * (known / finest) ** order)
     seconds = duration(runs.spent[known] * (finest / known) ** GROWTH)
@@ -272,7 +278,10 @@ def _why_torn(runs: _Runs) -> str:
 
 
 def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None]:
-    """Return the coarsest grid that meets the goal, otherwise the finest one; and its error."""
+    """Return a grid and its error.
+
+    It is the coarsest grid that meets the goal, or the finest grid if none does.
+    """
     levels = runs.whole
     for cells, error in zip(levels, result.errors, strict=False):
         if cells >= min(CHEAP) and error <= goal.value:
@@ -281,7 +290,7 @@ def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, floa
 
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
-    """Estimate order and errors of the levels run so far, in the goal's unit."""
+    """Estimate the order and the errors of all levels without tears, in the goal's unit."""
     cells = runs.whole
     apart = np.zeros((len(cells), len(cells)))
     for i, j in combinations(range(len(cells)), 2):
@@ -302,7 +311,10 @@ def _distance(goal: Goal, first: Clip, second: Clip, scene: Scene) -> float:
 def _find_coarsest(
     goal: Goal, known: int, error: float, order: float, *, above: int = 0
 ) -> int | None:
-    """Return the coarsest grid that should meet the goal, from the error of a known one."""
+    """Return the coarsest grid predicted to meet the goal; None if none is.
+
+    The errors are extrapolated, with an order, from the error on the grid with `known` cells.
+    """
     for cells in (n for n in CELLS if n >= min(CHEAP) and n > above):
         if error * (known / cells) ** order <= goal.value:
             return cells
@@ -328,21 +340,21 @@ def in_time(
     crop: Crop = WHOLE,
     forecaster: Forecaster | None = None,
 ) -> tuple[Scene, Forecast]:
-    """Return the scene on the finest grid whose forecast fits a time, and the forecast.
+    """Return the scene on the finest grid whose forecast fits a maximum time, and the forecast.
 
-    Nothing is run, apart from the probes of the forecast.
+    Only the probes of the forecasts are run.
 
     Args:
-        goal: The time.
+        goal: The maximum time.
         gaussians: The object.
         scene: The scene.
         context: Device and threads.
-        elapsed: Seconds of the time that have been used already.
-        crop: Where the object is in the picture that the masks of parts were painted on.
-        forecaster: Predicts times; None: a new one.
+        elapsed: Part of the maximum time that has already been used [s].
+        crop: Rectangle of the object in the picture on which the masks of parts were painted.
+        forecaster: Predicts times; None: a new forecaster.
 
     Raises:
-        InputError: Even the coarsest grid would take longer; the message says how long.
+        InputError: Even the coarsest grid would take longer. The message gives its time.
     """
     context = (context or RunContext()).aside()
     runs = _Runs(gaussians, scene, context, crop)
@@ -352,7 +364,7 @@ def in_time(
 
 
 class _Fit(NamedTuple):
-    """A grid that fits a time."""
+    """A grid whose forecast fits the maximum time."""
 
     cells: int
     simulation: Simulation
@@ -377,7 +389,11 @@ def _meet_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) 
 
 
 def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
-    """Return the finest grid whose forecast fits; if none does, raise InputError."""
+    """Return the finest grid whose forecast fits the maximum time.
+
+    Raises:
+        InputError: No forecast fits.
+    """
     available, start = MARGIN * goal.value - elapsed, runs.context.watch.total
     tried: dict[int, tuple[Simulation, Forecast]] = {}
     best, cells = 0, CHEAP[0]
@@ -399,7 +415,7 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
 def _choose_next(
     cells: int, forecast: Forecast, left: float, fits: bool, tried: set[int]
 ) -> int | None:
-    """Return the grid to try next, whose forecast should be close to the remaining time."""
+    """Return the grid to forecast next, for a time close to the remaining one; None: no more."""
     simulation = forecast.stages["simulate"]
     available = max(left - (forecast.seconds - simulation), 0.05 * simulation)
     target = cells * (available / simulation) ** (1 / GROWTH)
@@ -412,4 +428,7 @@ def _choose_next(
 
 
 GROWTH = 2.5
-"""A simulation's time grows as cells^GROWTH, between the exponents of a surface and of a solid."""
+"""Exponent of the time: a simulation's time is assumed to grow as cells^GROWTH.
+
+The exponent lies between those of a thin surface (2) and of a solid (3).
+"""

@@ -1,10 +1,11 @@
-"""Orders of convergence, and Richardson's estimate of the remaining error of each level.
+"""Estimates the order of convergence, and the discretisation error of each grid level.
 
-The result at grid spacing h is modelled as exact + h^p e + scatter h^p, with a field e common to
-all grids and a random part. The distance of two levels is then about C |h_i^p - h_j^p|, from which
-p follows (logarithms, all pairs). exact and e are fitted to all levels with weights h^-2p; the
-error of a level is h^p e plus the scatter (Richardson 1911; Roache 1998; a least-squares fit as in
-Eca, Hoekstra 2014). Only the distances between the levels are needed.
+The result at grid spacing h is modelled as exact + h^p e + scatter h^p. The field e is common to
+all grids, and the scatter is random. Two levels then differ by about C |h_i^p - h_j^p|. The order p
+is fitted to the logarithms of these distances over all pairs of levels. The fields exact and e are
+fitted to all levels by least squares with weights h^-2p (Eca, Hoekstra 2014). The error of a level
+is h^p e plus the scatter (Richardson 1911; Roache 1998). Only the distances between the levels are
+needed.
 """
 
 from __future__ import annotations
@@ -17,45 +18,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 ORDERS = (0.5, 3.0)
-"""Range in which the order is searched."""
+"""Range of orders that are searched."""
 TRUSTED = (1.0, 2.0)
-"""Range of orders used to estimate errors: free surfaces are of first order, the inside of second.
+"""Range of orders used to estimate errors.
 
-Levels that are too coarse show a lower order, which would make the errors guesses.
+Free surfaces converge with first order, and the interior with second order. If levels are too
+coarse, the observed order is lower than 1, and errors estimated with it would be unreliable.
 """
 SAFETY = 1.25
-"""Factor on errors if the observed order is more than `NEAR` outside this range (Roache 1998)."""
+"""Factor on errors if the observed order is more than `NEAR` outside `TRUSTED` (Roache 1998)."""
 NEAR = 0.1
 AGREE = 1e-5
-"""Distance, in the unit of the results, below which levels are equal up to rounding."""
+"""Distance, in the unit of the results, below which levels count as equal up to rounding."""
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """Order and errors of three or more levels, estimated from the distances between them."""
+    """Order of convergence and errors of grid levels, estimated from the levels' distances."""
 
     order: float | None
-    """Observed order; None if the levels do not converge."""
+    """Observed order; None if the levels do not converge, or all agree."""
     errors: tuple[float, ...] = ()
-    """Estimated error of each level, in the unit of the distances; empty if there is none."""
+    """Estimated error of each level, in the unit of the distances; empty without an estimate."""
     why_not: str = ""
-    """Why there are no errors."""
+    """Reason why there is no estimate of the errors."""
     note: str = ""
-    """Why the errors are only rough."""
+    """Remark on the estimate, such as the reason why the errors are only rough."""
     exact: tuple[float, ...] = ()
     """Weights of the levels in the extrapolated result; they sum to 1."""
     inside: float = 0.0
-    """Mean square distance of the levels from that result, with these weights."""
+    """Mean square distance of the levels from the extrapolated result, with the weights `exact`."""
     factor: float = 1.0
-    """Safety factor."""
+    """Safety factor on the errors."""
 
     @property
     def error(self) -> float | None:
-        """Error of the finest level."""
+        """Estimated error of the finest level; None without an estimate."""
         return self.errors[-1] if self.errors else None
 
     def error_of(self, apart: NDArray) -> float | None:
-        """Return the error of any result from its distances to the levels [L]; None if unknown."""
+        """Estimate the error of any result from its distances to the levels [L].
+
+        Returns:
+            The error; None if the levels have no extrapolated result.
+        """
         if not self.exact:
             return None
         square = float(apart**2 @ np.array(self.exact)) - self.inside
@@ -63,17 +69,21 @@ class Convergence:
 
 
 def fit_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
-    """Return the slope of log error over log spacing by least squares, for exact errors."""
+    """Return the order of convergence for known errors.
+
+    It is the least-squares slope of the logarithm of the error over that of the spacing.
+    """
     return float(np.polyfit(np.log(spacings), np.log(np.abs(errors)), 1)[0])
 
 
 def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGREE) -> Convergence:
-    """Estimate the order, and the error of each of three or more levels.
+    """Estimate the order of convergence and the error of each level, from three or more levels.
 
     Args:
         spacings: Grid spacings, from coarse to fine [L].
         apart: Distances between the levels' results [L,L].
-        agree: Distance below which levels count as equal; the largest distance is then the error.
+        agree: Distance below which levels count as equal. If all do, their error is the largest
+            distance.
     """
     h, levels = np.array(spacings), len(spacings)
     if levels < 3:
@@ -97,10 +107,10 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
 def longest_convergence(
     spacings: Sequence[float], clips: Sequence[NDArray], size: float = 1.0
 ) -> tuple[Convergence, int]:
-    """Estimate the errors over as many of the first frames as converge.
+    """Estimate the errors over the longest initial part of the clips that converges.
 
-    Levels that follow different paths after some event, as when one topples and another does not,
-    still converge until then.
+    The motions on two grids may separate after some event, for example if the object topples on
+    only one of the grids. The levels still converge up to that event.
 
     Args:
         spacings: Grid spacings, from coarse to fine [L].
@@ -108,7 +118,8 @@ def longest_convergence(
         size: Divisor of the distances.
 
     Returns:
-        The convergence and the number of frames it holds for; all frames if no beginning converges.
+        The convergence, and the number of frames for which it holds. If no initial part converges,
+        the result is that of all frames.
     """
     frames = len(clips[0])
     square = np.zeros((frames, len(clips), len(clips)))
@@ -121,14 +132,14 @@ def longest_convergence(
         return whole, frames
     for count in range(frames, 1, -1):
         start = richardson(spacings, apart[count - 1])
-        # At the lowest order searched, the finest grids are hardly closer than the coarsest.
+        # At the lowest order, the distances between levels hardly decrease with the spacing.
         if start.errors and (start.order is None or start.order > ORDERS[0]):
             return start, count
     return whole, frames
 
 
 def _observe_order(h: NDArray, apart: NDArray) -> float:
-    """Return the p for which the distances of all pairs are closest to C |h_i^p - h_j^p|."""
+    """Return the order p for which C |h_i^p - h_j^p| best fits the distances of all pairs."""
     orders, pairs = np.linspace(*ORDERS, 251), np.triu_indices(len(h), 1)
     power = h[:, None] ** orders
     ratio = np.log(apart[pairs][:, None] / (power[pairs[0]] - power[pairs[1]]))
@@ -136,7 +147,7 @@ def _observe_order(h: NDArray, apart: NDArray) -> float:
 
 
 def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
-    """Fit exact + h^p e to the levels."""
+    """Fit exact + h^p e to the levels, for an order p."""
     power = h**p
     columns = np.stack([np.ones(len(h)), power], axis=1)
     weighted = columns / power[:, None] ** 2
@@ -149,12 +160,17 @@ def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
 
 
 def _squares(rows: NDArray, apart: NDArray) -> NDArray[np.float64]:
-    """Return the mean squares of combinations of levels [K,L] whose weights sum to zero."""
+    """Return the mean squares [K] of linear combinations of the levels' results.
+
+    Args:
+        rows: Weights of the levels [K,L]; each row sums to zero.
+        apart: Distances between the levels [L,L].
+    """
     return np.maximum(-0.5 * np.einsum("ki,ij,kj->k", rows, apart**2, rows), 0.0)
 
 
 def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
-    """Return the RMS distances [L,L] between results [...,3] of the same points."""
+    """Return the RMS distances [L,L] between L results, each the positions [...,3] of points."""
     apart = np.zeros((len(results), len(results)))
     for i, j in combinations(range(len(results)), 2):
         gap = results[i].astype(np.float64) - results[j]
@@ -165,7 +181,7 @@ def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
 def guess_errors(
     spacings: tuple[float, float], difference: float, order: float
 ) -> tuple[float, float]:
-    """Guess the errors of two levels from their difference and an assumed order."""
+    """Return the errors of two levels (coarse, fine), from their distance and an assumed order."""
     coarse, fine = (h**order for h in spacings)
     error = difference * fine / (coarse - fine)
     return error + difference, error

@@ -1,4 +1,7 @@
-"""The difference of two clips of the same Gaussians: in metres, per cent, pixels, PSNR and SSIM."""
+"""Measures the difference between two clips of the same Gaussians.
+
+It is measured in metres, as a fraction of the object's size, in pixels, and as PSNR and SSIM.
+"""
 
 from __future__ import annotations
 
@@ -16,33 +19,33 @@ from phy124.scene import View
 
 @dataclass(frozen=True)
 class Difference:
-    """Distances between the centres of the Gaussians of two clips, and between their videos."""
+    """Distances between the Gaussians' centres in two clips, and between the clips' videos."""
 
     metres: float
-    """RMS over all Gaussians and frames [m]."""
+    """RMS distance over all Gaussians and frames [m]."""
     relative: float
-    """RMS as a fraction of the object's size at rest."""
+    """RMS distance as a fraction of the object's size at rest."""
     pixels: float
-    """RMS in the picture of the first view [pixels]."""
+    """RMS distance in the image of the first view [pixels]."""
     worst_frame: int
-    """The frame in which they differ most."""
+    """Index of the frame with the largest RMS distance."""
     worst: float
-    """RMS of that frame, as a fraction of the size."""
+    """RMS distance in the worst frame, as a fraction of the object's size at rest."""
     psnr: float
-    """PSNR of the videos of the first view [dB]; infinite if they are equal."""
+    """PSNR of the videos of the first view [dB]; infinite if the videos are equal."""
     ssim: float
-    """Mean SSIM of these videos over the frames, -1 to 1."""
+    """Mean SSIM of the videos of the first view, -1 to 1."""
 
 
 def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") -> Difference:
-    """Compare two clips of one object frame by frame, without their grains.
+    """Compare two clips of one object frame by frame, ignoring grains.
 
-    Both must have the same frames.
+    Both clips must have frames at the same times.
 
     Args:
         clip: The first clip.
-        reference: The second clip, whose camera films both.
-        view: How they are filmed.
+        reference: The second clip. Both clips are rendered with the camera chosen for it.
+        view: The view settings.
         device: Warp device.
 
     Raises:
@@ -70,7 +73,7 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
 
 def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
-    """Return the RMS distance in the picture of the first view over all frames [pixels]."""
+    """Return the RMS distance in the image of the first view, over all frames [pixels]."""
     clip, reference, squares = clip.surface, reference.surface, []
     for index, camera in enumerate(cameras(reference, view, view.sides[0])):
         here, _ = camera.project(clip.means[index].astype(float))
@@ -80,12 +83,12 @@ def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
 
 
 def video(clip: Clip, framed: Clip, view: View, device: str = "cpu") -> NDArray[np.uint8]:
-    """Draw the video of the first view of a clip [T,H,W,3], with the camera for another clip.
+    """Render the video of a clip's first view [T,H,W,3].
 
     Args:
         clip: The clip.
         framed: The clip for which the camera is chosen.
-        view: How it is filmed.
+        view: The view settings.
         device: Warp device.
     """
     seen = cameras(framed, view, view.sides[0])

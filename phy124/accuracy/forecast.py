@@ -1,10 +1,11 @@
-"""Forecasts the time of a run, before it runs, and measures the load by other programs.
+"""Forecasts the time of a run before it starts, and measures the load from other programs.
 
     seconds = substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures)
 
-a and b come from probes of 20 substeps of the solver that will run, which is then reset to its
-start; the number of substeps comes from a pilot (`phy124.accuracy.probe`); shapes, pictures and
-video from making a few. The seconds are only a guess if the particles' speed limits the substep.
+The rates a and b are measured in probes of 20 substeps. The probes use the solver of the run, and
+then reset it to its initial state. The number of substeps comes from a pilot run on a coarse grid
+(`phy124.accuracy.probe`). The times of shapes, rendered frames and video are measured on a few
+frames. The forecast is only a guess if the particles' speed limits the substep.
 """
 
 from __future__ import annotations
@@ -39,38 +40,39 @@ from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation, prepare
 
 SPIN = 0.3
-"""Time for which threads spin to measure the fraction of a core that each gets [s]."""
+"""Duration for which busy-waiting threads measure the fraction of a core that each gets [s]."""
 ENOUGH, LONGEST = 0.2, 4.0
-"""Smallest fraction of `SPIN` that a thread must run, and the longest duration as a multiple."""
+"""Minimum CPU time of a spinning thread, and maximum duration of spinning, in units of `SPIN`."""
 BLOCK = bytes(1 << 18)
-"""Data that a spinning thread reads without holding Python's global lock."""
+"""Data whose checksum a spinning thread computes without holding Python's global lock."""
 ALONE = 0.93
-"""Fraction of a core above which no other program uses it."""
+"""Fraction of a core's time above which the core counts as not used by other programs."""
 SECOND_THREAD = 1.5
-"""Factor on the time of a simulation that cannot use a second thread for lack of a free core."""
+"""Factor on the time of a simulation if no free core is available for its second thread."""
 MINIMUM, MAXIMUM = 0.8, 1.5
-"""Range of the time of runs relative to forecasts on an idle machine (docs/lab/forecasts.md)."""
+"""Range of measured time / forecast time on an idle machine (docs/lab/forecasts.md)."""
 BUSY = 1.2
-"""Factor by which the range is wider on a busy machine, since the load changes during a run."""
+"""Factor that widens the range on a busy machine, since the load may change during a run."""
 FRESH = 10.0
-"""Time for which a measurement is valid [s]."""
+"""Time for which a measurement of the load is valid [s]."""
 
 
 @dataclass(frozen=True)
 class Load:
-    """Factors by which work takes longer because of other programs on this machine."""
+    """Factors by which other programs on this machine slow down a run."""
 
     thread: float = 1.0
-    """Factor for the work of one thread."""
+    """Factor on the time of single-threaded work."""
     simulation: float = 1.0
-    """Factor for a simulation."""
+    """Factor on the time of a simulation."""
 
     @classmethod
     def measure(cls, device: str = "cpu") -> Load:
-        """Measure the load from the fraction of the cores that spinning threads get for a moment.
+        """Measure the current load from the fraction of a core that busy-waiting threads get.
 
-        It includes priorities, the limits of a container and how the system shares its cores, but
-        not the past. Other work of this process counts as load. A run on a GPU is hardly affected.
+        The measurement includes the effects of priorities, of a container's limits and of the
+        scheduler. Other work of this process counts as load. Runs on a GPU are hardly affected by
+        the load, so both factors are 1 for a GPU.
         """
         if device != "cpu":
             return cls()
@@ -80,47 +82,51 @@ class Load:
         return cls(thread, thread if free else SECOND_THREAD * thread)
 
     def of(self, stage: str) -> float:
-        """Return the factor for a stage of a run."""
+        """Return the factor on the time of a stage of a run."""
         return self.simulation if stage == "simulate" else self.thread
 
     def mean(self, other: Load) -> Load:
-        """Return the mean of two loads, for work between two measurements."""
+        """Return the mean of this load and another, for work between the two measurements."""
         thread = (self.thread + other.thread) / 2
         return Load(thread, (self.simulation + other.simulation) / 2)
 
     @property
     def busy(self) -> bool:
-        """Whether other programs are busy."""
+        """Whether other programs slow down a simulation."""
         return self.simulation > 1
 
     def span(self, seconds: float, *, unsure: float = 1.0) -> tuple[float, float]:
-        """Return the shortest and longest time [s] of a run that takes `seconds` under this load.
+        """Return the expected range of a run's time (shortest, longest) [s].
 
         Programs that start or end during the run are not predicted.
+
+        Args:
+            seconds: Predicted time of the run under this load [s].
+            unsure: Factor that widens the range.
         """
         wider = unsure * (BUSY if self.busy else 1.0)
         return MINIMUM / wider * seconds, MAXIMUM * wider * seconds
 
 
 class LoadMeter:
-    """Measures the load when it is needed and the last measurement is too old.
+    """Measures the load on request, unless the last measurement is recent enough.
 
-    A measurement takes 0.6 s of all cores.
+    A measurement takes about 0.6 s.
     """
 
     def __init__(self, device: str = "cpu") -> None:
-        """Measure nothing yet.
+        """Create the meter without measuring.
 
         Args:
             device: Warp device of the runs.
         """
         self.latest = Load()
-        """The last measurement; before the first one, that of an idle machine."""
+        """The last measured load; before the first measurement, the load of an idle machine."""
         self._device, self._measured = device, -math.inf
         self._measuring = threading.Lock()
 
     def load(self) -> Load:
-        """Return the load, measured again if the last measurement is too old."""
+        """Return the load; measure it if the last measurement is too old."""
         if time.monotonic() > self._measured + FRESH:
             self.measure()
         return self.latest
@@ -145,15 +151,15 @@ def format_span(span: tuple[float, float]) -> str:
 
 
 def _measure_fraction(threads: int) -> float:
-    """Return the mean fraction of a core that each of several spinning threads gets."""
+    """Return the mean fraction of a core that each of `threads` spinning threads gets."""
     with ThreadPoolExecutor(threads) as pool:
         return sum(pool.map(_spin, [SPIN] * threads)) / threads
 
 
 def _spin(seconds: float) -> float:
-    """Return the fraction of a core that this thread gets while it spins for some seconds.
+    """Return the fraction of a core that this thread gets while it spins.
 
-    It spins longer if it hardly ran in that time.
+    It spins for `seconds`, or longer if it has got too little CPU time for a measurement.
     """
     start, start_cpu, passed, ran = time.perf_counter(), time.thread_time(), 0.0, 0.0
     while passed < seconds or (ran < ENOUGH * seconds and passed < LONGEST * seconds):
@@ -163,41 +169,41 @@ def _spin(seconds: float) -> float:
 
 
 UNSURE = 0.1
-"""Fraction of substeps limited by motion instead of stiffness above which there is no promise."""
+"""Fraction of substeps limited by the particles' motion above which the forecast is a guess."""
 GUESS = 1.14
-"""Factor by which the range is wider if the seconds are a guess."""
+"""Factor that widens the range of the time if the forecast is only a guess."""
 QUIET = Load()
 REMEMBERED = 32
-"""Number of forecasts and measurements that are kept; the oldest is removed."""
+"""Maximum number of stored forecasts and measurements; a new one replaces the oldest."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """The predicted time of a run, and what it consists of."""
+    """The predicted time of a run, by stage, and the counts and rates behind the prediction."""
 
     stages: dict[str, float]
-    """Stage, named as in the report -> predicted time [s]."""
+    """Name of a stage, as in the report -> its predicted time [s]."""
     measured: tuple[str, ...]
-    """Stages that are finished and were measured instead."""
+    """Finished stages, whose time in `stages` is measured instead of predicted."""
     particles: int
     nodes: int
-    """Mean number of grid nodes."""
+    """Mean number of grid nodes over the run."""
     substeps: int
     limiters: dict[str, float]
-    """Limit of the substep -> fraction of the substeps."""
+    """Name of a limit of the substep -> fraction of the substeps that it determines."""
     rates: SubstepCost
     memory: float = 0.0
-    """Approximate memory (`phy124.budget.limits`) [bytes]."""
+    """Estimated memory of the run (`phy124.budget.limits`) [bytes]."""
     caveat: str | None = None
-    """Why the seconds are only a guess."""
+    """Reason why the predicted time is only a guess; None if it is not."""
     load: Load = QUIET
-    """Load by other programs on this machine when the probes ran."""
+    """Load from other programs on this machine when the probes ran."""
     thickness: float | None = None
     """Local thickness of the object relative to its size; None in scenes of several objects."""
 
     @property
     def span(self) -> tuple[float, float]:
-        """Shortest and longest time expected [s]; a wide range if the seconds are a guess."""
+        """Expected range of the total time (shortest, longest) [s]."""
         done = sum(self.stages[name] for name in self.measured if name in self.stages)
         low, high = self.load.span(self.seconds - done, unsure=GUESS if self.caveat else 1.0)
         return done + low, done + high
@@ -208,16 +214,22 @@ class Forecast:
         return sum(self.stages.values())
 
     def with_measured(self, name: str, seconds: float) -> Forecast:
-        """Add a finished stage and its measured time [s]."""
+        """Return the forecast with an additional finished stage and its measured time [s]."""
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
     def with_predicted(self, name: str, seconds: float, caveat: str) -> Forecast:
-        """Add a first stage with a predicted time, and the reason why it is only a guess."""
+        """Return the forecast with an additional first stage, whose time is only a guess.
+
+        Args:
+            name: Name of the stage.
+            seconds: Predicted time of the stage [s].
+            caveat: Reason why this time is only a guess.
+        """
         caveats = " ".join(filter(None, (self.caveat, caveat)))
         return replace(self, stages={name: seconds, **self.stages}, caveat=caveats)
 
     def lines(self) -> list[str]:
-        """Format the forecast, a line for each stage."""
+        """Format the forecast as lines of text, one for each stage and then a summary."""
         made = [
             f"  {name:<12}{seconds:8.2f} s{'  (measured)' if name in self.measured else ''}"
             for name, seconds in self.stages.items()
@@ -233,11 +245,15 @@ class Forecast:
         return [*made, total, about, *([self.caveat] if self.caveat else [])]
 
     def data(self) -> dict[str, Any]:
-        """Return plain data for scripts."""
+        """Return the forecast as plain data for scripts."""
         return {**asdict(self), "seconds": self.seconds, "span": self.span}
 
     def compare(self, spent: Mapping[str, float]) -> dict[str, Any]:
-        """Compare predicted and spent seconds, by stage and in total, for the report."""
+        """Compare the predicted and the measured times, by stage and in total, for the report.
+
+        Args:
+            spent: Name of a stage -> its measured time [s].
+        """
         predicted = {n: s for n, s in self.stages.items() if n not in self.measured and n in spent}
         rows = {
             name: {
@@ -266,27 +282,27 @@ class Stop:
 
     name: str
     seconds: float
-    """Predicted time from Gaussians to files [s]."""
+    """Predicted time from the Gaussians to the finished files [s]."""
     promise: Promise
-    """The promised error, or the reason why there is none."""
+    """The error bound, or the reason why there is none."""
     pixels: float | None
-    """The promised error in the video [pixels]."""
+    """The error bound in the video [pixels]; None without a bound."""
     caveat: str | None = None
-    """Why the seconds are only a guess."""
+    """Reason why the predicted time is only a guess; None if it is not."""
     forecast: Forecast | None = None
-    """The forecast of the seconds, if it was made for the object itself."""
+    """The forecast of the time, if probes of the object itself made it."""
 
     @classmethod
     def of(
         cls, scene: Scene, seconds: float, promise: Promise, forecast: Forecast | None = None
     ) -> Stop:
-        """Return the accuracy level that a scene names.
+        """Return the slider position for the accuracy preset that a scene names.
 
         Args:
             scene: The scene.
             seconds: Predicted time [s].
-            promise: Promised error.
-            forecast: Forecast of the time, if there is one.
+            promise: Error bound.
+            forecast: Forecast of the time; None without one.
         """
         pixels = None if promise.error is None else promise.error * pixels_per_size(scene)
         caveat = forecast.caveat if forecast else None
@@ -294,16 +310,16 @@ class Stop:
 
     @property
     def error(self) -> float | None:
-        """Promised error as a fraction of the object's size; None if it was not measured."""
+        """Error bound as a fraction of the object's size; None without a bound."""
         return self.promise.error
 
 
 @dataclass
 class Forecaster:
-    """Makes forecasts on a device; stores rates and pilots, so that later forecasts are fast."""
+    """Makes forecasts for a device, and stores measurements to speed up later forecasts."""
 
     context: RunContext = field(default_factory=RunContext)
-    """Device and threads of the runs; nothing is reported."""
+    """Device and threads of the runs; its progress and stopwatch are not used."""
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
     _meter: LoadMeter = field(init=False, repr=False)
 
@@ -311,15 +327,15 @@ class Forecaster:
         self._meter = LoadMeter(self.context.device)
 
     def forecast(self, gaussians: Gaussians, scene: Scene, *, crop: Crop = WHOLE) -> Forecast:
-        """Forecast a run of a scene, by its particles and a probe.
+        """Forecast a run of a scene: create its particles, then probe its solver.
 
         Args:
             gaussians: The object.
             scene: The scene.
-            crop: Where the object is in the picture that the masks of parts were painted on.
+            crop: Rectangle of the object in the picture on which the masks of parts were painted.
 
         Raises:
-            InputError: As `Simulation` does.
+            InputError: A simulation of the scene cannot be prepared; see `Simulation`.
         """
         context = self.context.aside()
         simulation = Simulation(prepare(gaussians, scene, context, crop=crop))
@@ -329,12 +345,12 @@ class Forecaster:
     def of(
         self, simulation: Simulation, *, filming: bool = True, load: Load | None = None
     ) -> Forecast:
-        """Forecast a simulation that has not started; its state does not change.
+        """Forecast a simulation that has not started, without changing its state.
 
         Args:
             simulation: The simulation.
-            filming: Whether it will be filmed.
-            load: Load by other programs; None: it is measured.
+            filming: Whether the clip will be rendered to videos.
+            load: Load from other programs; None: it is measured.
         """
         scene = simulation.scene
         pilot = self._pilot(simulation)
@@ -363,7 +379,7 @@ class Forecaster:
         )
 
     def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:
-        """Return time and promised error of draft, standard and fine."""
+        """Return the predicted time and the error bound of draft, standard and fine."""
         return {name: self._stop(name, gaussians, scene) for name in get_args(AccuracyName)}
 
     def _stop(self, name: AccuracyName, gaussians: Gaussians, scene: Scene) -> Stop:
@@ -383,13 +399,16 @@ class Forecaster:
         return self._remember(key, lambda: run_pilot(gaussians, scene, self.context, crop=crop))
 
     def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
-        """Return the times of pictures, videos and saving [s]."""
+        """Return the times of rendering, encoding and saving [s]."""
         view = scene.view
         key = ("film", len(gaussians), view, scene.time.frames)
         return self._remember(key, lambda: time_film(gaussians, scene, self.context))
 
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
-        """Return a value that is computed once; `keep` is an object whose id is in the key."""
+        """Return the stored value of a key; compute and store the value if it is missing.
+
+        `keep` is an object whose id is part of the key. Storing it keeps its id from being reused.
+        """
         if key not in self._known:
             while len(self._known) >= REMEMBERED:
                 self._known.pop(next(iter(self._known)))
@@ -398,12 +417,12 @@ class Forecaster:
 
 
 def _sample(gaussians: Gaussians) -> tuple[int, bytes]:
-    """Return the number of some Gaussians and a few of their positions, to recognise them."""
+    """Return the number of Gaussians and a few of their positions, as a cache key."""
     return len(gaussians), gaussians.means[:: max(1, len(gaussians) // 64)].tobytes()
 
 
 def pixels_per_size(scene: Scene) -> float:
-    """Return the size of the object's longest side in the video [pixels]."""
+    """Return the length of the object's longest side in the video [pixels]."""
     if scene.view.fits:
         return min(scene.view.size) / ROOM  # the size of an object at rest
     half_height = np.tan(np.radians(scene.view.fov / 2)) * scene.view.distance
@@ -411,7 +430,7 @@ def pixels_per_size(scene: Scene) -> float:
 
 
 def _physics(scene: Scene) -> str:
-    """Return everything in a scene that its time depends on."""
+    """Return the part of a scene that determines its time, as JSON."""
     return scene.model_dump_json(exclude={"description", "seed"})
 
 

@@ -1,4 +1,4 @@
-"""Goal: the error or time that a run is to meet, and the refusal of a time that is too short."""
+"""Goal: the maximum error or time of a run, and the error message for a time that is too short."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
     "fraction": lambda scene: 1.0,
     "metres": lambda scene: scene.object.size,
 }
-"""Kind of goal -> the object's size in its unit."""
+"""Kind of goal -> function that returns the object's size in the goal's unit."""
 MARGIN = 0.95
-"""Largest fraction of the target time for a forecast, since forecasts err by a few per cent."""
+"""Fraction of the maximum time that a forecast may use, since forecasts err by a few per cent."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A largest error or a longest time that a run is to meet."""
+    """The maximum error or the maximum time of a run."""
 
     kind: Kind
     value: float
-    """Pixels of the first view, fraction of the object's size, metres, or seconds."""
+    """Maximum, in pixels of the first view, fractions of the object's size, metres or seconds."""
     text: str
 
     @classmethod
     def error(cls, text: str) -> Goal:
-        """Parse an error such as "2px", "1%" or "3mm".
+        """Parse a maximum error such as "2px", "1%" or "3mm".
 
         Raises:
             InputError: The text is not a positive number with a unit.
@@ -56,7 +56,7 @@ class Goal:
 
     @classmethod
     def time(cls, seconds: float) -> Goal:
-        """Return the goal of a longest total time [s].
+        """Return the goal for a maximum total time [s].
 
         Raises:
             InputError: The time is not a positive number.
@@ -68,7 +68,7 @@ class Goal:
 
 
 def format_error(kind: Kind, value: float) -> str:
-    """Format an error in the unit of a goal."""
+    """Format an error, whose unit is that of a kind of goal."""
     if kind == "pixels":
         return f"{value:.1f}px"
     return f"{value:.1%}" if kind == "fraction" else f"{value * 1000:.2g}mm"
@@ -77,14 +77,16 @@ def format_error(kind: Kind, value: float) -> str:
 def explain_time(
     goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: float
 ) -> InputError:
-    """Return the error for a time that even the coarsest grid exceeds; it names the longest stage.
+    """Return the error for a maximum time that even the coarsest grid exceeds.
+
+    The message names the longest stage.
 
     Args:
-        goal: The time.
+        goal: The maximum time.
         scene: The scene.
-        cells: Cells of the coarsest grid.
-        forecast: Forecast of the coarsest grid.
-        ready: Time that has been used already [s].
+        cells: Cells across the object on the coarsest grid.
+        forecast: Forecast for the coarsest grid.
+        ready: Time that has already been used [s].
     """
     minimum = math.ceil((forecast.seconds + ready) / MARGIN)
     stages = {"preparing": ready, **forecast.stages}
@@ -100,7 +102,7 @@ def explain_time(
 
 
 def _find_remedies(scene: Scene, stage: str) -> Iterator[Remedy]:
-    """Yield changes of the scene with which a stage takes less time."""
+    """Yield changes to the scene that shorten a stage."""
     if stage in ("render", "encode", "save") and len(scene.view.sides) > 1:
         yield Remedy(
             "view.views = front", {"view.views": ["front"], "view.azimuths": [], "view.cameras": []}
@@ -117,4 +119,4 @@ STAGES = {
     "encode": "the videos",
     "save": "saving",
 }
-"""Stage -> its name in words."""
+"""Name of a stage in the report -> its name in messages."""

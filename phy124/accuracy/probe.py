@@ -1,4 +1,4 @@
-"""Short measurements: times of a substep, of shapes, of a film, and of missing kernels."""
+"""Measures or predicts the times of substeps, shapes, videos and the compilation of kernels."""
 
 from __future__ import annotations
 
@@ -32,22 +32,24 @@ from phy124.simulation.deform import Deformer
 from phy124.simulation.solver import kernels
 
 PROBE, MIN_PROBE = 20, 6
-"""Largest and smallest number of substeps of a probe."""
+"""Maximum and minimum number of substeps in a probe."""
 LONGEST_PROBE, ROUNDS = 0.6, 5
-"""Longest duration of a probe [s], and number of repetitions in that time; the median is used.
+"""Maximum total duration of the probes [s], and maximum number of probes; the median is used.
 
-Large objects are probed with fewer substeps.
+Probes of large objects have fewer substeps.
 """
 FILMED, TRIES = (2, 6), 2
-"""Two numbers of frames, which separate a video's fixed cost from that of its frames, and the
-number of repetitions, of which the fastest is used."""
+"""Numbers of frames of two test videos, and number of repetitions, of which the fastest is used.
+
+The two lengths separate the fixed cost of a video from the cost per frame.
+"""
 NODE_STAGES = ("clear", "grid")
-"""Stages whose time is proportional to the nodes; the colliders' is, too."""
+"""Stages whose time is proportional to the nodes, in addition to the stages of the boundaries."""
 
 
 @dataclass(frozen=True)
 class SubstepCost:
-    """The cost of a solver's substep on this machine."""
+    """The time of a solver's substep on this machine, per particle and per grid node."""
 
     particle: float
     """Time per particle and substep [s]."""
@@ -56,9 +58,10 @@ class SubstepCost:
 
 
 def probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
-    """Measure the cost of a substep, the number of nodes, and the time of checks per frame [s].
+    """Measure the cost of a substep, the number of nodes, and the time per frame for checks [s].
 
-    The simulation runs a few times 20 substeps with all checks of a frame, and is then reset.
+    The simulation runs up to 20 substeps several times, with all checks of a frame, and is then
+    reset to its initial state.
     """
     solver, watchdog = simulation.solver, simulation.find(Watchdog)
     after = None if watchdog is None else watchdog.after_substep
@@ -83,7 +86,12 @@ def probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
 def _seconds_per_substep(
     solver: Solver, after: Callable[[], None] | None
 ) -> tuple[float, float, int]:
-    """Measure the time of a substep [s], its fraction proportional to the nodes, and the nodes."""
+    """Measure the time of a substep.
+
+    Returns:
+        The time of a substep [s], the fraction of it that is proportional to the number of nodes,
+        and the number of nodes.
+    """
     each = min(measure_time(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
     _clear_timings(solver)
     before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, MIN_PROBE, PROBE))
@@ -92,7 +100,7 @@ def _seconds_per_substep(
 
 
 def _run_empty_frame(simulation: Simulation) -> None:
-    """Run a frame without substeps."""
+    """Run the checks of a frame without any substep."""
     solver = simulation.solver
     solver.repair.begin(solver.clock)
     simulation.before_attempt()
@@ -115,7 +123,7 @@ def measure_time(work: Callable[[], Any]) -> float:
 
 
 def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) -> None:
-    """Take about this number of stable substeps."""
+    """Advance the solver by about `substeps` stable substeps."""
     limit = solver.clock.stable() if solver.clock.extremes.stiffness > 0 else None
     if limit is None:
         solver.step(0.0, 0.0)
@@ -124,7 +132,7 @@ def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) ->
 
 
 def _node_fraction(solver: Solver) -> float:
-    """Return the fraction of the stages' time that is proportional to the nodes."""
+    """Return the fraction of the substep's time that is proportional to the number of nodes."""
     walls = {stage.name for stage in solver.boundaries}
     total = nodes = 0.0
     for worker in solver.workers:
@@ -136,7 +144,7 @@ def _node_fraction(solver: Solver) -> float:
 
 
 def time_shapes(simulation: Simulation) -> float:
-    """Return the time to deform the Gaussians of a frame with strained particles [s]."""
+    """Return the time to deform the Gaussians of one frame [s], for randomly strained particles."""
     solver, particles = simulation.solver, simulation.setup.particles
     rng = np.random.default_rng(0)
     F = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
@@ -148,18 +156,18 @@ def time_shapes(simulation: Simulation) -> float:
 
 
 def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[str, float]:
-    """Predict the times of pictures and videos [s] by filming a few frames in one view.
+    """Predict the times of rendering, encoding and saving [s], from a few frames in one view.
 
     Args:
         gaussians: The object.
         scene: The scene.
-        context: Device and threads; nothing is reported.
+        context: Device and threads; its progress and stopwatch are not used.
     """
     front = scene.view.model_copy(update={"views": ("front",)}).only("front")
     views, frames = len(scene.view.sides), scene.time.frames
     few, more = FILMED
     seconds: dict[int, list[dict[str, float]]] = {few: [], more: []}
-    # The first time also loads the kernels.
+    # The first video also loads the kernels, and is slower.
     for count in (few, *TRIES * FILMED):
         probe_context = context.aside()
         with tempfile.TemporaryDirectory() as folder:
@@ -186,8 +194,8 @@ def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[s
 def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
     """Predict the time to compile a scene's missing kernels on all cores [s]; 0 on a GPU.
 
-    Only one thread may call this at a time, and none while a solver is built, since it creates
-    kernels. Kernels of forces on a part of the object (0.3 s each) are not counted.
+    The function creates kernels. Only one thread may call it at a time, and no solver may be built
+    meanwhile. Kernels of forces on a part of the object (0.3 s each) are not counted.
     """
     if device != "cpu" or wp.config.kernel_cache_dir is None:
         return 0.0
@@ -197,7 +205,10 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
 
 
 def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
-    """Return a clip of the object moving by 1 % of its size per frame, typical for an encoder."""
+    """Return a clip in which the object moves by 1 % of its size per frame.
+
+    This is a typical motion for a video encoder.
+    """
     n = len(gaussians)
     shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
     return Clip(
@@ -213,34 +224,34 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 
 
 CELLS = 16
-"""Cells across the object in the pilot."""
+"""Cells across the object in the pilot run."""
 EXCESS = 0.8
-"""Excess substeps grow as cells^(1 + EXCESS)."""
+"""Exponent: substeps in excess of those at rest are assumed to grow as cells^(1 + EXCESS)."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """The substeps of the motion on the coarse grid."""
+    """Numbers of substeps that a motion needs, counted in a pilot run on a coarse grid."""
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
-    """Limiter -> substeps in each frame before rounding up [T]."""
+    """Limit of the substep -> substeps that it determines in each frame, before rounding up [T]."""
     rest: float
-    """Substeps per frame in the state at the start."""
+    """Substeps per frame that the initial state needs."""
     growth: float
-    """Mean size of the grid's window relative to that at the start."""
+    """Mean number of nodes in the grid's window over the run, relative to the initial number."""
     stopped: bool
-    """Whether the run became unstable, so that nothing is promised."""
+    """Whether the pilot run became unstable, which makes a forecast only a guess."""
     viscous: float = 0.0
-    """Smallest number of substeps per frame that viscosity requires."""
+    """Minimum number of substeps per frame, due to viscosity."""
     factors: NDArray[np.float64] | float = 1.0
     """Factor on Young's modulus in each frame [T]."""
 
     def substeps(self, cells: int) -> tuple[int, dict[str, float]]:
-        """Return the number of substeps on another grid, and the fraction of each limiter.
+        """Predict the number of substeps on another grid, and the fraction that each limit causes.
 
-        Each frame has a whole number of substeps.
+        The number of substeps in a frame is rounded up.
         """
         scale = cells / self.cells
         at_rest = np.minimum(self.counts["elastic"], self.rest * np.sqrt(self.factors))
@@ -261,8 +272,8 @@ class Pilot:
 
 
 def coarsen(scene: Scene) -> Scene:
-    """Return the scene that the pilot runs: a coarse grid and the binding `lattice`."""
-    # Solids that the scene's grid resolves must not be too thin for the coarse one.
+    """Return the scene of the pilot run, with a coarse grid and the binding `lattice`."""
+    # Solids that the scene's grid resolves must not be too thin for the coarse grid.
     cells = min(max(CELLS, min_cells(scene)), scene.resolution.cells)
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
@@ -279,13 +290,13 @@ def min_cells(scene: Scene) -> int:
 def run_pilot(
     gaussians: Gaussians, scene: Scene, context: RunContext | None = None, *, crop: Crop = WHOLE
 ) -> Pilot:
-    """Run the motion on a coarse grid.
+    """Simulate a scene on a coarse grid, and count the substeps.
 
     Args:
         gaussians: The object.
         scene: The scene.
-        context: The device is used; nothing is reported or timed.
-        crop: Rectangle of the object in the picture on which masks of parts were painted.
+        context: Only its device is used.
+        crop: Rectangle of the object in the picture on which the masks of parts were painted.
     """
     context = RunContext(device=(context or RunContext()).device)
     coarse = coarsen(scene)

@@ -1,14 +1,18 @@
-"""The error that is promised for a scene, from measurements of similar scenes.
+"""Determines an error bound for a scene ("promise") from measured errors of similar scenes.
 
-`make accuracy` runs each law in each kind of motion on many objects and a series of grids. It
-writes to measured.json the errors, the thickness of the objects, and the violence and duration of
-the scenes. The promise is the largest error for the scene's law and kind of motion, of objects that
-are about as thick or thicker, on a grid that is as coarse or coarser, times a safety factor. The
-scene must not be more violent than the measured ones. If it lasts longer, the promise holds for the
-measured duration. Otherwise there is no promise: the error is "not measured", and a study of the
-scene itself (`phy124 accuracy`) measures it.
+`make accuracy` simulates each material law in each kind of motion, for many objects and several
+grids. It writes the errors, the objects' thickness, and the severity and duration of the scenes to
+measured.json. The severity (`violence`) of a scene is its energy relative to the material's
+stiffness.
 
-All sentences about errors, of the command line and of the page, are in this module.
+The bound is the largest measured error, times a safety factor, for the scene's law and kind of
+motion. Only objects about as thick as the scene's object, or thicker, are considered, and only
+grids as fine as the scene's grid, or coarser. The scene must not be more severe than the measured
+scenes. If it lasts longer, the bound holds only for the measured duration. If no measured scene is
+similar, there is no bound: the error is "not measured". A study of the scene itself (`phy124
+accuracy`) can measure it.
+
+This module contains all messages about errors, for the command line and the page.
 """
 
 from __future__ import annotations
@@ -27,28 +31,28 @@ from phy124.materials.base import Elastic
 from phy124.scene import Scene
 
 MEASURED_FORCES = ("gravity", "acceleration")
-"""Kinds of forces in the scenes that were measured, on the whole object and constant."""
+"""Kinds of forces in the measured scenes; the forces are constant and act on the whole object."""
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "yield_stress"}
-"""Fields of a law that these numbers cover; others must be as in the measured scenes."""
+"""Fields of a material that may differ from their defaults; these fields affect the severity,
+`yielding`, `damping` or `poisson`."""
 LOOKS = {"tint"}
 """Fields of a law that do not affect the motion."""
 
 
 def violence(scene: Scene) -> float:
-    """Return the energy relative to the stiffness that absorbs it: (v^2 + |a| L) / c^2 + e^2.
+    """Return the severity of a scene, its energy relative to the stiffness: 2 e / c^2 + s^2.
 
-    v is the largest speed at which the object starts, lands or is pressed, a the acceleration by
-    forces, L its size, c the speed of waves in a bar of its softest material, and e the fraction of
-    its height by which it is pressed.
+    2 e is twice the energy per mass (see `energy`). c is the speed of waves in a bar of the
+    object's softest material. s is the fraction of its height by which the object is pressed.
     """
     slowest = min(bar_speed(section) for section in scene.materials)
     return energy(scene) / max(slowest, 1e-9) ** 2 + _squeeze(scene) ** 2
 
 
 def yielding(scene: Scene) -> float:
-    """Return the energy relative to the smallest yield stress, rho (v^2 + |a| L) / sigma.
+    """Return the energy relative to the yield stress, 2 e rho / sigma; 0 if no material yields.
 
-    It is 0 if no material yields.
+    2 e is twice the energy per mass (see `energy`). The largest ratio of all materials is returned.
     """
     yields = [getattr(section, "yield_stress", math.inf) for section in scene.materials]
     pairs = zip(scene.materials, yields, strict=True)
@@ -56,7 +60,10 @@ def yielding(scene: Scene) -> float:
 
 
 def damping(scene: Scene) -> float:
-    """Return the damping of vibrations, eta / (rho c L), of the least damped material."""
+    """Return the smallest relative damping, eta / (rho c L), of all materials.
+
+    c is the speed of waves in a bar, and L the object's size.
+    """
     return min(
         getattr(section, "damping", 0.0)
         / (section.density * max(bar_speed(section), 1e-9) * scene.object.size)
@@ -65,12 +72,16 @@ def damping(scene: Scene) -> float:
 
 
 def poisson(scene: Scene) -> float:
-    """Return the largest Poisson's ratio; 0 for materials without one."""
+    """Return the largest Poisson's ratio of all materials; 0 for a material without one."""
     return max(getattr(section, "nu", 0.0) for section in scene.materials)
 
 
 def energy(scene: Scene) -> float:
-    """Return twice the energy per mass that a scene may convert to strain [m^2/s^2]."""
+    """Return twice the energy per mass that a scene may convert to strain [m^2/s^2].
+
+    It is v^2 + 2 a h + a L + p^2: v is the initial speed, a the acceleration by forces, h the
+    height above the floor, L the object's size, and p the speed of presses.
+    """
     body = scene.object
     pull = sum(math.hypot(*_vector(force)) for force in scene.forces)
     speed = math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
@@ -81,7 +92,7 @@ def energy(scene: Scene) -> float:
 def bar_speed(section: AnyMaterial) -> float:
     """Return the speed of waves along a bar [m/s], sqrt(E / rho) for elastic materials.
 
-    Unlike that of pressure waves it remains finite as Poisson's ratio approaches 0.5.
+    It remains finite as Poisson's ratio approaches 0.5, unlike the speed of pressure waves.
     """
     if isinstance(section, Elastic):
         return math.sqrt(section.E / section.density)
@@ -89,7 +100,7 @@ def bar_speed(section: AnyMaterial) -> float:
 
 
 def find_difference(scene: Scene) -> str:
-    """Return a feature that no measured scene had; empty if there is none."""
+    """Describe a feature of forces, walls or materials that no measured scene has; else empty."""
     for force in scene.acting:
         if force.kind not in MEASURED_FORCES:
             return f"a force of the kind {force.kind}"
@@ -109,19 +120,22 @@ def find_difference(scene: Scene) -> str:
 
 
 def _plate_speed(wall: Any, size: float) -> float:
-    """Return the largest speed of a press on an object of this size [m/s]; it moves as a cosine."""
+    """Return the largest speed of a press on an object of this size [m/s]; else 0.
+
+    The position of the press follows a cosine in time.
+    """
     if not isinstance(wall, Press):
         return 0.0
     return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)
 
 
 def _squeeze(scene: Scene) -> float:
-    """Return the fraction of its height by which an object is pressed."""
+    """Return the largest fraction of its height by which the object is pressed."""
     return max((wall.depth for wall in scene.boundaries if isinstance(wall, Press)), default=0.0)
 
 
 def _vector(force: Any) -> tuple[float, ...]:
-    """Return the acceleration of a force [m/s^2]; zero for other forces."""
+    """Return the acceleration by a force [m/s^2]; zero for a force without one."""
     value = next((getattr(force, name) for name in ("g", "a") if hasattr(force, name)), 0.0)
     return tuple(value) if isinstance(value, tuple) else (float(value),)
 
@@ -134,15 +148,16 @@ WORDS: dict[Motion, str] = {
     "held": "held at a part of it",
     "free": "touching nothing",
 }
-"""Kinds of motion, in words."""
+"""Kind of motion -> its description in messages."""
 MARGIN = 1.25
-"""Largest ratio of a scene's duration or violence to the measured ones."""
+"""Factor by which a scene's duration, severity, `yielding` or damping may exceed its limit."""
 NEARBY = 0.02
-"""Largest difference of Poisson's ratio from the measured ones."""
+"""Maximum excess of Poisson's ratio over the measured value."""
 NEARLY = 0.8
-"""Smallest relative thickness of measured objects that count as equally thick."""
+"""Minimum thickness of a measured object, relative to the scene's object, to count as as thick."""
 FEWEST = 6
-"""Smallest number of objects for a promise; the thickest objects are included if necessary."""
+"""Minimum number of measured objects for a bound; if too few are thick enough, the thickest are
+used."""
 UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
 """The command that measures a user's own scene."""
@@ -150,23 +165,25 @@ STUDY = "phy124 accuracy SCENE --image PICTURE"
 
 @dataclass(frozen=True)
 class Promise:
-    """The error that is promised for a scene before it runs, or the reason why there is none."""
+    """The error bound of a scene, or the reason why there is none."""
 
     error: float | None
-    """RMS distance of the Gaussians from the exact motion over the clip, or over its first
-    `seconds`, in object sizes."""
+    """Bound on the RMS distance of the Gaussians from the exact motion, in object sizes; or None.
+
+    The RMS is taken over the clip, or over its first `seconds`.
+    """
     why: str
-    """A sentence about the source of the error, or the reason why there is none."""
+    """A sentence about the source of the bound, or the reason why there is none."""
     unmeasured: str = ""
-    """The kind of scene that was not measured, if that is the reason."""
+    """The kind of scene that was not measured, if this is the reason."""
     of_scene: bool = False
-    """Whether the error was measured on this scene itself."""
+    """Whether the error was measured on this scene itself; `error` is then an estimate."""
     seconds: float | None = None
-    """Duration from the start for which the error holds [s]; None: the whole clip."""
+    """Duration from the start for which the bound holds [s]; None: the whole clip."""
 
     @property
     def sentence(self) -> str:
-        """The promise with its source, in words."""
+        """The bound and its source as a message."""
         if self.of_scene and self.error is not None:
             return (
                 f"Error of this scene: about {self.error:.1%} of its size{self._span}. {self.why}"
@@ -183,33 +200,37 @@ class Promise:
 
     @property
     def brief(self) -> str:
-        """The promise in words, without a command."""
+        """The bound as a message that names no command."""
         if self.unmeasured:
             return f"Expected error: not measured for {self.unmeasured}."
         return self.sentence
 
     @property
     def row(self) -> tuple[str, str]:
-        """The promise as a row of a table: title and value."""
+        """The bound as a row of a table (title, value)."""
         return "Error measured" if self.of_scene else "Error promised", self.brief.partition(": ")[
             2
         ]
 
     @property
     def missing(self) -> str:
-        """The missing measurement in a few words; "" if none is missing or possible."""
+        """The missing measurement in a few words; empty if none is missing."""
         if self.seconds is not None:
             return f"error after {self.seconds:.2f} s not measured"
         return UNMEASURED if self.unmeasured else ""
 
     @property
     def measured(self) -> str:
-        """The error measured on this scene, in a few words."""
+        """The error measured on this scene itself, in a few words."""
         off = "no error can be promised" if self.error is None else f"about {self.error:.1%} off"
         return f"Measured: {off}."
 
     def off(self, pixels: float | None) -> str:
-        """Describe the error of a run in a few words; `pixels` is the error in the video."""
+        """Describe the error of a run in a few words.
+
+        Args:
+            pixels: The error in the video [pixels]; None if unknown.
+        """
         if self.error is None or pixels is None:
             return UNMEASURED
         how = "about" if self.of_scene else "at most"
@@ -217,12 +238,12 @@ class Promise:
 
     @property
     def _span(self) -> str:
-        """The part of the clip that was measured, if it is not all of it."""
+        """The part of the clip for which the bound holds, as text; empty for the whole clip."""
         return "" if self.seconds is None else f" in the first {self.seconds:.2f} s"
 
 
 def _describe_beyond(scene: Scene, laws: Sequence[str]) -> str:
-    """Return a feature of a scene that was never measured; empty if there is none."""
+    """Describe a feature of the scene that no measured scene has; empty if there is none."""
     if scene.objects:
         return "scenes of several objects"
     if len(laws) > 1:
@@ -237,7 +258,10 @@ def _describe_beyond(scene: Scene, laws: Sequence[str]) -> str:
 
 
 def _describe_harder(scene: Scene, kind: Mapping[str, Any]) -> str:
-    """Describe in what a scene exceeds the measured ones; empty if in nothing."""
+    """Describe a property by which a scene is harder to simulate than the measured scenes.
+
+    The result is empty if there is no such property.
+    """
     if violence(scene) > MARGIN * kind["violence"]:
         return "so violent, or so soft"
     if yielding(scene) > MARGIN * kind["yielding"]:
@@ -250,7 +274,10 @@ def _describe_harder(scene: Scene, kind: Mapping[str, Any]) -> str:
 
 
 def _describe_outside(scene: Scene, such: str, kind: Mapping[str, Any]) -> str:
-    """Describe in what a scene exceeds the measured ones of its kind; empty if in nothing."""
+    """Describe a property of the scene outside the range of the measured scenes of its kind.
+
+    The result is empty if there is no such property.
+    """
     harder = _describe_harder(scene, kind)
     if harder:
         return f"{such} {harder}"
@@ -262,7 +289,7 @@ def _describe_outside(scene: Scene, such: str, kind: Mapping[str, Any]) -> str:
 
 
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
-    """Return the promise that a run's report determines; None: it determines none."""
+    """Return the error or the reason for none in a run's report; None if the report has neither."""
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)
@@ -277,14 +304,14 @@ def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
 def promise(
     scene: Scene, thickness: float | None, report: Mapping[str, Any] | None = None
 ) -> Promise:
-    """Return the promise for a scene.
+    """Return the error bound for a scene.
 
     Args:
         scene: The scene.
-        thickness: Local thickness of its object relative to its size
+        thickness: Local thickness of the object relative to its size
             (`phy124.particles.thickness`); None: the object is not known yet.
-        report: The report of its run, which may exclude a promise, or contain the measured error
-            of a run with a goal.
+        report: The report of the scene's run. It may exclude a bound, or contain the error that was
+            measured for a goal.
     """
     if report and (settled := _promise_of_run(report)):
         return settled
@@ -320,17 +347,20 @@ def promise(
 def largest_error(
     kind: Mapping[str, Any], thick: Mapping[str, float], thickness: float, cells: int
 ) -> tuple[float | None, int]:
-    """Return the largest error of the objects about as thick as another, and their number.
+    """Return the largest error of measured objects that are thick enough, and their number.
 
-    An object's error on a grid is at least that on the finer grids; if it has none on this grid or
-    finer ones, it is that on the coarser grids. There is no error if the object is thinner than
-    all of them.
+    The error of a measured object is its largest error on the grid with `cells` and on finer grids.
+    If it was measured on neither, its error on the finest measured grid is used.
 
     Args:
-        kind: The errors of a kind of scene: `levels`, and the `errors` of each object on them.
-        thick: Name of an object -> its thickness relative to its size.
-        thickness: Thickness of the object, relative to its size.
+        kind: The measurements of a kind of scene: `levels`, and `errors` of each object per level.
+        thick: Name of a measured object -> its thickness relative to its size.
+        thickness: Thickness of the scene's object relative to its size.
         cells: One of the levels.
+
+    Returns:
+        The error, None if the scene's object is thinner than all measured objects; and the number
+        of measured objects considered.
     """
     errors = {}
     for name, each in kind["errors"].items():
@@ -358,7 +388,7 @@ def _measured_level(kind: Mapping[str, Any], error: float, cells: int) -> int:
 
 
 def motion_of(scene: Scene) -> Motion:
-    """Return the kind of motion of a scene, from its walls and its initial state."""
+    """Return the kind of motion of a scene, from its walls and the object's initial state."""
     walls = [b for b in scene.boundaries if not b.holds]
     if any(b.moves for b in scene.boundaries):
         return "squeezed"
@@ -376,7 +406,7 @@ def length(scene: Scene) -> float:
 
 
 def _until(scene: Scene) -> float:
-    """Return the time of the last frame [s]."""
+    """Return the time of a scene's last frame [s]."""
     return (scene.time.frames - 1) / scene.time.fps
 
 
@@ -387,25 +417,25 @@ def _unit(scene: Scene) -> float:
 
 @cache
 def table() -> dict[str, Any]:
-    """Return the measured errors, with the machine and the commit that measured them."""
+    """Return the data of measured.json: errors, with the machine and commits that measured them."""
     file = resources.files("phy124") / "accuracy" / "measured.json"
     return json.loads(file.read_text("utf-8"))
 
 
 def refuse_promise(why: str) -> Promise:
-    """Return the absence of a promise, with a reason."""
+    """Return a promise without an error bound, with the reason."""
     return Promise(None, f"none can be promised: {why}")
 
 
 def promise_measured(
     error: float, cells: int, grids: Sequence[int], until: float | None = None
 ) -> Promise:
-    """Return the promise of the error that was measured on a scene itself.
+    """Return the promise for an error that was measured on the scene itself.
 
     Args:
         error: The error in object sizes.
-        cells: Cells across the object of its grid.
-        grids: Cells of the grids that were measured, from coarse to fine.
+        cells: Cells across the object on the scene's grid.
+        grids: Cells across the object on the measured grids, from coarse to fine.
         until: Time up to which the error holds [s]; None: the whole motion.
     """
     if cells > grids[-1]:
@@ -418,19 +448,25 @@ def promise_measured(
 
 
 def torn(grids: Sequence[str]) -> str:
-    """Describe that a study's grids, with names such as D/16, may tear the material."""
+    """Return a message that some grids of a study, named such as D/16, may tear the material."""
     return f"on {_join_names(grids)} the grid may tear the material"
 
 
 def off(error: float | None, *, torn: bool = False) -> str:
-    """Describe the error of a study's grid in a few words."""
+    """Describe the error on one of a study's grids in a few words."""
     if torn:
         return "may be torn"
     return "no error" if error is None else f"off by about {error:.1%}"
 
 
 def check_promise(promised: Promise, error: float, until: float | None = None) -> str:
-    """Say whether the promised error holds in this scene, whose error was measured up to a time."""
+    """Describe whether an error bound holds in a scene.
+
+    Args:
+        promised: The error bound.
+        error: The error measured in this scene, in object sizes.
+        until: Time up to which the error was measured [s]; None: the whole motion.
+    """
     here = f"measured here{'' if until is None else f' up to {until:.2f} s'}: {error:.1%}"
     if promised.error is None:
         return f"none was made for such a scene; {here}"
@@ -453,7 +489,7 @@ def _unknown(what: str) -> Promise:
 
 
 def why_broken(report: Mapping[str, Any]) -> str:
-    """Return the reason why no promise holds for a run; "" if a promise may hold."""
+    """Return the reason why no error bound holds for a run; empty if one may hold."""
     if report.get("balance", {}).get("tearing", {}).get("likely"):
         return "the grid may have torn the material (see the notes)."
     if report.get("complete") is False:

@@ -1,5 +1,6 @@
-"""The budget of a run: estimates of time and memory, refusals with remedies, and its effects.
+"""Estimates the time and memory of a run, and refuses runs over budget, with remedies.
 
-An estimate is a closed form, correct within a factor of two. A forecast (phy124/accuracy) is based
-on probes of the object itself, correct within a few per cent.
+It also lists the effects that a run computes or leaves out. An estimate uses a closed formula and
+is correct within a factor of two. A forecast (phy124/accuracy) measures short probes of the object
+itself and is correct within a few per cent.
 """

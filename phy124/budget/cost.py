@@ -1,9 +1,10 @@
 """Estimates of time and memory in closed form, from the scene and a few counts.
 
-The number of substeps follows from the stability limit (phy124.mpm.timestep), that of particles
-from the Gaussians and the filling. `Rates` are the costs per unit of `Work` on a machine: `USUAL`
-ones are constants, and the page measures its own from finished runs. Estimates are correct within a
-factor of two, which is enough to refuse a run before it starts.
+The number of substeps follows from the stability limit (phy124.mpm.timestep). The number of
+particles follows from the number of Gaussians and from the volume to fill. `Rates` are the costs
+per unit of `Work` on a machine. `USUAL` holds typical rates; the page measures the rates of its
+machine on finished runs. Estimates are correct within a factor of two, which is enough to refuse a
+run before it starts.
 """
 
 from __future__ import annotations
@@ -21,22 +22,22 @@ from phy124.particles import Particles
 from phy124.scene import Scene
 
 GAUSSIANS = 50_000
-"""Gaussians that `relief` makes from a picture."""
+"""Number of Gaussians that the generator `relief` makes from a picture."""
 FILLED = 0.19
-"""Volume of a typical object relative to the cube of its longest side."""
+"""Volume of a typical object, divided by the cube of its longest side."""
 DOUBLE = 1.7
-"""Time of a substep in float64 relative to float32 (docs/lab/accuracy.md)."""
+"""Ratio of a substep's time in float64 to its time in float32 (docs/lab/accuracy.md)."""
 PASS = 0.7
-"""Relative time that each additional pass of a transfer takes (docs/lab/transfers.md)."""
+"""Time of each additional transfer pass, as a fraction of the substep (docs/lab/transfers.md)."""
 WINDOW = 11
-"""Nodes per axis by which the grid's window is wider than the object in it."""
+"""Number of nodes per axis that the grid's window has in addition to those across the object."""
 BYTES_PER_PARTICLE = 400
-"""State of a particle, its snapshot, and temporary memory of its preparation [bytes]."""
+"""Memory of a particle: its state, a snapshot of its state, and temporary arrays [bytes]."""
 BYTES_PER_NODE = 32
 BYTES_PER_GAUSSIAN = 40
-"""Memory of a Gaussian in a frame of the clip [bytes]."""
+"""Memory of one Gaussian in one frame of the clip [bytes]."""
 BYTES_PER_SHAPE = 250
-"""Memory of a Gaussian on the device that deforms it [bytes]."""
+"""Memory of one Gaussian on the device that deforms the Gaussians [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -46,17 +47,17 @@ class Rates:
     generate: float = 3.0
     """Seconds to make Gaussians from a picture."""
     substep: float = 3e-5
-    """Seconds per substep for its launches, for any number of particles."""
+    """Seconds per substep to launch its kernels, independent of the number of particles."""
     particle: float = 1.1e-7
     """Seconds per particle and substep."""
     node: float = 1.1e-9
-    """Seconds per node of the grid and substep."""
+    """Seconds per grid node and substep."""
     frame: float = 0.06
     """Seconds per simulated frame, in addition to its substeps."""
     video: float = 0.15
-    """Seconds per video, for any number of pixels."""
+    """Seconds per video, independent of the number of pixels."""
     pixel: float = 1.2e-7
-    """Seconds per drawn and encoded pixel."""
+    """Seconds to render and encode one pixel."""
     rest: float = 1.5
     """Seconds for everything else."""
 
@@ -82,21 +83,21 @@ USUAL = {"cpu": Rates(), "cuda": Rates(particle=1.5e-9, node=5e-11)}
 
 @dataclass(frozen=True)
 class Work:
-    """Amount of work of a run."""
+    """Amounts of work in a run, in the units to which `Rates` apply."""
 
     substeps: float
     particles: float
-    """Particles times substeps, weighted by the cost of precision and transfer."""
+    """Particles times substeps, times the relative cost of the precision and the transfer."""
     nodes: float
-    """Nodes of the grid times substeps, with the same weights."""
+    """Grid nodes times substeps, times the same relative cost."""
     frames: int
     videos: int
     pixels: float
-    """Pixels of all frames of all videos and outputs."""
+    """Number of pixels in all frames of all videos, including the additional outputs."""
 
     @classmethod
     def of(cls, scene: Scene, gaussians: int = GAUSSIANS) -> Work:
-        """Estimate the work of a scene."""
+        """Estimate the work of a scene for an object with this number of Gaussians."""
         particles = count_particles(scene, gaussians)
         return cls.from_counts(scene, count_substeps(scene), particles, scene.time.frames)
 
@@ -117,7 +118,8 @@ class Work:
             substeps: Total number of substeps.
             particles: Number of particles.
             frames: Number of frames.
-            nodes: Number of grid nodes; None: estimated for an object that fills its cube.
+            nodes: Number of grid nodes; None: the number for an object that fills its bounding
+                cube.
         """
         slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
         slower *= 1 + PASS * scene.resolution.passes
@@ -133,7 +135,7 @@ class Work:
 
 
 def count_substeps(scene: Scene) -> int:
-    """Estimate the substeps until the last frame, from stability limits and expected speed."""
+    """Estimate the substeps until the last frame, from stability limits and the expected speed."""
     length = (scene.time.frames - 1) / scene.time.fps
     speed = CELLS_PER_STEP * scene.dx / max(_max_speed(scene, length), 1e-9)
     steps = np.minimum(longest_substeps(scene), speed)
@@ -142,19 +144,22 @@ def count_substeps(scene: Scene) -> int:
 
 
 def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
-    """Estimate the number of particles, including those that fill the inside."""
+    """Estimate the number of particles, including those that fill the objects' interior."""
     fillings = [FILLED * (body.size / scene.spacing) ** 3 for body in scene.every_object]
     bound = gaussians if scene.binding == "particles" else 0
     return round(sum(filling + bound for filling in fillings))
 
 
 def count_nodes(scene: Scene) -> int:
-    """Return the nodes of the objects' windows at rest, if each object fills its cube."""
+    """Return the number of grid nodes at rest, assuming that each object fills its cube."""
     return len(scene.names) * (scene.resolution.cells + WINDOW) ** 3
 
 
 def _max_speed(scene: Scene, length: float) -> float:
-    """Return an upper bound on an object's speed [m/s], from initial velocity and forces."""
+    """Return an upper bound on the speed of all objects [m/s].
+
+    It is the largest initial speed, plus the speed gained from the forces in at most 0.5 s.
+    """
     initial = max(
         math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
         for body in scene.every_object
@@ -165,14 +170,14 @@ def _max_speed(scene: Scene, length: float) -> float:
 
 
 def rest_substeps(scene: Scene) -> float:
-    """Return the number of substeps that a scene needs even at rest."""
+    """Return the number of substeps that a scene needs if nothing moves."""
     return float((1 / scene.time.fps / longest_substeps(scene)).sum())
 
 
 def longest_substeps(scene: Scene) -> NDArray[np.float64]:
-    """Return the longest stable substep at rest for each frame after the first [T-1], s.
+    """Return the longest stable substep at rest [s] for each frame after the first [T-1].
 
-    The limits are stiffness, viscosity, spin and `time.substep`.
+    Stiffness, viscosity, the initial spin and `time.substep` limit the substep.
     """
     fraction = scene.resolution.fraction
     viscous = min(section.viscous_limit(scene.dx) for section in scene.materials)
@@ -188,7 +193,7 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
 
 
 class Estimate(NamedTuple):
-    """Estimated time and memory of a simulation."""
+    """The estimated number of substeps, time and memory of a simulation."""
 
     substeps: float
     seconds: float
@@ -201,14 +206,14 @@ class Estimate(NamedTuple):
 def estimate(
     gaussians: Gaussians, particles: Particles, scene: Scene, device: str, *, keep: bool = True
 ) -> Estimate:
-    """Estimate time and memory of a simulation.
+    """Estimate the time and memory of a simulation.
 
     Args:
         gaussians: The object's Gaussians.
         particles: The object's particles.
         scene: The scene.
         device: Warp's name of the device.
-        keep: Whether all frames are kept in memory.
+        keep: True if all frames stay in memory.
     """
     nodes = float(np.prod(np.ptp(particles.x, axis=0) / scene.dx + WINDOW))
     work = Work.from_counts(
@@ -223,14 +228,14 @@ def estimate(
 def estimate_memory(
     scene: Scene, gaussians: int, particles: float, nodes: float, frames: int
 ) -> tuple[float, float]:
-    """Return the total memory of a run and the part of it on the device [bytes].
+    """Return the total memory of a run, and the memory that it needs on the device [bytes].
 
     Args:
         scene: The scene.
         gaussians: Number of Gaussians.
         particles: Number of particles.
         nodes: Number of grid nodes.
-        frames: Number of frames that are kept.
+        frames: Number of frames that stay in memory.
     """
     double = 2 if scene.resolution.precision == "float64" else 1
     state = double * (BYTES_PER_PARTICLE * particles + BYTES_PER_NODE * nodes)

@@ -1,6 +1,7 @@
-"""Effects: the physical and numerical mechanisms that a scene turns on, and those it leaves out.
+"""Lists the physical and numerical effects that a scene turns on, and those that it leaves out.
 
-They follow from the scene alone. An effect that is left out is not compiled, allocated or launched.
+The scene alone determines the lists. An effect that is left out is not compiled, has no arrays and
+launches no kernels.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ from phy124.mpm.model import form_of
 from phy124.scene import Scene
 
 NODE = 1.8
-"""Cost of clearing and updating one node of the grid [ns]."""
+"""Time to clear and update one grid node [ns]."""
 SPLINE = 157
-"""Cost per particle of the gradients of the weights, which have no vectorised kernel [ns]."""
+"""Time per particle for gradients of the weights [ns]; no vectorised kernel computes them."""
 STATIC = "static Gaussians"
-"""Name of the effect of parts that never move."""
+"""Name of the effect that parts of the scene never move."""
 DENSE = 100**3
-"""Number of nodes of the dense grid that PhysGaussian's scenes use."""
+"""Number of nodes of the dense grid in PhysGaussian's scenes."""
 
 
 @dataclass(frozen=True)
 class Omission:
-    """An effect that is left out, and why."""
+    """An effect that a run leaves out, the reason, and the cost that this saves."""
 
     effect: str
     why: str
@@ -37,7 +38,7 @@ class Omission:
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects of a scene that are computed, and those that are left out."""
+    """The effects that a run of a scene computes, and those that it leaves out."""
 
     ran: tuple[str, ...]
     left_out: tuple[Omission, ...]
@@ -53,15 +54,15 @@ class Effects:
         materials: Sequence[AnyMaterial] = (),
         observers: Sequence[Observer] = (),
     ) -> Effects:
-        """Return the effects that a scene calls for, and those that are left out.
+        """Return the effects that a scene requires, and those that its run leaves out.
 
         Args:
             scene: The scene.
             sh_degree: Degree of the Gaussians' spherical harmonics.
             device: Warp device.
-            static: Number of static Gaussians of a finished run; None before a run.
-            materials: Materials that a file gave the particles; empty: those of the scene.
-            observers: Observers of a finished run.
+            static: Number of static Gaussians in a finished run; None before a run.
+            materials: The particles' materials, read from a file; empty: the scene's materials.
+            observers: Observers of a finished run; empty before a run.
         """
         ran, left_out = [], []
         subject = Subject(scene, materials or scene.materials)
@@ -83,13 +84,13 @@ class Effects:
     ) -> dict[str, Any]:
         """Return plain data for the report.
 
-        With the counts of a run, omissions also have the seconds saved, estimated from measured
+        With the counts of a run, each omission also has the saved time [s], estimated from measured
         costs per particle and node.
 
         Args:
             particles: Number of particles.
             substeps: Number of substeps.
-            nodes: Number of nodes of the grid's window.
+            nodes: Number of nodes in the grid's window.
             threads: Number of CPU threads.
         """
         left_out = []
@@ -128,8 +129,8 @@ def _catalogue(
 def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
     """Yield the effects of the materials.
 
-    Costs are differences between kernels: with and without viscosity, G2P of metal and of an
-    elastic law, and with a law per particle.
+    Each cost is the difference between the times of two kernels: with and without viscosity, G2P
+    for metal and for an elastic law, and with a law per particle and with one law.
     """
     laws = sorted({section.law for section in materials})
     words = " and ".join(laws)
@@ -152,7 +153,10 @@ def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Ef
 
 
 def _of_forces(scene: Scene) -> Iterator[Effect]:
-    """Yield the effects of the forces; costs are those of a force on a region and of its table."""
+    """Yield the effects of the forces.
+
+    The costs were measured with a force on a region, and with a force from a time table.
+    """
     pushes = [force for force in scene.acting if not force.uniform]
     timed = any(force.varies for force in scene.acting)
     moving = any(wall.moves for wall in scene.boundaries)
@@ -166,7 +170,10 @@ def _of_forces(scene: Scene) -> Iterator[Effect]:
 
 
 def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[Effect]:
-    """Yield the checks of the substep, then a row for each observer, of phy124 or from outside."""
+    """Yield the checks of the substep, then the effect of each observer.
+
+    The observers are those of phy124 and those that a caller added.
+    """
     every = subject.scene.checks.measure
     yield Effect(f"limits of the substep measured every {every} substeps or sooner")
     yield Effect("substeps tried first where one may be too long, and repeated shorter")
@@ -178,7 +185,7 @@ def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[E
 
 
 def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
-    """Yield the optional quantities of frames."""
+    """Yield the optional quantities that a clip's frames may contain."""
     yield Effect("velocities", scene.velocities, "not requested; they follow from the positions")
     drawn = ", ".join(scene.view.outputs)
     yield Effect(f"outputs {drawn}".strip(), bool(drawn), "not requested: only colours are drawn")
@@ -187,7 +194,7 @@ def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
 
 
 def _of_pictures(scene: Scene) -> Iterator[Effect]:
-    """Yield the effects of the pictures."""
+    """Yield the effects of rendering."""
     stage = scene.view.stage
     why = f"view.stage is {stage}: pictures show the object alone"
     yield Effect("floor, its shadow, boundaries in pictures", stage == "studio", why)
@@ -198,7 +205,11 @@ def _of_pictures(scene: Scene) -> Iterator[Effect]:
 
 
 def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
-    """Yield the numerical methods; costs are those of float64 over float32, and of Warp's svd3."""
+    """Yield the numerical methods.
+
+    The cost of double precision is the additional time over float32. The cost of singular values
+    is the time of Warp's svd3.
+    """
     bound = scene.binding == "particles"
     why = "binding is lattice: Gaussians follow the particles inside and around them"
     yield Effect("every Gaussian a particle", bound, why)

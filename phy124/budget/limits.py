@@ -1,4 +1,4 @@
-"""Refuses runs whose estimated time or memory exceeds the limits, with settings that would fit."""
+"""Refuses runs whose estimated time or memory exceeds the limits, and proposes cheaper settings."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from phy124.runtime.memory import free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""Ratio of wave speeds from which the stiffest material gets a note."""
+"""Ratio of the two fastest materials' wave speeds above which a note names the faster one."""
 MEMORY_FRACTION = 0.8
-"""Largest fraction of the free memory that a run may use."""
+"""Maximum fraction of the free memory that a run may use."""
 FARTHEST_CELLS = 1e5
-"""Distance from the origin [cells] up to which float32 resolves a hundredth of a cell."""
+"""Maximum distance from the origin [cells] at which float32 resolves a hundredth of a cell."""
 
 
 def check_limits(
@@ -32,17 +32,17 @@ def check_limits(
     *,
     keep: bool = True,
 ) -> Estimate:
-    """Return the estimated time and memory of a run that is within the limits.
+    """Check that a run stays within the limits, and return its estimated time and memory.
 
     Args:
-        gaussians: The object as placed in the scene.
-        particles: The particles made from it.
+        gaussians: The object's Gaussians, as placed in the scene.
+        particles: The object's particles.
         scene: The scene.
         device: Warp device.
-        keep: Whether all frames stay in memory.
+        keep: True if all frames stay in memory.
 
     Raises:
-        InputError: The run would exceed its time budget or the free memory, or an object is so far
+        InputError: The run would exceed its time budget or the free memory. Or an object is so far
             from the origin that float32 cannot resolve positions within a cell.
     """
     _check_distance(scene)
@@ -71,7 +71,7 @@ def check_limits(
 
 
 def _check_memory(need: Estimate, scene: Scene, device: str) -> None:
-    """Refuse a run that needs more than the free memory of its device or of this machine."""
+    """Refuse a run that needs too much of the free memory on its device or on this machine."""
     on_device = math.inf if device == "cpu" else free_memory(device)
     if need.state > MEMORY_FRACTION * on_device:
         raise InputError(
@@ -97,7 +97,7 @@ def _check_memory(need: Estimate, scene: Scene, device: str) -> None:
 
 
 def _check_distance(scene: Scene) -> None:
-    """Refuse objects at which float32 does not resolve a hundredth of a cell."""
+    """Refuse objects so far from the origin that float32 does not resolve a hundredth of a cell."""
     lift, most = scene.object.lift, _round(FARTHEST_CELLS * scene.dx)
     if lift > most:
         raise InputError(
@@ -119,7 +119,7 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return the settings of which each makes a run `excess` times cheaper and passes `fits`."""
+    """Return the remedies that pass `fits`, from proposals for a run `excess` times too long."""
     fitting = []
     for remedy in _propose_remedies(scene, excess):
         try:
@@ -132,7 +132,7 @@ def _find_remedies(
 
 
 def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
-    """Yield settings that may be enough; the one that causes the many substeps comes first."""
+    """Yield changes that may suffice, starting with the setting that limits the substep."""
     timing = scene.time.model_copy(update={"substep": None})
     automatic = rest_substeps(scene.model_copy(update={"time": timing}))
     if scene.time.substep is not None and automatic < rest_substeps(scene):
@@ -154,7 +154,7 @@ def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
 
 
 def _list_materials(scene: Scene) -> list[tuple[str, AnyMaterial]]:
-    """Return field and material of everything that moves, those with the fastest waves first."""
+    """Return the field and material of each moving part, sorted by decreasing wave speed."""
     materials = []
     prefixes = ["", *(f"objects.{i}." for i in range(len(scene.objects)))]
     for prefix, body in zip(prefixes, (scene, *scene.objects), strict=True):
@@ -168,12 +168,12 @@ def _list_materials(scene: Scene) -> list[tuple[str, AnyMaterial]]:
 
 
 def _round(value: float) -> float:
-    """Round to two digits, for values that a user types."""
+    """Round to two significant digits, because a user may type the value."""
     return float(f"{value:.2g}")
 
 
 def note_stiffest_part(scene: Scene) -> str | None:
-    """Return a note if one material needs many more substeps than all others; otherwise None."""
+    """Return a note if one material needs many more substeps than the others; otherwise None."""
     fastest, *others = _list_materials(scene)
     if not others:
         return None
@@ -192,7 +192,7 @@ def note_stiffest_part(scene: Scene) -> str | None:
 
 
 def duration(seconds: float) -> str:
-    """Return a time in seconds, hours or days as text."""
+    """Format a duration [s] as text in seconds, hours or days."""
     if seconds < 5400:
         return f"{seconds:.0f} s"
     if seconds < 2 * 86400:

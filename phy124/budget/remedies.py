@@ -1,6 +1,6 @@
-"""Remedies: changes of a scene that help if its run is stopped or refused.
+"""Proposes remedies: changes to a scene whose run was stopped or refused.
 
-Each change is sufficient by itself. `phy124 stress` tests all remedies that are proposed.
+Each remedy is sufficient by itself. `phy124 stress` tests the remedies that runs propose.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from phy124.errors import Remedy
 from phy124.scene import Scene
 
 SOFTER = 16.0
-"""Factor by which E is reduced; the substep becomes four times as long."""
+"""Factor by which E is reduced; the longest stable substep becomes four times as long."""
 
 
 def find_remedies(causes: Sequence[str], scene: Scene) -> tuple[Remedy, ...]:
-    """Return the changes against these causes that are possible in this scene."""
+    """Return the remedies for these causes that are possible in this scene."""
     remedies = (REMEDIES[cause](scene) for cause in causes)
     return tuple(remedy for remedy in remedies if remedy is not None)
 
 
 def advise(remedies: Sequence[Remedy]) -> str:
-    """Return the remedies as a sentence; empty if there are none."""
+    """Return the remedies as one sentence; empty if there are none."""
     words = [remedy.words for remedy in remedies]
     return f"Use {join_alternatives(words)}." if words else ""
 
@@ -33,7 +33,10 @@ def join_alternatives(words: Sequence[str]) -> str:
 
 
 def change_accuracy(scene: Scene, **values: Any) -> Remedy:
-    """Return the remedy that changes values of the accuracy, which then has no name."""
+    """Return the remedy that changes values of the accuracy.
+
+    The changed accuracy no longer has the name of a preset.
+    """
     changed = scene.resolution.model_copy(update=values).model_dump()
     words = ", ".join(f"accuracy.{name} = {_format(value)}" for name, value in values.items())
     return Remedy(words, {"accuracy": changed})
@@ -68,7 +71,7 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
 
 
 def _shorten_substep(scene: Scene) -> Remedy:
-    """Use a quarter of the substep, since a failed frame has already been tried with half."""
+    """Use a quarter of the substep, since a failed frame was already repeated with half of it."""
     return change_accuracy(scene, cfl=scene.resolution.cfl / 4)
 
 
@@ -91,13 +94,13 @@ def _soften(scene: Scene) -> Remedy | None:
 def find_speedups(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]:
     """Return remedies for a run that has taken twice its time budget.
 
-    They lengthen the substep, coarsen the grid, or raise the budget. The new budget assumes that
-    the time grows as the square of the clip's length, as in a motion that accelerates.
+    They lengthen the substep, coarsen the grid, or raise the budget. The proposed budget assumes
+    that the run's time grows as the square of the clip's length, as in an accelerating motion.
 
     Args:
         scene: The scene.
-        limiter: What limits the substep, a key of `SLOW`.
-        done: Fraction of the scene's time that has been simulated.
+        limiter: The limit that determines the substep, a key of `SLOW`.
+        done: Fraction of the clip's duration that has been simulated.
     """
     needed = min(1e8, 4 * scene.time.budget / max(done, 1e-2) ** 2)
     budget = change_field("time.budget", float(f"{needed:.2g}"))
@@ -111,7 +114,7 @@ SLOW = {
     "viscous": ("friction",),
     "user": ("ceiling",),
 }
-"""What limits the substep -> causes, keys of `REMEDIES`, whose remedies make it longer."""
+"""Limit that determines the substep -> keys of `REMEDIES` that lengthen the substep."""
 
 
 def _reduce_viscosity(scene: Scene) -> Remedy | None:
@@ -138,7 +141,7 @@ REMEDIES: dict[str, Callable[[Scene], Remedy | None]] = {
     "friction": _reduce_viscosity,
     "ceiling": _raise_ceiling,
 }
-"""Cause -> the change that helps against it."""
+"""Cause -> function that returns its remedy in a scene; None if the remedy is not possible."""
 
 
 def _format(value: Any) -> str:

@@ -1,6 +1,7 @@
-"""Measures how good a clip is: CLIP-T as in the paper, and figures without trained weights.
+"""Measures the quality of a clip: CLIP-T as in the paper, and measures without trained weights.
 
-`evaluate` takes a clip and its pictures; `phy124 evaluate` draws the pictures and prints the table.
+`evaluate` takes a clip and its rendered frames. `phy124 evaluate` renders the frames and prints a
+table of the measures.
 """
 
 from __future__ import annotations
@@ -30,17 +31,17 @@ __all__ = [
 
 @dataclass(frozen=True)
 class ViewFigures:
-    """Measures of the video from one side."""
+    """Measures of the video of one view."""
 
     view: str
     cosine: float | None
-    """CLIP-T as the mean cosine; None without a CLIP model."""
+    """CLIP-T as the mean cosine of consecutive frames; None without a CLIP model."""
     distance: float | None
-    """CLIP-T as 4DGen's distance; None without a CLIP model."""
+    """CLIP-T as the mean distance of consecutive frames (4DGen); None without a CLIP model."""
     motion: float
     """Mean change of a colour value from frame to frame [%]; see `pictures.motion`."""
     flicker: float
-    """How much the mean colour oscillates [%]; see `pictures.flicker`."""
+    """Oscillation of the frames' mean colour [%]; see `pictures.flicker`."""
 
 
 @dataclass(frozen=True)
@@ -51,18 +52,18 @@ class Evaluation:
     physics: Physics
     frames: int
     clip_model: str | None
-    """The CLIP model behind the CLIP-T figures."""
+    """Name of the CLIP model that computed CLIP-T; None without a model."""
     order: str | None
-    """Order of the colour channels given to it."""
+    """Order of the colour channels in the CLIP model's input; None without a model."""
     missing: str | None = None
-    """Reason why there are no CLIP-T figures."""
+    """Reason why CLIP-T was not computed."""
 
     def data(self) -> dict[str, Any]:
         """Return plain data for evaluation.json."""
         return {**asdict(self), "formulas": similarity.FORMULAS}
 
     def table(self) -> str:
-        """Return a table that names model and formula next to the numbers."""
+        """Return a table of all measures, with the CLIP model and the formulas of CLIP-T."""
         lines = [
             f"{'view':<8}{'CLIP-T cos':>12}{'CLIP-T dist':>13}{'motion %':>10}{'flicker %':>11}"
         ]
@@ -95,9 +96,9 @@ def evaluate(
 
     Args:
         clip: The clip.
-        videos: Side -> pictures [T,H,W,3].
-        model: For CLIP-T; None for none.
-        missing: Why there is no model, for the table.
+        videos: Name of a view -> its frames [T,H,W,3].
+        model: CLIP model for CLIP-T; None: CLIP-T is not computed.
+        missing: Reason why there is no model, for the table.
     """
     views = []
     for name, video in videos.items():

@@ -1,4 +1,4 @@
-"""Compares two clips of the same Gaussians: positions, colours, and pictures."""
+"""Compares the positions, colours and rendered frames of two clips of the same Gaussians."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from phy124.io.clip import Clip
 from phy124.metrics.pictures import psnr, ssim
 
 SAME_OBJECT = 0.1
-"""RMS distance at rest, in object sizes, above which two clips show different objects."""
+"""RMS distance at rest, in object sizes, above which two objects count as different."""
 SAME_TIME = 1e-6
-"""Difference of two times that is ignored, s."""
+"""Largest time difference at which two frames count as simultaneous [s]."""
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """Similarity of the pictures of two clips from a side."""
+    """Similarity of two clips' videos of one view."""
 
     view: str
     psnr: float | None
@@ -37,24 +37,24 @@ class Comparison:
     frames: int
     gaussians: int
     size: float
-    """Longest side of the first clip's object at rest, m."""
+    """Longest side of the first clip's object at rest [m]."""
     position_rms: float
-    """RMS distance of all Gaussians over all frames, in object sizes."""
+    """RMS distance over all Gaussians and frames, in object sizes."""
     position_max: float
-    """Largest distance of any Gaussian, in object sizes."""
+    """Largest distance of any Gaussian in any frame, in object sizes."""
     worst_frame: int
-    """The frame with the largest RMS distance, from 0."""
+    """Index of the frame with the largest RMS distance, from 0."""
     colour_rms: float
-    """RMS difference of the channels of the Gaussians' colours, 0 to 1."""
+    """RMS difference of the Gaussians' colour channels, 0 to 1."""
     colour_max: float
     views: tuple[Likeness, ...] = ()
 
     def data(self) -> dict[str, Any]:
-        """Return plain data."""
+        """Return the comparison as plain data."""
         return asdict(self)
 
     def table(self) -> str:
-        """Return a table."""
+        """Return the comparison as a table."""
         lines = [
             f"{self.frames} frames, {self.gaussians:,} Gaussians, object of {self.size:.3g} m",
             f"positions  RMS {self.position_rms:.3g}, at most {self.position_max:.3g} "
@@ -70,15 +70,15 @@ class Comparison:
 
 
 def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
-    """Compare clip `b` with clip `a`, without their grains.
+    """Compare clip `b` with clip `a`, ignoring grains.
 
     Args:
         a: The reference.
         b: The other clip.
-        views: Similarity of their pictures, if it was measured.
+        views: Similarity of the two clips' videos, if measured.
 
     Raises:
-        InputError: If they are not two motions of one object at the same instants.
+        InputError: The clips do not show the same object at the same times.
     """
     check_comparable(a, b)
     a, b = a.surface, b.surface
@@ -105,7 +105,7 @@ def check_comparable(a: Clip, b: Clip) -> None:
     """Check that two clips can be compared Gaussian by Gaussian.
 
     Raises:
-        InputError: If they are not two motions of one object at the same instants.
+        InputError: The clips do not show the same object at the same times.
     """
     if not len(a) or not a.opacities.size:
         raise _refusal("the first clip is empty.", "Give clips with frames and Gaussians.")
@@ -138,7 +138,7 @@ def check_comparable(a: Clip, b: Clip) -> None:
 
 @dataclass
 class Pictures:
-    """Accumulates pairs of pictures one by one, keeping only sums."""
+    """Accumulates the differences of two clips frame by frame, without storing the frames."""
 
     errors: list[float] = field(default_factory=list)
     similarities: list[float] = field(default_factory=list)
@@ -149,7 +149,7 @@ class Pictures:
         self.similarities.append(ssim(a, b))
 
     def likeness(self, view: str) -> Likeness:
-        """Return the similarity of all frames added."""
+        """Return the similarity over all added frames."""
         error = float(np.mean(self.errors))
         decibel = None if error == 0 else -10 * math.log10(error)
         return Likeness(view, decibel, float(np.mean(self.similarities)))

@@ -1,4 +1,4 @@
-"""Physical measures of a clip that need no trained weights: what its Gaussians do over time."""
+"""Physical measures of a clip, from the motion of its Gaussians, without trained weights."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from phy124.io.clip import Clip
 
 @dataclass(frozen=True)
 class Physics:
-    """Measures of one clip; None where the clip lacks what is needed."""
+    """Physical measures of a clip. A measure is None if the clip lacks the data for it."""
 
     mass: float | None
-    """Mass of the particles, kg; a single number, since it is conserved by construction."""
+    """Mass of the particles [kg]. It is constant, since MPM conserves mass by construction."""
     volume_lowest: float
     """Smallest total volume of the Gaussians over time, relative to the first frame."""
     volume_highest: float
-    """Largest total volume, likewise."""
+    """Largest total volume of the Gaussians over time, relative to the first frame."""
     momentum_residual: float | None
-    """Mean momentum against the motion of the centre, relative to the mean speed.
+    """Mean difference between the centre's displacement rate and its velocity.
 
-    |dx/dt - (v before + v after) / 2| of the mean of all Gaussians. It is exact up to the curvature
-    of the path between two frames, so a collision shows; velocities that do not belong to the
-    motion show more.
+    It is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean speed. x
+    and v are averaged over all Gaussians. The value is the absolute one [m/s] if all velocities are
+    zero. A path that curves between two frames, as in a collision, makes the residual larger than
+    zero. Velocities that do not match the motion make it larger still.
     """
     travelled: float
-    """Length of the centre's path, in object sizes: 0 for a frozen clip."""
+    """Length of the centre's path, in object sizes; 0 for a frozen clip."""
     finite: bool
-    """True if every number of every frame is finite."""
+    """True if all positions, rotations and scales of all frames are finite."""
 
 
 def measure_physics(clip: Clip) -> Physics:
-    """Measure the physics of a clip; all Gaussians have equal weight."""
+    """Measure the physics of a clip, with equal weights for all Gaussians."""
     volumes = np.prod(np.asarray(clip.scales, dtype=np.float64), axis=2).sum(axis=1)
     ratio = volumes / volumes[0]
     centres = np.asarray(clip.means, dtype=np.float64).mean(axis=1)
@@ -63,9 +64,13 @@ def _momentum_residual(clip: Clip, centres: NDArray[np.float64]) -> float | None
 
 
 def centre_paths_differ(a: Clip, b: Clip) -> float:
-    """Return the largest distance of two clips' centres at equal times, per longer path.
+    """Return the relative difference between the paths of two clips' centres.
 
-    Both must have the same frames. It measures whether two generators lead to "the same dynamics".
+    It is the largest distance between the centres' displacements at equal times, divided by the
+    largest displacement of either centre. It shows whether objects from two generators move alike.
+
+    Raises:
+        ValueError: The clips have different numbers of frames.
     """
     if len(a) != len(b):
         raise ValueError(f"the clips have {len(a)} and {len(b)} frames")

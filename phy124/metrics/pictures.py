@@ -1,4 +1,4 @@
-"""Measures of pictures and videos that need no trained weights."""
+"""Measures of images and videos that need no trained weights."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 Video = NDArray
-"""[T,H,W,3], uint8 or float in 0..1."""
+"""Frames of a video [T,H,W,3], uint8 or float in 0..1."""
 SIGMA = 1.5
-"""Standard deviation of SSIM's window, pixels."""
+"""Standard deviation of SSIM's Gaussian window [pixels]."""
 REACH = 5
-"""Half width of SSIM's window, pixels: 11 x 11."""
+"""Half width of SSIM's window [pixels]; the window has 11 x 11 pixels."""
 K1, K2 = 0.01, 0.03
 
 
 def to_unit(images: NDArray) -> NDArray[np.float64]:
-    """Convert uint8 or float pictures to colours in 0..1."""
+    """Convert uint8 or float images to float64 colours in 0..1."""
     images = np.asarray(images)
     return images / 255.0 if images.dtype == np.uint8 else images.astype(np.float64)
 
 
 def psnr(a: NDArray, b: NDArray) -> float:
-    """Return the peak signal-to-noise ratio [dB] of two pictures; infinite if they are equal."""
+    """Return the peak signal-to-noise ratio [dB] of two images; infinite if they are equal."""
     error = float(np.mean((to_unit(a) - to_unit(b)) ** 2))
     return math.inf if error == 0 else -10 * math.log10(error)
 
 
 def ssim(a: NDArray, b: NDArray) -> float:
-    """Return the structural similarity of two pictures [H,W,C], -1 to 1.
+    """Return the structural similarity of two images [H,W,C], -1 to 1.
 
-    Wang et al. 2004, "Image Quality Assessment": a Gaussian window of 11 x 11 pixels, the mean
-    over all windows that lie inside the picture and over the channels.
+    It is the index of Wang et al. 2004, "Image Quality Assessment", with a Gaussian window of
+    11 x 11 pixels. The result is the mean over the channels and over all windows inside the image.
     """
     import cv2
 
@@ -52,18 +52,18 @@ def ssim(a: NDArray, b: NDArray) -> float:
 def motion(video: Video) -> float:
     """Return the mean change of a colour value from frame to frame, in per cent of its range.
 
-    It is zero for a frozen video, whose CLIP-T is perfect: never read one without the other.
+    A frozen video has zero motion and a perfect CLIP-T, so CLIP-T means nothing without this value.
     """
     video = to_unit(video)
     return 100 * float(np.abs(np.diff(video, axis=0)).mean()) if len(video) > 1 else 0.0
 
 
 def flicker(video: Video) -> float:
-    """Return the oscillation of the picture's mean colour, in per cent of its range.
+    """Return the oscillation of a frame's mean colour, in per cent of the colour range.
 
-    Half the mean |second difference| in time of each channel's mean over the picture: 0 where it
-    drifts steadily, 100 where it alternates between black and white. The mean hardly changes when
-    an object merely moves, so this does not measure motion.
+    It is half the mean absolute second difference in time of each channel's mean over the frame. It
+    is 0 if the mean changes at a constant rate, and 100 if frames alternate between black and
+    white. The mean hardly changes when an object only moves, so flicker does not measure motion.
     """
     colours = to_unit(video).mean(axis=(1, 2))
     return 50 * float(np.abs(np.diff(colours, n=2, axis=0)).mean()) if len(colours) > 2 else 0.0

@@ -1,9 +1,9 @@
-"""CLIP-T: how similar neighbouring frames look to CLIP, by both formulas in use.
+"""CLIP-T: similarity of the CLIP embeddings of consecutive frames, by the two published formulas.
 
-The paper's table (about 0.99, higher is better) is read as the mean cosine of consecutive frames,
-as in Gen-1 (Esser et al. 2023); the paper gives neither model nor formula. 4DGen (Yin et al. 2023,
-section 4.3) takes half the squared angle instead (about 0.01, lower is better). Both measure
-steadiness only: a frozen video is perfect by either.
+The paper names neither the CLIP model nor the formula. Its values (about 0.99, higher is better)
+are assumed to be the mean cosine of consecutive frames, as in Gen-1 (Esser et al. 2023). 4DGen (Yin
+et al. 2023, section 4.3) uses half the squared angle instead (about 0.01, lower is better). Both
+formulas measure only how little consecutive frames differ: a frozen video has the best value.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from phy124.runtime.installation import install_command
 from phy124.weights.store import require
 
 MODEL = "laion/CLIP-ViT-B-32-laion2B-s34B-b79K"
-"""4DGen's model; the paper's is not known."""
+"""Name of the CLIP model that 4DGen uses; the paper does not name its model."""
 FORMULAS = {
     "cosine": "mean cosine of consecutive frames, higher is better",
     "distance": "4DGen: mean of 2 arcsin(|a - b| / 2)^2 of consecutive frames, lower is better",
@@ -31,7 +31,7 @@ FORMULAS = {
 MEAN = (0.48145466, 0.4578275, 0.40821073)
 STD = (0.26862954, 0.26130258, 0.27577711)
 Order = Literal["rgb", "bgr"]
-"""Channel order of CLIP's input. 4DGen uses BGR, on which CLIP was not trained."""
+"""Channel order of CLIP's input. CLIP was trained on RGB; 4DGen uses BGR."""
 
 
 def cosine(embeddings: NDArray) -> float:
@@ -40,7 +40,7 @@ def cosine(embeddings: NDArray) -> float:
 
 
 def distance(embeddings: NDArray) -> float:
-    """Return the mean spherical distance of consecutive rows of `embeddings [T,D]`."""
+    """Return the mean of half the squared angle between consecutive rows of `embeddings [T,D]`."""
     return float(distance_pairs(embeddings).mean())
 
 
@@ -51,7 +51,7 @@ def cosine_pairs(embeddings: NDArray) -> NDArray[np.float64]:
 
 
 def distance_pairs(embeddings: NDArray) -> NDArray[np.float64]:
-    """Return half the squared angles [T-1] of consecutive rows, exact for small angles, too."""
+    """Return half the squared angles [T-1] of consecutive rows; small angles are precise, too."""
     e = _normalise(embeddings)
     chord = np.linalg.norm(e[1:] - e[:-1], axis=1)
     return 2 * np.arcsin(np.clip(chord / 2, 0, 1)) ** 2
@@ -65,13 +65,19 @@ def _normalise(embeddings: NDArray) -> NDArray[np.float64]:
 
 
 class ClipModel:
-    """CLIP's image encoder: pictures to embeddings."""
+    """Encodes images as CLIP embeddings."""
 
     def __init__(self, model: str = MODEL, *, device: str = "cpu", order: Order = "rgb") -> None:
-        """Load `model`, a folder or a name on huggingface.co that was fetched before.
+        """Load a CLIP model from this machine.
+
+        Args:
+            model: A folder, or the name of a model on huggingface.co that was downloaded before.
+            device: Torch device.
+            order: Channel order of the model's input.
 
         Raises:
-            InputError: If it is missing or not a CLIP model, or transformers is not installed.
+            InputError: The model is missing or is not a CLIP model, or the package transformers is
+                not installed.
         """
         self.name = model
         self.order: Order = order
@@ -79,7 +85,7 @@ class ClipModel:
         self._size = int(self._network.config.image_size)
 
     def __call__(self, images: Iterable[NDArray]) -> NDArray[np.float64]:
-        """Embeddings [T,D] of pictures [H,W,3], uint8 or 0..1, one at a time."""
+        """Return the embeddings [T,D] of images [H,W,3] (uint8, or float in 0..1), one by one."""
         import torch
 
         rows = []
@@ -92,7 +98,10 @@ class ClipModel:
 
 
 def _pixels(image: NDArray, size: int, order: Order) -> NDArray[np.float32]:
-    """CLIP's input [3,S,S]: shorter side to S (bicubic), centre crop, normalised."""
+    """Return CLIP's input [3,S,S] for an image.
+
+    The shorter side is resized to S (bicubic), the centre is cropped, and colours are normalised.
+    """
     picture = Image.fromarray((to_unit(image) * 255 + 0.5).astype(np.uint8))
     scale = size / min(picture.size)
     wide, high = (max(size, round(side * scale)) for side in picture.size)
@@ -119,7 +128,7 @@ def _load(model: str) -> Any:
     elif Path(os.path.expanduser(model)).is_dir():
         source = Path(os.path.expanduser(model))
     try:
-        # Never from the network here, and never a pickled file.
+        # Nothing is downloaded here, and pickled files are refused.
         return CLIPVisionModelWithProjection.from_pretrained(
             source, local_files_only=True, use_safetensors=True
         ).eval()
