@@ -6,11 +6,11 @@ measured.json. The severity (`violence`) of a scene is its energy relative to th
 stiffness.
 
 The bound is the largest measured error, times a safety factor, for the scene's law and kind of
-motion. Only objects about as thick as the scene's object, or thicker, are considered, and only
-grids as fine as the scene's grid, or coarser. The scene must not be more severe than the measured
-scenes. If it lasts longer, the bound holds only for the measured duration. If no measured scene is
-similar, there is no bound: the error is "not measured". A study of the scene itself (`phy124
-accuracy`) can measure it.
+motion. Only objects about as thick as the scene's object, or thicker, are considered. The error is
+that on the finest measured grid that is not finer than the scene's grid. The scene must not be more
+severe than the measured scenes. If it lasts longer, the bound holds only for the measured duration.
+If no measured scene is similar, there is no bound: the error is "not measured". A study of the
+scene itself (`phy124 accuracy`) can measure it.
 
 This module contains all messages about errors, for the command line and the page.
 """
@@ -79,8 +79,8 @@ def poisson(scene: Scene) -> float:
 def energy(scene: Scene) -> float:
     """Return twice the energy per mass that a scene may convert to strain [m^2/s^2].
 
-    It is v^2 + 2 a h + a L + p^2: v is the initial speed, a the acceleration by forces, h the
-    height above the floor, L the object's size, and p the speed of presses.
+    It is v^2 + 2 a h + a L + p^2: v is the initial speed (with spin), a the acceleration by forces,
+    h the object's lift, L the object's size, and p the speed of presses.
     """
     body = scene.object
     pull = sum(math.hypot(*_vector(force)) for force in scene.forces)
@@ -154,7 +154,7 @@ MARGIN = 1.25
 NEARBY = 0.02
 """Maximum excess of Poisson's ratio over the measured value."""
 NEARLY = 0.8
-"""Minimum thickness of a measured object, relative to the scene's object, to count as as thick."""
+"""Fraction of the scene's object's thickness at which measured objects count as equally thick."""
 FEWEST = 6
 """Minimum number of measured objects for a bound; if too few are thick enough, the thickest are
 used."""

@@ -1,1 +1,1 @@
-"""Work on top of the public interface: fits, sweeps and validation."""
+"""Studies that run many simulations through the public interface: fits, sweeps and validation."""

@@ -1,4 +1,4 @@
-"""Fitting: finds an object's material and initial motion from observations of its motion.
+"""Fits an object's material and initial motion to observations of its motion.
 
 fitted = fit(Fit.from_data(Fit.from_toml("fit.toml")), Path("out/fit"))
 fitted.scene, fitted.report

@@ -1,4 +1,4 @@
-"""The time of a fit: its forecast before the first run, and the time left."""
+"""Forecasts the time of a fit before its first run, and measures the time used."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from phy124.scene import Scene
 from phy124.studies.fit.search import HALVES, generation_size, log2_screened
 
 FEWEST = 6
-"""Smallest useful number of generations of a search."""
+"""Minimum useful number of generations in a search."""
 USUAL = 20
-"""Typical number of generations."""
+"""Typical number of generations in a search."""
 ROUNDS = 3
 """Typical number of refinement steps per grid."""
 STARTING = 3.0
-"""Time until worker processes are ready [s]."""
+"""Time to start the worker processes [s]."""
 
 
 @dataclass
 class Budget:
-    """A number of seconds, and the time spent."""
+    """The time budget of a fit [s], and the time already used [s]."""
 
     seconds: float
     expected: int = 0
-    """Forecast number of runs."""
+    """Predicted number of runs."""
     clock: Callable[[], float] = time.perf_counter
     _begun: float = field(init=False)
 
@@ -42,27 +42,27 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """Time since the start [s]."""
+        """Time since the budget was created [s]."""
         return self.clock() - self._begun
 
     def late(self, part: float) -> bool:
-        """Whether more than a fraction of the time is spent."""
+        """Return whether more than a fraction `part` of the budget has been used."""
         return self.spent > part * self.seconds
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """The forecast of a fit's runs and time."""
+    """The predicted numbers of runs and times of a fit."""
 
     grids: tuple[int, ...]
     each: tuple[float, ...]
-    """Time of a run on each grid, on one core [s]."""
+    """Time of one run on each grid, with one thread [s]."""
     values: int
-    """Number of values to find."""
+    """Number of values to fit."""
     workers: int
 
     def runs(self, generations: int = USUAL) -> list[int]:
-        """Return the number of runs on each grid for a number of generations."""
+        """Return the number of runs on each grid, for a search with this number of generations."""
         steps, slopes = len(HALVES) * ROUNDS + 1, 2 * self.values
         first = 2 ** log2_screened(self.values) + generations * generation_size(self.values)
         counts = [first + 2 * slopes + 2 * steps] + [steps] * (len(self.grids) - 1)
@@ -70,15 +70,18 @@ class Outlook:
         return counts
 
     def wall(self, generations: int) -> float:
-        """Return the time if all workers are always busy [s]."""
+        """Return the duration of the fit if all workers are always busy [s]."""
         work = np.dot(self.runs(generations), self.each)
         return float(work) / self.workers + (STARTING if self.workers > 1 else 0.0)
 
     def refuse(self, seconds: float) -> None:
-        """Refuse a budget that is too small.
+        """Refuse a time budget that is too small.
+
+        Args:
+            seconds: The budget [s].
 
         Raises:
-            InputError: The budget is below the smallest useful time.
+            InputError: The budget is shorter than a fit with the fewest useful generations.
         """
         least = self.wall(FEWEST)
         if seconds < least:
@@ -87,13 +90,13 @@ class Outlook:
             raise InputError("seconds", f"{seconds:g}", limit, remedy)
 
     def data(self) -> dict[str, Any]:
-        """Return plain data for scripts."""
+        """Return the forecast as plain data for scripts."""
         times = {"seconds": self.wall(USUAL), "least": self.wall(FEWEST)}
         runs = {"grids": self.grids, "each": self.each, "runs": self.runs()}
         return {**runs, "workers": self.workers, **times}
 
     def sentence(self) -> str:
-        """Describe the forecast in a sentence."""
+        """Describe the forecast in one sentence."""
         rows = zip(self.runs(), self.each, self.grids, strict=True)
         parts = [f"{count} runs of {each:.2f} s on {cells} cells" for count, each, cells in rows]
         return f"about {', '.join(parts)}, {self.workers} at once: {self.wall(USUAL):.0f} s"
@@ -106,10 +109,10 @@ def make_outlook(
 
     Args:
         gaussians: The object.
-        scenes: The scene in the middle of the ranges, on each grid.
-        values: Number of values to find.
+        scenes: For each grid, the scene with all values in the middle of their ranges.
+        values: Number of values to fit.
         workers: Number of processes.
-        crop: Position of the object in its picture.
+        crop: Rectangle of the object in the picture.
     """
     forecaster, each = Forecaster(RunContext(threads=1)), []
     for scene in scenes:

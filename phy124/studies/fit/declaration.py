@@ -1,4 +1,4 @@
-"""The declaration of a fit: observations, object, scene, and the values to find."""
+"""Declares the options of a fit: observations, object, scene, and the values to fit."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from phy124.schema.section import Section
 from phy124.studies.sweep.declaration import LogUniform, Uniform
 
 DECADE = 10.0
-"""A range such as 1e4..1e6 is sampled logarithmically if its ends differ by this factor."""
+"""Smallest ratio of a range's ends at which a range such as 1e4..1e6 is sampled logarithmically."""
 
 
 def parse_range(data: Any) -> Any:
-    """Convert a text such as 1e4..1e6 to plain data of a range; tables, as in a sweep, are kept.
+    """Convert text such as 1e4..1e6 to the plain data of a range.
+
+    Data that is not text, such as a table from a sweep, is returned unchanged.
 
     Raises:
-        ValueError: The text is no range.
+        ValueError: The text is not a range.
     """
     if not isinstance(data, str):
         return data
@@ -36,7 +38,7 @@ def parse_range(data: Any) -> Any:
 
 
 def _kind(data: Any) -> str:
-    """Return the tag of a range's kind; invalid data gets the first tag, and is refused there."""
+    """Return the tag of a range's type; invalid data gets the tag "even", whose type refuses it."""
     log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
     return "log" if log else "even"
 
@@ -51,7 +53,7 @@ Cells = Annotated[int, Field(ge=4, le=256)]
 
 
 class Fit(Section):
-    """The values to find, and the observations to find them from."""
+    """The options of a fit: the values to fit, and the observations."""
 
     target: str = Field(
         description="Observations: a clip or its folder, a .csv file of tracked points, or a "
@@ -113,7 +115,8 @@ class Fit(Section):
         """Validate plain data.
 
         Raises:
-            InputError: The data is no fit; the message names field, value, limit and remedy.
+            InputError: The data does not declare a fit; the message names field, value, limit and
+                remedy.
         """
         try:
             return cls.model_validate(data)
@@ -122,7 +125,7 @@ class Fit(Section):
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> dict[str, Any]:
-        """Read the plain data of a file, which options may still change.
+        """Read the plain data of a fit from a file, before options of the command line change it.
 
         Raises:
             InputError: The file is missing or is not TOML.
@@ -131,10 +134,10 @@ class Fit(Section):
 
 
 def parse_ranges(texts: tuple[str, ...]) -> dict[str, str]:
-    """Convert texts such as material.E=1e4..1e6 to a dict of paths and ranges.
+    """Convert texts such as material.E=1e4..1e6 to a mapping from paths to ranges.
 
     Raises:
-        InputError: A text has another form, or repeats a path.
+        InputError: A text has another form, or a path occurs twice.
     """
     ranges: dict[str, str] = {}
     for text in texts:

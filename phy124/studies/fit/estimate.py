@@ -1,4 +1,8 @@
-"""The fit: search, refusal of undeterminable values, refinement from grid to grid, intervals."""
+"""Estimates the fitted values and their intervals.
+
+The steps are a search on the coarsest grid, the refusal of values that the measurements cannot
+determine, a refinement on each finer grid, and the intervals.
+"""
 
 from __future__ import annotations
 
@@ -21,37 +25,43 @@ from phy124.studies.fit.problem import Distance, Problem, differentiate
 from phy124.studies.fit.search import Refined, refine, screen, search
 
 STEP = 0.05
-"""Half the distance of central differences, as a fraction of the range. Runs scatter by some tenths
-of a pixel even for equal values, so shorter differences are dominated by chance: with 0.01, the
-slopes by nu of a pressed duck were up to nine times too large."""
+"""Step of central differences, as a fraction of the range.
+
+The results of runs scatter by some tenths of a pixel, even if the values hardly differ. With a
+shorter step, this scatter dominates the differences: with 0.01, the derivatives with respect to nu
+for a pressed duck were up to nine times too large.
+"""
 END = 0.005
-"""Distance from the end of a range within which a note warns, as a fraction of the range."""
+"""Distance from the end of a range below which a note warns, as a fraction of the range."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The fitted values, as fractions of their ranges."""
+    """The fitted values and their intervals, as fractions of the values' ranges."""
 
     places: tuple[Values, ...]
-    """The best place on each grid that was reached [P]."""
+    """The best point in the unit cube [P] on each grid that was used."""
     misfits: tuple[list[float], ...]
-    """Root mean square difference of each kind, on each grid."""
+    """RMS misfit of each kind of measurement, on each grid."""
     grids: tuple[int, ...]
     """Cells across the object on each grid."""
     sampling: Values
-    """Half of the interval by the errors of the measurements [P]."""
+    """Half-width of the 95 % interval due to the errors of the measurements [P]."""
     model: Values
-    """Largest shift by the estimated error of the finest grid [P]."""
+    """Largest shift of each value due to the estimated error of the finest grid [P]."""
     correlation: Values
-    """[P,P]."""
+    """Correlation matrix of the values [P,P]."""
     notes: tuple[str, ...]
 
     def on(self, cells: float) -> tuple[Values, Values]:
-        """Return the best place on a grid (infinity: no grid error) and half its interval [P].
+        """Return the best point on a grid [P], and the half-width of its intervals [P].
 
-        An extrapolation is assumed to be as uncertain as it is long, and at least as uncertain as
-        the possible shift by the finest grid's error. This is a systematic error, so it is added to
-        the error by the measurements.
+        The values are extrapolated to a grid of this size; infinity means no grid error. The
+        uncertainty of the extrapolation is assumed to be its length, and at least `model`. It is a
+        systematic error, so it is added to the error due to the measurements.
+
+        Args:
+            cells: Cells across the object; may be infinite.
         """
         place, shift = extrapolate(self.grids, self.places, cells)
         return place, self.sampling + np.maximum(self.model, shift)
@@ -60,12 +70,12 @@ class Estimate:
 def estimate(
     problem: Problem, *, seed: int = 0, on_generation: Callable[[float], object] = lambda cost: None
 ) -> Estimate:
-    """Find the values.
+    """Fit the values.
 
     Args:
         problem: The measurements and their prediction.
         seed: Seed of all random numbers.
-        on_generation: Called with the least cost after each generation of the search.
+        on_generation: Called with the smallest cost so far after each generation of the search.
 
     Raises:
         InputError: Some values cannot be determined, or runs fail.
@@ -85,7 +95,7 @@ def estimate(
         fit = levels[-1]
         levels.append(_refine(problem, distance, fit.place, fit.jacobian, level))
     if not problem.late(1.0):
-        # Derivatives on the last grid itself: Broyden's updates hold only along the steps.
+        # Broyden's updates are accurate only along the steps, so recompute all derivatives here.
         level, fit = len(levels) - 1, levels[-1]
         slopes = _slopes(problem, fit.place, level)
         fit = _refine(problem, distance, fit.place, slopes, level)
@@ -94,7 +104,7 @@ def estimate(
 
 
 def _conclude(problem: Problem, distance: Distance, levels: list[Refined], seed: int) -> Estimate:
-    """Return the estimate with its intervals; refuse values that are not determined."""
+    """Return the estimate with its intervals; refuse values that remain undetermined."""
     fit = levels[-1]
     distance = _rescale(problem, distance, fit)
     slopes, residual = distance.weigh(fit.jacobian), distance.residual(fit.predicted)
@@ -114,7 +124,7 @@ def _conclude(problem: Problem, distance: Distance, levels: list[Refined], seed:
 
 
 def _notes(problem: Problem, places: tuple[Values, ...]) -> list[str]:
-    """Return sentences about limits of the estimate."""
+    """Return sentences about the limitations of the estimate."""
     notes = []
     for name, part in zip(problem.names, places[-1], strict=True):
         if not END < part < 1 - END:
@@ -129,7 +139,7 @@ def _notes(problem: Problem, places: tuple[Values, ...]) -> list[str]:
 
 
 def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None:
-    """Refuse values that no measurement of this kind can determine."""
+    """Refuse values that these measurements cannot determine, however accurate they are."""
     spread = distance.residual(np.zeros_like(problem.measured))
     blind = find_unseen(problem.names, distance.weigh(slopes), float(np.linalg.norm(spread)))
     if blind is not None:
@@ -158,5 +168,5 @@ def _failure(problem: Problem) -> InputError:
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return the distance in units of the misfits of a fit, which must not be zero."""
+    """Return the distance whose scales are the misfits of a fit, with a minimum above zero."""
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])

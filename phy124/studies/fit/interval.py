@@ -1,13 +1,13 @@
-"""Intervals of fitted values, and values that the measurements do not determine.
+"""Computes intervals of the fitted values, and finds values that remain undetermined.
 
-The Fisher matrix J^T J of the measurements, with J in units of their errors, shows how precisely
-each direction in the space of values is determined: along an eigenvector with eigenvalue l, the
-standard error is 1 / sqrt(l). Intervals are a bootstrap over groups of measurements, plus the
-effect of the grid's error.
+J is the Jacobian of the measurements in units of their errors. The Fisher matrix J^T J shows how
+precisely each direction in the space of values is determined: along an eigenvector with eigenvalue
+l, the standard error is 1 / sqrt(l). An interval is the sum of a bootstrap over groups of
+measurements and the effect of the grid's error.
 
-Each draw takes as many groups as there are, with repetition, and makes one Gauss-Newton step from
-the fitted place, so that none needs a run. Errors that a group shares (a badly tracked point, a
-limb that the grid bends wrongly) widen the interval as they must.
+Each bootstrap draw selects G of the G groups, with replacement, and makes one Gauss-Newton step
+from the fitted point. Such a step needs no simulation. Errors common to a group, as of a badly
+tracked point, widen the interval because the groups are drawn as a whole.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ PROBABILITY = 0.95
 
 
 class Spread(NamedTuple):
-    """Errors of the values."""
+    """Uncertainty of the values due to the errors of the measurements."""
 
     errors: Values
-    """Half of each interval, as a part of the range [P]."""
+    """Half-width of each 95 % interval, as a fraction of the range [P]."""
     covariance: Values
-    """[P,P]."""
+    """Covariance of the values, as fractions of the ranges [P,P]."""
 
 
 def bootstrap(
     jacobian: Values, residual: Values, groups: Groups, kinds: Sequence[Kind], seed: int
 ) -> Spread:
-    """Spread of the fitted values under repetition of the measurements.
+    """Estimate the uncertainty of the fitted values by a bootstrap over groups of measurements.
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P].
-        residual: Weighted differences at the fitted place [M].
-        groups: Which measurements err together [M].
-        kinds: Kinds of measurements; each is drawn by itself.
+        residual: Weighted differences at the fitted point [M].
+        groups: Group of each measurement, from 0 [M]; errors in a group are correlated.
+        kinds: Kinds of measurements; each kind's groups are drawn separately.
         seed: Seed of the draws.
     """
     from scipy.special import stdtrit
@@ -65,7 +65,7 @@ def bootstrap(
 
 
 def _draw(groups: Groups, kinds: Sequence[Kind], count: int, random: np.random.Generator) -> Values:
-    """Return the number of times that each group is in each draw [DRAWS,G]."""
+    """Return how often each draw contains each group [DRAWS,G]."""
     taken = np.zeros((DRAWS, count))
     for kind in kinds:
         members = np.unique(groups[kind.place])
@@ -77,15 +77,18 @@ def _draw(groups: Groups, kinds: Sequence[Kind], count: int, random: np.random.G
 def extrapolate(
     grids: Sequence[int], places: Sequence[Values], cells: float
 ) -> tuple[Values, Values]:
-    """Extrapolate to another grid; return the place, and its distance from the finest grid's.
+    """Extrapolate the fitted point to another grid (Richardson).
 
-    The position of a body's surface has an error of a fraction of a cell, so first order in the
-    spacing is assumed (Richardson). With one grid, the place is that of this grid.
+    The error of a surface's position is a fraction of a cell. The extrapolation therefore assumes
+    first order in the spacing. With only one grid, the result is the point on this grid.
 
     Args:
         grids: Cells across the object, from coarse to fine.
-        places: The fitted place on each grid.
-        cells: Cells of the other grid; infinity for a grid without error.
+        places: The fitted point on each grid [P].
+        cells: Cells across the object on the other grid; infinity: no grid error.
+
+    Returns:
+        The extrapolated point [P], and the absolute shift of each value from the finest grid [P].
     """
     finest = places[-1]
     if len(places) < 2:
@@ -100,13 +103,13 @@ def find_unexplained(
 ) -> Values:
     """Estimate the finest grid's error in each kind of measurement, as a fraction of its misfit.
 
-    A misfit m consists of the measurements' errors, equal on all grids, and the grid's error, which
-    decreases with the spacing h: m^2 = a^2 + (c h)^2. Two grids determine c.
+    A misfit m is modelled as m^2 = a^2 + (c h)^2. The errors of the measurements, a, are equal on
+    all grids. The grid's error c h is proportional to the spacing h. Two grids determine c.
 
     Args:
         grids: Cells across the object, from coarse to fine.
-        coarse: Root mean square misfit of each kind on the last grid but one.
-        fine: Root mean square misfit of each kind on the last grid.
+        coarse: RMS misfit of each kind on the second-finest grid.
+        fine: RMS misfit of each kind on the finest grid.
     """
     more = (np.asarray(coarse) / np.maximum(fine, 1e-12)) ** 2 - 1
     return np.sqrt(np.maximum(more, 0) / ((grids[-1] / grids[-2]) ** 2 - 1))
@@ -115,16 +118,17 @@ def find_unexplained(
 def shift_values(
     jacobian: Values, parts: Values, groups: Groups, kinds: Sequence[Kind]
 ) -> NDArray[np.float64]:
-    """Return the largest shift of each value by model errors of known size but unknown shape [P].
+    """Return the largest shift of each value due to grid errors of known size [P].
 
-    Errors of a grid have few degrees of freedom (two to four singular values in synthetic tests),
-    so the worst case is assumed: they resemble the effect of a value. The largest shift by errors
-    of norm e is e sqrt((J^T J)^-1) (least squares).
+    The pattern of a grid's errors over the measurements is unknown, but has few degrees of freedom
+    (two to four singular values in synthetic tests). The errors may therefore resemble the effect
+    of a value, and this worst case is assumed. In a least-squares fit, errors of norm e then shift
+    value i by at most e sqrt(((J^T J)^-1)_ii).
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.
-        parts: Size of the errors in each kind of measurement, as a part of its misfit.
-        groups: Which measurements err together [M].
+        parts: Size of the grid errors in each kind of measurement, as a fraction of its misfit.
+        groups: Group of each measurement, from 0 [M]; errors in a group are correlated.
         kinds: Kinds of measurements.
     """
     counts = [len(np.unique(groups[kind.place])) for kind in kinds]
@@ -135,25 +139,34 @@ def shift_values(
 
 
 DEAD = 1e-3
-"""A value is not determined if its whole range changes the measurements by a smaller fraction."""
+"""Relative effect below which a value is undetermined.
+
+It is the change of the measurements over the value's range, divided by the measurements' norm.
+"""
 ALIKE = 0.12
-"""Values whose effects differ in direction by less than this are determined only together, since
-errors of the model, such as those of a grid, resemble their difference. 0 is the same direction, 1
-a right angle; 0.12 is a correlation of 0.986. For E and density of a pressed duck without a known
-force, which differ only by damping, the value is 0.04 to 0.08 on 16 and 20 cells; for E and nu, it
-is 0.93."""
+"""Smallest singular value of the normalised effects below which values are not determined
+separately.
+
+It is 0 if the effects of two values on the measurements have the same direction, and 1 if they are
+orthogonal; 0.12 is a correlation of 0.986. Below this limit, errors of the model, such as grid
+errors, resemble the difference between the effects. Example: the effects of E and density on a
+pressed duck differ only by damping if no force is known. The singular value is then 0.04 to 0.08 on
+grids of 16 and 20 cells. For E and nu, it is 0.93.
+"""
 SHARE = 0.3
-"""Smallest component of a direction for which a value belongs to it."""
+"""Minimum component of a value in the weakest direction for the value to count as undetermined."""
 VAGUE = 1 / 3
-"""Half of a 95 % interval, as a fraction of the range, from which a value is not determined: the
-interval then covers two thirds of the range."""
+"""Half-width of a 95 % interval, as a fraction of the range, from which a value is undetermined.
+
+The interval then covers two thirds of the range.
+"""
 MODULI = ("E", "mu", "lambda", "bulk", "yield_stress", "hardening")
 FORCE = "measure the force on a wall, or load it with a known force in newtons"
 HOW = (
     " (--forces plate.csv, or a clip of a scene with wrenches = true; "
     '[[forces]] kind = "force" is a load)'
 )
-"""Ways to give a force on the command line."""
+"""Part of a message that explains how to provide a force on the command line."""
 EXPERIMENTS = {
     "material.density": f"weigh it, or {FORCE}",
     "material.E": f"let it wobble freely after the load, or {FORCE}",
@@ -165,19 +178,19 @@ EXPERIMENTS = {
     "object.spin": "watch it fly for some frames before it touches anything",
     "stiffness": "load the stiff and the soft end one after the other",
 }
-"""A path or part of a path -> the experiment that determines it."""
+"""Path of a value, or part of a path -> an experiment that determines the value."""
 
 
 class Undecided(InputError):
-    """Values that the measurements do not determine; `limit` says why."""
+    """Error: the measurements do not determine some values; `limit` gives the reason."""
 
     def __init__(self, field: str, value: object, limit: str, remedy: str, tell: str) -> None:
         self.tell = tell
-        """The experiment that would determine them, in words."""
+        """Description of an experiment that would determine the values."""
         super().__init__(field, value, limit, remedy)
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        """Supports pickle."""
+        """Return the class and its arguments, so that pickle can restore the error."""
         return type(self), (self.field, self.value, self.limit, self.remedy, self.tell)
 
 
@@ -188,7 +201,7 @@ class Blind(NamedTuple):
     why: str
 
     def refusal(self) -> Undecided:
-        """Return the error, with the experiment that would determine the values."""
+        """Return the error for these values, with an experiment that would determine them."""
         fixed = self.names[-1]
         tell = suggest_experiment(self.names)
         how = HOW if FORCE in tell else ""
@@ -197,7 +210,7 @@ class Blind(NamedTuple):
 
 
 def suggest_experiment(names: Sequence[str]) -> str:
-    """Suggest an experiment that determines the values, in words."""
+    """Describe an experiment that determines the values."""
     moduli = [name for name in names if name.rpartition(".")[2] in MODULI]
     if moduli and any(name.endswith("density") for name in names):
         return FORCE
@@ -208,11 +221,12 @@ def suggest_experiment(names: Sequence[str]) -> str:
 
 
 def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind | None:
-    """Return values that no measurement of this kind can determine, however exact; None: all can.
+    """Return values that even exact measurements of this kind would not determine; None: no such.
 
     Args:
         names: Names of the values [P].
-        jacobian: Derivatives of the weighted prediction by fractions of the ranges [M,P].
+        jacobian: Derivatives of the weighted prediction with respect to the values, as fractions of
+            their ranges [M,P].
         spread: Norm of the weighted measurements.
     """
     effects = np.linalg.norm(jacobian, axis=0)
@@ -230,12 +244,13 @@ def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind 
 def find_undetermined(
     names: Sequence[str], errors: Values, model: Values, directions: Values
 ) -> Blind | None:
-    """Return values that errors of measurements and grid leave undetermined; None: there are none.
+    """Return values whose intervals are too wide; None if all intervals are narrow enough.
 
     Args:
         names: Names of the values [P].
-        errors: Half the interval by the measurements, as a fraction of the range [P].
-        model: Half the interval by the error of the finest grid [P].
+        errors: Half-width of the interval due to the measurements' errors, as a fraction of the
+            range [P].
+        model: Half-width of the interval due to the finest grid's error, likewise [P].
         directions: Covariance of the values [P,P].
     """
     worst = int(np.argmax(errors + model))

@@ -1,4 +1,4 @@
-"""Observations: measurements from tables, and their prediction from a clip."""
+"""Reads measurements from tables, and predicts them from a clip."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ Values = NDArray[np.float64]
 
 
 class Table(NamedTuple):
-    """Measurements, a row each."""
+    """A table of measurements."""
 
     times: Values
-    """Times [R], s."""
+    """Time of each row [R], s."""
     names: NDArray[np.str_]
-    """Names of points or walls [R]."""
+    """Name of the point or wall in each row [R]."""
     values: Values
-    """[R,C]."""
+    """Measured values [R,C]."""
     columns: tuple[str, ...]
-    """Names of the values [C]."""
+    """Names of the columns of `values` [C]."""
 
 
 def read_table(
@@ -37,11 +37,12 @@ def read_table(
     Args:
         path: The file.
         field: The option that names the file.
-        name: The column with the name of a point or wall.
-        kinds: The possible sets of columns with values.
+        name: Name of the column that names points or walls.
+        kinds: Possible sets of names of the value columns.
 
     Raises:
-        InputError: The file cannot be read, lacks a column, has no rows, or a value is no number.
+        InputError: The file cannot be read, lacks a column, has no rows, or a value is not a
+            finite number.
     """
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
@@ -66,7 +67,7 @@ def read_table(
 def _numbers(
     path: object, field: str, index: int, line: list[str], places: list[int]
 ) -> list[float]:
-    """Return the numbers of a row."""
+    """Return the numbers in a row of the file, at the indices `places`."""
     try:
         numbers = [float(line[place]) for place in places]
     except (ValueError, IndexError):
@@ -79,29 +80,29 @@ def _numbers(
 
 Groups = NDArray[np.int64]
 ROUNDED = 1e-3
-"""Largest rounding of times in files [s]."""
+"""Maximum rounding error of times in files [s]."""
 
 
 class Observation(Protocol):
-    """Measurements of one kind."""
+    """Measurements of one kind, and their prediction from a clip."""
 
     name: str
-    """Name of the measurements, in the plural."""
+    """Name of the kind of measurements, in the plural."""
     unit: str
     measured: Values
-    """[M]."""
+    """Measured values [M]."""
     groups: Groups
-    """Group of each measurement, from 0 [M]; errors in a group, such as a point, are correlated."""
+    """Group of each measurement, from 0 [M]; errors in a group, as of a point, are correlated."""
     last: float
     """Time of the last measurement [s]."""
 
     def predict(self, clip: Clip) -> Values:
-        """Return the measurements of a clip [M]."""
+        """Predict the measurements from a clip [M]."""
         ...
 
 
 class Kind(NamedTuple):
-    """Position of the measurements of a kind among all measurements."""
+    """A kind of measurements, and its slice of the vector of all measurements."""
 
     name: str
     unit: str
@@ -109,7 +110,7 @@ class Kind(NamedTuple):
 
 
 class Observations:
-    """All measurements, as one vector."""
+    """All kinds of measurements, concatenated to one vector."""
 
     def __init__(self, parts: list[Observation]) -> None:
         self.parts = parts
@@ -129,17 +130,23 @@ class Observations:
         return max(part.last for part in self.parts)
 
     def predict(self, clip: Clip) -> Values:
-        """Return the measurements of a clip [M]."""
+        """Predict all measurements from a clip [M]."""
         return np.concatenate([part.predict(clip) for part in self.parts])
 
 
 def at_times(times: Values, values: Values, wanted: Values) -> Values:
-    """Return values [T,...] at other instants [R]: unchanged if these are frames, else by a spline.
+    """Interpolate values at other times.
+
+    If all these times are times of frames, the frames' values are returned; otherwise, a spline is
+    used.
 
     Args:
-        times: Instants of the values [T], s.
-        values: The values.
-        wanted: The other instants [R], s.
+        times: Times of the values [T], s.
+        values: The values [T,...].
+        wanted: The other times [R], s.
+
+    Returns:
+        The values at the other times [R,...].
     """
     nearest = np.abs(times[None] - wanted[:, None]).argmin(1)
     if np.allclose(times[nearest], wanted, atol=ROUNDED / 10):
@@ -150,16 +157,16 @@ def at_times(times: Values, values: Values, wanted: Values) -> Values:
 
 
 def refuse_outside(field: str, source: object, times: Values, length: float) -> None:
-    """Refuse measurements before the beginning or after the end of a scene.
+    """Refuse measurements before the first or after the last frame of a scene.
 
     Args:
         field: The option that names the measurements.
-        source: Their file.
-        times: Their times [s].
+        source: The file of the measurements.
+        times: Times of the measurements [s].
         length: Time of the scene's last frame [s].
 
     Raises:
-        InputError: A measurement is outside.
+        InputError: A measurement is outside this range.
     """
     if times.min() < -ROUNDED:
         limit = f"it begins at {times.min():.3g} s, before the scene, which begins at 0."
@@ -171,19 +178,19 @@ def refuse_outside(field: str, source: object, times: Values, length: float) -> 
 
 
 class Forces:
-    """Forces on walls, each the mean since the previous frame."""
+    """Measured forces on walls. Each force is the mean since the previous frame."""
 
     name, unit = "forces", "N"
 
     def __init__(self, table: Table, walls: tuple[str, ...]) -> None:
-        """Find the walls.
+        """Match the names in the table with the walls of the scene.
 
         Args:
             table: Times, names of walls, and forces.
-            walls: Names of the walls of the scene.
+            walls: Names of the scene's walls.
 
         Raises:
-            InputError: The scene has no wall with a name.
+            InputError: The table names a wall that the scene does not have.
         """
         for name in table.names:
             if name not in walls:
@@ -196,7 +203,7 @@ class Forces:
         self.groups: Groups = np.repeat(np.arange(len(table.times)), 3)
 
     def predict(self, clip: Clip) -> Values:
-        """Return the forces of a clip."""
+        """Predict the forces from a clip [M]."""
         assert clip.wrenches is not None
         instants, row = np.unique(self._times, return_inverse=True)
         return at_times(clip.times, clip.wrenches[:, :, 0], instants)[row, self._wall].ravel()

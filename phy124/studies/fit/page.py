@@ -1,6 +1,6 @@
-"""The comparison of film and fitted scene: as a page, a film, and a sheet of pictures.
+"""Writes the comparison of a video with the fitted scene: an HTML page, a video, and an image.
 
-The web page shows `figure`, too; it serves the script and the style from phy124/io/viewer.
+The web page also shows `figure`. It serves the script and the style sheet from phy124/io/viewer.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from phy124.studies.fit.video import Film
 
 WIDTH, HEIGHT, TOP, BOTTOM, MARGIN = 300, 110, 6, 92, 6
 COLOURS = ("#d55e00", "#0072b2")
-"""Colours of the difference: only filmed, only fitted (`ONLY_SEEN`, `ONLY_FITTED`)."""
+"""Colours of pixels only in the video and only in the fitted scene, as `ONLY_SEEN`, `ONLY_FITTED`.
+"""
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -50,12 +51,12 @@ Phy124Compare(document.querySelector('.compare'));</script>
 
 
 def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
-    """Write an HTML file that contains the film, for any browser, without a network.
+    """Write an HTML file with an embedded comparison video, which browsers can show offline.
 
     Args:
-        path: The file.
-        report: The report of a fit to a film.
-        film: The MP4 of film, fitted scene and difference.
+        path: The HTML file.
+        report: The report of a fit to a video.
+        film: The MP4 that shows the video, the fitted scene and their difference.
     """
     data = base64.b64encode(film.read_bytes()).decode()
     page = PAGE.format(
@@ -70,11 +71,11 @@ def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
 
 
 def figure(report: dict[str, Any], film: str) -> str:
-    """Return the film with its slider, and the curves, as HTML with escaped text.
+    """Return the comparison video with its slider, and the curves, as HTML with escaped text.
 
     Args:
-        report: The report of a fit to a film.
-        film: Address of the MP4 of film, fitted scene and difference.
+        report: The report of a fit to a video.
+        film: Address of the MP4 that shows the video, the fitted scene and their difference.
     """
     shown = report["pictures"]
     times = " ".join(f"{time:g}" for time in shown["times"])
@@ -97,7 +98,7 @@ def figure(report: dict[str, Any], film: str) -> str:
 
 
 def distances(shown: dict[str, Any]) -> str:
-    """Return the curve of the distance in each picture, before and after the fit, as SVG."""
+    """Return curves of the outlines' distance over time, before and after the fit, as SVG."""
     times = shown["times"]
     lines = {name: shown[name] for name in ("before", "fitted") if shown[name]}
     highest = max((max(line) for line in lines.values()), default=0.0) or 1.0
@@ -115,7 +116,10 @@ def distances(shown: dict[str, Any]) -> str:
 
 
 def trials(report: dict[str, Any], name: str) -> str:
-    """Return the distances over all tried numbers of a value, and its interval, as SVG."""
+    """Plot the misfit of each run over the run's value of one parameter, as SVG.
+
+    The plot also shows the interval of the fitted value.
+    """
     tried = [run for run in report["tried"] if run["misfits"]]
     log = "log_uniform" in report["declared"]["find"][name]
     values = [float(run["values"][name]) for run in tried]
@@ -152,7 +156,7 @@ def _point(x: float, y: float) -> str:
 def _scale(
     values: Sequence[float], start: float, end: float, *, log: bool = False
 ) -> Callable[[float], float]:
-    """Return a function from values to positions on an axis."""
+    """Return a function that maps values to positions on an axis."""
     turn = math.log if log else float
     low, high = turn(min(values)), turn(max(values))
     span = (high - low) or 1.0
@@ -160,42 +164,42 @@ def _scale(
 
 
 ROWS = 8
-"""Largest number of rows of the sheet."""
+"""Maximum number of rows in the image of the comparison."""
 PICTURE_HEIGHT = 192
-"""Height of each picture [pixels]."""
+"""Height of each frame in the comparison [pixels]."""
 BOTH, ONLY_SEEN, ONLY_FITTED = (225, 225, 225), (213, 94, 0), (0, 114, 178)
-"""Colours of the difference, which colour-blind people can distinguish."""
+"""Colours of the difference; colour-blind people can distinguish them."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A film and the clip that was fitted to it, seen by the same camera."""
+    """A video, and the clip of the scene that was fitted to it, seen by the same camera."""
 
     film: Film
     times: Values
-    """Times of the film's pictures [T], s."""
+    """Times of the video's frames [T], s."""
     clip: Clip
-    """The fitted scene."""
+    """The clip of the fitted scene."""
     cameras: Sequence[Camera]
     """Camera of each frame of the clip."""
 
     def write_sheet(self, path: Path) -> None:
-        """Write a picture with a row per instant: target, fitted, and difference."""
+        """Write an image with one row per selected frame: target, fitted scene and difference."""
         count = len(self.times)
         shown = np.unique(np.linspace(0, count - 1, min(ROWS, count)).round().astype(int))
         Image.fromarray(np.concatenate([*self._rows(shown)])).save(path)
 
     def write_film(self, path: Path, fps: float) -> None:
-        """Write an MP4 of all pictures: target, fitted, and difference side by side.
+        """Write an MP4 that shows target, fitted scene and difference side by side.
 
         Args:
             path: The file.
-            fps: Pictures per second.
+            fps: Frames per second.
         """
         write_mp4(path, self._rows(range(len(self.times))), fps=fps)
 
     def _rows(self, shown: Iterable[int]) -> Iterator[NDArray[np.uint8]]:
-        """Yield target, fitted, and difference at some instants."""
+        """Yield an image of target, fitted scene and difference for each index in `shown`."""
         draw = Renderer(device="cpu")
         for number in shown:
             frame = int(np.abs(self.clip.times - self.times[number]).argmin())
@@ -211,7 +215,7 @@ class Comparison:
 
 
 def difference(seen: NDArray[np.bool_], fitted: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Colour the pixels of both masks, of the first only, and of the second only [H,W,3]."""
+    """Return an image [H,W,3] that colours the pixels in both masks and those in only one mask."""
     picture = np.full((*seen.shape, 3), 255, np.uint8)
     picture[seen & fitted] = BOTH
     picture[seen & ~fitted] = ONLY_SEEN

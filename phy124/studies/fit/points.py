@@ -1,4 +1,4 @@
-"""Tracked points: positions of points of the object, in space or in pixels, over time."""
+"""Measurements of tracked points: positions of points on the object over time, in m or pixels."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from phy124.io.clip import Clip
 from phy124.studies.fit.observation import Groups, Table, Values, at_times
 
 NEIGHBOURS = 4
-"""Number of Gaussians that carry a point."""
+"""Number of nearby Gaussians whose weighted mean position predicts a point."""
 FAR = 0.2
-"""Largest distance of a point from the object, as a fraction of its size."""
+"""Maximum distance of a point from the object, as a fraction of the object's size."""
 FEW = 8
-"""Number of points below which errors at different instants count as independent."""
+"""Number of points below which errors at different times count as independent."""
 
 
 class Points:
-    """Points that move with the Gaussians nearest to them at the start.
+    """Tracked points, each attached to the Gaussians nearest to it in the first frame.
 
-    A point's position within the object is only as accurate as its first measurement, so each
-    track's mean is subtracted before comparison.
+    An error of a point's first measurement would shift the point's whole predicted track. The mean
+    of each measured and each predicted track is therefore subtracted before the comparison.
     """
 
     def __init__(self, table: Table, rest: Values, cameras: Sequence[Camera] | None = None) -> None:
-        """Attach the points to the object.
+        """Attach the points to the object's Gaussians.
 
         Args:
-            table: Positions: x, y, z in metres, or u, v in pixels.
+            table: Positions of the points: x, y, z in metres, or u, v in pixels.
             rest: Centres of the object's Gaussians in the first frame [N,3], m.
-            cameras: Camera of each frame, for pixels; None for positions in metres.
+            cameras: Camera of each frame, for positions in pixels; None for positions in metres.
 
         Raises:
             InputError: A point is missing in the first frame, or is not on the object.
@@ -53,7 +53,7 @@ class Points:
         )
 
     def predict(self, clip: Clip) -> Values:
-        """Return the positions in a clip."""
+        """Predict the points' positions from a clip [M]."""
         means = clip.means[:, self.chosen.ravel()].astype(np.float64)
         shape = (len(means), *self.chosen.shape, 3)
         tracks = (means.reshape(shape) * self.weights[None, :, :, None]).sum(2)
@@ -64,14 +64,14 @@ class Points:
         return self._shape(at_times(clip.times, tracks, instants)[row, self._track])
 
     def _shape(self, values: Values) -> Values:
-        """Subtract the mean of each track from values [R,C], and flatten them."""
+        """Subtract each track's mean from the positions [R,C], and flatten the result [M]."""
         counts = np.bincount(self._track)[:, None]
         sums = np.stack([np.bincount(self._track, column) for column in values.T], axis=1)
         return (values - (sums / counts)[self._track]).ravel()
 
 
 def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
-    """Return the position of each point at the first instant [K,C]."""
+    """Return the position of each point at the first time [K,C]."""
     start = np.flatnonzero(table.times <= table.times.min() + 1e-9)
     places = {int(track[row]): table.values[row] for row in start}
     missing = [name for number, name in enumerate(names) if number not in places]
@@ -87,7 +87,7 @@ def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
 
 
 def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
-    """Return the Gaussians nearest to each point, and their weights [K,NEIGHBOURS]."""
+    """Return the Gaussians nearest to each point in space, and their weights [K,NEIGHBOURS]."""
     from scipy.spatial import KDTree
 
     count = min(NEIGHBOURS, len(rest))
@@ -100,7 +100,7 @@ def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
 
 
 def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64], Values]:
-    """Return the foremost Gaussians at each pixel, and their weights [K,NEIGHBOURS]."""
+    """Return the front Gaussians nearest to each pixel, and their weights [K,NEIGHBOURS]."""
     from scipy.spatial import KDTree
 
     pixels, depth = camera.project(rest)

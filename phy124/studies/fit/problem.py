@@ -1,4 +1,8 @@
-"""The search space: places in the unit cube, an axis per value, and their predictions."""
+"""Defines the search problem of a fit.
+
+A point of the unit cube stands for a set of values, with one axis per value. The problem predicts
+the measurements for such a point.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +15,20 @@ from numpy.typing import NDArray
 from phy124.studies.fit.observation import Groups, Kind, Values
 
 Places = Sequence[Values]
-"""Points of the unit cube [P] each."""
+"""Points in the unit cube, each [P]."""
 
 
 class Problem(Protocol):
-    """Measurements and their predictions, by runs of a scene or by a formula."""
+    """Measurements, and their predictions by simulations of a scene or by a formula."""
 
     measured: Values
-    """[M]."""
+    """Measured values [M]."""
     groups: Groups
     """Group of each measurement [M]; errors in a group are correlated."""
 
     @property
     def names(self) -> Sequence[str]:
-        """Names of the values to find [P]."""
+        """Names of the values to fit [P]."""
         ...
 
     @property
@@ -34,26 +38,37 @@ class Problem(Protocol):
 
     @property
     def grids(self) -> Sequence[int]:
-        """Cells across the object, from coarse to fine."""
+        """Cells across the object on each grid, from coarse to fine."""
         ...
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements at each place on a level's grid; None: the run failed."""
+        """Predict the measurements [M] for each point; None if the run stopped early.
+
+        Args:
+            places: Points in the unit cube.
+            level: Index of the grid.
+        """
         ...
 
     def late(self, part: float) -> bool:
-        """Whether more than a fraction of the time is spent."""
+        """Return whether more than a fraction `part` of the time budget has been used."""
         ...
 
 
 class Distance:
-    """Differences of prediction and measurement, each kind in units of its scale.
+    """Computes weighted differences between predictions and measurements.
 
-    A group of correlated measurements has the weight of one measurement.
+    Each kind of measurement is divided by its scale. A group of correlated measurements has the
+    total weight of a single measurement.
     """
 
     def __init__(self, problem: Problem, scales: Sequence[float] | None = None) -> None:
-        """Set the scales; None: the root mean square of the measurements."""
+        """Compute the weights.
+
+        Args:
+            problem: The measurements.
+            scales: Scale of each kind of measurement; None: the RMS of its measured values.
+        """
         self.measured, self.kinds = problem.measured, tuple(problem.kinds)
         spreads = [float(np.sqrt(np.mean(self.measured[kind.place] ** 2))) for kind in self.kinds]
         self.scales = tuple(scales or [spread or 1.0 for spread in spreads])
@@ -64,36 +79,36 @@ class Distance:
             self._weights[kind.place] = np.sqrt(count / len(groups)) / scale
 
     def residual(self, predicted: Values) -> Values:
-        """Return weighted differences [M]."""
+        """Return the weighted differences [M]."""
         return self._weights * (predicted - self.measured)
 
     def weigh(self, jacobian: Values) -> Values:
-        """Return a Jacobian [M,P] in the units of `residual`."""
+        """Return the weighted Jacobian [M,P], in the units of `residual`."""
         return self._weights[:, None] * jacobian
 
     def cost(self, predicted: Values | None) -> float:
-        """Return half the sum of squares; very large for a failed run."""
+        """Return half the sum of squared weighted differences; 1e12 for a failed run (None)."""
         if predicted is None:
             return 1e12
         return 0.5 * float(np.sum(self.residual(predicted) ** 2))
 
     def misfits(self, predicted: Values) -> list[float]:
-        """Return the root mean square difference of each kind, in its unit."""
+        """Return the RMS difference of each kind of measurement, in the unit of the kind."""
         apart = predicted - self.measured
         return [float(np.sqrt(np.mean(apart[kind.place] ** 2))) for kind in self.kinds]
 
 
 def differentiate(problem: Problem, place: Values, level: int, step: float) -> NDArray | None:
-    """Differentiate the prediction by the place [M,P], by central differences.
+    """Return the Jacobian of the prediction [M,P], by central differences.
 
     Args:
         problem: The problem.
-        place: The place.
+        place: Point in the unit cube at which to differentiate [P].
         level: Index of the grid.
-        step: Half the distance of two places, as a fraction of the range.
+        step: Step of the central differences, as a fraction of the range.
 
     Returns:
-        None if a run failed.
+        The Jacobian; None if a run failed.
     """
     centre = np.clip(place, step, 1 - step)
     sides = [centre + sign * step * axis for axis in np.eye(len(place)) for sign in (1, -1)]

@@ -1,4 +1,4 @@
-"""The report of a fit: values, intervals, and the misfit of each kind of measurement."""
+"""Makes the report of a fit: values, intervals, and the misfit of each kind of measurement."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from phy124.studies.fit.silhouettes import Silhouettes
 from phy124.studies.fit.target import Target
 
 FASTEST = 240.0
-"""Largest number of pictures per second of the comparison."""
+"""Maximum number of frames per second in the comparison video."""
 
 
 def make_report(
@@ -23,10 +23,10 @@ def make_report(
     """Return the report of a fit as plain data.
 
     Args:
-        target: The measurements, and their object and scene.
-        runs: The runs.
+        target: The measurements, the object and the scene.
+        runs: The runs of the fit.
         estimate: The fitted values.
-        clip: The scene with the fitted values, on the scene's grid.
+        clip: The clip of the scene with the fitted values, on the scene's grid.
         seconds: Time since the fit began [s].
     """
     cells = target.scene.resolution.cells
@@ -63,12 +63,12 @@ def make_report(
 
 
 def report_pictures(target: Target, runs: Runs, clip: Clip) -> dict[str, Any]:
-    """Return the misfit of the silhouettes in each picture of a film, before and after the fit.
+    """Return the misfit of the silhouette in each frame of a video, before and after the fit.
 
     Args:
-        target: The measurements, which are a film.
-        runs: The runs.
-        clip: The scene with the fitted values, on the scene's grid.
+        target: The measurements, which must be a video.
+        runs: The runs of the fit.
+        clip: The clip of the scene with the fitted values, on the scene's grid.
     """
     (seen,) = (part for part in target.observations.parts if isinstance(part, Silhouettes))
     assert target.film is not None
@@ -89,7 +89,7 @@ def report_pictures(target: Target, runs: Runs, clip: Clip) -> dict[str, Any]:
 
 
 def value_at(data: Any, path: str) -> Any:
-    """Return the value of plain data at a dotted path."""
+    """Return the value at a dotted path in plain data."""
     for part in path.split("."):
         data = data[int(part)] if isinstance(data, list | tuple) else data[part]
     return data
@@ -122,7 +122,7 @@ def _values(runs: Runs, estimate: Estimate, cells: int) -> dict[str, Any]:
 
 
 def _around(runs: Runs, place: Values, errors: Values) -> dict[str, Any]:
-    """Return the values at a place and at the ends of their intervals."""
+    """Return the values at a point of the unit cube, with intervals of half-width `errors`."""
     value, low, high = map(runs.values, (place, place - errors, place + errors))
     return {n: {"value": value[n], "interval": [low[n], high[n]]} for n in runs.names}
 

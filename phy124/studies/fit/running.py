@@ -1,4 +1,4 @@
-"""Runs a fit, from its declaration to its files."""
+"""Runs a fit from its declaration, and writes its files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Fitted:
     """The result of a fit, and its files."""
 
     scene: Scene
-    """The scene with the values fitted for its grid."""
+    """The scene with the fitted values, extrapolated to the scene's grid."""
     report: dict[str, Any]
     files: tuple[Path, ...]
 
@@ -50,17 +50,18 @@ def fit(
     on_forecast: Callable[[Outlook], object] = lambda forecast: None,
     progress: Progress = silent,
 ) -> Fitted:
-    """Find the values; a repeated call continues an interrupted fit.
+    """Run a fit and write its files; a repeated call continues an interrupted fit.
 
     Args:
-        declared: The declaration.
-        out: Folder of the results, which also keeps the runs.
-        workers: Number of processes; 0: this process.
+        declared: The options of the fit.
+        out: Folder of the results; it also stores the results of the runs.
+        workers: Number of worker processes; 0: all runs are made in this process.
         on_forecast: Called with the forecast before the first run.
         progress: Called with ("fit", runs made, runs expected); may raise Cancelled.
 
     Raises:
-        InputError: An input is invalid, a value cannot be determined, or the time is too short.
+        InputError: An input is invalid, a value cannot be determined, or the time budget is too
+            short.
     """
     target = Target(declared)
     if target.film is not None:
@@ -77,7 +78,7 @@ def fit(
 
 
 def forecast(declared: Fit, *, workers: int = 0) -> Outlook:
-    """Forecast the time of a fit, without a run.
+    """Forecast the time of a fit without running it.
 
     Raises:
         InputError: An input is invalid.
@@ -93,7 +94,7 @@ def _outlook(runs: Runs, target: Target, workers: int) -> Outlook:
 
 
 def _write(target: Target, runs: Runs, budget: Budget, estimated: Estimate, out: Path) -> Fitted:
-    """Run the fitted scene, and write it, the report and the comparison."""
+    """Simulate the fitted scene, and write the scene, the report and the comparison."""
     values = runs.values(estimated.on(target.scene.resolution.cells)[0])
     scene = target.scene.replaced(values)
     clip = runs.player.clip(target.played.replaced(values).data())
@@ -114,7 +115,7 @@ def _write_report(folder: Path, report: dict[str, Any]) -> None:
 
 
 def _compare(target: Target, film: Film, clip: Clip, report: dict[str, Any], folder: Path) -> None:
-    """Write the comparison of film and fitted scene: a sheet of instants, a film, and a page."""
+    """Write the comparison of video and fitted scene as an image, a video and an HTML page."""
     both = Comparison(film, target.times_of(film), clip, target.seen_by())
     both.write_sheet(folder / SHEET)
     both.write_film(folder / FILM, report["pictures"]["fps"])

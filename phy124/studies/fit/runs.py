@@ -1,4 +1,4 @@
-"""Runs of a scene with other values, in several processes; each run is stored and made once."""
+"""Runs a scene with different values, in several processes, and stores the result of each run."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ from phy124.studies.fit.target import Target
 from phy124.studies.sweep.keys import code
 
 FOLDER = "runs"
-"""Folder of the stored predictions."""
+"""Name of the folder of the stored predictions."""
 DIGITS = 6
-"""Significant digits of a value in a scene."""
+"""Number of significant digits to which values of a scene are rounded."""
 
 Played = tuple[Values | None, float]
-"""A prediction, None if the run stopped early, and the processor time it took [s]."""
+"""Predicted measurements (None if the run stopped early), and the CPU time of the run [s]."""
 
 
 class Tried(NamedTuple):
-    """A place that was tried, and its misfit."""
+    """A run with trial values, and its misfit."""
 
     level: int
     """Index of the grid."""
     values: dict[str, float]
     misfits: list[float] | None
-    """Root mean square difference of each kind; None if the run stopped early."""
+    """RMS misfit of each kind of measurement; None if the run stopped early."""
 
 
 @dataclass(frozen=True)
@@ -59,14 +59,17 @@ class Player:
     observations: Observations
 
     def __call__(self, scene: dict[str, Any]) -> Played:
-        """Predict the measurements of a scene in plain data; also return the time [s]."""
+        """Predict the measurements for a scene (as plain data), and return the CPU time [s]."""
         begun = time.process_time()
         clip = self.clip(scene)
         predicted = self.observations.predict(clip) if clip.report["complete"] else None
         return predicted, time.process_time() - begun
 
     def clip(self, scene: dict[str, Any]) -> Clip:
-        """Simulate a scene in plain data, on one thread, so that equal scenes give equal clips."""
+        """Simulate a scene (as plain data).
+
+        The simulation uses one thread, which makes it deterministic.
+        """
         run = Simulation(
             prepare(self.gaussians, Scene.from_data(scene), RunContext(threads=1), crop=self.crop)
         )
@@ -74,7 +77,7 @@ class Player:
 
 
 class Runs:
-    """The `Problem` of a fit: predictions come from runs of its scene."""
+    """The `Problem` of a fit, which predicts measurements by simulating the scene."""
 
     def __init__(
         self, target: Target, folder: Path, budget: Budget, progress: Progress = silent
@@ -82,9 +85,9 @@ class Runs:
         """Prepare the runs.
 
         Args:
-            target: The measurements, and their object and scene.
-            folder: Folder of the stored predictions.
-            budget: The time of the fit.
+            target: The measurements, the object and the scene.
+            folder: Folder of the fit, in which `FOLDER` stores the predictions.
+            budget: The time budget of the fit.
             progress: Called with ("fit", runs made, runs expected); may raise Cancelled.
 
         Raises:
@@ -97,25 +100,30 @@ class Runs:
         self.scene, self._budget, self._progress = target.played, budget, progress
         self.player = Player(target.gaussians, target.crop, seen)
         self.made, self.kept, self.seconds = [0] * len(self.grids), 0, 0.0
-        """Runs made on each grid, runs reused from an earlier fit, and processor time [s]."""
+        """Number of runs made on each grid, number of stored results reused, and CPU time [s]."""
         self.tried: list[Tried] = []
-        """All places that were tried, in order."""
+        """All trial runs, in order."""
         self._folder, self._play = folder / FOLDER, self._alone
         for end in (0.0, 1.0):
             self.scene_at(np.full(len(self.names), end), 0)
         self._known = _digest(self.player, target.declared)
 
     def values(self, place: Values) -> dict[str, float]:
-        """Return the values at a place of the unit cube."""
+        """Return the values at a point of the unit cube."""
         pairs = zip(self.names, self._ranges, place, strict=True)
         return {name: float(f"{axis.draw(float(part)):.{DIGITS}g}") for name, axis, part in pairs}
 
     def scene_at(self, place: Values, level: int) -> Scene:
-        """Return the scene with the values at a place, on the grid of a level."""
+        """Return the scene with the values at a point of the unit cube, on the grid of a level."""
         return self.scene.replaced({**self.values(place), "accuracy.cells": self.grids[level]})
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements at each place; None if the run stops early."""
+        """Predict the measurements [M] for each point; None if the run stopped early.
+
+        Args:
+            places: Points in the unit cube.
+            level: Index of the grid.
+        """
         scenes = [self.scene_at(place, level).data() for place in places]
         files = [self._folder / f"{self._key(scene)}.npy" for scene in scenes]
         missing = {f: s for f, s in zip(files, scenes, strict=True) if not f.is_file()}
@@ -134,12 +142,12 @@ class Runs:
         return predictions
 
     def late(self, part: float) -> bool:
-        """Whether more than a fraction of the time is spent."""
+        """Return whether more than a fraction `part` of the time budget has been used."""
         return self._budget.late(part)
 
     @contextmanager
     def workers(self, count: int) -> Iterator[None]:
-        """Make runs in N processes within this context; 0 and 1: in this process."""
+        """Make runs in `count` worker processes inside this context; 0 or 1: in this process."""
         if count < 2:
             yield
             return
@@ -172,7 +180,7 @@ class Runs:
 
 
 def _digest(player: Player, declared: Fit) -> str:
-    """Return a digest of everything besides the scene that a prediction depends on."""
+    """Return a digest of all inputs of a prediction except the scene, including the code."""
     seen = player.gaussians
     arrays = (seen.means, seen.quats, seen.scales, player.observations.measured)
     whole = hashlib.sha256(code().encode())
@@ -183,5 +191,5 @@ def _digest(player: Player, declared: Fit) -> str:
 
 
 def _play(player: Player, kept: tuple[Path, dict[str, Any]]) -> Played:
-    """Simulate the scene of a pair of file and scene, in a worker."""
+    """Predict the measurements for the scene in a pair (file, scene), in a worker process."""
     return player(kept[1])

@@ -1,6 +1,7 @@
-"""Optimisation: Sobol's points, CMA-ES (Hansen 2016), and Gauss-Newton steps.
+"""Minimises the distance: Sobol points, then CMA-ES (Hansen 2016), then Gauss-Newton steps.
 
-The search runs on the coarsest grid; the refinement may use derivatives from a coarser grid.
+The search with CMA-ES runs on the coarsest grid. The Gauss-Newton steps on a grid may start with
+derivatives from a coarser grid.
 """
 
 from __future__ import annotations
@@ -17,20 +18,20 @@ from phy124.studies.fit.observation import Values
 from phy124.studies.fit.problem import Distance, Problem
 
 PART = 0.6
-"""Largest fraction of the time for the search."""
+"""Maximum fraction of the time budget that the search may use."""
 START = 0.2
 """Standard deviation of the first generation, as a fraction of the range."""
 SETTLED = 3e-3
-"""Standard deviation at which the search ends and the refinement begins."""
+"""Standard deviation below which the search ends, as a fraction of the range."""
 GENERATIONS = 60
-"""Largest number of generations."""
+"""Maximum number of generations."""
 
 
 def screen(problem: Problem, distance: Distance, seed: int) -> Values:
-    """Return the best of evenly distributed places.
+    """Return the best of several points that are evenly distributed in the unit cube.
 
     Raises:
-        InputError: The run fails at all places.
+        InputError: The run fails at all points.
     """
     from scipy.stats.qmc import Sobol
 
@@ -46,12 +47,15 @@ def screen(problem: Problem, distance: Distance, seed: int) -> Values:
 
 
 def log2_screened(count: int) -> int:
-    """Return log2 of the number of screened places for a number of values."""
+    """Return log2 of the number of points to screen, for `count` values."""
     return 3 + (count > 1) + (count > 3)
 
 
 def generation_size(count: int) -> int:
-    """Return the number of runs per generation, which is even, for two cores."""
+    """Return the number of runs per generation for `count` values.
+
+    It is even, so that two cores are equally busy.
+    """
     return 2 * ((5 + int(3 * np.log(count))) // 2)
 
 
@@ -62,14 +66,14 @@ def search(
     seed: int,
     on_generation: Callable[[float], object] = lambda cost: None,
 ) -> Values:
-    """Search the best place on the coarsest grid.
+    """Search the unit cube for the point with the smallest cost, on the coarsest grid.
 
     Args:
         problem: The problem.
         distance: The distance to minimise.
-        start: The first place.
+        start: The initial point [P].
         seed: Seed of the random generations.
-        on_generation: Called with the least cost after each generation.
+        on_generation: Called with the smallest cost so far after each generation.
 
     Raises:
         InputError: The package `cma` is missing.
@@ -93,7 +97,7 @@ def search(
         asked = strategy.ask()
         places = [np.asarray(place[:count], float) for place in asked]
         costs = [*map(distance.cost, problem.predict(places, 0))]
-        # The logarithm keeps the order of the places, and resolves small costs.
+        # The logarithm preserves the order of the costs, and resolves small costs.
         strategy.tell(asked, np.log(np.maximum(costs, 1e-30)).tolist())
         if min(costs) < least:
             best, least = places[int(np.argmin(costs))], min(costs)
@@ -104,19 +108,21 @@ def search(
 
 
 LONGEST = 0.15
-"""Longest step, as a fraction of the range."""
+"""Maximum length of a step, as a fraction of the range."""
 SHORTEST = 1e-3
-"""Step at which the refinement ends."""
+"""Length of a step below which the refinement ends, as a fraction of the range."""
 INFORMATIVE = 0.01
-"""Shortest step that updates derivatives, as a fraction of the range; the effect of a shorter step
-is no larger than the scatter of runs."""
+"""Minimum length of a step that updates derivatives, as a fraction of the range.
+
+The effect of a shorter step is no larger than the scatter of runs.
+"""
 ROUNDS = 6
 HALVES = (1.0, 0.5)
-"""Fractions of a step that are tried at once."""
+"""Fractions of a step that are evaluated in parallel; the best one is used."""
 
 
 class Refined(NamedTuple):
-    """A place that no further step improves."""
+    """The result of a refinement: a point, its prediction and its derivatives."""
 
     place: Values
     predicted: Values
@@ -127,14 +133,17 @@ class Refined(NamedTuple):
 def refine(
     problem: Problem, distance: Distance, place: Values, jacobian: Values, level: int
 ) -> Refined | None:
-    """Return the best place near another place; None if the run fails there.
+    """Improve a point by Gauss-Newton steps.
 
     Args:
         problem: The problem.
         distance: The distance to minimise.
-        place: The first place.
+        place: The initial point [P].
         jacobian: Derivatives of the prediction, on this or a coarser grid [M,P].
         level: Index of the grid.
+
+    Returns:
+        The result; None if the run at the initial point fails.
     """
     predicted = problem.predict([place], level)[0]
     if predicted is None:
@@ -164,11 +173,11 @@ def refine(
 
 
 def _step(distance: Distance, place: Values, predicted: Values, jacobian: Values) -> Values:
-    """Return the step to the linear model's least sum of squares within the ranges."""
+    """Return the step that minimises the linear model's sum of squares within the ranges."""
     from scipy.optimize import lsq_linear
 
     matrix, residual = distance.weigh(jacobian), distance.residual(predicted)
-    # Normal equations have a row per value instead of a row per measurement.
+    # The normal equations have one row per value, so they are far smaller than the Jacobian.
     square, slope = matrix.T @ matrix, matrix.T @ residual
     low = np.maximum(-place, -LONGEST) - 1e-12
     high = np.minimum(1 - place, LONGEST) + 1e-12

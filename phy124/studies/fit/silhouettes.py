@@ -1,7 +1,7 @@
-"""Silhouettes: the coverage of each pixel by the object, and the alignment of films.
+"""Measures silhouettes (the coverage of each pixel by the object), and aligns videos.
 
-If a film's camera is unknown, its first picture is aligned with the scene's view of the object at
-rest by a similarity (a scale and a shift), which then holds for all pictures.
+If a video's camera is unknown, its first frame is aligned with the scene's view of the object at
+rest. The alignment is a scale and a shift, and is applied to all frames.
 """
 
 from __future__ import annotations
@@ -23,28 +23,31 @@ from phy124.studies.fit.observation import Groups, Values, at_times
 from phy124.studies.fit.video import SIDE, Film, shrunk
 
 LONGEST = 64
-"""Longest side of the compared pictures [pixels]; a cell of a draft grid has about 2."""
+"""Longest side of the compared silhouettes [pixels]; a cell of a draft grid is about 2 wide."""
 BLUR = 1.0
-"""Standard deviation of the blur of silhouettes, so that distant edges have a gradient [pixels]."""
+"""Standard deviation of the blur of silhouettes [pixels].
+
+The blur gives the difference of silhouettes a gradient even if their edges do not overlap.
+"""
 BLOCK = 16
-"""Width of blocks of pixels with correlated errors."""
+"""Side of a block of pixels [pixels]; errors in a block are assumed to be correlated."""
 
 
 class Silhouettes:
-    """The object as seen by a camera, as coverage of pixels."""
+    """Measured silhouettes: the object's coverage of each pixel in a video."""
 
     name, unit = "silhouettes", "of a pixel"
 
     def __init__(self, film: Film, times: Values, cameras: Sequence[Camera]) -> None:
-        """Reduce the film's resolution.
+        """Compute the video's silhouettes at a reduced resolution.
 
         Args:
-            film: The film.
-            times: Times of its pictures [T], s.
+            film: The video.
+            times: Times of the video's frames [T], s.
             cameras: Camera of each frame of the scene.
 
         Raises:
-            InputError: The film has another aspect ratio than the camera.
+            InputError: The aspect ratios of video and camera differ.
         """
         height, width = film.masks.shape[1:]
         camera = cameras[0]
@@ -62,7 +65,7 @@ class Silhouettes:
         self.groups: Groups = _blocks(covered.shape)
 
     def predict(self, clip: Clip) -> Values:
-        """Return the silhouettes of a clip."""
+        """Predict the silhouettes from a clip [M]."""
         from phy124.rendering.render import Renderer
 
         draw = Renderer(device="cpu", filter="mip")
@@ -71,13 +74,13 @@ class Silhouettes:
         return _blur(at_times(clip.times, np.stack(alphas).astype(float), self._times)).ravel()
 
     def apart(self, predicted: Values) -> Values:
-        """Return the root mean square difference in each picture [T], in pixels."""
+        """Return the RMS difference of coverage in each frame [T], as a fraction of a pixel."""
         squares = (predicted - self.measured) ** 2
         return np.sqrt(squares.reshape(len(self._times), -1).mean(1))
 
 
 def smaller(camera: Camera, size: tuple[int, int]) -> Camera:
-    """Return the camera with fewer pixels."""
+    """Return the camera with an image of another size (width, height) [pixels]."""
     part = size[0] / camera.width
     shift = (camera.shift[0] * part, camera.shift[1] * part)
     return replace(camera, width=size[0], height=size[1], shift=shift)
@@ -88,41 +91,48 @@ def _blur(covered: Values) -> Values:
 
 
 def _blocks(shape: tuple[int, ...]) -> Groups:
-    """Return the block of each pixel, different in each picture [T*h*w]."""
+    """Return the index of each pixel's block [T*h*w]; each frame has separate blocks."""
     t, h, w = np.indices(shape)
     across, down = -(-shape[2] // BLOCK), -(-shape[1] // BLOCK)
     return ((t * down + h // BLOCK) * across + w // BLOCK).ravel()
 
 
 ALIGN_BLUR = 2.0
-"""Standard deviation of the blur of outlines during alignment [pixels]."""
+"""Standard deviation of the blur of silhouettes during alignment [pixels]."""
 STEP, LONGEST_STEP, SETTLED, ROUNDS = 0.5, 8.0, 0.01, 20
-"""Half the distance of differences, longest step, and last step [pixels]; number of steps."""
+"""Step of central differences, maximum step, step below which the alignment ends [pixels], and
+maximum number of steps."""
 LEAST = 0.6
-"""Smallest intersection over union of two outlines; below, it is another object or side."""
+"""Minimum intersection over union of two aligned silhouettes.
+
+Below this limit, they are assumed to show different objects or views.
+"""
 
 
 class Laid(NamedTuple):
-    """The alignment of a film with the camera's view."""
+    """The alignment of a video with the camera's view."""
 
     scale: float
-    """Magnification of its pictures."""
+    """Magnification of the video's frames."""
     shift: tuple[float, float]
-    """Position of their upper left corner, right and down [fractions of the camera's height]."""
+    """Shift of the frames' upper left corner (right, down), relative to the image's height."""
     shared: float
-    """Area in both outlines over the area in either."""
+    """Intersection over union of the video's first silhouette and that of the object at rest."""
 
 
 def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, Laid]:
-    """Transform a film to the camera's view.
+    """Align a video with the camera's view.
 
     Args:
-        film: The film; its first picture shows the object at rest.
+        film: The video; its first frame must show the object at rest.
         gaussians: The object at rest.
         camera: The camera of the scene.
 
+    Returns:
+        The transformed video, and the alignment.
+
     Raises:
-        InputError: The outlines cannot be aligned.
+        InputError: The silhouettes cannot be aligned.
     """
     from phy124.rendering.render import Renderer
 
@@ -146,11 +156,15 @@ def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, 
 
 
 def _fit_similarity(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Values:
-    """Return the similarity [2,3] from a mask to another: by moments, then Gauss-Newton steps."""
+    """Return the transformation [2,3] (scale and shift) that aligns a mask with another mask.
+
+    The moments of the masks give the initial transformation. Gauss-Newton steps then refine it.
+    """
     size, masks = wanted.shape[::-1], (mask, wanted)
     areas = [max(int(outline.sum()), 1) for outline in masks]
     middles = [np.argwhere(m).mean(0)[::-1] if m.any() else np.zeros(2) for m in masks]
-    # All parameters are pixels at the outline: a scale moves it in proportion to its radius.
+    # Multiplying the scale by exp(1 / radius) moves the outline by about one pixel, so all three
+    # parameters have the unit pixel.
     start, radius = float(np.sqrt(areas[1] / areas[0])), float(np.sqrt(areas[1] / np.pi))
     solid, place = mask.astype(np.float32), np.zeros(3)
     goal = _blur_outline(wanted.astype(np.float32))
@@ -176,7 +190,7 @@ def _fit_similarity(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Value
 def _warp(
     picture: NDArray, matrix: Values, size: tuple[int, ...], border: int = cv2.BORDER_CONSTANT
 ) -> NDArray:
-    """Transform a picture to another picture of a size (width, height)."""
+    """Transform an image to an image of another size (width, height)."""
     return cv2.warpAffine(picture, matrix, size, flags=cv2.INTER_LINEAR, borderMode=border)
 
 

@@ -1,4 +1,4 @@
-"""The target of a fit: the measurements, together with the object and the scene."""
+"""Reads the inputs of a fit: the measurements, the object and the scene."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from phy124.studies.fit.silhouettes import Laid, Silhouettes, align_film
 from phy124.studies.fit.video import FILMS, Film, read_film
 
 TRACKED = 256
-"""Number of a clip's Gaussians that serve as tracked points."""
+"""Maximum number of a clip's Gaussians that serve as tracked points."""
 PLACE_COLUMNS = (("x", "y", "z"), ("u", "v"))
 FORCE_COLUMNS = (("fx", "fy", "fz"),)
 
 
 class Target:
-    """The object, the scene with the known values, and the measurements."""
+    """The measurements of a fit, the object, and the scene with the known values."""
 
     def __init__(self, declared: Fit) -> None:
         """Read all inputs.
@@ -55,7 +55,7 @@ class Target:
         clip = _clip_of(path)
         self.film: Film | None = None
         self.laid: Laid | None = None
-        """Alignment of the film with the camera's view, if requested."""
+        """Alignment of the video with the camera's view; None if not requested."""
         kinds = {".csv": "table", **dict.fromkeys(FILMS, "film")}
         kind = "clip" if clip else "film" if path.is_dir() else kinds.get(path.suffix.lower())
         if kind is None or not path.exists():
@@ -80,7 +80,7 @@ class Target:
 
     @property
     def played(self) -> Scene:
-        """The scene, shortened to the time of the last measurement."""
+        """The scene for the runs of the fit, without grains, up to the last measurement."""
         timing = self.scene.time
         frames = int(np.ceil((self.observations.last - ROUNDED) * timing.fps)) + 1
         return self.scene.replaced({"time.frames": min(frames, timing.frames), "grains": False})
@@ -108,11 +108,11 @@ class Target:
         return cameras(still, chosen.model_copy(update={"fit": False}), self.declared.side)
 
     def times_of(self, film: Film) -> np.ndarray:
-        """Return the times of a film's pictures [T], s."""
+        """Return the times of a video's frames in the scene [T], s."""
         return np.arange(len(film.masks)) * self.scene.view.speed / self.rate_of(film)
 
     def rate_of(self, film: Film) -> float:
-        """Return the number of pictures per second at which a film is shown."""
+        """Return the playback rate of a video [frames/s]."""
         return self.declared.fps or film.fps or self.scene.time.fps
 
     def _seen(self, clip: Clip | None, table: Table | None) -> Observation:
@@ -128,7 +128,7 @@ class Target:
         return Points(table, rest, self.seen_by() if "u" in table.columns else None)
 
     def _forces(self, clip: Clip | None) -> Table | None:
-        """Read the measured forces, if there are any."""
+        """Return the measured forces; None if there are none."""
         if self.declared.forces is not None:
             return read_table(self.declared.forces, "forces", "wall", FORCE_COLUMNS)
         if clip is None or clip.wrenches is None or not clip.walls:
@@ -140,7 +140,7 @@ class Target:
         )
 
     def _end(self, clip: Clip | None, table: Table | None, forces: Table | None) -> None:
-        """Refuse measurements outside the time of the scene."""
+        """Refuse measurements before the first or after the last frame of the scene."""
         length = (self.scene.time.frames - 1) / self.scene.time.fps
         tables = {"target": table, "forces": forces}
         sources = {"target": self.declared.target, "forces": self.declared.forces}
@@ -154,7 +154,7 @@ class Target:
 
 
 def _clip_of(path: Path) -> Clip | None:
-    """Load the clip at a path, if there is one."""
+    """Load the clip at a path; return None if there is no clip."""
     inside = path / "clip.safetensors"
     if inside.is_file():
         return Clip.load(inside)
@@ -162,7 +162,7 @@ def _clip_of(path: Path) -> Clip | None:
 
 
 def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Crop]:
-    """Return the scene, the object, and its position in its picture."""
+    """Return the scene, the object, and the object's rectangle in the picture."""
     changes = {**declared.set}
     source = clip if declared.object is None else _clip_of(Path(declared.object))
     with_scene = clip or source
@@ -183,7 +183,7 @@ def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Cr
 
 
 def _tracks(clip: Clip) -> Table:
-    """Return the tracks of some of a clip's Gaussians."""
+    """Return the positions over time of some of a clip's Gaussians."""
     surface, object_ = clip.surface, np.flatnonzero(clip.surface.object_mask)
     chosen = object_[np.linspace(0, len(object_) - 1, min(TRACKED, len(object_))).astype(int)]
     count = len(clip)

@@ -1,4 +1,4 @@
-"""Films: the pictures of a video or folder, and the mask of the object in each picture."""
+"""Reads the frames of a video or of a folder of images, and finds the object's mask in each."""
 
 from __future__ import annotations
 
@@ -20,38 +20,39 @@ from phy124.studies.fit.observation import Values
 FILMS = (".mp4", ".webm", ".mov", ".mkv", ".avi", ".gif", ".webp")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 DIFFERS = 20.0
-"""Smallest distance of an object's colour from the background's, of at most 442."""
+"""Minimum RGB distance between a pixel of the object and the background; the maximum is 442."""
 MOST = 2000
-"""Largest number of pictures."""
+"""Maximum number of frames."""
 SIDE = 256
-"""Longest side of the pictures in memory [pixels]; 2,000 of them take 400 MB."""
+"""Maximum length of the longest side of frames in memory [pixels]; 2,000 frames take 400 MB."""
 LONGEST = 600
-"""Longest time for reading a video [s]."""
+"""Maximum time for reading a video [s]."""
 FIRST = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
-"""Bytes 5 to 8 of MP4 and MOV files."""
+"""Possible bytes 5 to 8 of MP4 and MOV files."""
 SAFE = ("-protocol_whitelist", "file,pipe", "-format_whitelist", "mov,matroska,avi")
-"""Options that exclude playlists, which could name other files and addresses."""
+"""Options of ffmpeg that exclude playlists, which may refer to other files and addresses."""
 PPM = re.compile(rb"P6\s(\d+)\s(\d+)\s255\s")
-"""Header of each picture of a stream of PPM files."""
+"""Header of each image in a stream of PPM files."""
 FPS = re.compile(rb"Video: .* ([\d.]+) fps")
 
 
 class Film(NamedTuple):
-    """Pictures and the object's mask in each of them."""
+    """Frames of a video, with the object's mask in each frame."""
 
     masks: NDArray[np.bool_]
-    """[T,H,W]."""
+    """Masks of the object [T,H,W]."""
     pictures: NDArray[np.uint8]
-    """[T,H,W,3]."""
+    """Frames on white [T,H,W,3]."""
     fps: float | None
-    """Pictures per second, if the file states them."""
+    """Frame rate in the file [frames/s]; None if the file has none."""
 
 
 def read_film(path: Path) -> Film:
-    """Read a video, or a folder of pictures in the order of their names.
+    """Read a video, or a folder of images sorted by name.
 
     Raises:
-        InputError: It cannot be read, its pictures differ in size, or a picture shows no object.
+        InputError: The video or folder cannot be read, its frames differ in size, or a frame shows
+            no object.
     """
     drawn, fps = (list(_folder(path)), None) if path.is_dir() else _frames(path)
     if len(drawn) < 2:
@@ -69,7 +70,7 @@ def read_film(path: Path) -> Film:
 
 
 def _frames(path: Path) -> tuple[list[NDArray], float | None]:
-    """Return the pictures of a video, and their number per second."""
+    """Return the frames of a video and its frame rate [frames/s]; None if the rate is unknown."""
     if path.suffix.lower() in (".gif", ".webp"):
         return _read_animation(path)
     if not is_film(path):
@@ -81,7 +82,7 @@ def _frames(path: Path) -> tuple[list[NDArray], float | None]:
     fitting = f"scale=w='min({SIDE},iw)':h='min({SIDE},ih)':force_original_aspect_ratio=decrease"
     command += ["-vf", fitting, "-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
     try:
-        # Without an output file, ffmpeg describes the video and fails.
+        # Without an output file, ffmpeg prints a description of the video and exits with an error.
         description = subprocess.run(
             [program, *SAFE, "-i", str(path)], check=False, capture_output=True, timeout=LONGEST
         )
@@ -95,7 +96,7 @@ def _frames(path: Path) -> tuple[list[NDArray], float | None]:
 
 
 def _pictures(stream: bytes) -> Iterator[NDArray]:
-    """Yield the pictures of a stream of PPM files."""
+    """Yield the images in a stream of PPM files."""
     place = 0
     while match := PPM.match(stream, place):
         width, height = int(match[1]), int(match[2])
@@ -122,7 +123,7 @@ def _read_animation(path: Path) -> tuple[list[NDArray], float | None]:
 
 
 def is_film(path: Path) -> bool:
-    """Whether a file has the first bytes of a video or animation, regardless of its name."""
+    """Return whether a file's first bytes are those of a video or animation."""
     with open(path, "rb") as file:
         head = file.read(12)
     within = (head[:4], head[8:12])
@@ -149,7 +150,7 @@ def _folder(path: Path) -> Iterator[NDArray]:
 
 
 def _shrink(image: Image.Image) -> NDArray[np.uint8]:
-    """Convert a picture to RGBA with a longest side of at most `SIDE`."""
+    """Convert an image to RGBA, and reduce its longest side to at most `SIDE`."""
     small = image.convert("RGBA")
     small.thumbnail((SIDE, SIDE), reducing_gap=None)
     return np.asarray(small)
@@ -161,7 +162,11 @@ def _refuse_endless(path: Path, count: int) -> None:
 
 
 def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return the object's mask: by transparency if there is any, else by the border's colour."""
+    """Return the object's mask in a frame.
+
+    The mask contains the opaque pixels if the frame has transparent pixels. Otherwise, it contains
+    the pixels whose colour differs from the median colour of the frame's border, with holes filled.
+    """
     if picture.shape[2] == 4 and picture[..., 3].min() < 255:
         return picture[..., 3] > 127
     colour = picture[..., :3].astype(np.float32)
@@ -173,7 +178,7 @@ def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _on_white(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Draw a picture on white."""
+    """Composite an image on white."""
     if picture.shape[2] == 3:
         return picture
     part = picture[..., 3:].astype(np.float32) / 255
@@ -181,6 +186,6 @@ def _on_white(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def shrunk(masks: NDArray[np.bool_], size: tuple[int, int]) -> Values:
-    """Return the coverage of each pixel at a smaller `size` (w, h) [T,h,w]."""
+    """Reduce masks to a size (w, h), and return the coverage of each pixel [T,h,w]."""
     small = [cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA) for m in masks]
     return np.stack(small).astype(np.float64)

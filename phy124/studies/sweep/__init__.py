@@ -1,4 +1,4 @@
-"""Sweeps: clips of many pictures, generators and values of a scene, made by parallel workers.
+"""Makes clips for many pictures, generators and values of a scene, with parallel workers.
 
 plan = Plan(Sweep.from_toml("sweep.toml"))
 run(plan, "out/sweep")

@@ -1,4 +1,4 @@
-"""The cost of a sweep: a forecast from a few of its clips, and the time left while it runs."""
+"""Forecasts the cost of a sweep from a few clips, and estimates the remaining time of a run."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from phy124.studies.sweep.plan import Item, Plan
 from phy124.studies.sweep.work import Row, make_static
 
 TRIED = 8
-"""Number of clips that are forecast."""
+"""Maximum number of clips that are forecast."""
 NUMBERS = 10
-"""Numbers per Gaussian and frame of a clip: position, orientation, scale."""
+"""Numbers stored per Gaussian and frame of a clip: position, rotation and scale."""
 
 
 class Expected(NamedTuple):
-    """The forecast of a sweep."""
+    """The predicted time and size of a sweep."""
 
     clips: int
     tried: int
     """Number of clips that were forecast."""
     seconds: tuple[float, float]
-    """Processor time per clip [s]: mean, and standard error of the mean."""
+    """CPU time per clip [s]: its mean, and the standard error of the mean."""
     bytes: float
-    """Size per clip."""
+    """Mean size of a clip [bytes]."""
 
     def wall(self, workers: int) -> float:
-        """Return the time of the sweep if all workers are always busy [s]."""
+        """Return the duration of the sweep if all workers are always busy [s]."""
         return self.seconds[0] * self.clips / workers
 
     def sentence(self, workers: int) -> str:
-        """Describe the forecast in a sentence."""
+        """Describe the forecast in one sentence."""
         mean, error = self.seconds
         hours = mean * self.clips / 3600
         return (
@@ -52,7 +52,7 @@ class Expected(NamedTuple):
 
 
 def list_refused(plan: Plan, progress: Progress = silent) -> Iterator[tuple[Item, str]]:
-    """Yield the clips that cannot be made, and the reason."""
+    """Yield each clip whose scene is invalid, with the reason."""
     for item in plan:
         try:
             plan.scene_of(item)
@@ -65,7 +65,7 @@ def forecast_sweep(plan: Plan, context: RunContext) -> Expected:
     """Forecast a sweep from a few of its clips.
 
     Raises:
-        InputError: None of these clips can be made.
+        InputError: None of the selected clips can be made.
     """
     chosen = np.linspace(0, len(plan) - 1, min(TRIED, len(plan))).round().astype(int)
     seconds, sizes, why = [], [], None
@@ -87,7 +87,7 @@ def forecast_sweep(plan: Plan, context: RunContext) -> Expected:
 
 
 def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[float, float]:
-    """Forecast the seconds and bytes of a clip."""
+    """Forecast the time [s] and the size [bytes] of a clip."""
     context = forecaster.context.aside()
     watch, count = context.watch, plan.sweep.gaussians
     scene, options = plan.scene_of(item), {"count": count, "preview_with_relief": True}
@@ -97,37 +97,38 @@ def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[floa
     making = watch.seconds.get("generate", 0.0) + watch.seconds.get("image", 0.0)
     if made.effort is not None:
         making += made.effort.seconds
-    making *= plan.sources / len(plan)  # clips of a source share its Gaussians
+    making *= plan.sources / len(plan)  # clips of the same source share their Gaussians
     size = made.scene.time.frames * len(run.setup.shown) * NUMBERS * 4.0
     return forecast.seconds + watch.seconds["particles"] + making, size
 
 
 SAMPLED = 256
-"""Number of evenly chosen clips that represent all."""
+"""Maximum number of evenly spaced clips whose mean work stands for that of all clips."""
 ORIGIN = 1e-3
-"""Weight, per clip, of the assumption that zero work takes zero time."""
+"""Weight per clip, in the least-squares fit, of the assumption that zero work takes zero time."""
 FEWEST = 3
-"""Number of finished clips before the time left is estimated."""
+"""Minimum number of finished clips for an estimate of the remaining time."""
 
 
 class Remaining:
-    """Estimates the time left of a run from the work of its clips and the speed so far."""
+    """Estimates the remaining time of a run, from the work of its clips and the speed so far."""
 
     def __init__(
         self, plan: Plan, numbers: Sequence[int], clock: Callable[[], float] = time.time
     ) -> None:
-        """Compute the work of some of the clips.
+        """Compute the work of a sample of the clips.
 
         Args:
             plan: The sweep.
             numbers: Indices of the clips of this run.
-            clock: Returns the time [s], as in the rows.
+            clock: Returns the current time [s], on the same clock as `written` in the rows.
         """
         self._plan, self._numbers, self._clock = plan, numbers, clock
         self._start: float | None = None
         self._last = -1
         self._moments = np.zeros(5)
-        """Sums over the clips made: 1, work, seconds, work squared, work times seconds."""
+        """Sums over the finished clips of 1, work, seconds, work squared, and work times seconds.
+        """
         places = np.linspace(0, len(numbers) - 1, min(SAMPLED, len(numbers))).astype(int)
         self._sample = [(numbers[place], self._work_of(numbers[place])) for place in places]
 
@@ -143,13 +144,13 @@ class Remaining:
         self._moments += (1.0, work, seconds, work**2, work * seconds)
 
     def left(self, clips: int) -> float | None:
-        """Return the time for a number of further clips [s]; None while it is unknown."""
+        """Return the time for `clips` more clips [s]; None while too few clips are finished."""
         count, work, seconds = self._moments[:3]
         if self._start is None or count < FEWEST:
             return None
         fixed, per_work = fit_line(self._moments)
         spent = self._clock() - self._start
-        # When a worker finishes a clip, each other worker has made half of its clip on average.
+        # When a worker finishes a clip, each other worker is on average halfway through its clip.
         others = max(0.0, seconds / spent - 1.0)
         made = (fixed * count + per_work * work) * (1.0 + others / 2 / count)
         ahead = [work for index, work in self._sample if index > self._last]
@@ -157,7 +158,7 @@ class Remaining:
         return clips * (fixed + per_work * mean) * spent / made
 
     def _work_of(self, index: int) -> float:
-        """Return the cost of a clip on a typical machine [s]; 0 if it is refused."""
+        """Return the time of a clip on a typical machine [s]; 0 for a clip that is refused."""
         try:
             scene = self._plan.scene_of(self._plan.item(index))
             return work_of(scene, films=self._plan.sweep.films)
@@ -166,20 +167,23 @@ class Remaining:
 
 
 def work_of(scene: Scene, *, films: bool) -> float:
-    """Return the cost of a scene's clip on a typical machine [s], without its Gaussians."""
+    """Return the time of a scene's clip on a typical machine [s], without making the Gaussians."""
     costs = USUAL["cpu"].seconds(Work.of(scene))
     stages = ("simulate", "deform", "film") if films else ("simulate", "deform")
     return sum(costs[stage] for stage in stages)
 
 
 def fit_line(moments: np.ndarray) -> tuple[float, float]:
-    """Fit a line of seconds over work, with non-negative intercept and slope.
+    """Fit a line to seconds over work by least squares, with non-negative intercept and slope.
 
-    Least squares with a small weight on a line through zero: equal clips determine only the ratio
-    of seconds and work.
+    Clips with equal work determine only the ratio of seconds to work. A small penalty on the
+    intercept makes the fit unique in this case.
 
     Args:
-        moments: Sums of 1, work, seconds, work squared, work times seconds.
+        moments: Sums over clips of 1, work, seconds, work squared, and work times seconds.
+
+    Returns:
+        The intercept [s], and the slope [s per work].
     """
     count, work, seconds, squared, both = moments.tolist()
     normal = [[(1 + ORIGIN) * count, work], [work, squared]]

@@ -1,4 +1,7 @@
-"""The clips of a sweep: for Python and torch's DataLoader, and as tar files for WebDataset."""
+"""Reads the clips of a sweep, for Python and torch's DataLoader, and packs them in tar files.
+
+WebDataset can read the tar files.
+"""
 
 from __future__ import annotations
 
@@ -18,23 +21,26 @@ from phy124.studies.sweep.work import Row
 
 
 class Sample(NamedTuple):
-    """A clip and its row of the manifest."""
+    """A clip and its row in the manifest."""
 
     row: Row
     clip: Clip
 
 
 class Dataset:
-    """All complete clips of a sweep, by index; torch needs only `len` and `[...]`."""
+    """A sequence of all complete clips of a sweep, in the order of their indices.
+
+    torch's DataLoader accepts it, because it has `len` and `[...]`.
+    """
 
     def __init__(self, folder: str) -> None:
         """Read the manifest.
 
         Args:
-            folder: The `out` of a sweep: a folder, or an address of fsspec.
+            folder: The `out` of a sweep: a folder, or an fsspec address.
 
         Raises:
-            InputError: It contains no results of a sweep.
+            InputError: The folder contains no results of a sweep.
         """
         self._storage = Storage(folder)
         self.rows = [row for row in read_manifest(self._storage) if row["status"] == "done"]
@@ -50,7 +56,7 @@ class Dataset:
         return (self[number] for number in range(len(self)))
 
     def _clip(self, row: Row) -> Clip:
-        """Load a clip; from another machine, it is fetched and read into memory."""
+        """Load a clip; a clip on another machine is downloaded and read into memory."""
         name = f"{row['folder']}/clip.safetensors"
         if self._storage.here is not None:
             return Clip.load(self._storage.here / name)
@@ -65,13 +71,20 @@ class Dataset:
 
 
 NAME = "archives/{:06d}.tar"
-"""Name of a tar file by its number."""
+"""Pattern for the name of a tar file, by its number."""
 
 
 def pack(storage: Storage, per_file: int) -> int:
-    """Write tar files of `per_file` clips each, in the order of their indices; return their number.
+    """Write all complete clips to tar files, in the order of their indices.
 
-    Each clip consists of KEY.clip.safetensors and KEY.json, its row.
+    A clip consists of two files, KEY.clip.safetensors and KEY.json, its row in the manifest.
+
+    Args:
+        storage: The sweep's folder.
+        per_file: Number of clips per tar file.
+
+    Returns:
+        The number of tar files.
     """
     rows = [row for row in read_manifest(storage) if row["status"] == "done"]
     groups = [rows[start : start + per_file] for start in range(0, len(rows), per_file)]
@@ -85,7 +98,7 @@ def _pack(storage: Storage, rows: list[dict[str, Any]]) -> bytes:
     written = io.BytesIO()
     with tarfile.open(fileobj=written, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for row in rows:
-            # Columns that differ from run to run are left out.
+            # Omit columns that differ from run to run.
             constant = {k: v for k, v in row.items() if not k.startswith(("seconds.", "written"))}
             clip = storage.read(f"{row['folder']}/clip.safetensors")
             for ending, content in (

@@ -1,4 +1,4 @@
-"""The declaration of a sweep: pictures, generators, and axes of values of a scene."""
+"""Declares the options of a sweep: pictures, generators, and axes of values of a scene."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ class Counted(Section, ABC):
 
     @abstractmethod
     def value(self, index: int) -> Any:
-        """One of the values, counted from 0."""
+        """Return the value with an index, from 0."""
 
     def draw(self, u: float) -> Any:
-        """Return the value at a place between 0 and 1; all values are equally likely."""
+        """Return the value for a number u in 0..1; for a uniform u, all are equally likely."""
         return self.value(min(int(u * self.count), self.count - 1))
 
 
 class Listed(Counted):
-    """Some values, such as `{ values = [1e4, 1e5] }`; a plain list means the same."""
+    """A list of values, such as `{ values = [1e4, 1e5] }` or, equivalently, `[1e4, 1e5]`."""
 
     values: tuple[Any, ...] = Field(min_length=1, description="The values.")
 
@@ -46,12 +46,12 @@ class Listed(Counted):
         return len(self.values)
 
     def value(self, index: int) -> Any:
-        """One of the values, counted from 0."""
+        """Return the value with an index, from 0."""
         return self.values[index]
 
 
 class Range(Counted):
-    """Evenly spaced values from a first to a last one: `{ first = 1e4, last = 1e6, count = 5 }`."""
+    """Evenly spaced values, such as `{ first = 1e4, last = 1e6, count = 5 }`."""
 
     first: Number = Field(description="The first value.")
     last: Number = Field(description="The last value.")
@@ -72,13 +72,13 @@ class Range(Counted):
         return self.count_
 
     def value(self, index: int) -> float:
-        """One of the values, counted from 0."""
+        """Return the value with an index, from 0."""
         part = index / (self.count - 1) if self.count > 1 else 0.0
         return interpolate(self.first, self.last, part, log=self.spacing == "log")
 
 
 class Uniform(Section):
-    """Any number between two: `{ uniform = [0.1, 0.4] }`."""
+    """A uniform distribution between two numbers, such as `{ uniform = [0.1, 0.4] }`."""
 
     uniform: tuple[Number, Number] = Field(description="Least and largest value.")
 
@@ -88,12 +88,12 @@ class Uniform(Section):
         return self
 
     def draw(self, u: float) -> float:
-        """The value at a place between 0 and 1."""
+        """Return the value for a number u in 0..1; a uniform u gives this distribution."""
         return interpolate(*self.uniform, u)
 
 
 class LogUniform(Section):
-    """Any number between two, even in its logarithm: `{ log_uniform = [1e4, 1e6] }`."""
+    """A distribution with a uniform logarithm, such as `{ log_uniform = [1e4, 1e6] }`."""
 
     log_uniform: tuple[Number, Number] = Field(description="Least and largest value, above 0.")
 
@@ -105,12 +105,12 @@ class LogUniform(Section):
         return self
 
     def draw(self, u: float) -> float:
-        """The value at a place between 0 and 1."""
+        """Return the value for a number u in 0..1; a uniform u gives this distribution."""
         return interpolate(*self.log_uniform, u, log=True)
 
 
 class Choice(Section):
-    """One of some values, some more often: `{ choice = ["sand", "snow"], weights = [3, 1] }`."""
+    """A weighted choice of values, such as `{ choice = ["sand", "snow"], weights = [3, 1] }`."""
 
     choice: tuple[Any, ...] = Field(min_length=1, description="The values.")
     weights: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] | None = Field(
@@ -125,7 +125,7 @@ class Choice(Section):
         return self
 
     def draw(self, u: float) -> Any:
-        """The value at a place between 0 and 1."""
+        """Return the value for a number u in 0..1; a uniform u gives this distribution."""
         weights = self.weights or (1.0,) * len(self.choice)
         rest = u * sum(weights)
         for value, weight in zip(self.choice, weights, strict=True):
@@ -137,18 +137,22 @@ class Choice(Section):
 
 NAMED = {"values": "Listed", "first": "Range", "uniform": "Uniform"}
 NAMED |= {"log_uniform": "LogUniform", "choice": "Choice"}
-"""Key that identifies a kind of axis -> kind."""
+"""Key that identifies a type of axis in plain data -> name of the type."""
 
 
 def _kind(data: Any) -> str:
-    """Return the kind of plain data."""
+    """Return the name of the type of an axis."""
     if isinstance(data, Section):
         return type(data).__name__
     return next(kind for key, kind in NAMED.items() if key in data)
 
 
 def parse_axis(data: Any) -> Any:
-    """Convert plain data to that of an axis: a list is its values, a scalar its only value."""
+    """Convert a list or a single value to the plain data of an axis; other data is returned as is.
+
+    Raises:
+        ValueError: The data contains no values.
+    """
     if isinstance(data, Section):
         return data
     axis = data if isinstance(data, dict) else {"values": [data]}
@@ -169,13 +173,13 @@ Axis = Annotated[
 
 
 def interpolate(first: float, last: float, part: float, *, log: bool = False) -> float:
-    """Interpolate between two numbers; the ends are exact.
+    """Interpolate between two numbers; the result is exact at both ends.
 
     Args:
-        first: Value at part 0.
-        last: Value at part 1.
-        part: Between 0 and 1.
-        log: Whether to interpolate the logarithms; both ends must be above 0.
+        first: Value for part = 0.
+        last: Value for part = 1.
+        part: Position between the two numbers, 0 to 1.
+        log: True to interpolate the logarithms; both numbers must then be above 0.
     """
     if part <= 0:
         return first
@@ -192,15 +196,15 @@ def _refuse_descending(ends: Sequence[float]) -> None:
 
 
 KIND = re.compile(rf"\.({'|'.join(NAMED.values())})\b")
-"""The kind of an axis, which pydantic adds to the name of a field."""
+"""Matches the type of an axis, which pydantic adds to the name of a field in its errors."""
 Texts = Annotated[
     tuple[str, ...], BeforeValidator(lambda data: (data,) if isinstance(data, str) else data)
 ]
-"""A tuple of texts; a single text is accepted, too."""
+"""A tuple of strings; a single string is accepted, too."""
 
 
 class Sweep(Section):
-    """The clips to make: all combinations of the axes, or a number of samples of them."""
+    """The options of a sweep, which makes all combinations of the axes or samples of them."""
 
     pictures: Texts = Field(
         min_length=1,
@@ -243,7 +247,8 @@ class Sweep(Section):
         """Validate plain data.
 
         Raises:
-            InputError: The data is no sweep; the message names field, value, limit and remedy.
+            InputError: The data does not declare a sweep; the message names field, value, limit
+                and remedy.
         """
         try:
             return cls.model_validate(data)
@@ -254,9 +259,9 @@ class Sweep(Section):
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Sweep:
-        """Read a file.
+        """Read the options from a file.
 
         Raises:
-            InputError: The file is missing, is not TOML, or is no sweep.
+            InputError: The file is missing, is not TOML, or does not declare a sweep.
         """
         return cls.from_data(read_toml(path, "sweep"), str(path))

@@ -1,4 +1,7 @@
-"""Keys: digests of everything that determines a clip, so that equal work is done once."""
+"""Computes the key of a clip: a digest of all inputs that determine the clip.
+
+Clips with equal keys are equal, so they are made only once.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +25,19 @@ from phy124.studies.sweep.storage import fetch, stamp
 from phy124.weights.store import KNOWN, find
 
 DIGITS = 24
-"""Hexadecimal digits of a key: two of 1e9 clips have an equal key with probability 6e-12."""
+"""Number of hexadecimal digits of a key.
+
+The probability that any two of 1e9 different clips have equal keys is 6e-12.
+"""
 CUT_OUT = ("u2net", "u2netp")
-"""Weights that may cut out a picture."""
+"""Names of the weights that may segment the object of a picture."""
 
 
 def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
-    """Return the key of a clip: of picture, files, scene, generator, weights, and this code.
+    """Return the key of a clip.
+
+    It is the digest of the picture, the scene and its files, the generator, the weights, and the
+    code of this package.
 
     Raises:
         InputError: The picture cannot be read.
@@ -48,7 +57,13 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
 
 
 def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str:
-    """Return a key of a request, even if no clip can be made of it."""
+    """Return the key of a request, which exists even if the request is invalid.
+
+    Args:
+        picture: Address of the picture.
+        generator: Name of the generator.
+        changes: Dotted path in the scene -> value.
+    """
     return _digest_of([picture, generator, changes])
 
 
@@ -58,7 +73,7 @@ def _digest_of(data: Any) -> str:
 
 
 def digest(address: str) -> str:
-    """Return the digest of a file's content, which is read once unless the file changes.
+    """Return the digest of a file's content; the digest is cached until the file changes.
 
     Raises:
         InputError: The file cannot be read.
@@ -75,7 +90,10 @@ def _digest(address: str, stamp: object) -> str:
 
 @lru_cache(maxsize=64)
 def weights_of(generator: str) -> dict[str, str]:
-    """Return digests of the weights of a generator and its cut-out on this machine."""
+    """Return digests of the weight files for a generator and for segmentation.
+
+    Only files on this machine are included.
+    """
     if not needs_image(generator):
         return {}
     names = [*CUT_OUT, *WEIGHTS.get(generator, ())]
@@ -85,7 +103,7 @@ def weights_of(generator: str) -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def code() -> str:
-    """Return the digest of this package's modules and the version of Warp."""
+    """Return the digest of this package's modules and of Warp's version."""
     root = Path(phy124.__file__).parent
     whole = hashlib.sha256(str(wp.config.version).encode())
     for path in sorted(root.rglob("*.py")):
@@ -94,13 +112,16 @@ def code() -> str:
 
 
 HEXADECIMAL = 16
-"""Digits of a key that are stored: two of 1e6 keys share them with probability 3e-8."""
+"""Number of a key's hexadecimal digits that `Seen` stores.
+
+The probability that any two of 1e6 keys agree in these digits is 3e-8.
+"""
 RECENT = 4096
-"""Largest number of keys in the unsorted set."""
+"""Maximum number of keys in the unsorted set."""
 
 
 class Seen:
-    """A set of hexadecimal keys in eight bytes each, for sweeps of millions of clips."""
+    """A set of hexadecimal keys that needs eight bytes per key, for sweeps of millions of clips."""
 
     def __init__(self, keys: Iterable[str] = ()) -> None:
         self._sorted = np.empty(0, np.uint64)

@@ -1,6 +1,7 @@
-"""The manifest: a row per clip, as a small file each while a sweep runs, then as a Parquet table.
+"""Writes and reads the manifest of a sweep, which has one row per clip.
 
-The table is assembled from columns, since rows in Python take ten times as much memory.
+While a sweep runs, each row is a small file. At the end, the rows are written to a Parquet table.
+The table is assembled column by column, since rows of Python objects need ten times as much memory.
 """
 
 from __future__ import annotations
@@ -21,20 +22,23 @@ from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import FAILED, Row
 
 MANIFEST = "manifest.parquet"
-"""Name of the table."""
+"""Name of the table's file."""
 BATCH = 2048
-"""Number of rows that are read at once before they become columns."""
+"""Number of rows that are read before they are converted to columns."""
 FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
-"""Folders of the rows, by the first digit of their keys, so that listings are short."""
+"""Folders of the row files, one for each first digit of a key, which keeps the folders small."""
 
 
 def keys_in(storage: Storage) -> Iterator[str]:
-    """Yield the keys of the clips that need not be made again, from the names of their rows."""
+    """Yield the keys of all clips that the next run does not repeat.
+
+    They are read from the names of the row files.
+    """
     return (_key(name) for name in _names(storage) if not name.endswith(FAILED))
 
 
 def sweep_rows(storage: Storage) -> None:
-    """Remove the half-written files of killed processes from the folders of rows and manifest."""
+    """Remove partly written files of killed processes from the sweep's folder and row folders."""
     for folder in ("", *FOLDERS):
         storage.sweep(folder)
 
@@ -49,7 +53,7 @@ def refuse_missing_tables() -> None:
 
 
 def flat(row: Row) -> Row:
-    """Flatten a row: each value that was set, and each stage's seconds, becomes a column."""
+    """Flatten a row: each value in `set` and each time in `seconds` becomes a column."""
     plain = {key: value for key, value in row.items() if key not in ("set", "seconds")}
     set_ = {f"set.{path}": _cell(value) for path, value in row.get("set", {}).items()}
     seconds = {f"seconds.{stage}": value for stage, value in row.get("seconds", {}).items()}
@@ -57,9 +61,10 @@ def flat(row: Row) -> Row:
 
 
 def write_manifest(storage: Storage) -> int:
-    """Write the table of all clips in the order of their indices; return their number.
+    """Write the table of all clips, in the order of their indices; return the number of clips.
 
-    The last row counts for a clip that was made again by another version or from another picture.
+    A clip may have several rows, for example because its picture or the code has changed since its
+    first run. The table then contains only the newest row.
     """
     arrow, parquet = _arrow()
     tables = list(_tables(storage, arrow))
@@ -87,11 +92,11 @@ def read_manifest(storage: Storage) -> list[Row]:
 
 
 def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
-    """Yield all rows in batches; valid rows of the existing table are reused."""
+    """Yield tables that together contain all rows; valid rows of the existing table are reused."""
     known = Seen()
     if (table := _read(storage)) is not None:
         there, rows = Seen(keys_in(storage)), table.select(["key", "status"]).to_pylist()
-        # A clip that failed may have been made since.
+        # A clip that failed earlier may have been made since then.
         table = table.filter([r["status"] != "failed" and r["key"] in there for r in rows])
         known = Seen(table["key"].to_pylist())
         yield table
@@ -102,7 +107,7 @@ def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
 
 
 def _alike(tables: list[Any], arrow: Any) -> list[Any]:
-    """Convert columns to text in all tables if they are text in some of them."""
+    """Convert a column to text in all tables if it is text in some of the tables."""
     kinds: dict[str, set[bool]] = {}
     for field in (field for table in tables for field in table.schema):
         if field.type != arrow.null():
@@ -116,7 +121,7 @@ def _alike(tables: list[Any], arrow: Any) -> list[Any]:
 
 
 def _last(table: Any) -> Any:
-    """Return the indices of each requested clip's last row, in the order of the clips."""
+    """Return the index of the newest row of each requested clip, in the order of the clips."""
     asked = table["asked"].to_numpy().astype("S")
     order = np.lexsort((table["written"].to_numpy(), asked))
     newest = np.append(asked[order][1:] != asked[order][:-1], True)
@@ -125,17 +130,17 @@ def _last(table: Any) -> Any:
 
 
 def _names(storage: Storage) -> Iterator[str]:
-    """Yield the names of all rows."""
+    """Yield the names of all row files."""
     return (name for folder in FOLDERS for name in storage.names(folder))
 
 
 def _key(name: str) -> str:
-    """Return the key of a row's clip."""
+    """Return the key of a clip from the name of its row file."""
     return PurePosixPath(name).name.partition(".")[0]
 
 
 def _read(storage: Storage) -> Any:
-    """Read the table; None if there is none."""
+    """Read the existing table; return None if there is none."""
     _, parquet = _arrow()
     try:
         return parquet.read_table(io.BytesIO(storage.read(MANIFEST)))
@@ -144,12 +149,15 @@ def _read(storage: Storage) -> Any:
 
 
 def _cell(value: object) -> object:
-    """Convert vectors and sections to JSON."""
+    """Convert a list, tuple or dict to JSON text; return other values unchanged."""
     return json.dumps(value) if isinstance(value, (list, tuple, dict)) else value
 
 
 def _column(values: list[object]) -> list[object]:
-    """Convert a column to a single type: to text if its values differ in type."""
+    """Convert the values of a column to one type.
+
+    Mixed integers and floats become floats; other mixed types become text.
+    """
     kinds = {type(value) for value in values if value is not None}
     if len(kinds) <= 1:
         return values
@@ -158,7 +166,7 @@ def _column(values: list[object]) -> list[object]:
 
 
 def _arrow() -> tuple[Any, Any]:
-    """Import pyarrow and its Parquet.
+    """Import pyarrow and pyarrow.parquet.
 
     Raises:
         InputError: pyarrow is not installed.

@@ -1,7 +1,8 @@
-"""Makes clips in this process, or on the workers of Ray on this machine or a cluster.
+"""Makes clips in this process, or on Ray workers on this machine or on a cluster.
 
-Ray stores shared data, repeats the tasks of workers that die, and recomputes data lost with a node.
-The driver submits a few tasks per worker at a time, so its memory does not grow with the sweep.
+Ray stores data that tasks share, repeats the tasks of workers that die, and recomputes data that is
+lost when a node fails. This process submits only a few tasks per worker at a time, so its memory
+does not grow with the number of clips.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from phy124.studies.sweep.work import (
 )
 
 RETRIES = 10
-"""Number of times that a task is repeated if its workers die."""
+"""Maximum number of times that a task is repeated after its worker dies."""
 AHEAD = 3
-"""Number of submitted tasks per worker."""
+"""Maximum number of submitted tasks per worker."""
 BEAT = 0.2
 """Time between two checks for cancellation [s]."""
 SHARED = 64
-"""Number of sources whose Gaussians are stored for further clips."""
+"""Maximum number of sources whose Gaussians are stored for further clips."""
 
 
 def on_ray(
@@ -42,18 +43,19 @@ def on_ray(
     address: str | None = None,
     workers: int | None = None,
 ) -> Iterator[Row]:
-    """Make clips on Ray; yield each row as soon as its clip is made.
+    """Make clips with Ray, and yield the row of each clip as soon as the clip is finished.
 
     Args:
-        orders: The clips, which are read as workers become free.
-        beat: Called often; may raise Cancelled.
+        orders: The clips to make; they are read as workers become free.
+        beat: Called several times per second; may raise Cancelled.
         address: Address of a cluster; None: workers on this machine.
         workers: Number of workers on this machine; None: one per core.
 
     Raises:
-        InputError: Ray is not installed, no cluster answers, or it lacks GPUs.
+        InputError: Ray is not installed, no cluster answers at the address, or the cluster lacks a
+            GPU.
         Cancelled: `beat` raised it.
-        OSError: No space is left.
+        OSError: No space is left in the storage.
     """
     ray = _ray(address, workers)
     try:
@@ -63,7 +65,7 @@ def on_ray(
 
 
 class _Tasks:
-    """The submitted tasks."""
+    """Submits tasks to Ray, and collects their rows."""
 
     def __init__(self, ray: Any, beat: Callable[[], None]) -> None:
         self.ray, self.beat = ray, beat
@@ -73,7 +75,7 @@ class _Tasks:
         self.waiting: dict[Any, Order] = {}
 
     def rows(self, orders: Iterable[Order]) -> Iterator[Row]:
-        """Submit tasks so that no worker is idle, and yield their rows."""
+        """Submit enough tasks to keep all workers busy, and yield the rows of finished tasks."""
         try:
             for order in orders:
                 move = self.move.options(**self._reserve(order))
@@ -87,11 +89,14 @@ class _Tasks:
                 self.ray.cancel(task, force=True)
 
     def _most(self) -> int:
-        """Return the largest number of submitted tasks; a cluster may grow or shrink."""
+        """Return the maximum number of submitted tasks, from the current size of the cluster."""
         return AHEAD * max(1, int(self.ray.cluster_resources().get("CPU", 1)))
 
     def _reserve(self, order: Order) -> dict[str, float]:
-        """Return the resources of a task; at most a node's memory, or it would wait forever."""
+        """Return the resources to reserve for a task.
+
+        The memory is capped at the largest node's memory, or the task would wait forever.
+        """
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         if order.needs.gpus and not any(node.get("GPU") for node in nodes):
             limit = "no node of the cluster has a GPU."
@@ -100,7 +105,7 @@ class _Tasks:
         return {"memory": int(min(order.needs.memory, most)), "num_gpus": order.needs.gpus}
 
     def _source(self, order: Order) -> Any:
-        """Return the task that makes the Gaussians of an order, shared by clips of its source."""
+        """Return the task that makes the Gaussians of a clip; clips of one source share it."""
         key = order.source
         if key not in self.sources:
             self.sources[key] = self.make.options(**self._reserve(order)).remote(order)
@@ -110,7 +115,7 @@ class _Tasks:
         return self.sources[key]
 
     def _next(self) -> Row:
-        """Wait for a task and return its row."""
+        """Wait until a task has finished, and return its row."""
         done: list[Any] = []
         while not done:
             self.beat()
@@ -127,10 +132,10 @@ class _Tasks:
 
 
 def _ray(address: str | None, workers: int | None) -> Any:
-    """Connect to Ray.
+    """Connect to a Ray cluster, or start workers on this machine if the address is None.
 
     Raises:
-        InputError: Ray is not installed, or no cluster answers.
+        InputError: Ray is not installed, or no cluster answers at the address.
     """
     try:
         import ray
@@ -153,10 +158,10 @@ def _ray(address: str | None, workers: int | None) -> Any:
 
 
 def _mute(ray: Any) -> None:
-    """Stop Ray from printing messages about dead workers, which are in its logs, too.
+    """Stop Ray from printing messages about dead workers, which Ray also writes to its logs.
 
-    It prints them on standard output regardless of `log_to_driver`, where our JSON may be. Versions
-    of Ray without this switch are left unchanged.
+    Ray prints these messages to standard output even with `log_to_driver=False`. They would corrupt
+    JSON that phy124 prints there. Versions of Ray without this private attribute keep printing.
     """
     worker: Any = getattr(getattr(ray, "_private", None), "worker", None)
     if hasattr(worker, "_worker_logs_enabled"):
@@ -164,14 +169,14 @@ def _mute(ray: Any) -> None:
 
 
 def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Row]:
-    """Make clips one after the other in this process; yield each row as soon as it is made.
+    """Make clips in this process, and yield the row of each clip as soon as the clip is finished.
 
     Args:
-        orders: The clips.
-        beat: Called often; may raise Cancelled.
+        orders: The clips to make.
+        beat: Called at each progress of a clip; may raise Cancelled.
 
     Raises:
-        OSError: No space is left.
+        OSError: No space is left in the storage.
         Cancelled: `beat` raised it.
     """
 

@@ -1,4 +1,4 @@
-"""The plan of a sweep: computes a clip's settings from its index, so that none are stored."""
+"""Plans a sweep: computes the settings of a clip from its index, so no settings are stored."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from phy124.studies.sweep.declaration import Axis, Counted, Listed, Sweep
 from phy124.studies.sweep.storage import list_matching
 
 BLOCK = 1024
-"""Number of samples that are computed at once, a power of two."""
+"""Number of samples that are computed at once; must be a power of two."""
 MOST = 100_000_000
-"""Largest number of clips of one sweep."""
+"""Maximum number of clips of one sweep."""
 FEWEST_BITS = 30
-"""Binary digits of Sobol's sequence."""
+"""Number of bits of the Sobol sequence."""
 
 
 @dataclass(frozen=True)
 class Item:
-    """A clip to be made."""
+    """A clip of a sweep, by its index and settings."""
 
     index: int
     picture: str
@@ -36,17 +36,17 @@ class Item:
 
 
 class Plan:
-    """All clips of a sweep, by their index."""
+    """A sequence of all clips of a sweep."""
 
     def __init__(self, sweep: Sweep) -> None:
         """Find the pictures and read the scene.
 
         Raises:
-            InputError: A picture, the scene or a field of it does not exist, there are too many
-                clips, or a distribution has no number of samples.
+            InputError: A picture or the scene does not exist, there are too many clips, or an axis
+                is a distribution but the number of samples is not set.
         """
         self.sweep = sweep
-        # The manifest contains the largest force on a wall.
+        # Record wrenches, because the manifest contains the largest force on a wall.
         self.scene = Scene.named(sweep.scene).model_copy(update={"wrenches": True})
         pictures = [path for pattern in sweep.pictures for path in list_matching(pattern)]
         self.axes: dict[str, Axis] = {
@@ -67,7 +67,7 @@ class Plan:
 
     @property
     def sources(self) -> int:
-        """Largest number of different sources; clips of a source share its Gaussians."""
+        """Maximum number of different sources; clips of the same source share their Gaussians."""
         shared = ("picture", "generator", "seed")
         axes = [self.axes[name] for name in shared if name in self.axes]
         counts = [axis.count if isinstance(axis, Counted) else len(self) for axis in axes]
@@ -77,7 +77,7 @@ class Plan:
         return (self.item(index) for index in range(len(self)))
 
     def item(self, index: int) -> Item:
-        """Return the clip with a given index; the last axis varies fastest."""
+        """Return the clip with an index; in all combinations, the last axis varies fastest."""
         if self.sweep.samples is None:
             places = np.unravel_index(index, [axis.count for axis in self._counted])
             pairs = zip(self._counted, places, strict=True)
@@ -92,16 +92,21 @@ class Plan:
         """Return the scene of a clip.
 
         Raises:
-            InputError: Its values are invalid.
+            InputError: The values of the clip are invalid.
         """
         return self.scene.replaced(item.changes)
 
     def share(self, part: int, parts: int) -> range:
-        """Return the indices of the clips of part 1, 2, ... of several machines."""
+        """Return the indices of the clips in a shard.
+
+        Args:
+            part: Number of the shard, from 1.
+            parts: Number of shards.
+        """
         return range(part - 1, len(self), parts)
 
     def _refuse_endless(self) -> None:
-        """Refuse a distribution if all combinations are requested."""
+        """Refuse distributions if all combinations of the axes are requested."""
         for name, axis in self.axes.items():
             if self.sweep.samples is None and not isinstance(axis, Counted):
                 limit = "a distribution has no finite number of combinations."
@@ -110,11 +115,11 @@ class Plan:
 
     @cached_property
     def _shift(self) -> NDArray[np.float64]:
-        """Shift of all samples, which keeps them evenly distributed."""
+        """Random shift of all samples, modulo 1, which keeps the samples evenly distributed."""
         return np.random.default_rng(self.sweep.seed).random(len(self.axes))
 
     def _point(self, index: int) -> NDArray[np.float64]:
-        """Return a sample in the unit cube: Sobol's sequence, shifted by the seed."""
+        """Return a sample in the unit cube: a Sobol point, shifted by an amount from the seed."""
         number, place = divmod(index, BLOCK)
         if self._block[0] != number:
             from scipy.stats.qmc import Sobol

@@ -1,4 +1,4 @@
-"""The report of a sweep: a table for the terminal, and one page with pictures of all clips."""
+"""Makes the report of a sweep: a table for the terminal, and an HTML page with thumbnails."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import Row
 
 PAGE = "report.html"
-"""Name of the page."""
+"""Name of the page's file."""
 SHOWN = 600
-"""Largest number of clips shown as pictures, chosen evenly."""
+"""Maximum number of evenly spaced clips whose thumbnails the page shows."""
 BARS = 12
-"""Number of bars of a distribution."""
+"""Number of bars in a histogram."""
 MEASURES = (
     ("seconds.clip", "seconds of one core per clip"),
     ("largest_force", "largest force on a wall [N]"),
@@ -41,10 +41,10 @@ figcaption { font-size: 11px; overflow-wrap: anywhere; }
 
 
 def format_lines(storage: Storage) -> list[str]:
-    """Format the table for the terminal.
+    """Format the report as lines of text for the terminal.
 
     Raises:
-        InputError: There are no results.
+        InputError: The folder contains no results of a sweep.
     """
     rows = read_manifest(storage)
     done = [row for row in rows if row["status"] == "done"]
@@ -64,10 +64,10 @@ def format_lines(storage: Storage) -> list[str]:
 
 
 def write_page(storage: Storage) -> str:
-    """Write the page; return its address.
+    """Write the page, and return its address.
 
     Raises:
-        InputError: There are no results.
+        InputError: The folder contains no results of a sweep.
     """
     rows = read_manifest(storage)
     done = [row for row in rows if row["status"] == "done"]
@@ -93,12 +93,12 @@ def _count(rows: Iterable[Row]) -> str:
 
 
 def _values(rows: Iterable[Row], name: str) -> Any:
-    """Return the numbers of a column, without missing ones."""
+    """Return the numbers in a column, without missing values."""
     return np.array([row[name] for row in rows if row.get(name) is not None], dtype=float)
 
 
 def _by_axis(rows: list[Row]) -> Iterator[tuple[str, dict[str, list[Row]]]]:
-    """Group the clips by value, for each axis with 2 to 20 values."""
+    """Group the clips by their value on each axis that has 2 to 20 different values."""
     columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
     for name in ("picture", "generator", *columns):
         groups: defaultdict[str, list[Row]] = defaultdict(list)
@@ -146,7 +146,7 @@ def _refusals(reasons: Counter[str]) -> str:
 
 
 def _sheet(storage: Storage, rows: list[Row]) -> str:
-    """Return pictures of the clips with the values in which they differ, as HTML."""
+    """Return thumbnails of the clips as HTML, with the values that differ between clips."""
     chosen = rows if len(rows) <= SHOWN else [rows[i * len(rows) // SHOWN] for i in range(SHOWN)]
     columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
     differ = [name for name in columns if len({str(row.get(name)) for row in rows}) > 1]
@@ -163,5 +163,5 @@ def _sheet(storage: Storage, rows: list[Row]) -> str:
 
 
 def _format(value: object) -> str:
-    """Format a value with at most six digits."""
+    """Format a value, a float with at most six significant digits."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)

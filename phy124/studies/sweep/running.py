@@ -1,4 +1,4 @@
-"""Runs a sweep: skips clips that exist, makes the others, and writes the manifest."""
+"""Runs a sweep: makes the clips that do not exist yet, and writes the manifest."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ FULL = "no space is left at {}. Free some; the same command goes on, and nothing
 
 @dataclass
 class Counts:
-    """Number of clips by status."""
+    """Numbers of clips in a run of a sweep, by status."""
 
     here: int = 0
-    """Clips of an earlier run, or equal to another clip of this run."""
+    """Number of clips that exist from an earlier run or equal another clip of this run."""
     ended: Counter[str] = field(default_factory=Counter)
-    """Status -> number of clips of this run."""
+    """Status -> number of clips that this run has finished with this status."""
     left: float | None = None
-    """Time until all clips are made [s]; None while it is unknown."""
+    """Estimated time until all clips are finished [s]; None while it is unknown."""
 
     @property
     def clips(self) -> int:
-        """Number of finished clips."""
+        """Total number of finished clips."""
         return self.here + sum(self.ended.values())
 
 
@@ -53,18 +53,19 @@ def run(
     """Make the clips of a sweep that do not exist yet.
 
     Args:
-        plan: The clips.
-        out: Folder of the results, or its address.
-        ray: Address of a cluster; None: this machine.
-        workers: Processes on this machine; None: one per core; 0: this process.
-        shard: The part to make, from 1, and the number of parts.
+        plan: The clips of the sweep.
+        out: Folder of the results, or its fsspec address.
+        ray: Address of a Ray cluster; None: this machine.
+        workers: Number of worker processes on this machine; None: one per core; 0: all clips are
+            made in this process.
+        shard: Number of the shard to make, from 1, and number of shards.
         device: Warp device of the workers.
-        progress: Called with ("clips", ended, all); may raise Cancelled.
-        counts: Updated during the run, and returned.
+        progress: Called with ("clips", finished clips, all clips); may raise Cancelled.
+        counts: Updated during the run and returned; None: new counts.
 
     Raises:
         InputError: The folder is unusable, Ray is missing, or the shard does not exist.
-        OSError: No space is left; finished clips and frames are kept.
+        OSError: No space is left in the storage; finished clips and frames are kept.
     """
     part, parts = shard
     if not 1 <= part <= parts:
@@ -92,7 +93,7 @@ def run(
             beat()
         write_manifest(storage)
     except BaseException as error:
-        with suppress(OSError):  # the next run writes it from the rows
+        with suppress(OSError):  # the next run writes the manifest from the rows
             write_manifest(storage)
         if isinstance(error, OSError) and stops_all(error):
             raise OSError(error.errno, FULL.format(out)) from error
@@ -103,7 +104,7 @@ def run(
 def _orders(
     plan: Plan, numbers: Iterable[int], storage: Storage, counts: Counts, device: str
 ) -> Iterator[Order]:
-    """Yield the clips to make; write the rows of those that cannot be made."""
+    """Yield the clips to make; write the rows of clips whose settings are invalid."""
     done, gpu_memory = Seen(keys_in(storage)), memory_of_gpu(device)
     for index in numbers:
         item = plan.item(index)
@@ -136,7 +137,7 @@ def _orders(
 
 
 def _refuse(storage: Storage, counts: Counts, item: Item, sentence: str) -> None:
-    """Write the row of a clip that cannot be made; its key is that of the request."""
+    """Write the row of a clip whose settings are invalid, with the key of the request."""
     key = key_of_request(item.picture, item.generator, item.changes)
     write_row(storage, key, item, {"status": "refused", "sentence": sentence})
     counts.ended["refused"] += 1

@@ -1,4 +1,4 @@
-"""The storage of a sweep's results: a local folder, or a folder at an address of fsspec."""
+"""Stores a sweep's results in a local folder, or in a folder at an fsspec address."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from phy124.runtime.installation import install_command
 
 
 class Filling(NamedTuple):
-    """A local folder whose files are moved to a storage."""
+    """A local folder whose files are then moved to a storage."""
 
     place: Path
-    """The folder to fill."""
+    """The local folder."""
     store: Callable[[], int]
-    """Moves the files of the folder to the storage; returns their size [bytes]."""
+    """Moves the files in the local folder to the storage, and returns their size [bytes]."""
 
 
 class Storage:
-    """Files by their names below a folder; a file appears whole or not at all."""
+    """Reads and writes files below a folder, by name. Files are written atomically."""
 
     def __init__(self, address: str) -> None:
-        """Find the folder, which need not exist yet.
+        """Open the file system of a folder, which need not exist yet.
 
         Raises:
-            InputError: No installed package supports such an address.
+            InputError: No installed package supports this type of address.
         """
         self.address = str(address).rstrip("/") or "/"
         self._files, self._root = _open(self.address)
 
     @property
     def here(self) -> Path | None:
-        """The folder, if it is on this machine."""
+        """The folder if it is on this machine; otherwise None."""
         return Path(self._root) if "file" in _names(self._files) else None
 
     def place(self, name: str) -> str:
@@ -46,7 +46,7 @@ class Storage:
         return f"{self.address}/{name}"
 
     def names(self, folder: str) -> list[str]:
-        """Return the names of all files below a folder, in order."""
+        """Return the sorted names of all files below a folder."""
         self._files.invalidate_cache()
         start = len(self._root) + 1
         paths = self._files.find(f"{self._root}/{folder}")
@@ -61,7 +61,7 @@ class Storage:
         return self._files.cat_file(f"{self._root}/{name}")
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file."""
+        """Write a file; an existing file is replaced."""
         if self.here is None:
             self._files.pipe_file(f"{self._root}/{name}", content)
             return
@@ -72,7 +72,11 @@ class Storage:
 
     @contextmanager
     def filling(self, folder: str) -> Iterator[Filling]:
-        """Provide a local folder for the files of a folder, which may be stored in parts."""
+        """Provide a local folder, whose files can be moved to a folder of the storage at any time.
+
+        Args:
+            folder: Name of the folder in the storage.
+        """
         if self.here is not None:
             with staging(self.here / folder) as place:
                 yield Filling(place, partial(_deliver, place))
@@ -92,19 +96,19 @@ class Storage:
         return size
 
     def sweep(self, folder: str) -> None:
-        """Remove the half-written files of killed processes from a local folder."""
+        """Remove partly written files of killed processes from a folder on this machine."""
         if self.here is not None:
             sweep_parts(self.here / folder)
 
     @contextmanager
     def local(self, name: str) -> Iterator[Path]:
-        """Provide a file as a local file; a fetched copy is removed afterwards."""
+        """Provide a file of the storage as a local file; a downloaded copy is removed afterwards."""
         with fetch(self.place(name)) as path:
             yield path
 
 
 def _deliver(place: Path) -> int:
-    """Move files to their local folder; return their size [bytes]."""
+    """Move staged files to their final local folder; return their size [bytes]."""
     size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
     deliver(place)
     return size
@@ -112,10 +116,10 @@ def _deliver(place: Path) -> int:
 
 @contextmanager
 def fetch(address: str) -> Iterator[Path]:
-    """Provide a file as a local file; a fetched copy is removed afterwards.
+    """Provide the file at an address as a local file; a downloaded copy is removed afterwards.
 
     Raises:
-        InputError: The file cannot be fetched.
+        InputError: The file cannot be downloaded.
     """
     files, path = _open(address)
     if "file" in _names(files):
@@ -132,7 +136,7 @@ def fetch(address: str) -> Iterator[Path]:
 
 
 def stamp(address: str) -> object:
-    """Return a value that changes when a file changes, if the file system provides it."""
+    """Return a value that changes when a file changes; None if the file system has no such value."""
     files, path = _open(address)
     try:
         return files.ukey(path)
@@ -141,10 +145,10 @@ def stamp(address: str) -> object:
 
 
 def list_matching(pattern: str) -> list[str]:
-    """Return the addresses of the files that match a path or pattern, in order.
+    """Return the sorted addresses of all files that match a path or pattern.
 
     Raises:
-        InputError: There is no such file.
+        InputError: No file matches, or the folder cannot be read.
     """
     files, path = _open(pattern)
     try:
@@ -160,7 +164,11 @@ def list_matching(pattern: str) -> list[str]:
 
 
 def _open(address: str) -> tuple[Any, str]:
-    """Return the file system of an address, and the path in it."""
+    """Return the file system of an address, and the path in this file system.
+
+    Raises:
+        InputError: No installed package supports this type of address.
+    """
     import fsspec
     from fsspec.core import url_to_fs
 
@@ -175,6 +183,6 @@ def _open(address: str) -> tuple[Any, str]:
 
 
 def _names(files: Any) -> tuple[str, ...]:
-    """Return the names of a file system's protocol."""
+    """Return all names of a file system's protocol."""
     names = files.protocol
     return (names,) if isinstance(names, str) else tuple(names)

@@ -1,4 +1,4 @@
-"""The work on one clip: it runs wherever a worker is, and its last act is to write its row."""
+"""Makes one clip of a sweep, in any worker process, and writes its row last."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ from phy124.studies.sweep.plan import Item
 from phy124.studies.sweep.storage import Filling, Storage, fetch
 
 PROCESS = 4e8
-"""Memory of a worker before it has a clip [bytes]: Python, NumPy, Warp and its kernels."""
+"""Memory of an idle worker [bytes]: Python, NumPy, and Warp with its kernels."""
 CONTEXT = 6e8
-"""Memory of CUDA on the GPU per process [bytes]."""
+"""GPU memory of CUDA per process [bytes]."""
 UNSURE = 2.0
-"""Safety factor, since the fraction of its cube that an object fills is unknown."""
+"""Safety factor on memory, since the fraction of its cube that an object fills is unknown."""
 STEP = 1 << 28
-"""Memory is reserved in multiples of this, so that similar tasks reserve equal amounts [bytes]."""
+"""Unit of reserved memory [bytes]; the amount is rounded up, so similar tasks reserve the same."""
 SHARERS = 8
-"""Largest number of tasks per GPU; more would wait for each other."""
+"""Maximum number of tasks per GPU; with more tasks, they would wait for each other."""
 
 
 class Needs(NamedTuple):
-    """Resources that are reserved for a task."""
+    """Resources to reserve for a task."""
 
     memory: int
-    """Bytes."""
+    """Main memory [bytes]."""
     gpus: float
     """Fraction of a GPU."""
 
@@ -60,8 +60,8 @@ def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> N
 
     Args:
         scene: The scene.
-        gaussians: Largest number of Gaussians, if it is limited.
-        gpu_memory: Memory of a GPU [bytes]; None: the work is for CPUs.
+        gaussians: Maximum number of Gaussians; None: no limit.
+        gpu_memory: Memory of a GPU [bytes]; None: the task runs on a CPU.
     """
     count = min(gaussians or GAUSSIANS, GAUSSIANS)
     particles, nodes = count_particles(scene, count), count_nodes(scene)
@@ -71,7 +71,10 @@ def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> N
 
 
 def memory_of_gpu(device: str) -> float | None:
-    """Return the memory of a device [bytes], assumed for all nodes; None for a CPU."""
+    """Return the memory of a GPU on this machine [bytes]; None for a CPU.
+
+    All nodes of a cluster are assumed to have the same GPU.
+    """
     if device == "cpu":
         return None
     import warp as wp
@@ -80,22 +83,22 @@ def memory_of_gpu(device: str) -> float | None:
 
 
 def _part(state: float, gpu_memory: float) -> float:
-    """Return 1 / (number of tasks that fit on a GPU)."""
+    """Return the fraction of a GPU per task, 1 / (number of tasks whose memory fits)."""
     fit = int(gpu_memory // (CONTEXT + UNSURE * state))
     return 1.0 / max(1, min(SHARERS, fit))
 
 
 Row = dict[str, Any]
-"""The manifest's data of a clip."""
+"""A row of the manifest: the data of one clip."""
 FAILED = ".failed.json"
-"""Ending of the row of a failed clip, which the next run repeats; other rows are final."""
+"""Ending of the row file of a failed clip; the next run repeats only such clips."""
 THUMBNAIL = 96
-"""Size of the picture of a clip in the report [pixels]."""
+"""Width and height of a clip's thumbnail in the report [pixels]."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """A clip to be made."""
+    """A task for a worker: a clip to make, with all its settings."""
 
     key: str
     index: int
@@ -113,30 +116,33 @@ class Order:
 
     @property
     def read(self) -> bool:
-        """Whether its Gaussians depend on the scene: by files, or by further objects."""
+        """Whether the Gaussians depend on the scene.
+
+        They do if they are read from files, or if the scene has further objects.
+        """
         of_files = not (needs_image(self.picture) and needs_image(self.generator))
         return of_files or bool(self.scene.get("objects"))
 
     @property
     def source(self) -> tuple[Any, ...]:
-        """Everything that its Gaussians depend on; clips of a source share them."""
+        """All inputs that determine the Gaussians; clips with equal sources share Gaussians."""
         scene = self.key if self.read else self.scene.get("seed", 0)
         return self.picture, self.generator, self.gaussians, self.device, scene
 
 
 class Made(NamedTuple):
-    """The Gaussians of a picture, or the reason why there are none."""
+    """The Gaussians of a source, or the reason why they could not be made."""
 
     gaussians: Gaussians | None
     crop: Crop | None
     scene: dict[str, Any] | None
-    """The scene for these Gaussians, if it differs from the requested one."""
+    """The scene for these Gaussians as plain data; None: the scene of the order."""
     seconds: float
     refusal: str | None = None
 
 
 def make_gaussians(order: Order) -> Made:
-    """Make the Gaussians of a clip, for all clips of its source."""
+    """Make the Gaussians of an order, which all clips of the same source share."""
     start()
     begun = time.perf_counter()
     scene = Scene.from_data(order.scene)
@@ -158,17 +164,17 @@ def make_gaussians(order: Order) -> Made:
 def make_static(
     address: str, generator: str, scene: Scene, context: RunContext, **options: Any
 ) -> StaticObject:
-    """Make the Gaussians of a picture, or read those of a file.
+    """Make Gaussians from a picture, or read Gaussians from a file.
 
     Args:
         address: Address of the picture or file.
-        generator: Generator for a picture.
+        generator: Name of the generator, for a picture.
         scene: The scene.
         context: Device of the generator, progress and stopwatch.
         **options: Options of `make_object`.
 
     Raises:
-        InputError: The picture or an option is unusable.
+        InputError: The picture or an option is invalid.
     """
     with fetch(address) as picture:
         chosen = generator if needs_image(address) else str(picture)
@@ -178,9 +184,15 @@ def make_static(
 def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
     """Make a clip, store it, and write its row.
 
+    Args:
+        order: The clip to make.
+        source: The clip's Gaussians.
+        progress: Called during the clip; may raise Cancelled.
+
     Raises:
-        OSError: The machine fails, for instance since a disk is full.
-        Cancelled: `progress` raised it; on this machine, the next run continues the clip.
+        OSError: The operating system reports an error, such as a full disk.
+        Cancelled: `progress` raised it. If the storage is on this machine, the next run continues
+            the clip.
     """
     start()
     storage = Storage(order.out)
@@ -195,13 +207,13 @@ def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
 
 
 def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
-    """Write the row of a clip, which counts as made from now on; return it.
+    """Write the row of a clip, and return the row. The clip then counts as finished.
 
     Args:
         storage: The sweep's folder.
         key: The clip's key.
-        clip: The clip.
-        result: Its status and measurements.
+        clip: The clip's settings.
+        result: The clip's status and measurements.
     """
     row = {
         "key": key,
@@ -219,19 +231,24 @@ def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Ro
 
 
 def write_failed(order: Order, sentence: str) -> Row:
-    """Write the row of a clip that could not be made, which the next run repeats."""
+    """Write the row of a clip that failed; the next run repeats the clip.
+
+    Args:
+        order: The clip.
+        sentence: Reason for the failure.
+    """
     first, *_ = sentence.strip().splitlines() or ["no reason given"]
     result = {"status": "failed", "sentence": first}
     return write_row(Storage(order.out), order.key, order, result)
 
 
 def stops_all(error: BaseException) -> bool:
-    """Whether no other clip can be stored either, since no space is left."""
+    """Return whether an error prevents storing any clip, because no space is left."""
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def _make_clip(order: Order, source: Made, storage: Storage, context: RunContext) -> Row:
-    """Simulate, film and store a clip."""
+    """Simulate, render and store a clip; return the result for its row."""
     if source.gaussians is None or source.crop is None:
         return {"status": "refused", "sentence": source.refusal}
     scene = Scene.from_data(source.scene or order.scene)
@@ -260,12 +277,12 @@ def _make_clip(order: Order, source: Made, storage: Storage, context: RunContext
 def _simulate(
     source: Made, scene: Scene, folder: Path | None, context: RunContext
 ) -> tuple[Clip, Recording]:
-    """Simulate a clip, continuing a killed run.
+    """Simulate a clip; a run that was killed is continued.
 
     Args:
         source: The Gaussians.
         scene: The scene.
-        folder: The clip's folder, if it is on this machine.
+        folder: The clip's folder if it is on this machine; otherwise None.
         context: Device, threads, progress and stopwatch.
     """
     assert source.gaussians is not None and source.crop is not None
@@ -284,24 +301,24 @@ def _simulate(
 def _store(
     clip: Clip, scene: Scene, order: Order, filling: Filling, context: RunContext
 ) -> tuple[dict[str, Any], int]:
-    """Store a clip, then its films; return its report and the size of all files [bytes].
+    """Store a clip, then its videos; return the report and the size of all files [bytes].
 
     Args:
         clip: The clip.
-        scene: Its scene.
-        order: The requested clip.
-        filling: Its folder.
+        scene: The clip's scene.
+        order: The task.
+        filling: The clip's folder.
         context: Device, threads, progress and stopwatch.
     """
     watch = context.watch
-    # Durations differ from run to run, but equal orders must give equal files.
+    # Omit durations: they differ from run to run, but equal orders must give equal files.
     report = {k: v for k, v in clip.report.items() if k != "substep_stages"}
     report |= view_report(clip, scene.view) if order.films else {}
     here = filling.place
     with watch.stage("store"):
         clip.with_report(report).save(here / "clip.safetensors")
         write_json(here / "report.json", report)
-        size = filling.store()  # the clip is kept if filming fails
+        size = filling.store()  # the clip is kept even if rendering fails
     with watch.stage("film"):
         if order.films:
             film(clip, scene.view, here, replace(context, watch=Stopwatch()))
@@ -311,7 +328,7 @@ def _store(
 
 
 def _numbers(report: dict[str, Any]) -> Row:
-    """Return the manifest's columns of a report."""
+    """Return the columns of the manifest that come from a clip's report."""
     walls = report.get("walls") or {}
     forces = [wall["largest_force"] for wall in walls.values()]
     return {
@@ -326,7 +343,7 @@ def _numbers(report: dict[str, Any]) -> Row:
 
 
 def thumbnail(clip: Clip, scene: Scene) -> bytes:
-    """Return a small picture of the middle frame of a clip, as WebP."""
+    """Return a thumbnail of a clip's middle frame, as WebP."""
     view = scene.view.model_copy(update={"size": (THUMBNAIL, THUMBNAIL)})
     middle = len(clip) // 2
     camera = cameras(clip, view, "front")[middle]
