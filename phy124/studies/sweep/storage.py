@@ -102,7 +102,7 @@ class Storage:
 
     @contextmanager
     def local(self, name: str) -> Iterator[Path]:
-        """Provide a file of the storage as a local file; a downloaded copy is removed afterwards."""
+        """Provide a file of the storage as a local file; a downloaded copy is removed later."""
         with fetch(self.place(name)) as path:
             yield path
 
@@ -136,7 +136,7 @@ def fetch(address: str) -> Iterator[Path]:
 
 
 def stamp(address: str) -> object:
-    """Return a value that changes when a file changes; None if the file system has no such value."""
+    """Return a value that changes when a file changes; None if the file system has none."""
     files, path = _open(address)
     try:
         return files.ukey(path)
