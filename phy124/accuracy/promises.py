@@ -36,7 +36,7 @@ COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "yield_stres
 """Fields of a material that may differ from their defaults; these fields affect the severity,
 `yielding`, `damping` or `poisson`."""
 LOOKS = {"tint"}
-"""Fields of a law that do not affect the motion."""
+"""Fields of a material that do not affect the motion."""
 
 
 def violence(scene: Scene) -> float:
@@ -195,7 +195,7 @@ class Promise:
         )
 
     def with_study(self, command: str) -> str:
-        """Return the sentence; where it names the command of a study, it names this one."""
+        """Return `sentence` with another command for the study of the scene."""
         return self.sentence.replace(STUDY, command)
 
     @property
@@ -377,7 +377,7 @@ def largest_error(
 
 
 def _measured_level(kind: Mapping[str, Any], error: float, cells: int) -> int:
-    """Return the finest level up to `cells` of the objects with this largest error."""
+    """Return the finest level, up to `cells`, of the objects whose errors contain `error`."""
     return max(
         level
         for each in kind["errors"].values()
