@@ -1,12 +1,12 @@
-"""Generators turn a picture into static Gaussians; this module lists and makes them.
+"""Lists and creates generators, which turn an image into static Gaussians.
 
 A generator is any callable `(image_rgba, *, seed, progress) -> Gaussians`. `image_rgba` is a PIL
-picture or an array [H,W,4] of uint8 with the object cut out, `seed` an integer, and `progress` as
-in `phy124.progress`. The Gaussians are in the world's axes (z up, the object faces +x), centred on
-the origin, with a longest side of 1 m. A slow generator also has a
-method `effort` (`phy124.generators.options`), which predicts its time. Generators with a trained
-network are packages in `phy124/generators/neural`; other packages register generators by an entry
-point of `phy124.generators`. A generator may also be passed instead of a name.
+image or a uint8 array [H,W,4] in which all but the object is transparent; `seed` is an integer;
+`progress` is described in `phy124.progress`. The Gaussians are in the world's axes (z up, the
+object faces +x), centred on the origin, with a longest side of 1 m. A slow generator also has a
+method `effort` (`phy124.generators.options`), which predicts its run time. Generators with a
+trained network are packages in `phy124/generators/neural`. Other packages register generators with
+an entry point in the group `phy124.generators`. A generator may also be passed in place of a name.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 
 class Generator(Protocol):
-    """Makes Gaussians from a picture."""
+    """Makes Gaussians from an image."""
 
     def __call__(
         self, image_rgba: Image.Image | NDArray[np.uint8], *, seed: int, progress: Progress
     ) -> Gaussians:
-        """Make the Gaussians of the picture's opaque part; equal seeds give equal Gaussians."""
+        """Make Gaussians of the image's opaque part; equal seeds give equal Gaussians."""
         ...
 
 
@@ -51,7 +51,7 @@ def _relief() -> Generator:
 
 
 def find_neural_packages() -> list[ModuleType]:
-    """Import the packages of `neural` that name generators; none of them imports torch yet."""
+    """Import the packages in `neural` that declare generators; none of them imports torch yet."""
     folder = import_module("phy124.generators.neural")
     names = [module.name for module in iter_modules(folder.__path__) if module.ispkg]
     packages = [import_module(f"{folder.__name__}.{name}") for name in names]
@@ -63,17 +63,17 @@ GENERATORS: dict[str, Callable[..., Generator]] = {
     "relief": _relief,
     **{name: make for package in NEURAL for name, make in package.GENERATORS.items()},
 }
-"""Name -> factory; each imports its generator only when it is called.
+"""Factories of generators by name; a factory imports its generator only when it is called.
 
-A factory's keywords are the fields of `GeneratorOptions` that its generator supports, and `device`
-if it can use one.
+The keywords of a factory are the fields of `GeneratorOptions` that its generator supports, and
+`device` if its generator has a choice of devices.
 """
 WEIGHTS = {name: package.WEIGHTS for package in NEURAL for name in package.GENERATORS}
-"""Name of a generator -> names of the trained weights that it reads (`weights.store.KNOWN`)."""
+"""By generator: names of the trained weights that it loads (keys of `weights.store.KNOWN`)."""
 
 
 def list_names() -> list[str]:
-    """Return the names of all generators, including those that packages have registered."""
+    """Return the names of all generators, including those registered by other packages."""
     return [*GENERATORS, *(name for name in list_plugins("generators") if name not in GENERATORS)]
 
 
@@ -83,17 +83,17 @@ def make(
     options: GeneratorOptions = UNCHANGED,
     device: str | None = None,
 ) -> Generator:
-    """Make the generator for a name, a file of Gaussians, or a command (`cmd: ...`).
+    """Create a generator from a name, a file of Gaussians, or a command (`cmd: ...`).
 
     Args:
-        chosen: Name in `GENERATORS`, path, command or generator.
-        reading: Options for a file of Gaussians; None for the conventions of its format.
+        chosen: Name in `GENERATORS`, path of a file, command, or a generator.
+        reading: Options for reading a file of Gaussians; None: the conventions of its format.
         options: Options of the generator.
         device: Device of its network; None: a GPU if there is one.
 
     Raises:
-        InputError: If no generator has that name, a package is not installed, `reading` is given
-            without a file, or the generator lacks an option.
+        InputError: If no generator has that name, a package is not installed, `reading` is set but
+            no file is read, or the generator lacks an option.
     """
     if not isinstance(chosen, str) or is_command(chosen) or not needs_image(chosen):
         options.select(lambda: None, _describe(chosen))
@@ -116,10 +116,10 @@ def make(
 
 
 def _factory(name: str) -> Callable[..., Generator]:
-    """Return the factory of a generator.
+    """Return the factory of a generator by its name.
 
     Raises:
-        InputError: No generator has that name.
+        InputError: If no generator has that name.
     """
     factory = GENERATORS.get(name) or load_plugin("generators", name)
     if factory is None:
@@ -133,7 +133,7 @@ def _factory(name: str) -> Callable[..., Generator]:
 
 
 def _make_unnamed(chosen: str | Generator, reading: Reading | None) -> Generator:
-    """Make the generator for a file or command, or return it if it is made already."""
+    """Create the generator of a file or command; return `chosen` if it is a generator."""
     if not needs_image(chosen):
         from phy124.generators.ply_file import PlyFile
 
@@ -148,19 +148,19 @@ def _make_unnamed(chosen: str | Generator, reading: Reading | None) -> Generator
 
 
 def _describe(chosen: str | Generator) -> str:
-    """Describe a generator without a name for messages."""
+    """Describe, for messages, a generator that has no name."""
     if isinstance(chosen, str):
         return "A command" if is_command(chosen) else "A file of Gaussians"
     return type(chosen).__name__
 
 
 def is_command(chosen: str | Generator) -> bool:
-    """Whether a generator is a user's command (phy124/generators/command.py)."""
+    """Whether a generator is an external command (phy124/generators/command.py)."""
     return isinstance(chosen, str) and re.match(r"\s*cmd[\s:]", chosen) is not None
 
 
 def needs_image(chosen: str | Generator) -> bool:
-    """Whether the generator uses the picture; a file of Gaussians does not."""
+    """Whether a generator uses the image; the generator that reads a file does not."""
     from phy124.io.formats import is_file_of_gaussians
 
     return not isinstance(chosen, str) or is_command(chosen) or not is_file_of_gaussians(chosen)

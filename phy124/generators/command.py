@@ -1,10 +1,10 @@
-"""Runs a generator that the user has installed, as a command: picture in, .ply file out.
+"""Runs a generator that the user has installed, as a command: image in, .ply file out.
 
     phy124 generate cat.jpg --generator "cmd: triposplat {image} {out}" --dialect triposplat
 
-The command gets a PNG with transparency and writes Gaussians; it may use another environment. It
-runs without a shell, for half an hour at most (`cmd 120: ...`: two minutes). When its time is over
-or the run is cancelled, it is killed together with all processes that it started.
+The command gets a PNG with transparency and writes Gaussians; it may use a separate environment. It
+runs without a shell, for up to half an hour (with `cmd 120: ...`, two minutes). If its time runs
+out or the run is cancelled, the command and all processes that it started are killed.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ FORM = re.compile(r"cmd(?:\s+(?P<seconds>[0-9.]+))?\s*:\s*(?P<words>.*)", re.DOT
 LONGEST = 1800.0
 """Default time limit of a command [s]."""
 BEAT = 0.2
-"""Time between two checks for the end of the command or a cancelled run [s]."""
+"""Interval at which the end of the command and cancellation are checked [s]."""
 LONGEST_MESSAGE = 300
-"""Length of the end of a failed command's output that is repeated [characters]."""
+"""Number of last characters of a failed command's output that the error message repeats."""
 USAGE = 'Write "cmd: PROGRAM {image} {out}"; {seed} is a number, `cmd 120:` a limit in seconds.'
 
 
 @dataclass(frozen=True)
 class Command:
-    """The generator that runs a user's command."""
+    """A generator that runs an external command."""
 
     text: str
     """`cmd: PROGRAM ... {image} ... {out}`, or `cmd SECONDS: ...`."""
     reading: Reading = field(default_factory=Reading)
-    """How to interpret the file that the command writes."""
+    """Options for reading the file that the command writes."""
 
     def __post_init__(self) -> None:
         words, _ = self._parse()
@@ -65,11 +65,11 @@ class Command:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Run the command and read its Gaussians, with a longest side of 1 m.
+        """Run the command and read its Gaussians, scaled to a longest side of 1 m.
 
         Raises:
-            InputError: The command cannot be started, fails, takes too long, or writes no usable
-                file.
+            InputError: If the command cannot be started, fails, takes too long, or writes no
+                usable file.
         """
         words, seconds = self._parse()
         with tempfile.TemporaryDirectory(prefix="phy124-") as folder:
@@ -85,7 +85,7 @@ class Command:
             return PlyFile(str(output_file), self.reading)(progress=progress)
 
     def _parse(self) -> tuple[list[str], float]:
-        """Return the words of the command, and its time limit [s]."""
+        """Return the words of the command and its time limit [s]."""
         match = FORM.fullmatch(self.text.strip())
         try:
             words = shlex.split(match["words"]) if match else []
@@ -131,7 +131,7 @@ def _fill(word: str, names: dict[str, str]) -> str:
 
 
 def _start(words: list[str], output: Any) -> subprocess.Popen[bytes]:
-    """Start a process in a new group, so that its child processes can be killed with it."""
+    """Start a process in a new process group, which is killed together with its children."""
     return subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
     )

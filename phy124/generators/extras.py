@@ -1,4 +1,4 @@
-"""Optional inputs besides the front picture: a depth map, and pictures from other sides."""
+"""Optional inputs in addition to the front image: a depth map, and images from other sides."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from phy124.io.opening import obstacle
 from phy124.schema.section import Section
 
 ASPECT = 0.02
-"""Largest relative difference of its aspect ratio from the picture's."""
+"""Largest relative difference between the aspect ratios of the depth map and the image."""
 
 
 class DepthMap(Section):
-    """A depth map and its convention."""
+    """Options for a depth map and its convention."""
 
     depth: Path | None = Field(
         default=None,
@@ -57,7 +57,8 @@ def read_depth(path: Path) -> NDArray[np.float32]:
     """Read the values [H,W] of a depth map.
 
     Raises:
-        InputError: If it is missing, broken, no single picture, or not finite.
+        InputError: If the file is missing, damaged, not a single image, or has values that are not
+            finite.
     """
     values = _array(path) if path.suffix.lower() == ".npy" else open_levels(path, field="depth")
     if values.ndim != 2 or min(values.shape) < 2 or values.dtype.kind not in "fiu":
@@ -70,10 +71,10 @@ def read_depth(path: Path) -> NDArray[np.float32]:
 
 
 def fit_to_picture(depth: NDArray, width: int, height: int) -> NDArray[np.float32]:
-    """Resize a depth map to the picture [H,W].
+    """Resize a depth map to the size of the image [H,W].
 
     Raises:
-        InputError: If it has another aspect ratio.
+        InputError: If the aspect ratios differ.
     """
     rows, columns = depth.shape
     if abs(columns * height / (rows * width) - 1) > ASPECT:
@@ -97,7 +98,7 @@ def _array(path: Path) -> NDArray:
 
 
 class OtherViews(Section):
-    """Optional inputs about the object's other sides."""
+    """Options for images from other sides, thickness and highlights."""
 
     side: Path | None = Field(
         default=None,
@@ -128,7 +129,7 @@ class OtherViews(Section):
 
     @property
     def pictures(self) -> dict[str, Path]:
-        """Paths of the pictures, by option."""
+        """Paths of the images, by the name of their option."""
         files = {"side": self.side, "back": self.back}
         return {name: path for name, path in files.items() if path is not None}
 
@@ -137,11 +138,11 @@ class OtherViews(Section):
 
         Args:
             generator: The generator.
-            name: Its name.
-            cut: Opens the picture of an option and cuts the object out.
+            name: Name of the generator.
+            cut: Function that opens the image of an option and segments the object.
 
         Raises:
-            InputError: If the generator cannot use an input, or a picture is unusable.
+            InputError: If the generator cannot use an input, or an image is unusable.
         """
         known = signature(generator).parameters
         options: dict[str, Any] = dict(self.pictures)

@@ -1,7 +1,8 @@
-"""Meshes: triangles from a file, covered with flat Gaussians in the colours of their surface.
+"""Covers a triangle mesh from a file with flat Gaussians in the colours of its surface.
 
-trimesh reads the file in a separate process that can be killed. The inside is filled as for every
-object (phy124/particles/solid.py), so a mesh may have holes and faults.
+trimesh reads the file in a separate process, which is killed if it takes too long. The interior is
+filled as for every object (phy124/particles/solid.py); the mesh may therefore have holes and other
+defects.
 """
 
 from __future__ import annotations
@@ -30,34 +31,35 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
-"""Kinds of files, and their usual directions up and to the front."""
+"""Up and front directions by file format."""
 STL_HEAD, STL_ROW = 84, 50
-"""Sizes of a binary STL's header, which ends with the number of triangles, and of a triangle."""
+"""Sizes of a binary STL's header, which ends with the number of triangles, and of a triangle, in
+bytes."""
 LARGEST = 200_000_000
-"""Largest file [bytes]; larger ones are refused before they are read."""
+"""Largest file size [bytes]; larger files are refused before they are read."""
 MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
-"""Time limit for reading."""
+"""Time limit for reading a mesh."""
 COUNT = 24_000
-"""Approximate number of Gaussians, which is enough for edges that look straight."""
+"""Approximate number of Gaussians, enough to make edges look straight."""
 TRIES = 6
-"""Random points per Gaussian, of which an evenly spaced subset is used."""
+"""Random candidate points per Gaussian; an evenly spaced subset is kept."""
 SMALLEST = 1e-6
-"""Smallest area of a mesh, in squares of its longest side."""
+"""Smallest area of a mesh divided by its longest side squared."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]
-"""Points [N,3], outward normals [N,3], and colours [N,3] from 0 to 1 if the file has some."""
+"""Points [N,3], outward normals [N,3], and colours [N,3] in 0..1, or None without colours."""
 
 
 def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
-    """Make the Gaussians of a mesh around the origin, z up, with a longest side of 1 m.
+    """Make Gaussians of a mesh, centred on the origin, z up, with a longest side of 1 m.
 
     Args:
         path: A .glb, .gltf, .obj, .stl or .ply file.
-        colour: Red, green and blue, 0..1, of a mesh that has no colours.
+        colour: Red, green and blue, 0..1, used if the mesh has no colours.
         seed: Seed of the Gaussians' positions.
 
     Raises:
-        InputError: The mesh cannot be read, is too large, or has no area.
+        InputError: If the mesh cannot be read, is too large, or has no area.
     """
     _refuse(path)
     kind = _kind(path)
@@ -78,10 +80,10 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
 
 
 def _kind(path: Path) -> str:
-    """Return the kind of a file, by its first bytes if possible, else by its ending.
+    """Return the format of a file, from its first bytes if possible, else from its extension.
 
     Raises:
-        InputError: An STL file is cut short.
+        InputError: If an STL file is cut short.
     """
     with open(path, "rb") as file:
         head = file.read(STL_HEAD)
@@ -93,17 +95,17 @@ def _kind(path: Path) -> str:
     if head[:6].lower() == b"solid " or there == STL_ROW * stated:
         return "stl"
     kind = path.suffix.lower().removeprefix(".")
-    if kind == "stl" and b"\0" in head and there < STL_ROW * stated:  # Texts have no zeros.
+    if kind == "stl" and b"\0" in head and there < STL_ROW * stated:  # text files have no zeros
         limit = f"it is cut short: {max(there, 0) // STL_ROW:,} of {stated:,} triangles are there."
         raise _unusable(path, limit, AGAIN)
     return kind
 
 
 def _refuse(path: Path) -> None:
-    """Refuse a file that is no mesh or unreadable, or if trimesh is missing.
+    """Raise an error if a file is not a mesh or is unreadable, or if trimesh is not installed.
 
     Raises:
-        InputError: The file or package is missing or unusable.
+        InputError: If the file or the package is missing or unusable.
     """
     if path.suffix.lower().removeprefix(".") not in UPRIGHT:
         known = ", ".join(f".{name}" for name in UPRIGHT)
@@ -126,10 +128,10 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
 
 
 def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
-    """Sample points of a mesh, and check its resolution; called in another process.
+    """Sample points of a mesh and check its resolution; runs in a separate process.
 
     Raises:
-        ValueError: The mesh is unusable; the message has a limit and a remedy.
+        ValueError: If the mesh is unusable; its message is "limit; remedy".
     """
     try:
         scene = _load(path, kind)
@@ -149,13 +151,13 @@ def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
         raise ValueError(f"{limit}; Simplify it in the program that made it.")
     solids: Any = [piece for piece in pieces if len(getattr(piece, "faces", ()))]
     drawn = _sample_surface(solids, seed)
-    # Shapes have the file's coordinates, before their nodes transform them.
+    # The vertices of `shapes` are in the file's coordinates, before any transform of a node.
     largest: Any = max(shapes, key=lambda piece: len(getattr(piece, "faces", ())))
     return drawn, describe_coarseness(largest.vertices, step_of(largest.vertices))
 
 
 def _load(path: str, kind: str) -> Any:
-    """Load the scene of a file, without comments and blank lines if trimesh fails on them."""
+    """Load the scene of a file; retry a PLY without the comments and blank lines that may fail."""
     import trimesh
     from trimesh.resolvers import FilePathResolver
 
@@ -172,7 +174,7 @@ def _load(path: str, kind: str) -> Any:
 
 
 def _legible(path: str) -> BytesIO:
-    """Return a PLY without unreadable comments and blank lines."""
+    """Return the content of a PLY without blank lines and comments that are not UTF-8."""
     head, end, body = Path(path).read_bytes().partition(b"end_header")
     lines = [line for line in head.splitlines() if line.strip() and _is_text(line)]
     if b"format ascii 1.0" in lines:
@@ -190,7 +192,7 @@ def _sample_surface(pieces: list[Trimesh], seed: int) -> Drawn:
     """Sample evenly spaced points on all pieces of a mesh.
 
     Raises:
-        ValueError: A corner is not finite or is missing, or the pieces have no area.
+        ValueError: If a corner is not finite or does not exist, or the pieces have no area.
     """
     for piece in pieces:
         if piece.faces.min() < 0 or piece.faces.max() >= len(piece.vertices):
@@ -202,7 +204,7 @@ def _sample_surface(pieces: list[Trimesh], seed: int) -> Drawn:
     areas = np.concatenate([piece.area_faces for piece in pieces])
     if not areas.sum() > SMALLEST * side * side > 0:
         raise ValueError("its triangles have no area.")
-    # Most triangles of an inverted mesh face inwards.
+    # If most of the area faces the centre, the mesh is inside out, and its normals are reversed.
     away = np.concatenate([piece.triangles_center for piece in pieces]) - corners.mean(axis=0)
     normals = np.concatenate([piece.face_normals for piece in pieces])
     sign = 1.0 if (areas * (away * normals).sum(axis=1)).sum() >= 0 else -1.0
@@ -216,7 +218,7 @@ def _sample_surface(pieces: list[Trimesh], seed: int) -> Drawn:
 
 
 def _apart(points: NDArray, width: float) -> NDArray[np.int64]:
-    """Return the index of the point nearest to the middle of each cube of a width."""
+    """Return, for each occupied cube of a grid, the index of the point nearest to its centre."""
     cubes = np.floor(points / width)
     off = np.linalg.norm(points / width - cubes - 0.5, axis=1)
     order = np.lexsort((off, *cubes.T))
@@ -228,11 +230,11 @@ def _apart(points: NDArray, width: float) -> NDArray[np.int64]:
 def _colours(
     pieces: list[Trimesh], chosen: NDArray[np.int64], weights: NDArray
 ) -> NDArray[np.float64] | None:
-    """Return colours [N,3] of points in triangles; None if no piece has colours.
+    """Return the colours [N,3] of points in triangles; None if no piece has colours.
 
     Args:
         pieces: Pieces of the mesh, whose triangles are numbered consecutively.
-        chosen: The triangle of each point [N].
+        chosen: Index of the triangle of each point [N].
         weights: Barycentric coordinates of each point [N,3].
     """
     ends = np.cumsum([0, *(len(piece.faces) for piece in pieces)])
@@ -248,7 +250,7 @@ def _colours(
 
 
 def _colour_piece(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[Any] | None:
-    """Return colours [N,3 or 4] from 0 to 255 of points on a piece; None if it has none."""
+    """Return the colours [N,3 or 4] in 0..255 of points on a piece; None without colours."""
     visual: Any = piece.visual
     if visual.kind == "face":
         return visual.face_colors[triangles]

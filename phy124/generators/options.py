@@ -1,7 +1,8 @@
-"""The options of generators, declared once for all, and the forecast of a generator's time.
+"""Declares the options of all generators, and predicts a generator's run time.
 
-A generator supports the options that its factory has as keywords (`phy124.generators.make`); other
-options are refused. The time is the networks' arithmetic over this machine's measured speed.
+A generator supports those options that are keywords of its factory (`phy124.generators.make`);
+other options are refused. The predicted time is the number of arithmetic operations of the
+networks divided by the measured speed of this machine.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from phy124.schema.section import Section
 
 Sampler = Literal["ddim", "dpmsolver++"]
 SAMPLER: Sampler = "ddim"
-"""The sampler of the paper and of LGM."""
+"""The default sampler, as in the DDIM paper and in LGM."""
 Precision = Literal["float32", "bfloat16", "float16"]
 
 
 class GeneratorOptions(Section):
-    """Options of a generator; the generator chooses those that are absent."""
+    """Options of a generator; an option that is None has the generator's default."""
 
     steps: int | None = Field(
         default=None,
@@ -49,7 +50,7 @@ class GeneratorOptions(Section):
         """Return the options that are set, as keywords for a generator's factory.
 
         Raises:
-            InputError: The factory has no such keyword.
+            InputError: If the factory lacks a keyword.
         """
         options, known = self.model_dump(exclude_none=True), signature(factory).parameters
         for option, value in options.items():
@@ -62,51 +63,51 @@ class GeneratorOptions(Section):
 
 
 UNCHANGED = GeneratorOptions()
-"""No option is set."""
+"""Options of which none is set."""
 
 
 ROUNDS = 2
-"""Number of measurements of each kind of arithmetic, after a warm-up."""
+"""Number of timed repetitions for each kind of operation, after a warm-up."""
 
 
 class Work(NamedTuple):
-    """Floating point operations by kind, or their rates per second."""
+    """Numbers of floating-point operations by kind, or rates in operations per second."""
 
     linear: float
     convolution: float
     attention: float
 
     def at(self, speed: Work) -> float:
-        """Return the time at a speed [s]."""
+        """Return the time that this work takes at the rates `speed` [s]."""
         return sum(work / rate for work, rate in zip(self, speed, strict=True))
 
     def times(self, count: float) -> Work:
-        """Multiply the work by a number."""
+        """Return `count` times this work."""
         return Work(*(count * work for work in self))
 
 
 @dataclass(frozen=True)
 class Effort:
-    """The forecast of a generator for an object."""
+    """Predicted run time and effective settings of a generator for one object."""
 
     seconds: float
-    """Predicted time without reading the weights [s]."""
+    """Predicted run time without loading the weights [s]."""
     settings: dict[str, Any]
-    """The options in effect, for the report."""
+    """The effective options, for the report."""
     words: str
-    """The options in effect, in words."""
+    """The effective options, as text."""
 
 
 def effort_of(generator: Any) -> Effort | None:
-    """Return the forecast of a generator; None for fast generators, which have none."""
+    """Return the effort of a generator; None if it does not predict one, since it is fast."""
     effort: Callable[[], Effort] | None = getattr(generator, "effort", None)
     return effort() if effort is not None else None
 
 
 def speed_of(device: str, dtype: Any) -> Work:
-    """Measure torch's floating point operations per second by kind, under the current load.
+    """Measure torch's rate of floating-point operations by kind [1/s], under the current load.
 
-    This takes about a second, on arrays as large as in the networks.
+    This takes about a second and uses arrays as large as those in the networks.
     """
     import torch
     from torch.nn import functional as F
@@ -127,7 +128,7 @@ def speed_of(device: str, dtype: Any) -> Work:
 
 
 def _seconds(work: Callable[[], Any], wait: Callable[[], Any]) -> float:
-    """Return the mean duration of some work after a warm-up [s]."""
+    """Return the mean duration of an operation after a warm-up [s]."""
     work()
     wait()
     start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Reads the Gaussians of a file, and brings them to the default position and size."""
+"""Reads Gaussians from a file, and moves and scales them to the default position and size."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from PIL import Image
 
 MIN_OPACITY = 0.005
-"""Gaussians with a lower opacity are dropped, as LGM does when it saves."""
+"""Smallest opacity; Gaussians below it are dropped, as LGM does when it saves."""
 TAIL = 0.005
-"""Fraction of the opacity beyond each end of the object's core."""
+"""Fraction of the total opacity that lies outside the object's core at each end of an axis."""
 MARGIN = 0.5
-"""Largest distance of the object's Gaussians from the core, relative to its size."""
+"""Largest distance from the core at which Gaussians belong to the object, in core sizes."""
 
 
 class Reading(Section):
-    """How to interpret a file of Gaussians."""
+    """Options for reading a file of Gaussians."""
 
     up: str | None = Field(
         default=None,
@@ -64,10 +64,10 @@ class Reading(Section):
     )
 
     def refuse(self, name: str, source: object) -> None:
-        """Refuse options for reading a file if there is no file.
+        """Raise an error if options for reading a file are set but no file is read.
 
         Raises:
-            InputError: If any option is set although `source` is no file.
+            InputError: If any option is set; `source` is the value that is not a file.
         """
         options = [f"--{option}" for option in self.model_dump(exclude_defaults=True)]
         if options:
@@ -77,33 +77,33 @@ class Reading(Section):
 
 
 NO_AXES = Reading().model_dump(include={"up", "front", "dialect", "rotate"})
-"""The options about axes, if none is set."""
+"""The four options about axes, with their default values."""
 
 
 class Opened(NamedTuple):
-    """The contents of a file."""
+    """Visible Gaussians of a file, and the notes about reading it."""
 
     gaussians: Gaussians
-    """The visible Gaussians in our axes, in the file's units."""
+    """The visible Gaussians in the axes of phy124, in the file's unit of length."""
     rotation: NDArray[np.float64]
-    """Rotation from the file's axes to ours [3,3]."""
+    """Rotation from the file's axes to those of phy124 [3,3]."""
     cleaning: list[str]
-    """A sentence for each reason why Gaussians were dropped."""
+    """One sentence for each reason why Gaussians were dropped."""
     axes: tuple[str, str | None] = Y_DOWN
-    """Directions of the file or its format that point up and to the front."""
+    """Up and front directions stated by the file or its format."""
     notes: tuple[str, ...] = ()
     """Sentences about ignored columns, columns read in an unusual way, and surroundings."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Position of the Gaussians' origin in the file, in its axes."""
+    """Origin of the Gaussians' coordinates, in the file's axes and unit."""
     coarse: bool = False
-    """Whether the file's numbers are too coarse at its distance from the origin."""
+    """Whether the file's positions have too little precision at the object's distance from 0."""
 
 
 @dataclass(frozen=True)
 class PlyFile:
-    """The generator that reads a file and ignores the picture.
+    """A generator that reads a file and ignores the image.
 
-    `phy124.pipeline.capture`, which knows the scene, separates the floor and the object on it.
+    `phy124.pipeline.capture` separates a floor from the object on it, since this needs the scene.
     """
 
     path: str
@@ -116,10 +116,10 @@ class PlyFile:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Read the file's Gaussians, with a longest side of 1 m; picture and seed are ignored.
+        """Read the file's Gaussians, scaled to a longest side of 1 m; ignore image and seed.
 
         Raises:
-            InputError: As `read_gaussians`, or if all are nearly transparent or at one point.
+            InputError: As `read_gaussians`, or if all Gaussians are nearly transparent or coincide.
         """
         del image_rgba, seed
         if self.reading.floor:
@@ -132,7 +132,7 @@ class PlyFile:
         return normalise_size(opened.gaussians, self.path)
 
     def open(self, progress: Progress = silent) -> Opened:
-        """Read the file's visible Gaussians, rotated upright and cropped.
+        """Read the file's visible Gaussians, crop them, and rotate them to the axes of phy124.
 
         Raises:
             InputError: As `read_gaussians`, or if the options contradict each other or leave no
@@ -140,7 +140,7 @@ class PlyFile:
         """
         progress("read", 0, 1)
         axes = self.reading.up, self.reading.front, self.reading.dialect, self.reading.rotate
-        orientation(*axes)  # refuses before the file is read
+        orientation(*axes)  # refuses bad options before the file is read
         box = self._box()
         content = read_as_is(self.path)
         self._hint(content)
@@ -182,7 +182,7 @@ class PlyFile:
         )
 
     def _hint(self, content: Content) -> None:
-        """Warn if the file seems to have another dialect, and no option about its axes is set."""
+        """Warn if the file seems to have an unusual dialect and no option about axes is set."""
         axes = self.reading.model_dump(include={"up", "front", "dialect", "rotate"})
         if axes != NO_AXES or content.axes != Y_DOWN or recognise(Path(self.path)).name != "ply":
             return
@@ -196,7 +196,7 @@ class PlyFile:
             )
 
     def _box(self) -> NDArray[np.float64] | None:
-        """Return the lowest and highest corner [2,3] of the crop."""
+        """Return the lower and upper corner [2,3] of the crop box."""
         crop = self.reading.crop
         if crop is None:
             return None
@@ -218,7 +218,7 @@ def normalise_size(gaussians: Gaussians, name: str = "") -> Gaussians:
     """Centre Gaussians on the origin and scale their longest side to 1 m, ignoring outliers.
 
     Raises:
-        InputError: If all centres lie in one point.
+        InputError: If all centres coincide.
     """
     low, high = robust_bounds(gaussians)
     size = float((high - low).max())
@@ -229,10 +229,11 @@ def normalise_size(gaussians: Gaussians, name: str = "") -> Gaussians:
 
 
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and highest centre along each axis [3], m, without outliers.
+    """Return the smallest and largest coordinates of the centres [3], [3], without outliers.
 
-    The core contains all but a fraction `TAIL` of the opacity at each end. The bounds are those of
-    all Gaussians within `MARGIN` core sizes of it, so that an object without outliers is unchanged.
+    The core excludes a fraction `TAIL` of the total opacity at each end of each axis. The bounds
+    include all Gaussians within `MARGIN` core sizes of the core; the bounds of an object without
+    outliers are therefore exact.
     """
     means = gaussians.means.astype(np.float64)
     core = np.stack([_quantiles(axis, gaussians.opacities) for axis in means.T], axis=1)

@@ -1,4 +1,4 @@
-"""Plain shapes without a picture: a sphere, a box or a capsule covered with flat Gaussians."""
+"""Makes simple shapes without an image: a sphere, a box or a capsule of flat Gaussians."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from phy124.gaussians import Gaussians, quaternions, spread_directions
 COUNT = 8000
 """Approximate number of Gaussians of a shape."""
 FLATNESS = 0.15
-"""Thickness of the discs on its surface, relative to their width."""
+"""Thickness of the surface's Gaussians relative to their width."""
 LIGHT = (0.35, 0.25, 0.9)
-"""Direction towards the light of its shading."""
+"""Direction towards the light that shades the shape."""
 AMBIENT = 0.72
-"""Brightness of surfaces that face away from the light."""
+"""Brightness of surfaces that are perpendicular to the light's direction or face away from it."""
 CHECKS, CONTRAST = 8, 0.05
-"""Number of squares along the longest side, which make motion visible, and their contrast."""
+"""Number of squares of the checker pattern along the longest side, and their contrast. The pattern
+makes motion visible."""
 Surface = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Points [N,3] and outward normals [N,3]."""
+"""Points [N,3] and outward unit normals [N,3]."""
 
 
 def make_shape(name: str, sides: Sequence[float], colour: Sequence[float]) -> Gaussians:
-    """Make the Gaussians of a shape around the origin.
+    """Make the Gaussians of a shape that is centred on the origin.
 
     Args:
         name: sphere (an ellipsoid if the sides differ), box, or capsule (along its longest side).
-        sides: Sides along x, y and z, m.
+        sides: Lengths along x, y and z, m.
         colour: Red, green and blue, 0..1.
     """
     half = np.asarray(sides, np.float64) / 2
@@ -47,13 +48,13 @@ def cover_surface(
     width: float | None = None,
     bright: NDArray | float = 1.0,
 ) -> Gaussians:
-    """Cover a surface with flat Gaussians, slightly shaded.
+    """Cover a surface with flat, slightly shaded Gaussians.
 
     Args:
         points: Centres [N,3], m.
         normals: Outward unit normals [N,3].
-        rgb: Colours [N,3], or a colour for all [3], 0..1.
-        width: Standard deviation along the surface [m]; None: the distance of neighbours.
+        rgb: Colours [N,3], or one colour for all [3], 0..1.
+        width: Standard deviation along the surface [m]; None: derived from the spacing of points.
         bright: Factor on the colours [N].
     """
     wide = _spread(points) if width is None else np.full(len(points), width)
@@ -70,7 +71,7 @@ def _spread(points: NDArray) -> NDArray[np.float64]:
 
 
 def _area(half: NDArray) -> float:
-    """Return the area of a box with half sides [3], m^2; other shapes have a smaller one."""
+    """Return the area of a box with half sides [3] [m^2], an upper bound for the other shapes."""
     a, b, c = 2 * half
     return float(2 * (a * b + b * c + c * a))
 
@@ -101,11 +102,11 @@ def _box(half: NDArray) -> Surface:
 
 
 def _capsule(half: NDArray) -> Surface:
-    """Distribute points evenly over a cylinder with a half sphere at each end."""
+    """Distribute points evenly over a cylinder with a hemisphere at each end."""
     axis = int(np.argmax(half))
     across = np.delete(half, axis)
     radius, length = float(across.max()), float(half[axis] - across.max())
-    # Archimedes: a sphere has as much area between two heights as the cylinder around it.
+    # Archimedes: between two heights, a sphere has the same area as its circumscribed cylinder.
     height = (np.arange(COUNT) + 0.5) / COUNT * 2 - 1
     along = height * (length + radius)
     middle = along.clip(-length, length)
@@ -131,7 +132,7 @@ def _facing(normals: NDArray) -> NDArray[np.float64]:
 
 
 def ball(count: int = 6000, diameter: float = 1.0) -> Gaussians:
-    """Return a closed shell of evenly spread, flat Gaussians (Fibonacci lattice), facing +x."""
+    """Return a ball facing +x: a closed shell of flat Gaussians on a Fibonacci lattice."""
     normals = spread_directions(count)
     helper = np.where(np.abs(normals[:, 2:]) < 0.7, [[0.0, 0, 1]], [[1.0, 0, 0]])
     along = np.cross(helper, normals)

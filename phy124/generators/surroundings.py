@@ -1,7 +1,8 @@
-"""Recognises the surroundings of an object in a file of Gaussians: a background, a sky.
+"""Detects the surroundings of an object in a file of Gaussians: a background or a sky.
 
-A capture of an object often contains its surroundings, too. Then the object is a small part of the
-box that determines the size, and object and surroundings would move as a single body.
+A capture of an object often contains its surroundings. The object is then a small part of the
+bounding box, from which its size is determined; and object and surroundings would move as a single
+body.
 """
 
 from __future__ import annotations
@@ -15,33 +16,35 @@ from phy124.gaussians import Gaussians
 from phy124.particles import clean, visible_area
 
 SAMPLE = 100_000
-"""Number of Gaussians, evenly picked, that represent all of them."""
+"""Number of Gaussians, picked at even intervals, that are examined."""
 MOST = 0.8
-"""Fraction of what is seen that is the object, if it lies in a small part of the box."""
+"""Fraction of the visible area, or of the inner Gaussians, that counts as the object."""
 SMALL = 0.3
-"""Largest side of that part relative to the box's, where all may be one object."""
+"""Ratio of that part's longest side to the bounding box's, below which the rest is background."""
 AROUND = 1.25
-"""Size of the recommended box relative to that part."""
+"""Size of the recommended crop box relative to the object."""
 TAIL = 1e-3
-"""Fraction of the Gaussians beyond either end of a box."""
+"""Fraction of the Gaussians beyond each end of a box."""
 ROUNDS = 4
-"""How often the middle of that part is found again."""
+"""Number of iterations that refine the centre of the object."""
 FAR = 3.0
-"""Distance of a sky from the middle, in distances of `MOST` of all within it."""
+"""Smallest ratio of a sky's distance from the centre to the radius of the fraction `MOST` of the
+Gaussians inside the sky."""
 THIN = 0.2
-"""Spread of the distances of a sky's Gaussians, relative to their mean."""
+"""Largest standard deviation of the distances of a sky's Gaussians, relative to their mean."""
 MANY = 0.01
-"""Fraction of all Gaussians that a sky has at least, and of its own in each of seven octants."""
+"""Smallest fraction of all Gaussians that a sky has, and of its own Gaussians in each of at least
+seven octants."""
 
 
 def surroundings(
     gaussians: Gaussians, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> list[str]:
-    """Sentences on what is around the object, with the `--crop` that leaves it out.
+    """Return sentences about an object's surroundings, with the `--crop` that removes them.
 
     Args:
-        gaussians: The contents of a file in its own axes and units.
-        origin: Their origin's place in that file [3].
+        gaussians: The Gaussians of a file, in its axes and unit of length.
+        origin: Origin of their coordinates, in the file's axes and unit [3].
     """
     visible = np.flatnonzero(gaussians.longest > 0)
     if not len(visible):
@@ -58,15 +61,15 @@ def surroundings(
 
 
 class _Around(NamedTuple):
-    """Surroundings of an object."""
+    """Surroundings that were detected, and the bounding box of the object."""
 
     words: str
     box: tuple[NDArray[np.float64], NDArray[np.float64]]
-    """Lower and upper corner of the object [3], [3]."""
+    """Lower and upper corner of the object's crop box [3], [3]."""
 
 
 def _sky(means: NDArray[np.float64]) -> _Around | None:
-    """Describe a sky: outer centres [N,3] that form a shell far around the others."""
+    """Describe a sky, if there is one: centres [N,3] that form a shell far around the others."""
     places = means - np.median(means, axis=0)
     distances = np.linalg.norm(places, axis=1)
     far = distances > np.quantile(distances, 1 - MANY / 2) / 2
@@ -87,7 +90,7 @@ def _sky(means: NDArray[np.float64]) -> _Around | None:
 
 
 def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
-    """Describe a background: most of the visible area is in a small part of the box.
+    """Describe a background, if there is one: the object is a small part of the bounding box.
 
     Args:
         means: Centres [N,3].
@@ -109,7 +112,7 @@ def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
 def _part(
     means: NDArray[np.float64], seen: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners of a small box around a fraction `MOST` of the visible area [N]."""
+    """Return the corners of a small box that contains a fraction `MOST` of the visible area [N]."""
     part = np.ones(len(means), bool)
     for _ in range(ROUNDS):
         middle = np.array([_median(axis, seen[part]) for axis in means[part].T])

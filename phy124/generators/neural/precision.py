@@ -1,4 +1,4 @@
-"""The device and precision of a generator's networks."""
+"""Selects the device and precision of a generator's networks."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from phy124.runtime.memory import free_memory
 SPARE = 0.8
 """Largest fraction of the free memory that a network may use."""
 FLAGS = ("avx512_bf16", "amx_bf16")
-"""Processor features that multiply bfloat16, by their names in Linux and in torch."""
+"""CPU features that include bfloat16 multiplication, by their names in Linux and in torch."""
 
 
 def torch_device(name: str | None) -> str:
-    """Return torch's name of a device; None: a GPU if torch can use it."""
+    """Return torch's name of a usable device; for None, a GPU if torch can use one."""
     usable = torch.cuda.is_available()
     if name is None:
         return "cuda" if usable else "cpu"
@@ -30,10 +30,10 @@ def torch_device(name: str | None) -> str:
 
 
 def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dtype:
-    """Return the requested precision, or the fastest that is exact enough and fits into memory.
+    """Return the requested precision, or the fastest that is accurate enough and fits into memory.
 
     Args:
-        precision: The user's choice.
+        precision: The user's choice, if any.
         device: Device of the network.
         numbers: Number of the network's parameters.
     """
@@ -46,14 +46,14 @@ def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dt
 
 
 def is_short(needed: float, device: str = "cpu") -> bool:
-    """Whether a number of bytes exceeds the usable fraction of a device's free memory."""
+    """Whether `needed` bytes exceed the usable fraction of a device's free memory."""
     gpu = device.startswith("cuda")
     return needed > SPARE * (torch.cuda.mem_get_info(device)[0] if gpu else free_memory())
 
 
 def multiplies_bfloat16() -> bool:
-    """Whether this processor has instructions that multiply bfloat16 (AVX512-BF16, AMX)."""
-    features = getattr(torch.cpu, "get_capabilities", dict)()  # older ones have none
+    """Whether this CPU has instructions that multiply bfloat16 (AVX512-BF16, AMX)."""
+    features = getattr(torch.cpu, "get_capabilities", dict)()  # missing in older releases
     if features:
         return any(features.get(flag, False) for flag in FLAGS)
     try:

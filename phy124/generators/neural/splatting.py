@@ -1,9 +1,9 @@
-"""A differentiable rasterizer of 3D Gaussians, for fitting them to pictures.
+"""A differentiable rasteriser of 3D Gaussians, which fits them to images.
 
-Kerbl et al. 2023, "3D Gaussian Splatting", and Zwicker et al. 2002 (EWA) for the projection. The
-reference here is plain torch, tile by tile: suitable for small pictures and for gradients on the
-CPU. On CUDA gsplat (the extra `gpu`) is used instead if it is installed. Final pictures are drawn
-by `phy124.rendering.render`.
+Kerbl et al. 2023, "3D Gaussian Splatting"; the projection follows Zwicker et al. 2002 (EWA). This
+reference implementation is plain torch, tile by tile, and suits small images and gradients on the
+CPU. On CUDA, gsplat (the extra `gpu`) is used if it is installed. Final images are rendered by
+`phy124.rendering.render`.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from phy124.generators.neural.orbit import focal, orbit, to_opencv
 from phy124.runtime.installation import install_command
 
 TILE = 16
-"""Side of a tile, pixels."""
+"""Side of a tile [pixels]."""
 BLUR = 0.3
-"""Added to both variances on screen [pixels^2], so that nothing is thinner than a pixel."""
+"""Variance added to both screen axes [pixels^2], which makes every Gaussian about a pixel wide."""
 NEAR = 0.01
 ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.99
 STOP = 1e-4
-"""A pixel is finished once less light than this passes through."""
+"""Transmittance below which compositing of a pixel ends."""
 GUARD = 1.3
-"""The Jacobian is evaluated at most this far out, in fields of view; beyond, it would explode."""
+"""Largest position at which the Jacobian is evaluated, in half fields of view; farther out, the
+Jacobian would become very large."""
 
 
 SLOW = f"This takes many times longer than with gsplat; `{install_command('gpu')}` installs it."
@@ -35,31 +36,31 @@ SLOW = f"This takes many times longer than with gsplat; `{install_command('gpu')
 
 @dataclass(frozen=True)
 class View:
-    """A pinhole camera with square pixels and its axis in the middle of the picture."""
+    """A pinhole camera with square pixels and the principal point at the image centre."""
 
     matrix: Tensor
     """World-to-camera transform [4,4]; x right, y down, z forward."""
     focal: float
-    """Focal length, pixels."""
+    """Focal length [pixels]."""
     width: int
     height: int
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """A picture, and what densification needs to know about it."""
+    """A rendered image, and the data that densification needs."""
 
     rgb: Tensor
     """Colours [H,W,3] over the background."""
     alpha: Tensor
-    """Coverage [H,W], 0..1."""
+    """Alpha [H,W], 0..1."""
     centres: Tensor
-    """Projected centres [N,2], pixels; their gradient is kept by the backward pass."""
+    """Projected centres [N,2], pixels; the backward pass stores their gradient."""
     radii: Tensor
-    """Radius of three standard deviations [N], pixels; 0 where a Gaussian is not visible."""
+    """Radius of three standard deviations [N], pixels; 0 for invisible Gaussians."""
 
     def screen_gradients(self) -> Tensor:
-        """Gradients of the loss by the centres [N,2], per half image side (the unit of 3DGS)."""
+        """Return the loss gradients by the centres [N,2], per half image side (unit of 3DGS)."""
         height, width = self.alpha.shape
         gradient = self.centres.grad
         if gradient is None:
@@ -76,14 +77,14 @@ def rasterize(
     view: View,
     background: Tensor,
 ) -> Rendering:
-    """Draw Gaussians so that gradients flow back to all of their parameters.
+    """Render Gaussians; gradients flow back to all of their parameters.
 
     Args:
         means: Centres [N,3].
-        quats: Rotations wxyz [N,4] of any length.
+        quats: Quaternions wxyz [N,4] of any length.
         scales: Standard deviations [N,3].
-        opacities: [N], 0..1.
-        colors: [N,3].
+        opacities: Opacities [N], 0..1.
+        colors: Colours [N,3].
         view: The camera.
         background: Colour [3] behind the Gaussians.
     """
@@ -105,7 +106,7 @@ def rasterize(
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
-    """Rotation matrices [N,3,3] of quaternions wxyz [N,4], which are normalised first."""
+    """Return the rotation matrices [N,3,3] of quaternions wxyz [N,4] of any length."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -122,7 +123,7 @@ def project(
 
     Args:
         means: Centres [N,3].
-        quats: Rotations wxyz [N,4].
+        quats: Quaternions wxyz [N,4].
         scales: Standard deviations [N,3].
         view: The camera.
 
@@ -150,7 +151,7 @@ def project(
 
 
 def _conics(covariances: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
-    """Inverse covariances as (xx, xy, yy) [N,3], and radii of three standard deviations [N]."""
+    """Return inverse covariances (xx, xy, yy) [N,3], and radii of three std deviations [N]."""
     a, b, c = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     determinant = a * c - b * b
     conics = torch.stack([c, -b, a], dim=-1) / determinant[:, None]
@@ -162,14 +163,14 @@ def _conics(covariances: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _on_screen(centres: Tensor, radii: Tensor, view: View) -> Tensor:
-    """Whether the square around each Gaussian touches the picture [N]."""
+    """Whether the bounding square of each Gaussian overlaps the image [N]."""
     size = centres.new_tensor([view.width, view.height])
     low, high = centres - radii[:, None], centres + radii[:, None]
     return ((high > 0) & (low < size)).all(dim=1)
 
 
 def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
-    """Half sides [N] of the squares outside which a Gaussian's alpha is below ALPHA_MIN."""
+    """Return half sides [N] of the squares outside which alpha is below ALPHA_MIN."""
     variance = covariances.diagonal(dim1=1, dim2=2).amax(dim=1)
     return (2 * torch.log((opacities / ALPHA_MIN).clamp(min=1)) * variance).sqrt()
 
@@ -183,7 +184,7 @@ def _tiles(
     order: Tensor,
     view: View,
 ) -> tuple[Tensor, Tensor]:
-    """Picture over black [H,W,3] and coverage [H,W]; `order` lists Gaussians from near to far."""
+    """Return the image over black [H,W,3] and alpha [H,W]; `order` sorts from near to far."""
     rows = []
     low, high = (
         (centres.detach() - reach[:, None])[order],
@@ -212,7 +213,7 @@ def _pixel_centres(left: int, top: int, size: tuple[int, int], like: Tensor) -> 
 def _blend(
     pixels: Tensor, centres: Tensor, conics: Tensor, opacities: Tensor, colors: Tensor
 ) -> Tensor:
-    """Front-to-back compositing at `pixels [P,2]`: colour and coverage [P,4]."""
+    """Composite front to back at `pixels [P,2]`: return colour and alpha [P,4]."""
     d = pixels[:, None, :] - centres
     xx, xy, yy = conics.unbind(-1)
     power = -0.5 * (xx * d[..., 0] ** 2 + yy * d[..., 1] ** 2) - xy * d[..., 0] * d[..., 1]
@@ -260,13 +261,13 @@ def _with_gsplat(
 
 
 def orbit_view(elevation: float, azimuth: float, radius: float, size: int) -> View:
-    """A square picture from the generators' orbit (see `phy124.generators.neural.orbit`).
+    """Return the square view from a pose on the networks' orbit (`phy124.generators.neural.orbit`).
 
     Args:
-        elevation: Degrees; positive is below the object.
-        azimuth: Degrees.
+        elevation: Elevation, degrees; positive is below the object.
+        azimuth: Azimuth, degrees.
         radius: Distance from the origin.
-        size: Side of the picture, pixels.
+        size: Side of the image, pixels.
     """
     matrix = torch.from_numpy(to_opencv(orbit(elevation, azimuth, radius))).float()
     return View(matrix, focal(size), size, size)

@@ -1,9 +1,10 @@
-"""relief: inflates a picture with alpha into a closed shell of flat Gaussians, without weights.
+"""Generator `relief`: inflates an image with alpha into a closed shell of flat Gaussians.
 
-It is a guess, not a reconstruction: the silhouette becomes the most plausible solid
-(`phy124.generators.relief.solids`), the front shows the picture, and the back continues the colours
-of the picture's rim. A picture from the side replaces the guess (`phy124.generators.relief.hull`).
-docs/lab/relief.md compares the results with solids that are known from all sides.
+It needs no trained weights. The shape is a guess, not a reconstruction: the most plausible solid
+for the silhouette (`phy124.generators.relief.solids`). The front shows the image; the back
+continues the colours along the silhouette's rim. An image from the side replaces the guess of the
+depth (`phy124.generators.relief.hull`). docs/lab/relief.md compares the results with objects whose
+shape is known from all sides.
 """
 
 from __future__ import annotations
@@ -41,28 +42,28 @@ def relief(
     thickness: float | None = None,
     highlights: Literal["keep", "remove"] = "keep",
 ) -> Gaussians:
-    """Inflate the opaque part of a picture.
+    """Inflate the opaque part of an image to a closed shell.
 
-    The object faces +x. A camera at `VIEW_DISTANCE` in front sees its silhouette with a longest
-    side of 1 m at x = 0. If the picture from the side shows a longer side, that one is 1 m.
-    Equal seeds give equal Gaussians.
+    The object faces +x. A camera in front of it at the distance `VIEW_DISTANCE` sees its silhouette
+    at x = 0 with a longest side of 1 m. If the image from the side shows a longer side, that side
+    is 1 m. Equal seeds give equal Gaussians.
 
     Args:
-        image_rgba: The picture [H,W,4].
+        image_rgba: The image [H,W,4].
         seed: Seed of the random positions.
-        progress: Called as in `phy124.progress`.
+        progress: Callback as described in `phy124.progress`.
         count: Approximate number of Gaussians.
-        depth: Depth map of the picture [H,W] in any unit, near is large; None: the front is
-            inflated, too.
-        side: Cut-out of the object from one side, which determines its depth.
-        facing: Direction of the object's front in that picture.
-        back: Cut-out of the object from behind.
-        thickness: Depth relative to the guess from the silhouette; None: 1.
-        highlights: Whether to paint highlights on the object, which then move with it.
+        depth: Depth map of the image [H,W] in any unit, larger is nearer; None: the front is
+            inflated like the back.
+        side: Image of the segmented object from one side, which determines its depth.
+        facing: Direction in which the object's front points in `side`.
+        back: Image of the segmented object from behind.
+        thickness: Factor on the depth guessed from the silhouette; None: 1.
+        highlights: Whether highlights are kept; they are painted on the object and move with it.
 
     Raises:
-        InputError: If nothing in a picture is opaque, the depth map does not fit the picture, or
-            the pictures contradict each other.
+        InputError: If an image has no opaque pixels, the depth map does not fit the image, or the
+            images contradict each other.
     """
     rng = np.random.default_rng(seed)
     compile_missing([*(INFLATED if side is None else HULL), push], progress=progress)

@@ -1,4 +1,4 @@
-"""Colours of the object: from all its pictures, and like the picture's rim on an unknown back."""
+"""Colours an object from its images, and an unseen back from the colours along the rim."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
 INSET = 0.03
-"""Distance from the rim at which its colour is read, in picture sizes."""
+"""Distance inside the rim at which the rim's colour is read, in image sizes."""
 REACH = 0.2
-"""Distance around the rim to which the picture continues, in picture sizes."""
+"""Distance along the surface, beyond the rim, over which the image fades into the back, in image
+sizes."""
 SHORTER = 6.0
-"""Preference for the shorter of row and column on the back, as a power of their ratio."""
+"""Exponent that weights the shorter of row and column on the back, applied to their ratio."""
 FRINGE = 2.0
-"""Width of the edge whose colours are ignored, pixels."""
+"""Width of the edge whose colours are ignored [pixels]."""
 
 
 def clean_picture(rgba: Field) -> Field:
-    """Return colours [H,W,3] without the background in half-transparent edge pixels.
+    """Return colours [H,W,3] without the background that is mixed into the edge pixels.
 
-    These pixels, and all pixels outside, get the colour of the nearest opaque pixel.
+    Edge pixels, and all pixels outside, get the colour of the nearest reliable opaque pixel.
     """
     solid = rgba[..., 3] > 0.5
     clean = nearest_of(rgba[..., 3] <= 0.95)[0] > FRINGE
-    # Parts that are too thin for clean pixels use their middle line.
+    # Where the object is too thin to have clean pixels, trust the pixels on its centre line.
     depth, _ = nearest_of(~solid)
     ridge = depth >= scipy.ndimage.maximum_filter(depth, size=3)
     lost = nearest_of(clean)[0] > 2 * FRINGE + 1 if clean.any() else solid
@@ -39,10 +40,10 @@ def clean_picture(rgba: Field) -> Field:
 
 
 def back_picture(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
-    """Imagine the back [H,W,3] from the colours near the rim, at the ends of rows and columns.
+    """Interpolate the back [H,W,3] along rows and columns between colours near the rim.
 
-    So stripes continue around the object, and features inside the silhouette (eyes, a beak) are not
-    repeated.
+    Stripes therefore continue around the object, and features inside the silhouette (eyes, a beak)
+    do not appear again on the back.
     """
     depth, _ = nearest_of(~inside)
     ridge = scipy.ndimage.maximum_filter(depth, size=2 * int(INSET * size) + 1)
@@ -58,7 +59,7 @@ def back_picture(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
 
 
 def _thickness(depth: Field) -> Field:
-    """Return the radius of the largest inscribed disc that covers each pixel [H,W], in steps."""
+    """Return the radius of the largest inscribed disc that covers each pixel [H,W], in 8 levels."""
     thick = np.ones_like(depth)
     for radius in np.geomspace(1.5, max(2.0, float(depth.max())), 8)[:-1]:
         thick[nearest_of(depth >= radius)[0] <= radius] = radius
@@ -66,9 +67,9 @@ def _thickness(depth: Field) -> Field:
 
 
 def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
-    """Interpolate colours [H,W,3] between both ends of each run of a row; also return its length.
+    """Interpolate colours [H,W,3] between the ends of each run of a row; also return run lengths.
 
-    The colours of thin parts (a beak) have a shorter range.
+    The colours of thin features, such as a beak, are weighted less at a distance.
     """
     columns = np.arange(inside.shape[1])
     before = np.maximum.accumulate(np.where(inside, 0, columns), axis=1)
@@ -86,15 +87,16 @@ def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tu
 def colour_points(
     points: Field, surface: Surface, inside: NDArray[np.bool_], front: Field, back: Field, size: int
 ) -> Field:
-    """Colour surface points [N,3] by the front picture, continued around its rim.
+    """Colour surface points [N,3] from the front image, and continue it around the rim.
 
-    Beyond the rim, the picture is continued by its mirror image at the distance along the surface,
-    and fades into the back.
+    Behind the rim, the image is continued by reflection: a point at a distance from the rim along
+    the surface gets the colour at the same distance inside the rim. With the distance, this colour
+    fades into that of the back.
 
     Args:
         points: Positions [N,3], pixels.
         surface: The surface.
-        inside: The silhouette [H,W].
+        inside: Mask of the silhouette [H,W].
         front: Colours of the front [H,W,3].
         back: Colours of the back [H,W,3].
         size: Size of the object, pixels.
@@ -115,7 +117,7 @@ def colour_points(
 
 
 def _sample(picture: Field, place: Field) -> Field:
-    """Return colours [3,N] at positions (y, x)."""
+    """Return colours [3,N] at image positions (y, x)."""
     channels = [
         scipy.ndimage.map_coordinates(picture[..., c], place, order=1, mode="nearest")
         for c in range(3)
@@ -124,32 +126,32 @@ def _sample(picture: Field, place: Field) -> Field:
 
 
 FACING = 4.0
-"""Weight of a picture by its angle to the surface, as a power of the cosine."""
+"""Exponent of the cosine between normal and view direction in the weight of an image."""
 HIDDEN = 0.02
-"""Weight of a picture in which the point is hidden."""
+"""Factor on the weight of an image in which the point is hidden."""
 BEHIND = 8.0
-"""Distance behind the visible surface from which a point is hidden, pixels."""
+"""Distance behind the visible surface from which a point is hidden [pixels]."""
 CELL = 2.0
-"""Size of the cells of the visibility test, pixels."""
+"""Size of the cells of the visibility test [pixels]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A picture of the object from one side."""
+    """An image of the object from one side, with its camera."""
 
     rgb: Field
     """Colours [H,W,3], continued beyond the silhouette."""
     middle: tuple[float, float]
-    """Column and row of the object's middle."""
+    """Column and row of the object's centre."""
     towards: Field
-    """Unit vector towards its camera [3]."""
+    """Unit vector from the object to the camera [3]."""
     across: Field
-    """Unit vector along its rows [3]."""
+    """Unit vector along the rows of the image [3]."""
     weight: float = 1.0
-    """Weight relative to a real picture."""
+    """Weight of the image relative to a photograph."""
 
     def colours(self, points: Field, distance: float) -> Field:
-        """Return the colours [N,3] of points [N,3] as seen by a camera at a distance."""
+        """Return the colours [N,3] of points [N,3] as seen by the camera at `distance`."""
         column, row = self._places(points, distance)
         place = np.stack([row + self.middle[1], column + self.middle[0]])
         channels = [
@@ -159,7 +161,7 @@ class Shown:
         return np.stack(channels, axis=1)
 
     def weights(self, points: Field, normals: Field, distance: float) -> Field:
-        """Return the weight of the picture for each point [N]."""
+        """Return the weight of the image for each point [N]."""
         facing = np.maximum(normals @ self.towards, 0.0) ** FACING
         return self.weight * facing * np.where(self._seen(points, distance), 1.0, HIDDEN) + 1e-6
 
@@ -172,7 +174,7 @@ class Shown:
         return along > nearest[tuple(cells)] - BEHIND
 
     def _places(self, points: Field, distance: float) -> Field:
-        """Return column and row [2,N] relative to the middle."""
+        """Return the column and row of points relative to the object's centre [2,N]."""
         near = 1 - points @ self.towards / distance
         return np.stack([points @ self.across, points[:, 1]]) / near
 
@@ -180,13 +182,13 @@ class Shown:
 def blend_pictures(
     points: Field, normals: Field, pictures: Sequence[Shown], distance: float
 ) -> Field:
-    """Blend the colours [N,3] of points from the pictures that show them.
+    """Blend the colours [N,3] of points from several images, with weights by visibility.
 
     Args:
-        points: Points around the object's middle [N,3], pixels.
-        normals: Normals of the surface [N,3].
-        pictures: Pictures of the object.
-        distance: Distance of every camera, pixels.
+        points: Points relative to the object's centre [N,3], pixels.
+        normals: Unit normals of the surface [N,3].
+        pictures: Images of the object.
+        distance: Distance of every camera from the centre, pixels.
     """
     weights = np.stack([picture.weights(points, normals, distance) for picture in pictures])
     weights /= weights.sum(axis=0)

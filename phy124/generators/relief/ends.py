@@ -1,9 +1,9 @@
-"""The flat ends of an object: the base on which it stands, and a flat top.
+"""Detects the flat ends of an object: the base on which it stands, and a flat top.
 
-The lowest line of a standing object in a picture is straight or, with perspective, an arc between
-two corners. Closing the solid there like at any other rim would give it a keel. So the silhouette
-is inflated together with its mirror image below that line, and then cut off flat. Flat tops are
-treated in the same way.
+In an image, the lower edge of a standing object is a straight line or, with perspective, an arc
+between two corners. If the solid were closed there as at other parts of the rim, it would get a
+keel. To avoid this, the silhouette is extended by its mirror image below the edge, inflated, and
+then cut off flat. Flat tops are treated in the same way.
 """
 
 from __future__ import annotations
@@ -15,53 +15,54 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
 MIRRORED = 0.25
-"""Height of the mirror image, in picture heights; beyond, it does not affect the object."""
+"""Height of the mirror image, in image heights; a taller one would hardly change the object."""
 FLAT = 0.2
 """Smallest width of a flat end, as a fraction of the object's width."""
 ARC = 0.15
 """Largest height of an end's arc, as a fraction of its width."""
 CORNERED = 0.92
-"""Smallest ratio of the width where the arc begins to that twice as high up; a ball has 0.74."""
+"""Smallest ratio of the width at the start of the arc to the width twice as high above the end; a
+ball has 0.74."""
 TALL = 0.8
-"""Smallest ratio of height to width above a flat end; flatter objects lie instead of standing."""
+"""Smallest ratio of height to width above a flat end; flatter objects lie and do not stand."""
 
 
 @dataclass(frozen=True)
 class End:
-    """A flat end, in rows of the picture from above."""
+    """A flat end, described by rows of the image, counted from the top."""
 
     corner: float
-    """Row where the sides end and the arc begins; the silhouette is mirrored here."""
+    """Row at which the sides end and the arc begins; the silhouette is mirrored at this row."""
     outermost: float
-    """Row where the arc ends."""
+    """Row at which the arc ends."""
     sign: int
-    """1: the bottom, -1: the top."""
+    """1 for the bottom, -1 for the top."""
     divided: bool = False
-    """True for the outlines of several round feet instead of an arc."""
+    """Whether the end shows the outlines of several round feet and not a single arc."""
 
     def beyond(self, y: Field, by: float = 0.0) -> NDArray[np.bool_]:
-        """Whether rows are beyond the end by more than a number of pixels."""
+        """Whether rows lie beyond the end by more than `by` pixels."""
         return (y - self.outermost) * self.sign > by
 
 
 @dataclass(frozen=True)
 class Continued:
-    """A picture whose silhouette continues beyond its flat ends."""
+    """An image whose silhouette is extended beyond its flat ends."""
 
     rgba: Field
-    """The picture [H,W,4], padded as `alpha` is."""
+    """The image [H,W,4], padded to the size of `alpha`."""
     alpha: Field
-    """The silhouette with its mirror images [H,W]."""
+    """The silhouette, extended by its mirror images [H,W]."""
     ends: tuple[End, ...]
 
     @property
     def object_mask(self) -> NDArray[np.bool_]:
-        """Pixels of the object itself [H,W]."""
+        """Mask of the object, without the mirror images [H,W]."""
         return self.rgba[..., 3] > 0.5
 
 
 def continue_silhouette(rgba: Field, padding: int) -> Continued:
-    """Continue the silhouette of a picture [H,W,4] with a border of `padding` pixels."""
+    """Extend the silhouette of an image [H,W,4] that has a border of `padding` pixels."""
     alpha, ends = rgba[..., 3], []
     for sign in (1, -1):
         upright = alpha[::sign]
@@ -69,7 +70,7 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
         if not rows or not _rises(upright > 0.5, rows):
             continue
         if sign < 0 and _is_parted(upright > 0.5, rows):
-            continue  # such as between two ears
+            continue  # for example a gap between two ears
         last = int(np.flatnonzero((upright > 0.5).any(axis=1))[-1])
         corner = last - rows + 1
         upper = upright[: corner + 1]
@@ -88,9 +89,9 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
 
 
 def _arc(solid: NDArray[np.bool_]) -> int:
-    """Return the number of rows of the silhouette's [H,W] lowest end; 0: it has no flat end.
+    """Return the height, in rows, of the arc at the silhouette's lower end; 0 if it is not flat.
 
-    The sides above a corner are steep, so the width hardly changes.
+    Above the corners of a flat end, the sides are steep: the width hardly changes.
     """
     solid = solid[::-1][np.flatnonzero(solid[::-1].any(axis=1))[0] :]
     widths = np.count_nonzero(solid, axis=1)
@@ -105,26 +106,26 @@ def _arc(solid: NDArray[np.bool_]) -> int:
 
 
 def _widest(row: NDArray[np.bool_]) -> int:
-    """Return the length of the longest run of a row."""
+    """Return the length of the longest run of True values in a row."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
     return int((edges[1::2] - edges[::2]).max())
 
 
 def _divides(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether the lowest end has a row with more runs than its first row."""
+    """Whether some row of the lower end has more runs than the end's first row."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     runs = np.count_nonzero(np.diff(solid[last - rows + 1 : last + 1].astype(int)) > 0, axis=1)
     return bool(runs.max() > runs[0])
 
 
 def _is_parted(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether a row of the lowest end has several runs."""
+    """Whether some row of the lower end has more than one run."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     return any(_widest(row) < np.count_nonzero(row) for row in solid[last - rows + 1 : last + 1])
 
 
 def _rises(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether the object above the lowest end is at least about as high as wide."""
+    """Whether the object above the lower end is at least `TALL` times as high as wide."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     row = solid[last - rows + 1]
     columns = solid[: last - rows + 2, row][::-1]

@@ -1,4 +1,4 @@
-"""Laplace's equation within a silhouette, whose rim is where its alpha is 1/2."""
+"""Solves Laplace's equation inside a silhouette, whose rim is the contour alpha = 1/2."""
 
 from __future__ import annotations
 
@@ -11,42 +11,42 @@ from numpy.typing import NDArray
 Field = NDArray[np.float64]
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 THETA_MIN = 0.1
-"""Smallest rim distance used, pixels; keeps the matrix well conditioned."""
+"""Smallest distance to the rim that is used [pixels]; it keeps the matrix well conditioned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """A Laplace operator on the pixels inside; the alpha locates the rim within pixels.
+    """The Laplace operator on the pixels inside a silhouette, with a subpixel rim.
 
-    The rim is where alpha is 1/2. A neighbour outside at rim distance theta has weight
-    1/theta, the symmetric second-order scheme of Gibou et al. 2002.
+    The rim is the contour alpha = 1/2. If a neighbour is outside, and the rim is at the distance
+    theta, the neighbour has weight 1/theta: the symmetric second-order scheme of Gibou et al. 2002.
     """
 
     inside: NDArray[np.bool_]
-    """Pixels whose centre is inside [H,W]."""
+    """Mask of the pixels whose centre is inside [H,W]."""
     weights: Field
-    """Weight 1/theta of the rim towards each neighbour [4,H,W]; 0 where that one is inside."""
+    """Weights 1/theta of the rim towards each neighbour [4,H,W]; 0 if the neighbour is inside."""
     factors: scipy.sparse.linalg.SuperLU
 
     @classmethod
     def of(cls, alpha: Field) -> Silhouette:
-        """Return the operator of an alpha [H,W] in 0..1 with a transparent border."""
+        """Return the operator for an alpha [H,W] in 0..1 with a transparent border."""
         inside = alpha > 0.5
         weights = np.stack([_rim_weight(alpha, inside, shift) for shift in NEIGHBOURS])
-        # Panels wider than one column take 1.5 times as long.
+        # Supernodal panels wider than one column take 1.5 times as long.
         factors = scipy.sparse.linalg.splu(
             _laplacian(inside, weights), "MMD_AT_PLUS_A", panel_size=1, relax=1
         )
         return cls(inside, weights, factors)
 
     def poisson(self, source: float) -> Field:
-        """Solve -Laplace(u) = source with u = 0 on the rim; [H,W], 0 outside."""
+        """Solve -Laplace(u) = source with u = 0 on the rim; return u [H,W], 0 outside."""
         u = np.zeros(self.inside.shape)
         u[self.inside] = self.factors.solve(np.full(int(self.inside.sum()), source))
         return u
 
     def harmonic(self, values: Field) -> Field:
-        """Continue `values` [H,W,C] of the pixels around the rim smoothly into the inside."""
+        """Interpolate `values` [H,W,C] at the rim harmonically to the pixels inside."""
         known = np.zeros_like(values)
         for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
             known += weight[..., None] * np.roll(values, (-dy, -dx), (0, 1))
@@ -55,7 +55,7 @@ class Silhouette:
         return filled
 
     def extend(self, u: Field) -> Field:
-        """Continue `u` linearly across the rim: negative outside, decreasing outwards."""
+        """Extrapolate `u` linearly across the rim: outside, it is negative and decreases."""
         total, count = np.zeros_like(u), np.zeros_like(u)
         for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
             mirrored = -u * np.maximum(weight - 1, 0.02)
@@ -63,13 +63,13 @@ class Silhouette:
             count += np.roll(weight > 0, (dy, dx), (0, 1))
         ghost = count > 0
         outside = np.where(ghost, total / np.maximum(count, 1), 0)
-        # Farther out, only the sign and the direction to the rim matter.
+        # Farther out, only the sign and the direction towards the rim are used.
         far, nearest = nearest_of(ghost)
         return np.where(self.inside, u, outside[nearest] * (1 + far))
 
 
 def nearest_of(wanted: NDArray[np.bool_]) -> tuple[Field, tuple[NDArray, NDArray]]:
-    """Return the distance from each pixel to the nearest wanted pixel, and its position."""
+    """Return the distance from each pixel to the nearest True pixel, and that pixel's position."""
     distance, (y, x) = scipy.ndimage.distance_transform_edt(~wanted, return_indices=True)  # pyright: ignore
     return distance, (y, x)
 

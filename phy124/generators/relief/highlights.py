@@ -1,9 +1,9 @@
-"""Removes highlights from a picture, since they would move with the object.
+"""Removes highlights from an image, since they would be painted on the object and move with it.
 
-A highlight adds white light to the colour of the surface: compared with its surroundings, a small
-bright spot has equal amounts of red, green and blue added, unless a channel is clipped. White paint
-on a coloured surface adds the colours that the surface lacks. On a grey surface, highlights and
-paint cannot be distinguished, so grey surfaces are left unchanged.
+A highlight adds white light to the colour of the surface. Compared with its surroundings, a
+highlight is a small bright spot with equal amounts of red, green and blue added, unless a channel
+is clipped. White paint on a coloured surface, in contrast, adds mainly the colours that the surface
+lacks. On a grey surface, highlights and paint cannot be distinguished; grey surfaces are unchanged.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from phy124.generators.relief.picture import WORK, opaque_size
 
 Field = NDArray[np.float64]
 LARGEST = 0.065
-"""Radius of the largest highlight, in picture sizes."""
+"""Radius of the largest highlight, in image sizes."""
 SMALLEST = 3
-"""Radius of the smallest highlight, pixels; narrower spots are edges between colours."""
+"""Radius of the smallest highlight [pixels]; narrower spots are edges between colours."""
 BRIGHT = 0.08
-"""Smallest difference of its brightness from the surroundings."""
+"""Smallest difference in brightness between a highlight and its surroundings."""
 NEUTRAL = 0.15
-"""Largest difference of the added red, green and blue, relative to the largest of them."""
+"""Largest difference between the added red, green and blue, relative to the largest of them."""
 COLOURED = 0.15
 """Smallest saturation of the surroundings."""
 FULL = 0.985
-"""Value from which a channel may be clipped."""
+"""Value from which a channel counts as clipped."""
 RIM = 2
-"""Width of the highlight's faint rim, pixels."""
+"""Width of the faint rim of a highlight [pixels]."""
 
 
 def matte(picture: Image.Image) -> Image.Image:
-    """Replace the highlights of an RGBA picture by the colours around them."""
+    """Replace the highlights of an RGBA image by the colours around them."""
     scale = WORK / max(opaque_size(picture))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
     small = np.asarray(picture.resize(size, Image.Resampling.BILINEAR), np.float64) / 255
@@ -47,10 +47,10 @@ def matte(picture: Image.Image) -> Image.Image:
 
 
 def _light(rgba: Field) -> Field:
-    """Return the light [H,W,3] that highlights add to a picture [H,W,4] of size `WORK`."""
+    """Return the light [H,W,3] that highlights add to an image [H,W,4] of size `WORK`."""
     rgb, inside = clean_picture(rgba).astype(np.float32), rgba[..., 3] > 0.5
     disc = _disc(round(LARGEST * WORK))
-    # A morphological opening gives the colours under highlights smaller than the disc.
+    # A morphological opening removes bright spots smaller than the disc.
     dark = cv2.erode(np.where(inside[..., None], rgb, np.float32(1)), disc, borderValue=(1, 1, 1))
     under = np.asarray(cv2.dilate(dark, disc, borderValue=(0, 0, 0)), np.float32)
     shine = inside & _white(rgb, under)
@@ -61,11 +61,11 @@ def _light(rgba: Field) -> Field:
 
 
 def _white(rgb: NDArray[np.float32], under: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return the mask [H,W] where a picture is the sum of colours [H,W,3] and white light."""
+    """Return the mask [H,W] where the image is the colour `under` [H,W,3] plus white light."""
     added, full = rgb - under, rgb > FULL
     light = np.where(full, -np.inf, added).max(axis=2, keepdims=True)
     light = np.where(np.isfinite(light), light, added.max(axis=2, keepdims=True))
-    # The added light of a clipped channel is too small.
+    # In a clipped channel, the added light is only a lower bound.
     apart = np.where(full, np.maximum(added - light, 0), np.abs(added - light)).max(axis=2)
     most = added.max(axis=2)
     coloured = np.ptp(under, axis=2) > COLOURED * np.maximum(under.max(axis=2), 1e-3)

@@ -1,8 +1,9 @@
-"""The closed surface with two given silhouettes at right angles, from front and side.
+"""Builds the closed surface that has given silhouettes from the front and from the side.
 
-At each height, the front picture determines the width of the cross-section, the side picture its
-depth, and both inflated silhouettes its roundness. Two pairs of legs give four legs.
-Coordinates are pixels around the object's middle: x right, y down, z towards the front's viewer.
+At each height, the front image determines the width of the cross-section, and the side image its
+depth; the two inflated silhouettes determine its roundness. If both images show two legs, the
+surface has four. Coordinates are pixels relative to the object's centre: x right, y down, z towards
+the front camera.
 """
 
 from __future__ import annotations
@@ -22,42 +23,42 @@ from phy124.kernels import implicit
 
 Field = NDArray[np.float64]
 COARSE = 4
-"""Size of the cells of the first search for the surface, in final cells."""
+"""Size of the cells of the first, coarse search for the surface, in final cells."""
 OUTSIDE = -4.0
-"""Lower limit of a normalised silhouette, far outside."""
+"""Lower limit of the normalised silhouette far outside the object."""
 TOLERANCE = 0.25
-"""Largest distance of a point from the surface, pixels."""
+"""Largest distance of a point from the surface [pixels]."""
 BEYOND = 3
-"""Rows of the fields above and below the object."""
+"""Number of rows of the fields above the object, and below it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hull(Implicit):
-    """The zero set of F = w(x, y) + r(y)^2 (s(z, y) - 1), negative beyond flat ends.
+    """The zero set of F = w(x, y) + r(y)^2 (s(z, y) - 1), cut off at flat ends.
 
-    Here w is the squared half thickness of the front and r^2 its largest value in the row; s is the
-    same of the side, divided by its largest value in the row. On a ball F = r^2 - |p|^2.
+    Here w is the squared half thickness from the front, and r^2 its largest value in the row; s is
+    that of the side divided by its largest value in the row. For a ball F = r^2 - |p|^2.
     """
 
     kernels: ClassVar[implicit.Kernels] = implicit.HULL
     front: Field
-    """w and its slopes along x and y [H,W,3]."""
+    """w and its derivatives along x and y [H,W,3]."""
     side: Field
-    """r^2 (s - 1) and its slopes along z and y [H,D,3]."""
+    """r^2 (s - 1) and its derivatives along z and y [H,D,3]."""
     y: Field
     """Heights of the rows [H], evenly spaced."""
     planes: tuple[tuple[float, float, float], ...]
-    """Flat ends: sign, height and steepness of each."""
+    """Sign, height and steepness of each flat end."""
 
     @classmethod
     def of(cls, front: Field, side: Field, y: Field, ends: tuple[bool, bool]) -> Hull:
-        """Return the hull of squared half thicknesses.
+        """Build the hull from the squared half thicknesses of two silhouettes.
 
         Args:
-            front: From the front [H,W]; W is odd, around the middle.
-            side: From the side [H,D]; columns increase towards the front's viewer.
+            front: Squared half thickness from the front [H,W]; W is odd, centred on the object.
+            side: The same from the side [H,D]; columns increase towards the front camera.
             y: Heights of the rows [H].
-            ends: Whether top and bottom are flat.
+            ends: Whether the top and the bottom are flat.
         """
         thick, largest = front.max(axis=1), side.max(axis=1)
         share = np.maximum(side / np.maximum(largest, 1.0)[:, None] - 1, OUTSIDE)
@@ -70,7 +71,7 @@ class Hull(Implicit):
 
     @cached_property
     def struct(self) -> Any:
-        """The hull's fields for kernels."""
+        """The hull's fields as a struct for kernels."""
         struct = implicit.Hull()
         struct.front = wp.array(self.front, dtype=wp.float64, device="cpu")
         struct.side = wp.array(self.side, dtype=wp.float64, device="cpu")
@@ -80,36 +81,38 @@ class Hull(Implicit):
         return struct
 
     def scatter(self, pitch: float, rng: np.random.Generator) -> Field:
-        """Return random points, on average one per pitch^2 of the surface."""
+        """Return random points, on average one per pitch^2 of surface area."""
         corners = self._cells(COARSE * pitch)
         offsets = np.stack(np.meshgrid(*[np.arange(COARSE)] * 3, indexing="ij"), -1).reshape(-1, 3)
         corners = (corners[:, None] + offsets * pitch).reshape(-1, 3)
         points = corners + pitch * rng.random(corners.shape)
-        # With one point per cube, one per square of the surface is within half a pitch of it.
+        # One random point per cube gives, near the surface, one point per square of its area:
+        # those within half a pitch of it.
         points = self.project(points[self._near(points, pitch / 2)], rounds=4)
         return points[self.is_near(points)]
 
     def is_near(self, points: Field) -> NDArray[np.bool_]:
-        """Whether points [N,3] are on the surface, within `TOLERANCE`."""
+        """Whether points [N,3] are within `TOLERANCE` of the surface."""
         value, gradient = self.gradient(points)
         near = np.abs(value) < TOLERANCE * np.linalg.norm(gradient, axis=1)
         return near & (np.abs(points) <= self._reach()).all(axis=1)
 
     def _reach(self) -> Field:
-        """Return half of the width, height and depth of the fields [3]."""
+        """Return half of the width, height and depth of the region that the fields cover [3]."""
         sizes = self.front.shape[1] // 2, float(np.abs(self.y).max()), self.side.shape[1] // 2
         return np.array(sizes, dtype=np.float64)
 
     def _cells(self, size: float) -> Field:
-        """Return the corners [M,3] of the cubes that the surface may cross."""
+        """Return the lower corners [M,3] of the cubes that the surface may cross."""
         axes = [np.arange(-half, half, size) for half in self._reach()]
         corners = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         return corners[self._near(corners + size / 2, 1.3 * size)]
 
     def _near(self, points: Field, distance: float) -> NDArray[np.bool_]:
-        """Whether the surface is approximately within a distance of points [N,3]."""
+        """Whether points [N,3] are within about `distance` of the surface."""
         value, gradient = self.gradient(points)
-        # For r^2 - |p|^2, the distance is value / (r + |p|); far inside, the gradient is too small.
+        # For r^2 - |p|^2, the distance is value / (r + |p|). Deep inside, the gradient alone would
+        # be too small a slope.
         slope = np.sqrt((gradient**2).sum(axis=1) / 4 + np.abs(value))
         return np.abs(value) <= 2 * distance * slope
 
@@ -122,13 +125,13 @@ def _add_slopes(w: Field, y: Field) -> Field:
 def spread_over(
     hull: Hull, count: int, rng: np.random.Generator, alive: Callable[[], None] = lambda: None
 ) -> tuple[Field, Field, Field]:
-    """Distribute about `count` points [N,3] evenly over the hull; return normals and spacing, too.
+    """Distribute about `count` points [N,3] evenly over the hull; also return normals and spacing.
 
     Args:
         hull: The surface.
         count: Approximate number of points.
-        rng: Random numbers.
-        alive: Called between rounds; may raise.
+        rng: Random number generator.
+        alive: Called between rounds; may raise an exception to cancel.
     """
     trial = 3.0
     pitch = trial * float(np.sqrt(max(len(hull.scatter(trial, rng)), 1) / count))
@@ -139,6 +142,6 @@ def spread_over(
 
     points = settle(hull, points, spacing_at, alive)
     points, spacing = relax(hull, points, spacing_at)
-    is_near = hull.is_near(points)  # all but a handful
+    is_near = hull.is_near(points)  # true for all points except a handful
     points, spacing = points[is_near], spacing[is_near]
     return points, hull.normals(points), spacing

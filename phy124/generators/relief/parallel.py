@@ -1,8 +1,8 @@
-"""Removes the perspective of the front and side pictures, as if their cameras were infinitely far.
+"""Removes the perspective from the front and side images, as if their cameras were infinitely far.
 
-A row of the front appears larger the nearer it is. The side picture shows its distance at the same
-height, and vice versa. The distance is that of the part of the row that appears thickest or, at a
-flat end, of the nearer edge.
+In the front image, a row appears larger the nearer it is to the camera. The side image shows this
+distance at the same height, and vice versa. A row's distance is that of the point where the row
+appears thickest or, at a flat end, that of the edge nearer to the camera.
 """
 
 from __future__ import annotations
@@ -15,36 +15,36 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
 ROUNDS = 8
-"""Number of iterations that match the heights of both pictures."""
+"""Number of iterations that match the heights in both images."""
 SMOOTHING = 0.04
-"""Width over which the depths of rows are smoothed, in heights."""
+"""Standard deviation of the smoothing of the rows' depths, in object heights."""
 END = 0.05
-"""Fraction of the height that a flat end affects."""
+"""Fraction of the object's height over which a flat end affects the depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """An inflated silhouette."""
+    """An inflated silhouette from one side."""
 
     w: Field
-    """Squared half thickness [H,W], pixels^2, negative outside, continued beyond flat ends."""
+    """Squared half thickness [H,W], pixels^2: negative outside, extended beyond flat ends."""
     middle: tuple[float, float]
-    """Column and row of the object's middle."""
+    """Column and row of the object's centre."""
     half: float
-    """Half of the object's own height, pixels."""
+    """Half of the object's height, without extensions, pixels."""
     ends: tuple[bool, bool]
-    """Whether top and bottom are flat."""
+    """Whether the top and the bottom are flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """Return how near each row's thickest part and nearest edge are to the other camera.
+        """Return the coordinates, towards the other camera, of each row's thickest point and edge.
 
         Args:
-            y: Rows from the middle [N].
-            distance: Distance of the other camera from the middle, pixels.
+            y: Rows relative to the centre [N].
+            distance: Distance of the other camera from the centre, pixels.
         """
         columns = np.arange(self.w.shape[1]) - self.middle[0]
         far = 1 - columns / distance
-        heights = (np.arange(len(self.w)) - self.middle[1])[:, None] * far  # along the rays
+        heights = (np.arange(len(self.w)) - self.middle[1])[:, None] * far  # along the view rays
         place = np.broadcast_arrays(heights + self.middle[1], columns + self.middle[0])
         along = scipy.ndimage.map_coordinates(self.w, place, order=1)
         thick = np.sqrt(np.maximum(along, 0.0)) / far
@@ -64,25 +64,25 @@ class Profile:
 
 @dataclass(frozen=True)
 class Rows:
-    """Map from heights of the object to rows of a picture."""
+    """Maps heights of the object to rows of an image."""
 
     k: Field
-    """Pixels of the picture per pixel of the object, at every height [N]."""
+    """Image pixels per object pixel at every height [N]."""
     shift: float = 0.0
-    """Row of height 0, from the middle."""
+    """Row of height 0, relative to the centre."""
 
     def rows(self, y: Field) -> Field:
-        """Return the rows from the middle of heights y [N]."""
+        """Return the rows of heights y [N], relative to the centre."""
         return y * self.k + self.shift
 
 
 def match_heights(front: Profile, side: Profile, distance: float) -> tuple[Field, Rows, Rows]:
-    """Return heights of the object [N], and their rows in both pictures.
+    """Return heights of the object [N], and the maps to rows of both images.
 
     Args:
         front: Profile from the front.
-        side: Profile from the side; its columns increase towards the front's viewer.
-        distance: Distance of both cameras from the middle, pixels.
+        side: Profile from the side; its columns increase towards the front camera.
+        distance: Distance of both cameras from the centre, pixels.
     """
     y = np.arange(-np.ceil(front.half) - 3, np.ceil(front.half) + 4)
     front_rows, side_rows, scale = Rows(np.ones_like(y)), Rows(np.ones_like(y)), 1.0
@@ -104,14 +104,14 @@ def match_heights(front: Profile, side: Profile, distance: float) -> tuple[Field
 
 
 def _ends(front: Profile, side: Profile, y: Field) -> NDArray[np.bool_]:
-    """Whether heights [N] are near a flat end."""
+    """Whether heights [N] are within `END` of a flat end."""
     reach = (y[-1] - y[0]) * END
     top, bottom = (any(flat) for flat in zip(front.ends, side.ends, strict=True))
     return (top & (y < y[0] + reach)) | (bottom & (y > y[-1] - reach))
 
 
 def straighten(profile: Profile, y: Field, rows: Rows) -> Field:
-    """Resample the squared half thickness [N,W] at heights y [N]; W is odd, around the middle."""
+    """Resample the squared half thickness [N,W] at heights y [N]; W is odd and centred."""
     column = np.flatnonzero((profile.w > 0).any(axis=0)) - profile.middle[0]
     reach = int(np.ceil(np.abs(column).max() / rows.k.min())) + 4
     columns = np.arange(-reach, reach + 1)

@@ -1,4 +1,4 @@
-"""The object of a picture, at the resolution of `relief`'s computation."""
+"""Resamples the object in an image to the resolution at which `relief` works."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from phy124.generators.relief.solids import normalise_depth
 Field = NDArray[np.float64]
 Given = Image.Image | NDArray[np.uint8]
 WORK = 248
-"""Longest side of the silhouette during the computation, pixels."""
+"""Longest side of the resampled silhouette [pixels]."""
 PADDING = 4
-"""Width of the transparent border around it, pixels."""
+"""Width of the transparent border around the silhouette [pixels]."""
 
 
 def open_picture(image: Given, field: str = "image") -> Image.Image:
-    """Convert a picture to RGBA, with something opaque in it.
+    """Convert an image to RGBA, and check that some of it is opaque.
 
     Raises:
-        InputError: If nothing is opaque; `field` names the picture.
+        InputError: If no pixel is opaque; `field` names the input.
     """
     picture = image if isinstance(image, Image.Image) else Image.fromarray(np.asarray(image))
     picture = picture.convert("RGBA")
@@ -33,7 +33,7 @@ def open_picture(image: Given, field: str = "image") -> Image.Image:
 
 
 def opaque_size(picture: Image.Image) -> tuple[int, int]:
-    """Return the width and height of the opaque part of a picture."""
+    """Return the width and height of the opaque part of an image [pixels]."""
     left, top, right, bottom = _box(picture)
     return 1 + right - left, 1 + bottom - top
 
@@ -41,15 +41,15 @@ def opaque_size(picture: Image.Image) -> tuple[int, int]:
 def work_picture(
     picture: Image.Image, scale: float | None = None, depth: NDArray | None = None
 ) -> Field:
-    """Return the opaque part [H,W,4] in 0..1, padded by `PADDING`; channel 5 is the depth map.
+    """Resample the opaque part to [H,W,4 or 5] in 0..1, padded by `PADDING`.
 
     Args:
-        picture: A picture of `open_picture`.
-        scale: Enlargement; None: the longest side becomes `WORK` pixels.
-        depth: Depth map of the picture.
+        picture: An image from `open_picture`.
+        scale: Scale factor; None: the longest side becomes `WORK` pixels.
+        depth: Depth map of the image, which becomes the fifth channel.
     """
     left, top, right, bottom = _box(picture)
-    # One pixel more on each side keeps the half transparent edge.
+    # One more pixel on each side keeps the half-transparent edge.
     box = left - 1, top - 1, right + 2, bottom + 2
     distances = None
     if depth is not None:
@@ -60,8 +60,8 @@ def work_picture(
     picture = picture.crop(box)
     scale = scale or WORK / (1 + max(right - left, bottom - top))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
-    # Filters without negative lobes, since colours must not overshoot where alpha is clipped at 1.
-    # Hamming is sharper, but shows the pixels of tiny pictures as squares.
+    # Both filters have no negative lobes: colours must not overshoot where alpha is clipped at 1.
+    # Hamming is sharper, but shows the enlarged pixels of tiny images as squares.
     sharp, smooth = Image.Resampling.HAMMING, Image.Resampling.BILINEAR
     picture = picture.resize(size, sharp if scale < 2 else smooth)
     rgba = np.asarray(picture, dtype=np.float64) / 255
@@ -72,6 +72,6 @@ def work_picture(
 
 
 def _box(picture: Image.Image) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom pixel of the opaque part."""
+    """Return the left, top, right and bottom pixel of the opaque part."""
     rows, columns = np.nonzero(np.asarray(picture.getchannel("A")) > 127)
     return int(columns.min()), int(rows.min()), int(columns.max()), int(rows.max())

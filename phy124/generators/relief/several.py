@@ -1,4 +1,4 @@
-"""The shell of an object that is known from the front and from the side."""
+"""Builds the shell of an object from an image of its front and an image of its side."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from phy124.generators.relief.surface import VIEW_DISTANCE
 Field = NDArray[np.float64]
 Facing = Literal["left", "right"]
 IMAGINED = 0.3
-"""Weight of an imagined side."""
+"""Weight of an imagined side relative to a photographed one."""
 BACK_PLACE = 1
 """Index of the back among the four sides."""
 
@@ -39,16 +39,16 @@ def from_sides(
     rng: np.random.Generator,
     step: Callable[[int], None],
 ) -> Shell:
-    """Intersect both silhouettes, and colour the result by all pictures.
+    """Intersect both silhouettes, and colour the surface from all images.
 
     Args:
-        picture: The front.
-        side: The object from one side.
-        facing: Direction of the object's front there.
-        back: The object from behind.
+        picture: Image of the front.
+        side: Image of the object from one side.
+        facing: Direction in which the object's front points in `side`.
+        back: Image of the object from behind.
         count: Approximate number of points.
-        rng: Random numbers.
-        step: Called with the number of steps done, also between them.
+        rng: Random number generator.
+        step: Called with the number of finished steps, also during a step.
 
     Raises:
         InputError: If the silhouettes contradict each other.
@@ -79,10 +79,10 @@ def from_sides(
 
 
 def _show_sides(front: Continued, side_picture: Continued) -> list[Shown]:
-    """Return the pictures of front, back, and both sides.
+    """Return the images of the front, the back and both sides.
 
-    The more symmetric picture determines the plane of symmetry: the other picture, mirrored, shows
-    its opposite side. The side opposite to the symmetric picture is imagined.
+    The more symmetric silhouette decides about the plane of symmetry. The other image, mirrored,
+    then shows the opposite side, too. The side opposite to the symmetric image is imagined.
     """
     pictures = []
     for picture, towards, across in ((front, FRONT, ACROSS), (side_picture, ACROSS, FRONT)):
@@ -97,7 +97,7 @@ def _show_sides(front: Continued, side_picture: Continued) -> list[Shown]:
 
 
 def _symmetry(object_mask: NDArray[np.bool_]) -> float:
-    """Return the overlap of a silhouette [H,W] with its mirror image."""
+    """Return the overlap (IoU) of a silhouette [H,W] with its mirror image."""
     return overlap(object_mask, object_mask[:, ::-1])
 
 
@@ -110,7 +110,7 @@ def _profile(picture: Continued) -> Profile:
 
 
 def _shrinking(points: Field, box: Box, distance: float) -> float:
-    """Return the factor with which the front camera sees points [N,3] in the pictured size."""
+    """Return the scale factor that makes the front camera see points [N,3] in pictured size."""
     axis = int(np.argmax(box.size))
     factor = 1.0
     for _ in range(4):

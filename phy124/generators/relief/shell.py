@@ -1,4 +1,4 @@
-"""The shell of flat Gaussians on the object's surface."""
+"""Turns points on the object's surface into a shell of flat Gaussians."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ from phy124.generators.relief.picture import WORK
 
 Field = NDArray[np.float64]
 TANGENT = 0.58
-"""Standard deviation along the surface, in spacings: neighbours overlap without holes."""
+"""Standard deviation along the surface, in spacings: neighbours overlap and leave no holes."""
 BACK_REACH = 1.25
-"""Factor of the standard deviation along the surface on the back."""
+"""Factor on the standard deviation along the surface on the back."""
 NORMAL = 0.12
-"""Standard deviation across the surface, in spacings: flat, so that the outline is crisp."""
+"""Standard deviation across the surface, in spacings: small, to keep the outline crisp."""
 OPACITY = 0.97
 DRAWN_IN = 1.35
-"""Depth of the centres below the surface, pixels: edge-on Gaussians extend as far outwards."""
+"""Depth of the centres below the surface [pixels]; Gaussians seen edge-on extend outwards by about
+this distance."""
 
 
 @dataclass(frozen=True)
 class Shell:
-    """Points of a surface around the object's middle: x right, y down, z towards the viewer."""
+    """Points of a surface relative to the object's centre: x right, y down, z to the camera."""
 
     points: Field
-    """Centres [N,3], pixels, at the depth `DRAWN_IN`."""
+    """Centres [N,3], pixels, `DRAWN_IN` below the surface."""
     normals: Field
     """Outward unit normals [N,3]."""
     spacing: Field
     """Mean distance to the neighbours [N], pixels."""
     rgb: Field
-    """[N,3]."""
+    """Colours [N,3], 0..1."""
 
     def gaussians(self) -> Gaussians:
         """Return the Gaussians in metres, in the axes of the world."""
-        # World x is towards the viewer, y to the right, z up.
+        # In the world, x points towards the camera, y to the right, z up.
         means = self.points[:, [2, 0, 1]] * [1, 1, -1] / WORK
         normals = self.normals[:, [2, 0, 1]] * [1, 1, -1]
-        # Wider on the back, whose colours are smooth, so that no gap shows the inside of the front.
+        # Wider on the back, whose colours are smooth: no gap must show the inside of the front.
         reach = TANGENT * self.spacing * np.interp(-normals[:, 0], [0.0, 0.5], [1.0, BACK_REACH])
         scales = np.stack([reach, reach, NORMAL * self.spacing], axis=1) / WORK
         opacities = np.full(len(means), OPACITY)

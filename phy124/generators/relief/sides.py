@@ -1,4 +1,4 @@
-"""Checks of further pictures of the object, from the side and from behind."""
+"""Checks further images of the object, from the side and from behind, against the front."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from phy124.errors import InputError
 Field = NDArray[np.float64]
 Solid = NDArray[np.bool_]
 UNLIKE = 0.5
-"""Smallest overlap of the front's silhouette with the mirrored one from behind."""
+"""Smallest overlap (IoU) of the front's silhouette with the mirrored silhouette from behind."""
 EMPTY = 0.05
-"""Largest fraction of heights at which only one of both pictures shows the object."""
+"""Largest fraction of heights at which only one of two images shows the object."""
 DEEPEST, FLATTEST = 4.0, 0.03
-"""Largest and smallest depth, in longest sides of the front."""
+"""Largest and smallest depth of the object, in longest sides of the front."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """Position of the object in a picture, pixels."""
+    """Bounding box of the object in an image [pixels]."""
 
     top: int
     bottom: int
@@ -30,26 +30,26 @@ class Box:
 
     @classmethod
     def of(cls, solid: Solid) -> Box:
-        """Return the box of a silhouette [H,W]."""
+        """Return the bounding box of a silhouette [H,W]."""
         rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
         return cls(int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height."""
+        """Width and height of the box."""
         return self.right - self.left, self.bottom - self.top
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Column and row of the middle, relative to the middle of the first pixel."""
+        """Column and row of the centre, relative to the centre of pixel 0."""
         return (self.left + self.right - 1) / 2, (self.top + self.bottom - 1) / 2
 
 
 def check_side(front: Solid, side: Solid) -> None:
-    """Refuse silhouettes of equal height that cannot be of the same object.
+    """Raise an error if two silhouettes of equal height cannot show the same object.
 
     Raises:
-        InputError: If the depth is out of proportion, or only one shows the object at some heights.
+        InputError: If the depth is out of range, or only one shows the object at some heights.
     """
     front_box, side_box = Box.of(front), Box.of(side)
     depth = side_box.size[0] / max(front_box.size)
@@ -79,7 +79,7 @@ def check_back(front: Solid, back: Solid) -> None:
         back: Silhouette from behind, already mirrored, of the same height.
 
     Raises:
-        InputError: If they differ, or the picture has been mirrored before.
+        InputError: If they differ, or the image seems to have been mirrored beforehand.
     """
     alike, unmirrored = overlap(front, back), overlap(front, back[:, ::-1])
     if alike >= UNLIKE:
@@ -92,7 +92,7 @@ def check_back(front: Solid, back: Solid) -> None:
 
 
 def overlap(first: Solid, second: Solid) -> float:
-    """Return the intersection over union of two silhouettes with aligned middles."""
+    """Return the intersection over union of two silhouettes with aligned centres."""
     boxes = Box.of(first), Box.of(second)
     width, height = (max(sizes) for sizes in zip(*(box.size for box in boxes), strict=True))
     placed = []

@@ -1,4 +1,4 @@
-"""The shell of an object that is known only from the front."""
+"""Builds the shell of an object from an image of its front alone."""
 
 from __future__ import annotations
 
@@ -25,29 +25,30 @@ from phy124.generators.relief.solids import RIM, apply_depth, inflate
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
 
 SEEN = 0.7
-"""Fraction of the thickness at which an end's plane meets the picture's lowest line. (The plane of
-feet meets that line at the front.)"""
+"""Position of an end's plane between back (0) and front (1), chosen so that the camera sees the
+plane at the image's lowest line. (The plane of divided feet meets that line at the front.)"""
 
 
 @dataclass(frozen=True)
 class Cap:
-    """The flat face at an end."""
+    """The flat face at an end of the object."""
 
     points: Field
-    """Lattice of points on it [M,3], pixels."""
+    """Lattice of points on the face [M,3], pixels."""
     normals: Field
     """Normals before projection [M,3]."""
     level: float
-    """Projected y of its plane, pixels; everything beyond is cut off."""
+    """Projected y of the face's plane [pixels]; everything beyond it is cut off."""
     sign: int
+    """1 for the bottom, -1 for the top."""
 
     def within(self, y: Field, by: float) -> NDArray[np.bool_]:
-        """Whether projected heights are inside by at least a number of pixels."""
+        """Whether projected heights are inside the plane by at least `by` pixels."""
         return (self.level - y) * self.sign >= by
 
 
 def make_cap(surface: Surface, view: View, end: End, pitch: float) -> Cap:
-    """Make the flat face of an end, at the height at which the front camera sees it on the line.
+    """Make the flat face of an end, at the height where the camera sees it at the image's edge.
 
     Args:
         surface: The inflated solid.
@@ -64,7 +65,7 @@ def make_cap(surface: Surface, view: View, end: End, pitch: float) -> Cap:
     x = np.arange(-width / 2, width / 2, pitch)
     z = np.arange(-thick, thick + pitch, pitch * 3**0.5 / 2)
     gx, gz = np.meshgrid(x, z)
-    # A triangular lattice: every second line is shifted by half a step.
+    # A triangular lattice: every second line is shifted by half a spacing.
     gx = gx + np.where(np.arange(len(z)) % 2, pitch / 2, 0.0)[:, None]
     drawn = np.stack([gx.ravel(), np.full(gx.size, level), gz.ravel()], axis=1)
     points = view.unproject(drawn)
@@ -78,7 +79,7 @@ def make_cap(surface: Surface, view: View, end: End, pitch: float) -> Cap:
 
 
 def _thick(surface: Surface, row: float) -> float:
-    """Return the largest half thickness in a row, pixels."""
+    """Return the largest half thickness in a row [pixels]."""
     return float(np.sqrt(max(surface.w[int(row)].max(), 0.0)))
 
 
@@ -97,16 +98,16 @@ def from_front(
     back: Image.Image | None,
     thickness: float,
 ) -> Shell:
-    """Inflate the silhouette; colour the back by its picture, or like the front picture's rim.
+    """Inflate the silhouette; colour the back from its image, or else from the front's rim.
 
     Args:
-        picture: The front.
+        picture: Image of the front.
         count: Approximate number of points.
-        rng: Random numbers.
-        step: Called with the number of steps done, also between them.
-        depth: Depth map of the picture; None: the front is inflated, too.
-        back: The object from behind.
-        thickness: Depth relative to the guess from the silhouette.
+        rng: Random number generator.
+        step: Called with the number of finished steps, also during a step.
+        depth: Depth map of the image; None: the front is inflated like the back.
+        back: Image of the object from behind.
+        thickness: Factor on the depth guessed from the silhouette.
     """
     work = continue_silhouette(work_picture(picture, depth=depth), PADDING)
     silhouette = Silhouette.of(work.alpha)
@@ -133,7 +134,7 @@ def from_front(
 
 
 def show_back(back: Image.Image, scale: float, object_mask: NDArray[np.bool_]) -> Shown:
-    """Return a picture from behind, mirrored; `object_mask` is the front's silhouette [H,W].
+    """Mirror an image from behind and check it; `object_mask` is the front's silhouette [H,W].
 
     Raises:
         InputError: If the silhouettes differ.
@@ -152,7 +153,7 @@ def _points(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field]:
-    """Return points, normals and spacing of the walls and the flat ends."""
+    """Return points, normals and spacing of the side walls and the flat ends."""
     points, normals, spacing, pitch = spread(surface, ends, count, rng, alive)
     caps = [make_cap(surface, view, end, pitch) for end in ends]
     height = view.project_points(points, normals)[0][:, 1]

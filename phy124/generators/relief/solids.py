@@ -1,9 +1,10 @@
-"""The solid that is assumed for a silhouette: round, turned on a lathe, or a slab.
+"""Guesses the solid for a silhouette: a round shape, a solid of revolution, or a slab.
 
-Round parts are as deep as wide: the union of all balls that fit inside, so a disc gives a ball and
-a limb a cylinder. An object that looks turned on a lathe (each row is a single run about the same
-axis, with a waist) is as deep in each row as it is wide there. An unshaded shape with straight
-edges is assumed to be a flat slab. A depth map replaces the assumed shape of the front.
+Round parts are as deep as they are wide: the solid is the union of all balls that fit inside, which
+turns a disc into a ball and a limb into a cylinder. An object looks like a solid of revolution if
+each row is a single run about a common axis and the outline has a waist; each row is then as deep
+as it is wide. A shape with straight edges and without shading becomes a flat slab. A depth map
+replaces the guessed shape of the front.
 """
 
 from __future__ import annotations
@@ -20,37 +21,37 @@ from phy124.generators.relief.surface import Surface, View
 
 Field = NDArray[np.float64]
 SMOOTHING = 0.02
-"""Width over which thicknesses are smoothed, in picture sizes."""
+"""Standard deviation of the smoothing of thicknesses, in image sizes."""
 CENTRED = 0.06
-"""Largest distance of a row's middle from the axis of a lathe, in half widths."""
+"""Largest distance of a row's centre from the axis of revolution, in half widths."""
 EVERY = 0.97
-"""Smallest fraction of the rows that must fit the lathe."""
+"""Smallest fraction of the rows that must fit a solid of revolution."""
 WAISTED = 0.97
-"""Ratio of the area to that of the convex hull below which there is a waist."""
+"""Largest ratio of the silhouette's area to that of its convex hull that shows a waist."""
 OVERHANG = 3.0
-"""Largest ratio of depth to height of a turned brim; a wing is thinner."""
+"""Largest ratio of depth to height of a brim; limits the depth of thin features such as wings."""
 STRAIGHT = 0.98
-"""Smallest overlap with a polygon of few corners for an outline of straight edges."""
+"""Smallest overlap (IoU) with a polygon of few corners for an outline of straight edges."""
 CORNERS = 12
 ROUNDED = 0.1
 """Radius of a block's edges, in half widths."""
 RIM = 3.0
-"""Width over which the outline of a foot is rounded, pixels."""
+"""Width over which the outline of a foot is rounded [pixels]."""
 SHADED = 0.1
-"""Smallest change of brightness across a shaded round object, relative to the mean."""
+"""Smallest change of brightness across a shaded round object, relative to its mean."""
 
 
 def inflate(
     silhouette: Silhouette, picture: Continued, view: View, size: int, thickness: float = 1.0
 ) -> Surface:
-    """Return the surface of the solid that is assumed for a silhouette.
+    """Return the surface of the solid that is guessed for a silhouette.
 
     Args:
-        silhouette: The silhouette, continued beyond flat ends.
+        silhouette: The silhouette, extended beyond flat ends.
         picture: Colours, and mask of the object.
         view: The front camera.
         size: Size of the object, pixels.
-        thickness: Depth relative to the assumption.
+        thickness: Factor on the guessed depth.
     """
     half = half_thickness(silhouette, picture, size)
     if half is None:
@@ -62,10 +63,10 @@ def inflate(
 
 
 def _with_feet(w: Field, picture: Continued) -> Field:
-    """Return squared half thicknesses with round feet, which are as deep as the object above them.
+    """Return squared half thicknesses with round feet as deep as the object above them.
 
-    Beyond the corners, the outline is that of the feet instead of the mirror image, with a round
-    rim.
+    Beyond the corners, the outline is that of the feet, with a rounded rim, and not that of the
+    mirror image.
     """
     distance = np.where(
         picture.object_mask,
@@ -84,7 +85,7 @@ def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Fie
     """Return the squared half thicknesses [H,W] of a round object; None for a slab.
 
     Args:
-        silhouette: The silhouette, continued beyond flat ends.
+        silhouette: The silhouette, extended beyond flat ends.
         picture: Colours, and mask of the object.
         size: Size of the object, pixels.
     """
@@ -99,17 +100,17 @@ def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Fie
 
 
 def flat_topped(inside: NDArray[np.bool_]) -> Field:
-    """Return the squared half thickness [H,W] of a block as wide as the silhouette."""
+    """Return the squared half thicknesses [H,W] of a block as deep as the silhouette is wide."""
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
     widest = float(distance.max())
     return widest**2 * np.clip(distance / max(2.0, ROUNDED * widest), -4, 1)
 
 
 def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size: int) -> Field:
-    """Return squared half thicknesses that are smooth and exactly zero on the rim.
+    """Return squared half thicknesses near `wanted` that are smooth and exactly 0 on the rim.
 
-    The solution u of -Laplace(u) = 4 has these properties (on a disc it is the ball). It is scaled
-    by the smoothed ratio of the wanted thickness to u.
+    The solution u of -Laplace(u) = 4 is smooth and 0 on the rim (for a disc it gives the ball). It
+    is multiplied by the smoothed ratio of the wanted thickness to u.
     """
     u = silhouette.poisson(4.0)
     ratio = np.clip(wanted / np.maximum(u, 1e-9), low, high)
@@ -117,12 +118,12 @@ def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size
 
 
 def _balls(inside: NDArray[np.bool_]) -> Field:
-    """Return the squared half thickness of the union of all balls in the silhouette.
+    """Return the squared half thicknesses of the union of all balls in the silhouette.
 
-    It is the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim: a
-    separable upper envelope of parabolas.
+    They are the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim: an
+    upper envelope of parabolas, computed along one axis after the other.
     """
-    # From the pixel's centre to the rim between it and the next pixel outside.
+    # Distance from a pixel's centre to the rim, which is half a pixel before the next centre.
     squares = np.where(inside, (nearest_of(~inside)[0] - 0.5) ** 2, 0.0)
     for _ in range(2):
         offsets = np.arange(squares.shape[1])
@@ -132,7 +133,7 @@ def _balls(inside: NDArray[np.bool_]) -> Field:
 
 
 def _lathe(picture: Continued) -> Field | None:
-    """Return squared half thicknesses if the object looks turned about a vertical axis."""
+    """Return squared half thicknesses if the object looks like a vertical solid of revolution."""
     object_mask = picture.object_mask
     rows = np.flatnonzero(object_mask.any(axis=1))
     low, high = (
@@ -154,7 +155,7 @@ def _lathe(picture: Continued) -> Field | None:
 
 
 def _runs(inside: NDArray[np.bool_]) -> Field:
-    """Return the length of each inside pixel's vertical run."""
+    """Return the length of the vertical run that contains each inside pixel [H,W]."""
     rows = np.arange(len(inside))[:, None]
     above = np.maximum.accumulate(np.where(inside, -1, rows), axis=0)
     below = np.minimum.accumulate(np.where(inside, len(rows), rows)[::-1], axis=0)[::-1]
@@ -169,13 +170,13 @@ def _outline(object_mask: NDArray[np.bool_]) -> NDArray:
 
 
 def _solidity(object_mask: NDArray[np.bool_]) -> float:
-    """Return the ratio of the area to that of the convex hull."""
+    """Return the ratio of the silhouette's area to that of its convex hull."""
     hull = cv2.convexHull(_outline(object_mask))
     return float(np.count_nonzero(object_mask) / max(cv2.contourArea(hull), 1.0))
 
 
 def _polygonal(object_mask: NDArray[np.bool_]) -> bool:
-    """Whether the outline consists of few straight lines."""
+    """Whether the outline consists of at most `CORNERS` straight lines."""
     outline = _outline(object_mask)
     corners = cv2.approxPolyDP(outline, 0.01 * cv2.arcLength(outline, closed=True), closed=True)
     drawn = cv2.fillPoly(np.zeros(object_mask.shape, np.uint8), [corners], 1) > 0
@@ -184,10 +185,11 @@ def _polygonal(object_mask: NDArray[np.bool_]) -> bool:
 
 
 def _is_shaded(picture: Continued, round_: Field) -> bool:
-    """Whether brightness changes across the object as on a round object.
+    """Whether the brightness changes across the object as on a shaded round object.
 
-    Brightness is fitted by a linear function of the round solid's normals. Only the components
-    across and towards the viewer count, since colours often differ from bottom to top.
+    The brightness is fitted by a linear function of the round solid's normals. Only the horizontal
+    component and the component towards the camera are used, since the colours of many objects
+    differ from bottom to top.
     """
     seen = np.asarray(scipy.ndimage.binary_erosion(picture.object_mask, iterations=4), bool)
     if not seen.any():
@@ -204,7 +206,7 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
 
 
 def _slab(picture: Continued, view: View, thickness: float) -> Surface:
-    """Return a slab with flat front and back: a square gives a cube, other shapes are thinner."""
+    """Return a slab with flat front and back: a square becomes a cube, other shapes are thinner."""
     object_mask = picture.object_mask
     rows, columns = np.flatnonzero(object_mask.any(axis=1)), np.flatnonzero(object_mask.any(axis=0))
     sides = np.ptp(rows) + 1, np.ptp(columns) + 1
@@ -212,8 +214,8 @@ def _slab(picture: Continued, view: View, thickness: float) -> Surface:
     inside = picture.alpha > 0.5
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
     h = float(distance.max() * aspect**3 * full) * thickness
-    h /= 1 + h / view.distance  # the front is nearer than the middle, so it appears larger
-    # The camera sees the walls' front edges on the rim, and the front hides the walls behind them.
+    h /= 1 + h / view.distance  # the front is nearer than the centre and therefore appears larger
+    # The camera sees the walls' front edges at the rim; the front hides the walls behind them.
     dy, dx = np.gradient(scipy.ndimage.gaussian_filter(distance, 1.0))
     y, x = np.mgrid[: object_mask.shape[0], : object_mask.shape[1]]
     out = -(dx * (x - view.middle[0]) + dy * (y - view.middle[1]))
@@ -229,25 +231,26 @@ def _slab(picture: Continued, view: View, thickness: float) -> Surface:
 
 
 def _smooth(values: Field, inside: NDArray[np.bool_], width: float) -> Field:
-    """Smooth the values of the pixels inside by a Gaussian."""
+    """Smooth the values of the inside pixels with a Gaussian kernel."""
     fraction = scipy.ndimage.gaussian_filter(inside.astype(np.float64), width)
     smooth = scipy.ndimage.gaussian_filter(np.where(inside, values, 0.0), width)
     return np.where(inside, smooth / np.maximum(fraction, 1e-9), 0.0)
 
 
 MIXED_RIM = 8.0
-"""Width along the rim where depth maps mix object and background, pixels."""
+"""Width of the zone along the rim in which depth maps mix object and background [pixels]."""
 PLANE = 0.01
-"""Spread over the object, as a fraction of the map's range, below which the front is flat."""
+"""Smallest standard deviation of the depth, as a fraction of the map's range; below it, the front
+is flat."""
 THINNEST = 2.0
-"""Smallest half thickness behind the rim, pixels."""
+"""Smallest half thickness away from the rim [pixels]."""
 
 
 def normalise_depth(depth: NDArray, alpha: NDArray) -> NDArray[np.float32]:
     """Normalise a depth map to 0..1, and check it against the object's alpha [H,W].
 
     Raises:
-        InputError: If it is constant, or the object is behind its surroundings.
+        InputError: If the map is constant, or the object is farther away than its surroundings.
     """
     low, high = float(depth.min()), float(depth.max())
     if high - low <= 1e-6 * max(abs(low), abs(high), 1e-30):
@@ -262,10 +265,10 @@ def normalise_depth(depth: NDArray, alpha: NDArray) -> NDArray[np.float32]:
 
 
 def apply_depth(surface: Surface, depth: Field, object_mask: NDArray[np.bool_]) -> Surface:
-    """Replace the front of a surface by a depth map [H,W] in 0..1; near is 1.
+    """Replace the front of a surface by a depth map [H,W] in 0..1, in which near is 1.
 
-    Its scale and offset are unknown, so its mean and spread are set to those of the inflated front,
-    unless the map is flat. The back is unchanged.
+    The scale and offset of the map are unknown. Its mean and standard deviation are therefore set
+    to those of the inflated front, unless the map is flat. The back is unchanged.
     """
     far, _ = nearest_of(~object_mask)
     known = far > min(MIXED_RIM / 2, 0.5 * float(far.max()))

@@ -1,7 +1,7 @@
-"""The closed surface z^2 = w(x, y), and points spread evenly over it.
+"""Defines the closed surface z^2 = w(x, y), and spreads points evenly over it.
 
-Coordinates are pixels: x right, y down, z towards the viewer. As an implicit surface it has no
-seam: the rim is as regular as any other place.
+Coordinates are pixels: x right, y down, z towards the camera. The surface is implicit and has no
+seam: points at the rim are treated like all others.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ from phy124.generators.relief.height import nearest_of
 from phy124.kernels import implicit
 
 VIEW_DISTANCE = 2.0
-"""Distance of the front camera that sees exactly the picture, in longest sides."""
+"""Distance of the front camera, in longest sides of the object; it sees exactly the image."""
 
 
 @dataclass(frozen=True)
 class View:
-    """The perspective of the front camera, which sees each point at its pixel.
+    """The perspective of the front camera, which images each surface point at its pixel.
 
-    x' = x k(z), y' = y k(z) around the middle, with k = 1 - z / distance.
+    Relative to the centre, x' = x k(z) and y' = y k(z), with k = 1 - z / distance.
     """
 
     middle: Field
-    """Pixel that the camera looks at [3], z = 0."""
+    """Pixel at which the camera looks [3], with z = 0."""
     distance: float
-    """Distance of the camera, pixels."""
+    """Distance of the camera from the object's centre [pixels]."""
 
     @classmethod
     def of(cls, object_mask: NDArray[np.bool_], distance: float) -> View:
-        """Return the camera that looks at the middle of the object's pixels [H,W]."""
+        """Return the camera that looks at the centre of the object's bounding box; mask [H,W]."""
         y, x = np.nonzero(object_mask)
         return cls(np.array([x.min() + x.max(), y.min() + y.max(), 0.0]) / 2, distance)
 
     def k(self, z: Field) -> Field:
-        """Return the scale factor at depth z."""
+        """Return the scale factor at coordinate z."""
         return 1 - z / self.distance
 
     def project_points(self, points: Field, normals: Field) -> tuple[Field, Field]:
-        """Project points [N,3], relative to the middle, and unit normals."""
+        """Apply the perspective to points [N,3] and unit normals; results are about the centre."""
         flat, z = (points - self.middle)[:, :2], points[:, 2:]
         k = self.k(z)
         across = normals[:, :2] / k
@@ -58,7 +58,7 @@ class View:
         return np.concatenate([flat * k, z], axis=1), turned
 
     def unproject(self, points: Field) -> Field:
-        """Return the pixels [N,3] of projected points [N,3]."""
+        """Return the pixel coordinates [N,3] of projected points [N,3]."""
         flat, z = points[:, :2], points[:, 2:]
         return np.concatenate([flat / self.k(z), z], axis=1) + self.middle
 
@@ -66,24 +66,24 @@ class View:
 Field = NDArray[np.float64]
 Neighbours = NDArray[np.int32]
 BACK_PITCH = 1.5
-"""Spacing of points on the back relative to the front, since its colours are smooth."""
+"""Spacing of points on the back relative to the front; wider, since its colours are smooth."""
 OVERHANG = 5.0
-"""Distance beyond the ends up to which points are distributed, pixels."""
+"""Distance beyond the flat ends up to which points are distributed [pixels]."""
 ROUNDS = 6
-"""Number of relaxation rounds; the spacing is even to about 10 % after five."""
+"""Number of relaxation rounds; after five, the spacing is even to about 10 %."""
 ALIKE = 3
-"""Number of rounds with the same neighbours, since their search takes most of the time."""
+"""Number of rounds that reuse the same neighbours, whose search takes most of the time."""
 
 
 class Implicit(ABC):
-    """The zero set of a function that is positive inside."""
+    """The zero set of a function F that is positive inside."""
 
     kernels: ClassVar[implicit.Kernels]
 
     @cached_property
     @abstractmethod
     def struct(self) -> Any:
-        """What kernels read of it."""
+        """The fields of the surface as a struct for kernels."""
 
     def gradient(self, points: Field) -> tuple[Field, Field]:
         """Return F [N] and its gradient [N,3] at points [N,3]."""
@@ -101,12 +101,12 @@ class Implicit(ABC):
     def inset(self, points: Field, depth: float) -> Field:
         """Limit `depth` to a third of the local radius [N,1], pixels."""
         _, gradient = self.gradient(points)
-        # On a ball F = r^2 - |x|^2, whose gradient is twice the radius.
+        # For a ball F = r^2 - |x|^2; the norm of its gradient is twice the radius.
         radius = 0.5 * np.linalg.norm(gradient, axis=1, keepdims=True)
         return np.minimum(depth, radius / 3)
 
     def project(self, points: Field, rounds: int = 2) -> Field:
-        """Move points onto the surface by Newton steps of at most one pixel each."""
+        """Move points onto the surface by `rounds` Newton steps of at most one pixel each."""
         points = np.array(points, np.float64, order="C")
         launch(self.kernels.project, len(points), [self.struct, rounds, vectors(points)])
         return points
@@ -119,25 +119,25 @@ class Surface(Implicit):
     kernels: ClassVar[implicit.Kernels] = implicit.INFLATED
 
     w: Field
-    """Squared half thickness [H,W], pixels^2, negative outside."""
+    """Squared half thickness [H,W], pixels^2; negative outside."""
     m: Field
-    """Depth of the middle between front and back [H,W], pixels."""
+    """z of the midsurface between front and back [H,W], pixels."""
     slopes: Field
-    """Gradients of w and m along x and y [2,2,H,W]."""
+    """Derivatives of w and m along x and y [2,2,H,W]."""
 
     @classmethod
     def of(cls, w: Field, m: Field | None = None) -> Surface:
-        """Return the surface of squared half thicknesses and middles [H,W], pixels^2 and pixels."""
+        """Return the surface of squared half thicknesses [H,W] and midsurface [H,W]."""
         m = np.zeros_like(w) if m is None else m
         slopes = [np.gradient(scipy.ndimage.gaussian_filter(field, 0.7))[::-1] for field in (w, m)]
         return cls(w, m, np.asarray(slopes))
 
     @classmethod
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
-        """Return the surface as seen by the camera of `View`, which sees less than half of a ball.
+        """Return the surface whose image by the camera is w; it sees less than half of a ball.
 
-        In pixels, along the rays, a circle of radius h about c is centred at z = p (p - c) / d,
-        with p relative to the picture's middle; and p - c is -grad(w) / 2.
+        In pixels along the view rays, a ball of radius h about c has its midsurface at
+        z = p (p - c) / d, with p relative to the image centre; here p - c = -grad(w) / 2.
         """
         dy, dx = np.gradient(scipy.ndimage.gaussian_filter(w, 1.5))
         y, x = np.mgrid[: len(w), : w.shape[1]]
@@ -149,24 +149,24 @@ class Surface(Implicit):
 
     @cached_property
     def struct(self) -> Any:
-        """What kernels read of it."""
+        """The fields w, m and their derivatives as a struct for kernels."""
         struct, size = implicit.Inflated(), self.w.shape
         fields = np.stack([self.w, self.m, *self.slopes.reshape(4, *size)], axis=2)
         struct.fields = wp.array(fields, dtype=wp.float64, device="cpu")
         return struct
 
     def middle(self, points: Field) -> Field:
-        """Return m at points [N,3 or 2]."""
+        """Return z of the midsurface at points [N,3 or 2]."""
         return scipy.ndimage.map_coordinates(self.m, points[:, 1::-1].T, order=1, mode="nearest")
 
     def section(self, y: float) -> float:
-        """Return the area of the object's horizontal cross-section at y, pixels^2."""
+        """Return the area of the object's horizontal cross-section at row y [pixels^2]."""
         row = self.w[min(int(y), len(self.w) - 1)]
         return float(2 * np.sqrt(np.maximum(row, 0)).sum())
 
 
 def pitch_factor(normals: Field) -> Field:
-    """Return the wanted spacing [N]: 1 if visible from the front, else wider."""
+    """Return the relative spacing for normals [N,3]: 1 on the front, larger on the back."""
     return np.interp(-normals[:, 2], [0.0, 0.5], [1.0, BACK_PITCH])
 
 
@@ -182,13 +182,13 @@ def spread(
     Args:
         surface: The surface.
         ends: The flat ends.
-        count: Approximate number of points of walls and flat ends.
-        rng: Random numbers.
-        alive: Called between rounds; may raise.
+        count: Approximate number of points on the walls and the flat ends together.
+        rng: Random number generator.
+        alive: Called between rounds; may raise an exception to cancel.
 
     Returns:
         Positions [N,3], unit normals [N,3], spacing [N] and the front's spacing, pixels. A few
-            points are beyond the ends, which the caller removes.
+            points lie beyond the ends; the caller must remove them.
     """
     trial = _scatter(surface, 1.0, rng)
     walls = np.count_nonzero(_between(trial, ends))
@@ -206,7 +206,7 @@ def spread(
 
 
 def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.bool_]:
-    """Whether points are at most a number of pixels beyond the ends."""
+    """Whether points are at most `by` pixels beyond the ends."""
     kept = np.ones(len(points), bool)
     for end in ends:
         kept &= ~end.beyond(points[:, 1], by)
@@ -214,10 +214,10 @@ def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.
 
 
 def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
-    """Random points, on average one per pitch^2 of the front's area.
+    """Return random points, on average one per pitch^2 of the front's area.
 
-    One candidate in every cube that the surface passes through is then thinned out, since a plane
-    of normal n passes through |nx| + |ny| + |nz| cubes per square.
+    Each cube that the surface crosses gets one candidate. Since a plane of normal n crosses
+    |nx| + |ny| + |nz| cubes per square, candidates are then dropped at random by this factor.
     """
     corner, low, high = _columns(surface.w, pitch)
     first, last = np.floor(low / pitch).astype(int), np.floor(high / pitch).astype(int)
@@ -240,10 +240,10 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
 
 
 def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
-    """Return square columns that meet the surface: corners [M,2], and least and largest |z| [M]."""
+    """Return the square columns that meet the surface: corners [M,2], smallest and largest |z|."""
     height, width = w.shape
     x, y = np.arange(0, width - 1 - pitch, pitch), np.arange(0, height - 1 - pitch, pitch)
-    # At the corners of all squares, and halfway between them.
+    # Sample w at the corners of all squares, and halfway between them.
     halves = [np.arange(2 * len(along) + 1) * (pitch / 2) for along in (y, x)]
     fine = scipy.ndimage.map_coordinates(w, np.meshgrid(*halves, indexing="ij"), order=1)
     thirds = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
@@ -260,13 +260,13 @@ def settle(
     spacing_at: Callable[[Field], Field],
     alive: Callable[[], None] = lambda: None,
 ) -> Field:
-    """Relax points [N,3] in several rounds.
+    """Relax points [N,3] in several rounds, and return them.
 
     Args:
         surface: The surface.
         points: The points.
-        spacing_at: The wanted spacing [N] where the surface has these normals [N,3].
-        alive: Called before each round, and after the last one; may raise.
+        spacing_at: Function from normals [N,3] to the desired spacing [N].
+        alive: Called before each round and after the last; may raise an exception to cancel.
     """
     for _ in range(ROUNDS // ALIKE):
         near = neighbours(points)
@@ -288,8 +288,8 @@ def relax(
     Args:
         surface: The surface.
         points: The points.
-        spacing_at: The wanted spacing [N] where the surface has these normals [N,3].
-        near: Neighbours of each point, if they are known.
+        spacing_at: Function from normals [N,3] to the desired spacing [N].
+        near: Neighbours of each point [N,7]; None: search them.
     """
     near = neighbours(points) if near is None else near
     normals = surface.normals(points)
@@ -301,27 +301,27 @@ def relax(
 
 def neighbours(points: Field) -> Neighbours:
     """Return the seven nearest neighbours of each point [N,7], nearest first."""
-    tree = scipy.spatial.KDTree(points, leafsize=16, balanced_tree=False)  # half the time to build
+    tree = scipy.spatial.KDTree(points, leafsize=16, balanced_tree=False)  # halves the build time
     near = tree.query(points, k=min(8, len(points)), workers=-1)[1]
     return np.ascontiguousarray(np.asarray(near)[:, 1:], np.int32)
 
 
 def vectors(points: Field) -> wp.array:
-    """Wrap points [N,3] for kernels, in the same memory."""
+    """Wrap points [N,3] as a Warp array that shares their memory where possible."""
     return wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device="cpu", copy=False)
 
 
 def numbers(values: Field) -> wp.array:
-    """Wrap numbers [N] for kernels, in the same memory."""
+    """Wrap numbers [N] as a Warp array that shares their memory where possible."""
     return wp.array(values, dtype=wp.float64, device="cpu", copy=False)
 
 
 def launch(kernel: Any, count: int, inputs: list[Any], outputs: Sequence[Any] = ()) -> None:
-    """Run a kernel on points.
+    """Run a kernel once per point.
 
     Args:
         kernel: The kernel.
-        count: The number of points.
+        count: Number of points.
         inputs: The input arguments.
         outputs: The output arguments.
     """

@@ -9,11 +9,11 @@ if TYPE_CHECKING:
 
 
 def make_dreamgaussian(*, device: str | None = None, steps: int | None = None) -> DreamGaussian:
-    """Return the generator.
+    """Return the generator `dreamgaussian`.
 
     Args:
-        device: Where it runs; None: a GPU if there is one.
-        steps: Steps of the optimisation.
+        device: Device on which it runs; None: a GPU if there is one.
+        steps: Number of optimisation steps; None: the default.
     """
     from phy124.generators.neural.dreamgaussian.generator import DreamGaussian
 

@@ -1,8 +1,8 @@
-"""The first stage of DreamGaussian: Gaussians fitted to one picture and to a guidance model.
+"""The first stage of DreamGaussian: fits Gaussians to one image and to a guidance model.
 
 Tang et al. 2024, "DreamGaussian: Generative Gaussian Splatting for Efficient 3D Content Creation".
-It optimises instead of predicting, so it needs a GPU in practice; results of the original program
-can be read as PLY (docs/guide/plugins.md).
+The generator optimises Gaussians for each object and in practice needs a GPU. Results of the
+original program can be read as PLY (docs/guide/plugins.md).
 """
 
 from __future__ import annotations
@@ -43,29 +43,29 @@ from phy124.weights.store import require
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings of DreamGaussian's image.yaml."""
+    """Settings of the optimisation; the defaults are those of DreamGaussian's image.yaml."""
 
     steps: int = 500
     points: int = 5000
     ball_radius: float = 0.5
     radius: float = 2.0
-    """Distance of the cameras; with radius 2 the result spans about +-0.9."""
+    """Distance of the cameras; at distance 2, the result extends to about +-0.9."""
     known_size: int = 256
-    """Side of the known view, pixels; 0 for no known view."""
+    """Side of the known view [pixels]; 0: no known view."""
     rgb_weight: float = 10_000.0
     alpha_weight: float = 1_000.0
     guidance_weight: float = 1.0
     elevations: tuple[int, int] = (-30, 30)
-    """Range of the guided views, degrees; positive is below the object."""
+    """Range of elevations of the guided views [degrees]; positive is below the object."""
     sizes: tuple[int, ...] = (128, 256, 512)
-    """Sides of the guided views, pixels: below 30 % of the steps, below 60 %, and after."""
+    """Sides of the guided views [pixels]: below 30 % of the steps, below 60 %, and afterwards."""
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
     final_extent: float = 1.0
-    """Extent used by the last pruning."""
+    """Scene extent used in the last pruning."""
 
     def guided_size(self, ratio: float) -> int:
-        """Side of the guided views at `ratio` of the steps, pixels."""
+        """Return the side of the guided views at the fraction `ratio` of the steps [pixels]."""
         return self.sizes[min((ratio >= 0.3) + (ratio >= 0.6), len(self.sizes) - 1)]
 
 
@@ -78,15 +78,16 @@ WITH_IMAGEDREAM = Settings(
 )
 """The settings of DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
 
-There the guidance is silently off for an empty prompt, the only prompt used here; here it is on.
+With an empty prompt, the only prompt used in phy124, the original program silently disables the
+guidance; phy124 keeps it enabled.
 """
 
 
 class DreamGaussian:
     """Turns an image into Gaussians by optimisation.
 
-    `guidance` makes the guidance for a picture [3,S,S] over white; without it the weights of
-    Zero123 are searched for as `phy124.weights.store` describes.
+    `guidance` is a function that creates the guidance for an image [3,S,S] over white. By default,
+    the guidance is Zero123 with the weights that `phy124.weights.store` locates.
     """
 
     def __init__(
@@ -110,12 +111,13 @@ class DreamGaussian:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Make the Gaussians of the cut-out `image_rgba [H,W,4]` with a longest side of 1 m.
+        """Make Gaussians of the segmented `image_rgba [H,W,4]`, with a longest side of 1 m.
 
-        `progress` is called before every step; if it raises Cancelled, that passes through.
+        `progress` is called before every step; a Cancelled exception that it raises is passed on.
 
         Raises:
-            InputError: If weights are missing or the picture is not a cut-out.
+            InputError: If weights are missing, `image_rgba` has no alpha or no opaque pixel, or no
+                Gaussian is left.
         """
         settings = self.settings
         pixels = torch.from_numpy(frame_cutout(np.asarray(image_rgba)).astype(np.float32) / 255)
@@ -132,7 +134,7 @@ class DreamGaussian:
         return normalise_size(splats.gaussians(), "DreamGaussian")
 
     def _zero123(self, image: Tensor) -> Guidance:
-        require("zero123", self.weights)  # before the libraries, which take seconds
+        require("zero123", self.weights)  # checked before the imports, which take seconds
         from phy124.generators.neural.dreamgaussian.zero123 import Zero123, load_trained
 
         dtype = torch.float16 if self.device.startswith("cuda") else torch.float32
@@ -140,7 +142,7 @@ class DreamGaussian:
 
 
 def start(settings: Settings, draw: torch.Generator, device: str = "cpu") -> Splats:
-    """Return grey Gaussians in a ball, with a little colour noise as in the original."""
+    """Return grey Gaussians in a ball, with a little colour noise as in the original program."""
     points = ball(settings.points, settings.ball_radius, draw).to(device)
     colors = 0.5 + torch.rand(len(points), 3, generator=draw).to(device) / 255
     return Splats.from_points(points, colors, settings.rates)
@@ -159,11 +161,11 @@ def fit(
 
     Args:
         splats: The Gaussians.
-        guidance: Judges new views.
+        guidance: Computes the loss of new views.
         settings: Steps, rates and weights.
-        draw: Source of normal samples.
-        known: The picture over white [3,S,S] and its coverage [S,S], seen from the front.
-        progress: Called before every step, as in `phy124.progress`.
+        draw: Random number generator for normal samples.
+        known: The front view: image over white [3,S,S] and its alpha [S,S].
+        progress: Called before every step, as described in `phy124.progress`.
     """
     pull = Pull(len(splats), splats.parameters["xyz"].device)
     samples, view = normal_draw(draw), settings.density
@@ -174,7 +176,7 @@ def fit(
         loss = _known_loss(splats, settings, ratio, known)
         guided, renderings = _guided_loss(splats, guidance, settings, ratio, draw)
         (loss + settings.guidance_weight * guided).backward()
-        # The original counts the rendering it made last, and no other.
+        # As in the original program, only the last rendering of a step counts.
         if view.start <= step <= view.end:
             pull.add_rendering(renderings[-1])
         splats.step()
@@ -190,7 +192,7 @@ def fit(
 def _known_loss(
     splats: Splats, settings: Settings, ratio: float, known: tuple[Tensor, Tensor] | None
 ) -> Tensor:
-    """Return the difference from the picture, with a weight that grows over time."""
+    """Return the loss against the known image, with a weight that grows over time."""
     zero = splats.parameters["xyz"].new_zeros(())
     if known is None or not settings.known_size:
         return zero
@@ -229,9 +231,10 @@ def _view(pose: Pose, settings: Settings, size: int) -> View:
 
 
 def frame_cutout(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:
-    """Put the cut-out [H,W,4] into the middle of a square [size,size,4], as process.py does.
+    """Centre the cut-out [H,W,4] in a square [size,size,4], as DreamGaussian's process.py does.
 
-    Unlike LGM's it is resampled in 8 bits. rembg gives colours multiplied by alpha.
+    Unlike LGM's function of this name, it resamples 8-bit values. Colours are multiplied by alpha,
+    as in the output of rembg.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.

@@ -1,7 +1,7 @@
-"""Guidance for DreamGaussian: how unseen sides should look, by score distillation.
+"""Guidance for DreamGaussian: score distillation, a loss for the unseen sides.
 
-Poole et al. 2023, "DreamFusion": pictures are noised, a diffusion model predicts the noise, and the
-difference is the gradient. A guidance is any callable of the shape of `Guidance`.
+Poole et al. 2023, "DreamFusion": noise is added to images, a diffusion model predicts the noise,
+and the difference is the gradient. A guidance is any callable with the signature of `Guidance`.
 """
 
 from __future__ import annotations
@@ -19,48 +19,48 @@ BETAS = (0.00085, 0.012)
 
 
 class Pose(NamedTuple):
-    """Position of a camera, relative to the known view."""
+    """Camera pose relative to the known view."""
 
     elevation: float
-    """Degrees; positive is below the object."""
+    """Elevation [degrees]; positive is below the object."""
     azimuth: float
-    """Degrees."""
+    """Azimuth [degrees]."""
     radius: float
 
 
 class Guidance(Protocol):
-    """Judges pictures. `views` is the number it takes at once; four are a quarter turn apart."""
+    """Computes a loss for `views` images at a time; four views are 90 degrees apart."""
 
     views: int
 
     def __call__(
         self, images: Tensor, poses: Sequence[Pose], ratio: float, draw: torch.Generator
     ) -> Tensor:
-        """Loss (a scalar) of `images [B,3,S,S]` in 0..1 seen from `poses`.
+        """Return the loss (a scalar) of `images [B,3,S,S]` in 0..1 seen from `poses`.
 
         Args:
-            images: The pictures.
-            poses: Where they were taken from.
-            ratio: Progress of the optimisation, 0..1; there is less noise towards the end.
-            draw: Source of normal samples.
+            images: The images.
+            poses: Camera poses of the images.
+            ratio: Progress of the optimisation, 0..1; the noise level falls with it.
+            draw: Random number generator for normal samples.
         """
         ...
 
 
 def timestep(ratio: float) -> int:
-    """Return the guidance's noise level at the progress `ratio` of the optimisation, 0..1."""
+    """Return the noise level of the guidance at the progress `ratio` of the optimisation, 0..1."""
     return min(max(round((1 - ratio) * STEPS), T_MIN), T_MAX)
 
 
 def alphas_cumprod() -> Tensor:
-    """Fraction of the picture that remains at each of the 1000 noise levels, float64 [1000]."""
+    """Return the remaining fraction of signal at each of 1000 noise levels, float64 [1000]."""
     first, last = (beta**0.5 for beta in BETAS)
     betas = torch.linspace(first, last, STEPS, dtype=torch.float64) ** 2
     return torch.cumprod(1 - betas, dim=0)
 
 
 def add_noise(latents: Tensor, noise: Tensor, level: int) -> Tensor:
-    """Add noise of a level to latents, keeping unit variance."""
+    """Add noise of a level to latents; their variance stays 1."""
     alpha = float(alphas_cumprod()[level])
     return alpha**0.5 * latents + (1 - alpha) ** 0.5 * noise
 
@@ -68,10 +68,10 @@ def add_noise(latents: Tensor, noise: Tensor, level: int) -> Tensor:
 def sds(latents: Tensor, predicted: Tensor, noise: Tensor, weight: float) -> Tensor:
     """Return a scalar loss whose gradient by the latents is `weight * (predicted - noise)`.
 
-    .5 |z - stopgrad(z - w (eps - n))|^2, as DreamGaussian writes it, so that it has a value.
+    The loss is .5 |z - stopgrad(z - w (eps - n))|^2, as in DreamGaussian's program.
 
     Args:
-        latents: The optimised latents.
+        latents: Latents that are optimised.
         predicted: Noise that the model predicts.
         noise: Noise that was added.
         weight: Weight of the gradient.

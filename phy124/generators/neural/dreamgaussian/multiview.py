@@ -1,7 +1,7 @@
-"""Guidance by ImageDream: four views a quarter turn apart, judged together.
+"""Guidance by ImageDream: score distillation for four views at a time, 90 degrees apart.
 
-Wang & Shi 2023, "ImageDream". As in DreamGaussian the noise difference is not weighted, and the
-loss is divided by the number of views.
+Wang & Shi 2023, "ImageDream". As in DreamGaussian's program, the noise difference has weight 1, and
+the loss is divided by the number of views.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from phy124.generators.neural.imagedream.pipeline import (
 
 
 class MultiView:
-    """Score distillation with the networks and the condition of the ImageDream generator."""
+    """Score distillation with the networks and conditions of the ImageDream generator."""
 
     views = 4
 
@@ -37,14 +37,14 @@ class MultiView:
     @classmethod
     @torch.no_grad()
     def looking_at(cls, image: Tensor, parts: Parts, *, seed: int = 0) -> MultiView:
-        """With the networks `parts` (see `imagedream.pipeline.TrainedParts`) and one picture."""
+        """Create the guidance for an image with the networks of `imagedream.pipeline.Parts`."""
         condition = look(parts, image, torch.Generator().manual_seed(seed))
         return cls(parts.unet, parts.vae, condition)
 
     def __call__(
         self, images: Tensor, poses: Sequence[Pose], ratio: float, draw: torch.Generator
     ) -> Tensor:
-        """SDS loss of four views; see `Guidance`."""
+        """Return the SDS loss of four views; see `Guidance`."""
         level = timestep(ratio)
         latents = self._latents(images, draw)
         noise = torch.randn(latents.shape, generator=draw).to(latents)
@@ -62,7 +62,7 @@ class MultiView:
         rows = [pose_row(pose.elevation, pose.azimuth) for pose in poses]
         cameras = torch.tensor([*rows, [0.0] * 16]).to(self.condition.cameras)
         condition = replace(self.condition, cameras=cameras)
-        # The fifth frame is replaced by the picture inside the network; its noise is not used.
+        # The U-Net replaces the fifth frame by the image; the noise of this frame is not used.
         frames = torch.cat([latents, self.condition.latents])
         return predict_guided(self.unet, frames, torch.tensor(level), condition, self.guidance)[
             : self.views

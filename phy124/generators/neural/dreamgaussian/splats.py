@@ -1,4 +1,4 @@
-"""The Gaussians being optimised: parameters before activation, and their Adam optimiser.
+"""The Gaussians that DreamGaussian optimises: raw parameters and their Adam optimiser.
 
 Kerbl et al. 2023, "3D Gaussian Splatting", section 5, with the learning rates of Tang et al. 2024,
 "DreamGaussian". Colours do not depend on the direction (spherical harmonics of degree 0).
@@ -22,13 +22,13 @@ Parameters = dict[str, Tensor]
 """xyz [N,3]; f_dc [N,1,3] harmonics; opacity [N,1] logits; scaling [N,3] logs; rotation [N,4]."""
 NEIGHBOURS = 3
 SMALLEST = 1e-7
-"""Lower bound of the mean squared distance to neighbours, so that its logarithm is finite."""
+"""Lower bound of the mean squared distance to neighbours, which keeps its logarithm finite."""
 START_OPACITY = 0.1
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of Adam; the rate of the centres falls from `xyz` to `xyz_last`."""
+    """Learning rates of Adam; the rate of the centres decreases from `xyz` to `xyz_last`."""
 
     xyz: float = 0.01
     xyz_last: float = 0.0002
@@ -37,16 +37,16 @@ class Rates:
     scaling: float = 0.005
     rotation: float = 0.005
     steps: int = 500
-    """Steps until `xyz_last` is reached."""
+    """Number of steps until `xyz_last` is reached."""
 
     def position(self, step: int) -> float:
-        """Rate of the centres at a step; its logarithm changes linearly."""
+        """Return the rate of the centres at a step; its logarithm is linear in the step."""
         t = min(1.0, step / self.steps)
         return math.exp((1 - t) * math.log(self.xyz) + t * math.log(self.xyz_last))
 
 
 class Splats:
-    """Gaussians that can be drawn, optimised, and changed in number."""
+    """Gaussians that can be rendered, optimised, added and removed."""
 
     def __init__(self, parameters: Parameters, rates: Rates | None = None) -> None:
         self.rates = rates or Rates()
@@ -61,7 +61,7 @@ class Splats:
 
     @classmethod
     def from_points(cls, points: Tensor, colors: Tensor, rates: Rates | None = None) -> Splats:
-        """Round Gaussians at `points [N,3]`, as wide as their neighbours are far; colours 0..1."""
+        """Create spheres at `points [N,3]`, as wide as neighbours are apart; colours 0..1 [N,3]."""
         n = len(points)
         mean = neighbour_distances(points).clamp(min=SMALLEST)
         parameters = {
@@ -89,7 +89,7 @@ class Splats:
         return self.parameters["opacity"][:, 0].sigmoid()
 
     def render(self, view: View, background: Tensor) -> Rendering:
-        """A picture with gradients; negative colours are clipped as in 3DGS."""
+        """Render an image with gradients; negative colours are clipped as in 3DGS."""
         p = self.parameters
         colors = (0.5 + SH_C0 * p["f_dc"][:, 0]).clamp(min=0)
         return rasterize(
@@ -103,16 +103,16 @@ class Splats:
                 group["lr"] = self.rates.position(step)
 
     def step(self) -> None:
-        """One step of Adam with the present gradients, which are then cleared."""
+        """Take one step of Adam with the current gradients, and clear them."""
         self.optimizer.step()
         self.optimizer.zero_grad()
 
     def keep(self, mask: Tensor) -> None:
-        """Drop the Gaussians where `mask [N]` is false, with their momenta."""
+        """Keep only the Gaussians where `mask [N]` is true, and their Adam moments."""
         self._replace({k: (v[mask], lambda m: m[mask]) for k, v in self.parameters.items()})
 
     def append(self, more: Parameters) -> None:
-        """Add Gaussians with zero momenta."""
+        """Add Gaussians with zero Adam moments."""
         self._replace(
             {
                 name: (
@@ -124,11 +124,11 @@ class Splats:
         )
 
     def overwrite(self, name: str, value: Tensor) -> None:
-        """Replace one parameter and clear its momenta."""
+        """Replace one parameter, and set its Adam moments to zero."""
         self._replace({name: (value, torch.zeros_like)})
 
     def _replace(self, changes: dict) -> None:
-        """Swap parameters inside Adam: name -> (value, function of each momentum)."""
+        """Replace parameters in Adam; `changes`: name -> (value, function of each moment)."""
         for group in self.optimizer.param_groups:
             if group["name"] not in changes:
                 continue
@@ -146,7 +146,7 @@ class Splats:
 
     @torch.no_grad()
     def gaussians(self) -> Gaussians:
-        """The result in our world."""
+        """Return the Gaussians in the axes of phy124."""
         p = self.parameters
         quats = torch.nn.functional.normalize(p["rotation"])
         parts = (p["xyz"], quats, self.scales, self.opacities, p["f_dc"])
@@ -154,13 +154,13 @@ class Splats:
 
 
 def neighbour_distances(points: Tensor) -> Tensor:
-    """Mean squared distance [N] of each point [N,3] to its three nearest neighbours."""
+    """Return the mean squared distance of each point [N,3] to its three nearest neighbours [N]."""
     squared = torch.cdist(points, points).square().fill_diagonal_(math.inf)
     return squared.topk(min(NEIGHBOURS, len(points) - 1), largest=False).values.mean(dim=1)
 
 
 def ball(count: int, radius: float, draw: torch.Generator) -> Tensor:
-    """Points [count,3] spread evenly in a ball."""
+    """Return points [count,3] distributed evenly in a ball."""
     u, v, w = torch.rand(3, count, generator=draw)
     azimuth, z = 2 * math.pi * u, 2 * v - 1
     ring = torch.sqrt(1 - z * z)
@@ -170,57 +170,57 @@ def ball(count: int, radius: float, draw: torch.Generator) -> Tensor:
 
 CHILDREN = 2
 SHRINK = 0.8 * CHILDREN
-"""Factor by which the children of a split are smaller than their parent."""
+"""Divisor of the scales of a parent that gives the scales of its children after a split."""
 TOO_LARGE = 0.1
-"""Gaussians with scales above this multiple of the extent are removed."""
+"""Largest scale divided by the extent; larger Gaussians are removed."""
 RESET = 0.01
 Draw = Callable[[Tensor], Tensor]
-"""Standard deviations [M,3] -> normal samples [M,3]."""
+"""Function from standard deviations [M,3] to normal samples [M,3]."""
 
 
 @dataclass(frozen=True)
 class Density:
-    """When and how densification acts; steps count from 1."""
+    """Schedule and thresholds of densification; steps count from 1."""
 
     start: int = 100
     end: int = 3000
     every: int = 100
     gradient: float = 0.01
-    """Screen gradient from which a Gaussian is doubled."""
+    """Smallest screen gradient at which a Gaussian is cloned or split."""
     extent: float = 4.0
     """Size of the scene."""
     percent_dense: float = 0.01
-    """Gaussians up to this multiple of the extent are cloned, larger ones split."""
+    """Scale divided by the extent, up to which Gaussians are cloned; larger ones are split."""
     opacity_min: float = 0.01
     reset_every: int = 700
-    """Steps between resets of the opacity; larger than the usual 500 steps."""
+    """Steps between resets of the opacity; no reset happens within the default 500 steps."""
 
 
 class Pull:
-    """Mean length of each Gaussian's screen gradient since it was last emptied."""
+    """Mean screen gradient of each Gaussian over the renderings that were added."""
 
     def __init__(self, count: int, device: torch.device | str = "cpu") -> None:
         self.total = torch.zeros(count, device=device)
         self.seen = torch.zeros(count, device=device)
 
     def add(self, gradients: Tensor, visible: Tensor) -> None:
-        """Count `gradients [N,2 or 3]` (the first two are used) where `visible [N]`."""
+        """Add the first two components of `gradients [N,2 or 3]` where `visible [N]` is true."""
         length = gradients[:, :2].norm(dim=1)
         self.total += torch.where(visible, length, torch.zeros_like(length))
         self.seen += visible
 
     def add_rendering(self, rendering: Rendering) -> None:
-        """Count the gradients of a rendering after the backward pass."""
+        """Add the gradients of a rendering after the backward pass."""
         self.add(rendering.screen_gradients(), rendering.radii > 0)
 
     @property
     def mean(self) -> Tensor:
-        """Mean lengths [N]; 0 where never visible."""
+        """Mean gradient lengths [N]; 0 for Gaussians that were never visible."""
         return self.total / self.seen.clamp(min=1)
 
 
 def normal_draw(generator: torch.Generator) -> Draw:
-    """Samples from a generator on the CPU, identical on every device."""
+    """Return a function that draws normal samples on the CPU, identical for every device."""
     return lambda std: std * torch.randn(std.shape, generator=generator).to(std)
 
 
@@ -232,7 +232,7 @@ def densify(splats: Splats, pull: Tensor, density: Density, draw: Draw) -> None:
         splats: The Gaussians; they are changed.
         pull: Mean screen gradients [N].
         density: Thresholds.
-        draw: Source of normal samples.
+        draw: Function that draws normal samples.
     """
     small = density.percent_dense * density.extent
     largest, pulled = splats.scales.amax(dim=1), pull >= density.gradient
@@ -244,7 +244,7 @@ def densify(splats: Splats, pull: Tensor, density: Density, draw: Draw) -> None:
 
 
 def _split(splats: Splats, mask: Tensor, draw: Draw) -> None:
-    """Replace each Gaussian in `mask [N]` by two smaller ones."""
+    """Replace each Gaussian in `mask [N]` by two smaller Gaussians."""
     parents = {
         k: v[mask].repeat(CHILDREN, *[1] * (v.ndim - 1)) for k, v in splats.parameters.items()
     }
@@ -265,5 +265,5 @@ def prune(splats: Splats, *, opacity_min: float, extent: float) -> None:
 
 @torch.no_grad()
 def reset_opacity(splats: Splats) -> None:
-    """Make everything nearly transparent, so that only what is needed becomes visible again."""
+    """Reduce all opacities to `RESET` at most; the optimisation raises those that are needed."""
     splats.overwrite("opacity", torch.logit(splats.opacities.clamp(max=RESET))[:, None])

@@ -1,4 +1,4 @@
-"""Guidance by Zero123: a diffusion model that rotates the picture by a given pose.
+"""Guidance by Zero123: a diffusion model that predicts the view from a relative camera pose.
 
 Liu et al. 2023, "Zero-1-to-3"; weights in the layout of diffusers.
 """
@@ -42,22 +42,22 @@ VISION: dict[str, Any] = {
 
 
 class CameraProjection(nn.Module):
-    """Picture embedding and pose [B,1,772] -> context [B,1,768]."""
+    """Maps image embedding and pose [B,1,772] to the U-Net's context [B,1,768]."""
 
     def __init__(self, width: int = 768) -> None:
         super().__init__()
         self.proj = nn.Linear(width + 4, width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """One linear layer."""
+        """Apply one linear layer."""
         return self.proj(x)
 
 
 def pose_embedding(poses: Sequence[Pose], *, stable: bool = False, elevation: float = 0) -> Tensor:
-    """Relative poses [B,1,4]: elevation, sine and cosine of the azimuth, radius.
+    """Return relative poses [B,1,4]: elevation, sine and cosine of the azimuth, radius.
 
-    Stable Zero123 expects the polar angle of the known view (at `elevation` degrees) instead of the
-    radius.
+    Stable Zero123 expects, in place of the radius, the polar angle of the known view, whose
+    elevation is `elevation` degrees.
     """
     rows = [
         (
@@ -72,7 +72,7 @@ def pose_embedding(poses: Sequence[Pose], *, stable: bool = False, elevation: fl
 
 
 class Zero123:
-    """Score distillation against one picture; networks may be passed in for tests."""
+    """Score distillation for a single known image; tests may pass in their own networks."""
 
     views = 1
 
@@ -85,14 +85,14 @@ class Zero123:
         stable: bool = False,
         elevation: float = 0.0,
     ) -> None:
-        """Encode the known picture.
+        """Encode the known image.
 
         Args:
-            image: The picture [3,H,W] over white, 0..1.
-            networks: As `trained` returns them.
+            image: The image [3,H,W] over white, 0..1.
+            networks: Networks by name, as returned by `load_trained`.
             guidance: Scale of the classifier-free guidance.
             stable: Whether the networks are Stable Zero123.
-            elevation: Of the known view, degrees.
+            elevation: Elevation of the known view, degrees.
         """
         self.unet, self.vae = networks["unet"], networks["vae"]
         self.projection = networks["projection"]
@@ -101,14 +101,14 @@ class Zero123:
         with torch.no_grad():
             pixels = encoders.clip_pixels(image)[None].to(self.place)
             self.embedding = networks["vision"](pixels).image_embeds[:, None]
-            # Unscaled, unlike the latents that are denoised.
+            # Not scaled, unlike the latents that are denoised.
             self.latents = self._latents(image[None], torch.Generator().manual_seed(0))
             self.latents = self.latents / self.vae.config.scaling_factor
 
     def __call__(
         self, images: Tensor, poses: Sequence[Pose], ratio: float, draw: torch.Generator
     ) -> Tensor:
-        """SDS loss with weight 1 - alpha_t; see `Guidance`."""
+        """Return the SDS loss with weight 1 - alpha_t; see `Guidance`."""
         level = timestep(ratio)
         latents = self._latents(images, draw)
         noise = torch.randn(latents.shape, generator=draw).to(latents)
@@ -123,7 +123,7 @@ class Zero123:
         return (posterior.mean + posterior.std * noise) * self.vae.config.scaling_factor
 
     def _noise(self, latents: Tensor, level: int, poses: Sequence[Pose]) -> Tensor:
-        """Guided noise; the conditioned half of the batch comes first."""
+        """Return the guided noise; the first half of the batch is conditioned on the image."""
         count = len(latents)
         pose = pose_embedding(poses, stable=self.stable, elevation=self.elevation).to(self.place)
         context = self.projection(torch.cat([self.embedding.expand(count, -1, -1), pose], dim=-1))
@@ -140,7 +140,7 @@ class Zero123:
 
 
 def unet(path: Path | None = None, **changes: Any) -> UNet2DConditionModel:
-    """Zero123's U-Net, filled from `path` if given."""
+    """Build Zero123's U-Net, with the weights of `path` unless it is None."""
     config = {**UNET, **changes}
     return encoders.build_filled(
         lambda: UNet2DConditionModel(**config), path, "", "Zero123's U-Net"
@@ -148,7 +148,7 @@ def unet(path: Path | None = None, **changes: Any) -> UNet2DConditionModel:
 
 
 def vision(path: Path | None = None, **changes: Any) -> CLIPVisionModelWithProjection:
-    """CLIP ViT-L/14 with its projection, filled from `path` if given."""
+    """Build CLIP ViT-L/14 with its projection, with the weights of `path` unless it is None."""
     config = CLIPVisionConfig(**{**VISION, **changes})
     return encoders.build_filled(
         lambda: CLIPVisionModelWithProjection(config), path, "", "Zero123's picture encoder"
@@ -158,7 +158,7 @@ def vision(path: Path | None = None, **changes: Any) -> CLIPVisionModelWithProje
 def load_trained(
     weights: str | os.PathLike[str] | None, device: str, dtype: torch.dtype
 ) -> dict[str, Any]:
-    """Load the public networks, by the names that `Zero123` expects.
+    """Load the public networks, by the names that `Zero123` uses.
 
     Raises:
         InputError: If a file is missing.
@@ -172,5 +172,5 @@ def load_trained(
             CameraProjection, files["clip_camera_projection"], "", "Zero123's camera projection"
         ),
     }
-    # Past diffusers' own `to`, which complains about a precision that is not mixed here.
+    # diffusers' own `to` is bypassed: it warns about mixed precision, which does not occur here.
     return {k: nn.Module.to(n, device=device, dtype=dtype) for k, n in networks.items()}

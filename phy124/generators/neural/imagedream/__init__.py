@@ -5,10 +5,11 @@ from __future__ import annotations
 from phy124.generators.options import Work
 
 STEPS = 30
-"""Steps of the diffusion that LGM takes."""
+"""Number of diffusion steps in LGM's program."""
 STEP = Work(662.4e9, 1045.9e9, 473.6e9)
-"""One step of the U-Net: five frames without the picture and five with it."""
+"""Work of one step of the U-Net: five frames without and five with the image condition."""
 AROUND = Work(371.2e9, 3358.3e9, 33.9e9)
-"""Encoders of text and picture, and the autoencoder: one picture in, five out."""
+"""Work of the text encoder, the image encoder, and the autoencoder (encodes one image, decodes
+five)."""
 PARAMETERS = 941_672_900
-"""Numbers in the U-Net."""
+"""Number of parameters of the U-Net."""

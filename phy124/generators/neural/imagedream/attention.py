@@ -1,7 +1,7 @@
-"""Attention of the multi-view U-Net: over all frames, to the text, and to the picture.
+"""Attention layers of the multi-view U-Net: over all frames, to the text, and to the image.
 
-Shi et al. 2023, "MVDream", section 3.1; Wang & Shi 2023, "ImageDream", section 3.2. Submodules are
-named as in the public checkpoints.
+Shi et al. 2023, "MVDream", section 3.1; Wang & Shi 2023, "ImageDream", section 3.2. Submodules have
+the names of the public checkpoints.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ GROUPS = 32
 class CrossAttention(nn.Module):
     """Multi-head attention from x [B,L,C] to a context [B,M,D], or to x itself.
 
-    With `picture_tokens` the last tokens of the context come from the picture and have keys and
-    values of their own; both results are added, the picture's times `picture_weight`.
+    If `picture_tokens` > 0, that many last tokens of the context come from the image and have
+    separate keys and values. The results for text and image are added; that of the image is
+    multiplied by `picture_weight`.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class CrossAttention(nn.Module):
         self.to_out = nn.Sequential(nn.Linear(channels, channels), nn.Dropout(0.0))
 
     def forward(self, x: Tensor, context: Tensor | None = None) -> Tensor:
-        """[B,L,C] -> [B,L,C]."""
+        """Attend from x [B,L,C] to the context; return [B,L,C]."""
         context = x if context is None else context
         q = self.to_q(x)
         if not self.picture_tokens:
@@ -56,20 +57,20 @@ class CrossAttention(nn.Module):
 
 
 class Geglu(nn.Module):
-    """Linear layer whose second half gates the first."""
+    """Linear layer with GEGLU activation: half of its outputs gate the other half."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
         self.proj = nn.Linear(inputs, 2 * outputs)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[..., inputs] -> [..., outputs]."""
+        """Map [..., inputs] to [..., outputs]."""
         value, gate = self.proj(x).chunk(2, dim=-1)
         return value * F.gelu(gate)
 
 
 class FeedForward(nn.Module):
-    """Gated layer four times as wide, and back."""
+    """Feed-forward network with a gated hidden layer of four times the width."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -77,7 +78,7 @@ class FeedForward(nn.Module):
         self.net = nn.Sequential(Geglu(channels, wide), nn.Dropout(0.0), nn.Linear(wide, channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        """[..., C] -> [..., C]."""
+        """Map [..., C] to [..., C]."""
         return self.net(x)
 
 
@@ -98,7 +99,7 @@ class TransformerBlock(nn.Module):
         self.norm3 = nn.LayerNorm(channels)
 
     def forward(self, x: Tensor, context: Tensor, num_frames: int) -> Tensor:
-        """x [B*F,L,C]; the frames of one object follow each other."""
+        """Map x [B*F,L,C] to the same shape; the frames of an object are adjacent."""
         bf, length, channels = x.shape
         joined = self.norm1(x).reshape(bf // num_frames, num_frames * length, channels)
         x = self.attn1(joined).reshape(bf, length, channels) + x
@@ -107,7 +108,7 @@ class TransformerBlock(nn.Module):
 
 
 class SpatialTransformer(nn.Module):
-    """Transformer over the pixels of all frames; [B*F,C,H,W] -> the same."""
+    """Transformer over the pixels of all frames; maps [B*F,C,H,W] to the same shape."""
 
     def __init__(
         self,
@@ -129,7 +130,7 @@ class SpatialTransformer(nn.Module):
         self.proj_out = nn.Linear(channels, channels)
 
     def forward(self, x: Tensor, context: Tensor, num_frames: int) -> Tensor:
-        """Context is [B*F,M,D]."""
+        """Map x [B*F,C,H,W] to the same shape; `context` is [B*F,M,D]."""
         tokens = self.proj_in(self.norm(x).flatten(2).transpose(1, 2))
         for block in self.transformer_blocks:
             tokens = block(tokens, context, num_frames)
@@ -137,7 +138,7 @@ class SpatialTransformer(nn.Module):
 
 
 class ResBlock(nn.Module):
-    """Two convolutions; the embedding [B*F,E] of time and camera is added between them."""
+    """Two convolutions, between which the embedding of time and camera [B*F,E] is added."""
 
     def __init__(self, inputs: int, outputs: int, embedding: int) -> None:
         super().__init__()
@@ -155,49 +156,49 @@ class ResBlock(nn.Module):
         self.skip_connection = nn.Identity() if same else nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, x: Tensor, embedding: Tensor) -> Tensor:
-        """[B*F,inputs,H,W] -> [B*F,outputs,H,W]."""
+        """Map [B*F,inputs,H,W] to [B*F,outputs,H,W]."""
         h = self.in_layers(x) + self.emb_layers(embedding)[:, :, None, None]
         return self.out_layers(h) + self.skip_connection(x)
 
 
 class Downsample(nn.Module):
-    """Half the resolution."""
+    """Halves the resolution."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.op = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[B*F,C,H,W] -> [B*F,C,H/2,W/2]."""
+        """Map [B*F,C,H,W] to [B*F,C,H/2,W/2]."""
         return self.op(x)
 
 
 class Upsample(nn.Module):
-    """Twice the resolution."""
+    """Doubles the resolution."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.conv = nn.Conv2d(channels, channels, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[B*F,C,H,W] -> [B*F,C,2H,2W]."""
+        """Map [B*F,C,H,W] to [B*F,C,2H,2W]."""
         return self.conv(F.interpolate(x, scale_factor=2.0, mode="nearest"))
 
 
 class Stage(nn.ModuleList):
-    """Layers in sequence, each given what it needs of embedding, context and frame count."""
+    """Layers in sequence; each gets those of embedding, context and frame count that it needs."""
 
     def __init__(self, *layers: nn.Module) -> None:
         super().__init__(layers)
 
     def forward(self, x: Tensor, embedding: Tensor, context: Tensor, num_frames: int) -> Tensor:
-        """[B*F,C,H,W] -> [B*F,C',H',W'].
+        """Map [B*F,C,H,W] to [B*F,C',H',W'].
 
         Args:
             x: Feature maps [B*F,C,H,W].
-            embedding: Time and camera [B*F,E].
-            context: Tokens of text and picture [B*F,M,D].
-            num_frames: F.
+            embedding: Embedding of time and camera [B*F,E].
+            context: Tokens of text and image [B*F,M,D].
+            num_frames: Number of frames F.
         """
         for layer in self:
             if isinstance(layer, ResBlock):

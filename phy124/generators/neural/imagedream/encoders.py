@@ -1,7 +1,7 @@
-"""The frozen networks around ImageDream's U-Net: text encoder, image encoder, autoencoder.
+"""The frozen networks of ImageDream, apart from its U-Net: text and image encoder, autoencoder.
 
-Their architectures come from transformers (CLIP) and diffusers (VAE). Their sizes are those of
-Stable Diffusion 2.1 and CLIP ViT-H/14, written out so that only weight files are needed.
+Their architectures come from transformers (CLIP) and diffusers (VAE). Their sizes, those of Stable
+Diffusion 2.1 and CLIP ViT-H/14, are stated here: only weight files are needed, no config files.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ HEADS, HEAD_WIDTH = 12, 64
 
 
 class PerceiverAttention(nn.Module):
-    """Attention from latents [B,K,C] to the picture's tokens and to the latents themselves."""
+    """Attention from latents [B,K,C] to the image's tokens and to the latents themselves."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -35,11 +35,12 @@ class PerceiverAttention(nn.Module):
         self.to_out = nn.Linear(inner, channels, bias=False)
 
     def forward(self, x: Tensor, latents: Tensor) -> Tensor:
-        """x [B,M,C], latents [B,K,C] -> [B,K,C]."""
+        """Attend from latents [B,K,C] to x [B,M,C] and the latents; return [B,K,C]."""
         x, latents = self.norm1(x), self.norm2(latents)
         k, v = self.to_kv(torch.cat([x, latents], dim=1)).chunk(2, dim=-1)
         q, k, v = (t.unflatten(-1, (HEADS, -1)).transpose(1, 2) for t in (self.to_q(latents), k, v))
-        # Half of the scale on each side and softmax in float32 keep half precision in range.
+        # Queries and keys are scaled by the square root each, and the softmax is in float32: this
+        # avoids overflow in half precision.
         scale = HEAD_WIDTH**-0.25
         weights = ((q * scale) @ (k * scale).transpose(-2, -1)).float().softmax(dim=-1).to(v.dtype)
         return self.to_out((weights @ v).transpose(1, 2).flatten(2))
@@ -55,7 +56,7 @@ def _feed_forward(channels: int) -> nn.Sequential:
 
 
 class Resampler(nn.Module):
-    """Tokens of a picture [B,M,inputs] -> [B,K,C]."""
+    """Converts tokens of an image [B,M,inputs] to a fixed number of tokens [B,K,C]."""
 
     def __init__(self, inputs: int, channels: int, tokens: int, depth: int = 4) -> None:
         super().__init__()
@@ -69,7 +70,7 @@ class Resampler(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """Start from the learnt latents and attend to the picture `depth` times."""
+        """Start from learnt latents, and attend to the image's tokens `depth` times."""
         latents = self.latents.expand(len(x), -1, -1)
         x = self.proj_in(x)
         for layer in self.layers:
@@ -105,27 +106,27 @@ VISION: dict[str, Any] = {
     "patch_size": 14,
 }
 EMPTY_PROMPT = (49406, 49407, *([0] * 75))
-"""Tokens of the prompt '': start, end, padding. LGM uses no other; no tokenizer is needed."""
+"""Tokens of the prompt '': start, end, padding. No other prompt is used: no tokenizer is needed."""
 SPARE = ("position_ids", "visual_projection.weight", "text_projection.weight", "logit_scale")
-"""Tensors that some files contain for other uses of CLIP."""
+"""Tensors for other uses of CLIP that some files contain."""
 CLIP_SIZE = 224
 CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
 CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
 
 
 def vae(path: Path | None = None, **changes: Any) -> AutoencoderKL:
-    """The autoencoder, filled from `path` if given."""
+    """Build the autoencoder, with the weights of `path` unless it is None."""
     return build_filled(lambda: AutoencoderKL(**{**VAE, **changes}), path, "", "the VAE")
 
 
 def text_encoder(path: Path | None = None, **changes: Any) -> CLIPTextModel:
-    """Stable Diffusion 2.1's text encoder, filled from `path` if given."""
+    """Build Stable Diffusion 2.1's text encoder, with the weights of `path` unless it is None."""
     config = CLIPTextConfig(**{**TEXT, **changes})
     return build_filled(lambda: CLIPTextModel(config), path, "text_model.", "the text encoder")
 
 
 def image_encoder(path: Path | None = None, **changes: Any) -> CLIPVisionModel:
-    """CLIP's image encoder, ViT-H/14, filled from `path` if given."""
+    """Build CLIP's image encoder, ViT-H/14, with the weights of `path` unless it is None."""
     config = CLIPVisionConfig(**{**VISION, **changes})
     return build_filled(
         lambda: CLIPVisionModel(config), path, "vision_model.", "the picture encoder"
@@ -133,15 +134,16 @@ def image_encoder(path: Path | None = None, **changes: Any) -> CLIPVisionModel:
 
 
 def build_filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) -> Any:
-    """Build a network and, given a path, fill it strictly from that file, in the file's precision.
+    """Build a network and, if `path` is set, load its weights in the file's precision.
 
-    transformers 5 has no `prefix` in memory, although the files have it; older releases keep it.
+    Missing or extra tensors are an error. Names in the files begin with `prefix`; in memory, they
+    have no prefix in transformers 5, but keep it in older releases.
 
     Args:
-        build: Makes the network.
+        build: Function that creates the network.
         path: File of weights, or None.
-        prefix: What the names in the file start with.
-        name: What the network is called in messages.
+        prefix: Prefix of the names in the file.
+        name: Name of the network in messages.
 
     Raises:
         InputError: If the file cannot be read or does not fit the network.
@@ -156,7 +158,7 @@ def build_filled(build: Callable[[], Any], path: Path | None, prefix: str, name:
     fill(network, {k: v for k, v in tensors.items() if not k.endswith(SPARE)}, name)
     for module in network.modules():
         for key, buffer in module.named_buffers(recurse=False):
-            if buffer.is_meta:  # position_ids, which no file carries any more
+            if buffer.is_meta:  # position_ids, which current files do not contain
                 positions = torch.arange(buffer.shape[-1])[None]
                 module.register_buffer(key, positions, persistent=False)
     return network.eval().requires_grad_(False)
@@ -164,20 +166,20 @@ def build_filled(build: Callable[[], Any], path: Path | None, prefix: str, name:
 
 @torch.inference_mode()
 def empty_prompt(encoder: CLIPTextModel) -> Tensor:
-    """Text tokens [1,77,1024] of the empty prompt."""
+    """Return the text tokens [1,77,1024] of the empty prompt."""
     tokens = torch.tensor([EMPTY_PROMPT], device=encoder.device)
     return encoder(tokens).last_hidden_state
 
 
 @torch.inference_mode()
 def picture_tokens(encoder: CLIPVisionModel, image: Tensor) -> Tensor:
-    """Tokens [1,257,1280] of `image [3,H,W]` in 0..1: the last layer but one, unnormalised."""
+    """Return tokens [1,257,1280] of `image [3,H,W]` in 0..1: the next-to-last layer, raw."""
     pixels = clip_pixels(image)[None].to(encoder.device, encoder.dtype)
     return encoder(pixels, output_hidden_states=True).hidden_states[-2]
 
 
 def clip_pixels(image: Tensor, size: int = CLIP_SIZE) -> Tensor:
-    """CLIP's input [3,S,S] of `image [3,H,W]` in 0..1: bicubic, centre crop, normalised."""
+    """Return CLIP's input [3,S,S] for `image [3,H,W]` in 0..1: bicubic, cropped, normalised."""
     pixels = (image.permute(1, 2, 0).cpu().float().numpy() * 255).astype(np.uint8)
     height, width = pixels.shape[:2]
     scale = size / min(height, width)

@@ -1,7 +1,7 @@
-"""ImageDream's sampling: one picture to four views of its object.
+"""Sampling of ImageDream: one image to four views of its object.
 
-Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022). A fifth frame carries
-the picture itself; it is denoised as well, and LGM drops it.
+Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022). A fifth frame contains
+the image itself. It is denoised as well, and LGM drops it.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ NOISE: dict[str, Any] = {
     "timestep_spacing": "leading",
 }
 SCHEDULE = {**NOISE, "clip_sample": False, "set_alpha_to_one": False}
-"""ImageDream's own, for DDIM."""
+"""ImageDream's noise schedule for DDIM."""
 
 
 def scheduler_of(sampler: Sampler, steps: int) -> Any:
-    """Return the scheduler of diffusers for a number of steps, ready for the first."""
+    """Return a diffusers scheduler that is set to a number of steps."""
     if sampler == "ddim":
         scheduler: Any = DDIMScheduler(**SCHEDULE)
     else:
-        # Its last step ends at the same little noise as DDIM's.
+        # Its last step ends at the same low noise level as DDIM's last step.
         scheduler = DPMSolverMultistepScheduler(
             **{**NOISE, "timestep_spacing": "linspace"},
             use_lu_lambdas=True,
@@ -57,70 +57,71 @@ def scheduler_of(sampler: Sampler, steps: int) -> Any:
 
 
 AZIMUTHS = (0, 90, 180, 270)
-"""Azimuths of the four views, degrees."""
+"""Azimuths of the four views [degrees]."""
 
 
 def cameras(elevation: float = 0.0) -> NDArray[np.float32]:
-    """Camera to world of the four views, and zeros for the picture itself [5,16], row by row.
+    """Return camera-to-world transforms of the four views, and zeros for the image's frame [5,16].
 
-    A positive elevation [degrees] is below the object, as in all of these networks.
+    Transforms are flattened row by row. As in all these networks, a positive elevation [degrees] is
+    below the object.
     """
     rows = [pose_row(elevation, azimuth) for azimuth in AZIMUTHS]
     return np.array([*rows, [0.0] * 16], dtype=np.float32)
 
 
 def pose_row(elevation: float, azimuth: float) -> list[float]:
-    """Camera-to-world transform of one view at distance 1, 16 numbers; y up becomes z up."""
+    """Return a camera-to-world transform at distance 1 as 16 numbers, with y up turned to z up."""
     pose = orbit(elevation, azimuth, 1.0)[[0, 2, 1, 3]]
     return (pose * np.array([1.0, -1.0, 1.0, 1.0])[:, None]).reshape(16).tolist()
 
 
 SPARE_UNETS = 2.0
-"""Free memory above which the picture's encoder is kept, in sizes of the U-Net."""
+"""Free memory above which the image encoder is kept, in sizes of the U-Net."""
 FRAMES = 5
-"""Number of frames: four views and the picture."""
+"""Number of frames: four views and the image."""
 SIZE = 256
-"""Side of each view, pixels; latents are an eighth of it."""
+"""Side of each view [pixels]; latents have an eighth of it."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Inputs of the noise prediction, without and with the picture."""
+    """Conditions of the noise prediction, for the passes without and with the image."""
 
     text: Tensor
     """Text tokens [2,77,D]: negative prompt, prompt."""
     tokens: Tensor
-    """Picture tokens [1,257,1280]; without the picture they are zeros."""
+    """Image tokens [1,257,1280]; the pass without the image uses zeros."""
     latents: Tensor
-    """Picture latents [1,4,h,w]; without the picture they are zeros."""
+    """Image latents [1,4,h,w]; the pass without the image uses zeros."""
     cameras: Tensor
-    """Poses [5,16]."""
+    """Camera-to-world transforms [5,16]."""
 
     def to(self, dtype: torch.dtype) -> Condition:
-        """Convert to a network's precision."""
+        """Convert all tensors to a precision."""
         return Condition(*(tensor.to(dtype) for tensor in vars(self).values()))
 
 
 class Parts(Protocol):
-    """The networks; `TrainedParts` reads them from weight files."""
+    """The networks of ImageDream; `TrainedParts` loads them from weight files."""
 
     unet: Any
     vae: Any
 
     def text(self) -> Tensor:
-        """Text tokens [1,77,D] of the empty prompt."""
+        """Return the text tokens [1,77,D] of the empty prompt."""
         ...
 
     def picture(self, image: Tensor) -> Tensor:
-        """Picture tokens [1,257,1280] of `image [3,H,W]` in 0..1."""
+        """Return the image tokens [1,257,1280] of `image [3,H,W]` in 0..1."""
         ...
 
 
 class TrainedParts:
-    """The public networks; the encoders are read before the U-Net.
+    """Loads the public networks when they are needed; the encoders come before the U-Net.
 
-    The picture's encoder is kept for the next picture if it fits into memory together with the
-    U-Net. Otherwise it is released after use. The text is always the same and is encoded once.
+    The image encoder is kept for the next image if it fits into memory together with the U-Net.
+    Otherwise it is released after use. The text is always the same and is encoded once.
     """
 
     def __init__(
@@ -135,17 +136,17 @@ class TrainedParts:
         self._unet_dtype = unet_dtype or dtype
         self._vision: Any = None
         vae = encoders.vae(self._files["vae/diffusion_pytorch_model.safetensors"])
-        # Past diffusers' own `to`, which complains about a precision that is not mixed here.
+        # diffusers' own `to` is bypassed: it warns about mixed precision, which does not occur.
         self.vae = nn.Module.to(vae, **self._place)
 
     @cached_property
     def unet(self) -> Any:
-        """The network that predicts noise."""
+        """The network that predicts the noise."""
         file = self._files["unet/diffusion_pytorch_model.safetensors"]
         return load_unet(file, **{**self._place, "dtype": self._unet_dtype})
 
     def text(self) -> Tensor:
-        """Text tokens [1,77,1024]."""
+        """Return the text tokens [1,77,1024] of the empty prompt."""
         return self._text
 
     @cached_property
@@ -154,7 +155,7 @@ class TrainedParts:
         return encoders.empty_prompt(encoder.to(**self._place))
 
     def picture(self, image: Tensor) -> Tensor:
-        """Picture tokens [1,257,1280]."""
+        """Return the image tokens [1,257,1280] of `image [3,H,W]` in 0..1."""
         encoder = self._vision
         if encoder is None:
             encoder = encoders.image_encoder(self._files["image_encoder/model.safetensors"])
@@ -165,10 +166,10 @@ class TrainedParts:
 
 
 class ImageDream:
-    """Turns a picture into four views; `parts` replaces the trained networks in tests.
+    """Turns an image into four views of its object; `parts` replaces the networks in tests.
 
-    `dtype` is the precision of the networks, `unet_dtype` that of the U-Net if it differs: the
-    latents and the steps stay in `dtype`.
+    `dtype` is the precision of the networks and of the latents. `unet_dtype` is the precision of
+    the U-Net, if it differs.
     """
 
     def __init__(
@@ -193,11 +194,11 @@ class ImageDream:
 
     @torch.inference_mode()
     def __call__(self, image: Tensor, *, seed: int = 0, progress: Progress = silent) -> Tensor:
-        """Views [5,3,256,256] in 0..1 of `image [3,H,W]` over white.
+        """Return views [5,3,256,256] in 0..1 of the object in `image [3,H,W]` over white.
 
-        They are at azimuths 0, 90, 180, 270 degrees, followed by the picture. Equal seeds give
-        equal views on every device up to rounding. `progress` is called before each step and may
-        cancel.
+        The views are at azimuths 0, 90, 180 and 270 degrees; the fifth is the image. Equal seeds
+        give equal views on every device, up to rounding. `progress` is called before each step and
+        may raise an exception to cancel.
         """
         progress("imagedream", 0, self.steps)
         if self.parts is None:
@@ -221,9 +222,9 @@ def look(
 
     Args:
         parts: The networks.
-        image: The picture.
-        draw: Source of normal samples.
-        elevation: Of the picture, degrees; positive is below the object.
+        image: The image.
+        draw: Random number generator for normal samples.
+        elevation: Elevation of the image's camera, degrees; positive is below the object.
     """
     place = next(parts.vae.parameters())
     return Condition(
@@ -235,7 +236,7 @@ def look(
 
 
 def encode(vae: Any, image: Tensor, draw: torch.Generator | None = None) -> Tensor:
-    """Latents [1,4,32,32] of `image [3,H,W]` in 0..1: a scaled sample of the posterior."""
+    """Return latents [1,4,32,32] of `image [3,H,W]` in 0..1: a scaled sample of the posterior."""
     square = interpolate(image[None], (SIZE, SIZE), mode="bilinear", align_corners=False)
     posterior = vae.encode(2 * square - 1).latent_dist
     noise = torch.randn(posterior.mean.shape, generator=draw).to(posterior.mean)
@@ -243,7 +244,7 @@ def encode(vae: Any, image: Tensor, draw: torch.Generator | None = None) -> Tens
 
 
 def decode(vae: Any, latents: Tensor) -> Tensor:
-    """Pictures [F,3,H,W] in 0..1 of latents [F,4,h,w], one at a time to save memory."""
+    """Decode latents [F,4,h,w] to images [F,3,H,W] in 0..1, one at a time to save memory."""
     pictures = [vae.decode(z[None] / vae.config.scaling_factor).sample[0] for z in latents]
     return (torch.stack(pictures) / 2 + 0.5).clamp(0, 1)
 
@@ -260,12 +261,12 @@ def denoise(
     """Yield the latents [5,4,h,w] after each step.
 
     Args:
-        unet: Predicts noise.
-        latents: Noise to start from [5,4,h,w].
-        condition: What the prediction depends on.
+        unet: Network that predicts the noise.
+        latents: Initial noise [5,4,h,w].
+        condition: Conditions of the prediction.
         steps: Number of steps.
         guidance: Scale of the classifier-free guidance.
-        sampler: How the steps are taken.
+        sampler: Solver of the diffusion.
     """
     scheduler = scheduler_of(sampler, steps)
     for t in scheduler.timesteps:
@@ -277,13 +278,15 @@ def denoise(
 def predict_guided(
     unet: Any, latents: Tensor, t: Tensor, condition: Condition, guidance: float
 ) -> Tensor:
-    """Extrapolate the noise [5,4,h,w] from the prediction without the picture to that with it.
+    """Return the noise [5,4,h,w] by classifier-free guidance, with and without the image.
+
+    The prediction without the image is extrapolated in the direction of that with it.
 
     Args:
-        unet: Predicts noise.
-        latents: [5,4,h,w].
+        unet: Network that predicts the noise.
+        latents: Latents [5,4,h,w].
         t: Noise level, 0 to 999.
-        condition: What the prediction depends on.
+        condition: Conditions of the prediction.
         guidance: Scale of the classifier-free guidance.
     """
     without, with_it = predict(unet, latents, t, condition).chunk(2)
@@ -291,13 +294,13 @@ def predict_guided(
 
 
 def predict(unet: Any, latents: Tensor, t: Tensor, condition: Condition) -> Tensor:
-    """Predict the noise [10,4,h,w]: of five frames without the picture, then of five with it.
+    """Predict the noise [10,4,h,w]: of five frames without the image, then of five with it.
 
     Args:
-        unet: Predicts noise.
-        latents: [5,4,h,w].
+        unet: Network that predicts the noise.
+        latents: Latents [5,4,h,w].
         t: Noise level, 0 to 999.
-        condition: What the prediction depends on, in the network's precision.
+        condition: Conditions of the prediction, in the network's precision.
     """
     frames = len(latents)
     tokens = condition.tokens.expand(frames, -1, -1)

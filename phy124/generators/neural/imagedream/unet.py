@@ -1,8 +1,8 @@
-"""The multi-view U-Net of ImageDream, and of MVDream if there is no picture.
+"""The multi-view U-Net of ImageDream; without image condition, it is that of MVDream.
 
-A latent diffusion U-Net (Rombach et al. 2022) whose self-attention spans all views of an object and
-whose time embedding carries each view's camera. Wang & Shi 2023, "ImageDream"; Shi et al. 2023,
-"MVDream".
+It is a latent diffusion U-Net (Rombach et al. 2022) whose self-attention spans all views of an
+object and whose time embedding includes each view's camera. Wang & Shi 2023, "ImageDream"; Shi et
+al. 2023, "MVDream".
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from phy124.generators.neural.imagedream.encoders import Resampler
 from phy124.weights.checkpoints import StateDict, fill, read_tensors, strip_prefix
 
 CLIP_WIDTH = 1280
-"""Width of the picture's tokens: CLIP ViT-H/14."""
+"""Width of the image tokens of CLIP ViT-H/14."""
 ORIGINAL_PREFIX = "model.diffusion_model."
-"""Prefix of every name in the checkpoint of ImageDream's authors."""
+"""Prefix of all names in the checkpoint of ImageDream's authors."""
 
 
 @dataclass(frozen=True)
@@ -44,22 +44,22 @@ class Config:
     channel_mult: Sequence[int] = (1, 2, 4, 4)
     num_res_blocks: int = 2
     attention_resolutions: Sequence[int] = (4, 2, 1)
-    """Attention is used where the picture is smaller by one of these factors."""
+    """Factors of downsampling at which attention is used."""
     num_head_channels: int = 64
     transformer_depth: int = 1
     context_dim: int = 1024
     camera_dim: int = 16
     ip_dim: int = 16
-    """Number of picture tokens; 0 for MVDream."""
+    """Number of image tokens; 0 for MVDream."""
     ip_weight: float = 1.0
     image_size: int = 32
     """Side of the latents in training; has no effect."""
     use_checkpoint: bool = False
-    """Recomputation in training; has no effect."""
+    """Whether training recomputes activations; has no effect."""
 
 
 class MultiViewUNet(nn.Module):
-    """Noise in the latents of F views of each object: [B*F,4,h,w] -> [B*F,4,h,w]."""
+    """Predicts the noise in the latents of F views of each object: [B*F,4,h,w] to the same."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -138,16 +138,16 @@ class MultiViewUNet(nn.Module):
         ip: Tensor | None = None,
         ip_img: Tensor | None = None,
     ) -> Tensor:
-        """Predict the noise.
+        """Predict the noise [B*F,4,h,w].
 
         Args:
-            x: Latents [B*F,4,h,w]; the views of an object follow each other.
-            timesteps: [B*F], 0 to 999.
+            x: Latents [B*F,4,h,w]; the views of an object are adjacent.
+            timesteps: Noise levels [B*F], 0 to 999.
             context: Text tokens [B*F,77,context_dim].
-            num_frames: F; with `ip` it counts the additional frame that holds the picture.
-            camera: Camera to world [B*F,16], row by row; zeros for that frame.
-            ip: CLIP tokens of the picture [B*F,257,1280].
-            ip_img: Latents of the picture [B,4,h,w], which replace each object's last frame.
+            num_frames: Number of frames F, including the image's frame if `ip` is set.
+            camera: Camera-to-world transforms [B*F,16], row by row; zeros for the image's frame.
+            ip: CLIP tokens of the image [B*F,257,1280].
+            ip_img: Latents of the image [B,4,h,w], which replace each object's last frame.
         """
         if ip is not None and ip_img is not None:
             x = with_picture(x, ip_img, num_frames)
@@ -169,14 +169,14 @@ class MultiViewUNet(nn.Module):
 
 
 def with_picture(x: Tensor, ip_img: Tensor, num_frames: int) -> Tensor:
-    """`x [B*F,4,h,w]` with each object's last frame replaced by `ip_img [B,4,h,w]`."""
+    """Return `x [B*F,4,h,w]` with each object's last frame replaced by `ip_img [B,4,h,w]`."""
     x = x.clone()
     x[num_frames - 1 :: num_frames] = ip_img.to(x.dtype)
     return x
 
 
 def timestep_embedding(timesteps: Tensor, width: int) -> Tensor:
-    """Sinusoids [N,width] of `timesteps [N]`: cosines, then sines, float32."""
+    """Return sinusoids [N,width] of `timesteps [N]`: cosines, then sines, float32."""
     half = width // 2
     steps = torch.arange(half, dtype=torch.float32, device=timesteps.device)
     angles = timesteps[:, None].float() * torch.exp(-math.log(10000) * steps / half)
@@ -194,15 +194,15 @@ def load_unet(
     dtype: torch.dtype = torch.float32,
     **config: Any,
 ) -> MultiViewUNet:
-    """Build the network and fill it strictly.
+    """Build the network and load its weights; missing or extra tensors are an error.
 
-    Both the names of the diffusers repository and those of the authors' checkpoint are accepted;
-    without tensors for a picture it is MVDream.
+    Names may be those of the diffusers repository or of the authors' checkpoint. Tensors without an
+    image condition are loaded as MVDream.
 
     Args:
-        state_dict_or_path: Tensors, or a file of them.
-        device: Where the network runs.
-        dtype: Its precision.
+        state_dict_or_path: Tensors by name, or a file of tensors.
+        device: Device of the network.
+        dtype: Precision of the network.
         **config: Fields of `Config` that differ from ImageDream's.
 
     Raises:

@@ -1,4 +1,4 @@
-"""LGM: four views to 65,536 Gaussians in one pass of a network (Tang et al. 2024, MIT)."""
+"""LGM: turns four views into 65,536 Gaussians in one network pass (Tang et al. 2024, MIT)."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def make_lgm(
     precision: Precision | None = None,
     align: bool = False,
 ) -> Lgm:
-    """Return the generator.
+    """Return the generator `lgm`.
 
     Args:
-        device: Where it runs; None: a GPU if there is one.
-        steps: Steps of ImageDream's diffusion.
-        sampler: How the diffusion takes its steps.
-        precision: Numbers that its network computes with.
-        align: Whether the result is rotated to match the picture.
+        device: Device on which it runs; None: a GPU if there is one.
+        steps: Number of steps of ImageDream's diffusion; None: the default.
+        sampler: Solver of the diffusion; None: the default.
+        precision: Precision of the diffusion's network; None: chosen by the device.
+        align: Whether the result is rotated to match the image.
     """
     from phy124.generators.neural.lgm.generator import Lgm
 

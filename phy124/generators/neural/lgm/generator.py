@@ -1,4 +1,4 @@
-"""LGM as a generator: a cut-out, four views of it, Gaussians in this project's world.
+"""The generator LGM: from a segmented image to four views, and from these to Gaussians.
 
 Tang et al. 2024, "LGM". The four views come from ImageDream or from the user.
 """
@@ -40,30 +40,30 @@ from phy124.progress import Progress, silent
 from phy124.weights.store import is_complete, require
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""ImageNet's colour statistics, by which the input is normalised."""
+"""Mean and standard deviation of ImageNet's colours, which normalise the input."""
 OPACITY_MIN = 0.005
-"""Fainter Gaussians are dropped, as the original does when saving."""
+"""Smallest opacity; Gaussians below it are dropped, as the original program does when it saves."""
 VIEW_ORDER = (1, 2, 3, 0)
-"""LGM's front is ImageDream's second view."""
+"""Indices of ImageDream's views in LGM's order; LGM's front is ImageDream's second view."""
 OLD_GENERATION = (
     "These LGM weights are of the first generation, whose quaternions mean nothing: the Gaussians "
     "are left unrotated, as that generation drew them. `phy124 weights fetch lgm` gets the "
     "corrected ones."
 )
 WORK = Work(98.8e9, 1486.6e9, 194.9e9)
-"""Arithmetic of the option `big`, counted as in `phy124.generators.neural.imagedream`."""
+"""Work of the option `big`, counted as in `phy124.generators.neural.imagedream`."""
 MEMORY = 650_000_000
-"""Numbers that the option `big` keeps in memory, weights and intermediate ones."""
+"""Number of values that the option `big` keeps in memory: weights and activations."""
 Views = Callable[..., Tensor]
 """`(image [3,H,W] over white, *, seed, progress) -> views [5,3,256,256]` in ImageDream's order."""
 
 
 class Lgm:
-    """Turns an image into Gaussians; weights are read on the first call and kept.
+    """Turns an image into Gaussians; weights are loaded on the first call and kept.
 
-    `model` and `multiview` may be passed in, for tests and for other weights; otherwise they are
-    found as `phy124.weights.store` describes. `align` rotates the result to match the picture
-    (`lgm.align`), at the price of a small rendering every `align_step` degrees and a second pass.
+    `model` and `multiview` may be passed in for tests or for other weights; by default, weights are
+    located by `phy124.weights.store`. With `align`, the result is rotated to match the image
+    (`find_front`); this costs a small rendering every `align_step` degrees and a second pass.
     `steps`, `sampler` and `precision` are those of ImageDream's diffusion
     (`phy124.generators.options`).
     """
@@ -88,7 +88,7 @@ class Lgm:
         self.steps = steps or STEPS
         self.sampler: Sampler = sampler or SAMPLER
         self.device = torch_device(device)
-        # On a CPU LGM itself takes a small part of the time, and its positions show each bit.
+        # On a CPU, LGM takes a small part of the time, and low precision is visible in positions.
         gpu = self.device.startswith("cuda")
         self.dtype = dtype or (torch.float16 if gpu else torch.float32)
         self.diffusion_dtype = dtype_of(precision, self.device, PARAMETERS)
@@ -102,12 +102,12 @@ class Lgm:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Make the Gaussians of the cut-out `image_rgba [H,W,4]` with a longest side of 1 m.
+        """Make Gaussians of the segmented `image_rgba [H,W,4]`, with a longest side of 1 m.
 
-        If `progress` raises Cancelled, that passes through.
+        A Cancelled exception raised by `progress` is passed on.
 
         Raises:
-            InputError: If weights are missing or the picture is not a cut-out.
+            InputError: If weights are missing, or `image_rgba` has no alpha or no opaque pixel.
         """
         image = over_white(frame_cutout(np.asarray(image_rgba)))
         self._prepare_multiview()
@@ -119,10 +119,10 @@ class Lgm:
     def from_views(
         self, views: Tensor, *, image: Tensor | None = None, progress: Progress = silent
     ) -> Gaussians:
-        """Make Gaussians from `views [4,3,H,W]` over white in 0..1: front, then quarter turns.
+        """Make Gaussians from `views [4,3,H,W]` over white in 0..1: front, then 90 degrees apart.
 
-        The longest side is 1 m. Alignment compares with `image [3,H,W]`; without it nothing is
-        aligned.
+        The longest side is 1 m. Alignment compares renderings with `image [3,H,W]`; if it is None,
+        the result is not aligned.
 
         Raises:
             InputError: If weights are missing.
@@ -160,14 +160,14 @@ class Lgm:
         """Return the file of LGM's weights.
 
         Raises:
-            InputError: There is none.
+            InputError: If there is none.
         """
         single = is_complete("lgm-fp32", self.weights) and not is_complete("lgm", self.weights)
         (path,) = require("lgm-fp32" if single else "lgm", self.weights).values()
         return path
 
     def _prepare_multiview(self) -> None:
-        """Check for all weights before anything large is read; LGM's are read last."""
+        """Check that all weights exist before ImageDream loads any; LGM's are loaded last."""
         if self.multiview is not None:
             return
         require("imagedream", self.weights)
@@ -185,7 +185,7 @@ class Lgm:
         )
 
     def effort(self) -> Effort:
-        """Forecast the time for an object."""
+        """Predict the run time for one object."""
         fast = speed_of(self.device, self.diffusion_dtype)
         exact = fast if self.dtype == self.diffusion_dtype else speed_of(self.device, self.dtype)
         seconds = STEP.times(self.steps).at(fast)
@@ -197,17 +197,17 @@ class Lgm:
         return Effort(seconds, settings, words)
 
     def _make_room(self) -> None:
-        """Release ImageDream's networks if LGM's would not fit into memory, too."""
+        """Release ImageDream's networks if LGM's network would not fit into memory with them."""
         room = MEMORY * self.dtype.itemsize
         if self._finds_views and self.model is None and is_short(room, self.device):
             self.multiview = None
 
 
 def frame_cutout(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Put the cut-out [H,W,4] into the middle of a square [S,S,4], as LGM's program does.
+    """Centre the cut-out [H,W,4] in a square [S,S,4], as LGM's program does.
 
-    That program receives colours already multiplied by alpha and multiplies them again later, which
-    darkens soft edges. The network was used that way, so this is kept.
+    That program multiplies colours by alpha twice, which darkens soft edges. The multiplication is
+    kept, since it is part of the published results of the network.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.
@@ -221,21 +221,21 @@ def frame_cutout(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def over_white(image_rgba: NDArray[np.uint8]) -> Tensor:
-    """Colours [3,H,W] in 0..1 of `image_rgba [H,W,4]` over white."""
+    """Return the colours [3,H,W] in 0..1 of `image_rgba [H,W,4]` over white."""
     pixels = torch.from_numpy(image_rgba.astype(np.float32) / 255)
     rgb, alpha = pixels[..., :3], pixels[..., 3:]
     return (rgb * alpha + (1 - alpha)).permute(2, 0, 1)
 
 
 def network_input(views: Tensor) -> Tensor:
-    """Normalised colours and rays [4,9,S,S] of `views [4,3,S,S]` in 0..1."""
+    """Return normalised colours and rays [4,9,S,S] of `views [4,3,S,S]` in 0..1."""
     mean, std = (views.new_tensor(v)[:, None, None] for v in (MEAN, STD))
     rays = torch.from_numpy(four_rays(views.shape[-1])).to(views)
     return torch.cat([(views - mean) / std, rays], dim=1)
 
 
 def to_gaussians(rows: NDArray, *, opacity_min: float = OPACITY_MIN) -> Gaussians:
-    """Convert LGM's rows [N,14] to Gaussians, without those fainter than `opacity_min`."""
+    """Convert LGM's rows [N,14] to Gaussians; drop those with opacity below `opacity_min`."""
     rows = rows[rows[:, 3] >= opacity_min]
     return to_world(
         Gaussians.from_rgb(rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14])
@@ -243,7 +243,7 @@ def to_gaussians(rows: NDArray, *, opacity_min: float = OPACITY_MIN) -> Gaussian
 
 
 COMPARED_SIDE = 128
-"""Side of the pictures that are compared, pixels."""
+"""Side of the images that are compared [pixels]."""
 
 
 def find_front(
@@ -254,14 +254,14 @@ def find_front(
     side: int = COMPARED_SIDE,
     progress: Progress = silent,
 ) -> int:
-    """Return the azimuth [degrees] from which the Gaussians resemble the picture best.
+    """Return the azimuth [degrees] at which the rendered Gaussians are most like the image.
 
     Args:
         rows: LGM's Gaussians [N,14].
-        image: The picture over white [3,H,W].
-        step: Spacing of the azimuths tried, degrees.
-        side: Side of the pictures that are compared, pixels.
-        progress: Called as in `phy124.progress`.
+        image: The image over white [3,H,W].
+        step: Spacing of the azimuths that are compared, degrees.
+        side: Side of the images that are compared, pixels.
+        progress: Callback as described in `phy124.progress`.
     """
     wanted = interpolate(image[None].float(), (side, side), mode="area")[0].to(rows)
     azimuths = range(0, 360, step)
@@ -274,5 +274,5 @@ def find_front(
 
 
 def four_views(rows: Tensor, azimuth: float, size: int) -> Tensor:
-    """Draw pictures [4,3,S,S] over white from `azimuth` on, a quarter turn apart."""
+    """Render images [4,3,S,S] over white, 90 degrees apart, beginning at `azimuth`."""
     return torch.stack([draw_rows(rows, azimuth + turn, size) for turn in AZIMUTHS])

@@ -1,4 +1,4 @@
-"""LGM's network with its 14-channel head: four posed views in, activated Gaussians out.
+"""LGM's network with its 14-channel head: turns four posed views into activated Gaussians.
 
 Tang et al. 2024, "LGM: Large Multi-View Gaussian Model", section 3.2 and the released weights.
 """
@@ -25,11 +25,11 @@ from phy124.weights.store import compute_sha256
 RADIUS = 1.5
 """Distance of the four cameras from the origin."""
 AZIMUTHS = (0, 90, 180, 270)
-"""Azimuths of the views, degrees: the front, then counter-clockwise seen from above."""
+"""Azimuths of the views [degrees]: the front, then counter-clockwise as seen from above."""
 
 
 def pluecker(camera_to_world: NDArray, size: int, fov_y: float = FOV_Y) -> NDArray[np.float32]:
-    """Ray of every pixel [6,S,S]: moment o x d, then the unit direction d.
+    """Return the Pluecker ray of every pixel [6,S,S]: moment o x d, then unit direction d.
 
     `camera_to_world` is [4,4] in OpenGL axes; pixel centres lie at half integers.
     """
@@ -44,28 +44,29 @@ def pluecker(camera_to_world: NDArray, size: int, fov_y: float = FOV_Y) -> NDArr
 
 
 def four_rays(size: int, *, elevation: float = 0.0) -> NDArray[np.float32]:
-    """Rays of LGM's four views [4,6,S,S]; a positive elevation [degrees] looks from below."""
+    """Return the rays of LGM's four views [4,6,S,S]; elevation > 0 [degrees] looks from below."""
     return np.stack([pluecker(orbit(elevation, a, RADIUS), size) for a in AZIMUTHS])
 
 
 Rotations = Literal["each", "all"]
-"""Over what quaternions are normalised: each Gaussian alone, or all Gaussians of an object.
+"""Axis of the normalisation of quaternions: each Gaussian, or all Gaussians of an object.
 
-The first generation of the weights (before April 2024) was trained with a mistake, "all", and drawn
-without normalising again: its quaternions are tiny and mean "not rotated".
+The first generation of weights (before April 2024) was trained with the mistake "all", and its
+Gaussians were drawn with unnormalised quaternions, which are tiny and have the effect of no
+rotation.
 """
 GENERATIONS: dict[str, Rotations] = {
     "5a7ab3128a73dce6d2927d5c7c7ec79a7f7ca885fec960db86d991f272fe2e9d": "all",  # model_fp16
     "744d6324656342c64f871308e73db97f0eb51858d94329b30090e986a6d050ab": "each",  # ..._fixrot
     "186631d0736c4dd933676be5a47d492d4354f796e18526d174535b1ae96f1335": "each",  # model_fixrot
 }
-"""Public files by their sha256; both generations have the same shapes and names."""
+"""Normalisation of the public weight files, by sha256; the generations share shapes and names."""
 CHANNELS = 14
 
 
 @dataclass(frozen=True)
 class Option:
-    """Size of the network; sides in pixels."""
+    """Layer sizes of the network, and image sizes in pixels."""
 
     down_channels: tuple[int, ...]
     down_attention: tuple[bool, ...]
@@ -74,7 +75,7 @@ class Option:
     input_size: int = 256
     """Side of each input view."""
     splat_size: int = 64
-    """Side of each output map: 4 * splat_size^2 Gaussians."""
+    """Side of each output map; the network returns 4 * splat_size^2 Gaussians."""
 
 
 def _flags(bits: str) -> tuple[bool, ...]:
@@ -91,28 +92,28 @@ OPTIONS = {
     ),
     "tiny": Option((32, 64, 128, 256, 512), _flags("00001"), (512, 256, 128), _flags("100")),
 }
-"""The four options of the original; only the weights of `big` are public."""
+"""The four options of the original program; only the weights of `big` are public."""
 
 
 class LgmModel(nn.Module):
-    """U-Net and head; [B,4,9,H,W] -> [B,N,14], N = 4 * splat_size^2 at the input size.
+    """U-Net and head: maps [B,4,9,H,W] to [B,N,14], N = 4 * splat_size^2 at the input size.
 
-    The 14 numbers are position 3 (in [-1,1]^3, y up, front +z), opacity, scale 3, quaternion wxyz
-    4, colour 3, all activated.
+    The 14 numbers of a Gaussian are activated: position 3 (in [-1,1]^3, y up, front +z), opacity,
+    scale 3, quaternion wxyz 4, colour 3.
     """
 
     def __init__(self, option: Option, *, rotations: Rotations | None = None) -> None:
         super().__init__()
         self.option = option
         self.rotations: Rotations | None = rotations
-        """None: not known; the forward pass then takes "each", see `lgm.rotations`."""
+        """Normalisation of quaternions; None: unknown, and `forward` uses "each" (see `judge`)."""
         self.unet = UNet(
             option.down_channels, option.down_attention, option.up_channels, option.up_attention
         )
         self.conv = nn.Conv2d(CHANNELS, CHANNELS, 1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Gaussians of each object; the head always computes in float32 or better."""
+        """Return the Gaussians of each object, activated in float32 or float64."""
         b, v, c, h, w = images.shape
         raw = self.conv(self.unet(images.reshape(b * v, c, h, w).to(self.conv.weight.dtype)))
         raw = raw.float() if raw.dtype in (torch.float16, torch.bfloat16) else raw
@@ -120,7 +121,7 @@ class LgmModel(nn.Module):
 
 
 def activate(raw: Tensor, rotations: Rotations = "each") -> Tensor:
-    """Raw maps [B,V,14,h,w] -> Gaussians [B,V*h*w,14], in view, row, column order."""
+    """Activate raw maps [B,V,14,h,w]: return [B,V*h*w,14] in view, row, column order."""
     x = raw.permute(0, 1, 3, 4, 2).flatten(1, 3)
     parts = (
         x[..., 0:3].clamp(-1, 1),
@@ -139,15 +140,15 @@ def load(
     device: str | torch.device = "cpu",
     dtype: torch.dtype = torch.float32,
 ) -> LgmModel:
-    """Build the network and fill it strictly.
+    """Build the network and load its weights; missing or extra tensors are an error.
 
-    A file of the first generation, recognised by its sha256, keeps that generation's quaternions.
+    A file of the first generation is recognised by its sha256 and keeps the normalisation "all".
 
     Args:
-        path_or_state_dict: A file, or tensors.
-        option: Key of `OPTIONS`.
-        device: Where the network runs.
-        dtype: Its precision.
+        path_or_state_dict: A file, or tensors by name.
+        option: Key of `OPTIONS`, or an `Option`.
+        device: Device of the network.
+        dtype: Precision of the network.
 
     Raises:
         InputError: If the option is unknown or the tensors do not fit it.
@@ -180,40 +181,40 @@ def _option(option: str | Option) -> Option:
 
 NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
-"""Side of the pictures that are compared, pixels."""
+"""Side of the images that are compared [pixels]."""
 MARGIN = 0.98
-"""Ratio of errors that the old interpretation must beat, since the new generation is usual."""
+"""Largest ratio of errors ("all" to "each") at which "all" is chosen, since "each" is usual."""
 
 
 def remove_rotations(rows: Tensor) -> Tensor:
-    """Gaussians [N,14] with identity quaternions, as the first generation was drawn."""
+    """Return Gaussians [N,14] with identity quaternions, as the first generation was drawn."""
     rows = rows.clone()
     rows[:, 7:11] = rows.new_tensor(NOT_ROTATED)
     return rows
 
 
 def judge(rows: Tensor, images: Tensor) -> Rotations:
-    """Which reading of the quaternions in `rows [N,14]` redraws `images [4,3,H,W]` better."""
+    """Return the normalisation of the quaternions in `rows [N,14]` that fits `images` better."""
     pictures = torch.nn.functional.interpolate(images, (SIDE, SIDE), mode="area")
     each, none = error(rows, pictures), error(remove_rotations(rows), pictures)
     return "all" if none < MARGIN * each else "each"
 
 
 def error(rows: Tensor, pictures: Tensor) -> float:
-    """Mean squared error of the four redrawn views against `pictures [4,3,S,S]` over white."""
+    """Return the mean squared error of four rendered views against `pictures [4,3,S,S]`."""
     drawn = [draw_rows(rows, azimuth, pictures.shape[-1]) for azimuth in AZIMUTHS]
     return float(((torch.stack(drawn) - pictures) ** 2).mean())
 
 
 @torch.no_grad()
 def draw_rows(rows: Tensor, azimuth: float, size: int, *, elevation: float = 0.0) -> Tensor:
-    """Picture [3,S,S] over white of Gaussians seen from LGM's orbit.
+    """Render Gaussians from LGM's orbit: an image [3,S,S] over white.
 
     Args:
         rows: LGM's Gaussians [N,14].
-        azimuth: Degrees.
-        size: Side of the picture, pixels.
-        elevation: Degrees; positive is below the object.
+        azimuth: Azimuth, degrees.
+        size: Side of the image, pixels.
+        elevation: Elevation, degrees; positive is below the object.
     """
     rows = rows.float()
     view = orbit_view(elevation, azimuth, RADIUS, size)

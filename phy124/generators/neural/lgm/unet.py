@@ -1,7 +1,7 @@
-"""The asymmetric U-Net of LGM: four views in, one map of 14 numbers per pixel and view out.
+"""The asymmetric U-Net of LGM: maps four views to 14 numbers per pixel of each view.
 
 Tang et al. 2024, "LGM: Large Multi-View Gaussian Model for High-Resolution 3D Content Creation",
-section 3.3. Names of the submodules are those of the public checkpoints.
+section 3.3. Submodules have the names of the public checkpoints.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ VIEWS = 4
 HEADS = 16
 GROUPS = 32
 HALF_POWER = math.sqrt(0.5)
-"""Factor of each sum of a branch and its shortcut, which keeps the variance."""
+"""Factor on the sum of a branch and its shortcut, which preserves the variance."""
 
 
 class ResnetBlock(nn.Module):
-    """Two normalised 3x3 convolutions and a shortcut; [B*V,in,H,W] -> [B*V,out,H,W]."""
+    """Two normalised 3x3 convolutions and a shortcut; maps [B*V,in,H,W] to [B*V,out,H,W]."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -56,7 +56,7 @@ class Attention(nn.Module):
 
 
 class CrossViewAttention(nn.Module):
-    """Attention over all pixels of an object's four views; [B*4,C,H,W] -> the same."""
+    """Attention over all pixels of an object's four views; maps [B*4,C,H,W] to the same shape."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -64,7 +64,7 @@ class CrossViewAttention(nn.Module):
         self.attn = Attention(channels)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Tokens are in view, row, column order."""
+        """Attend over the tokens of an object, which are in view, row, column order."""
         bv, c, h, w = x.shape
         tokens = self.norm(x).reshape(bv // VIEWS, VIEWS, c, h * w)
         tokens = self.attn(tokens.transpose(2, 3).reshape(bv // VIEWS, VIEWS * h * w, c))
@@ -77,7 +77,7 @@ def _attentions(channels: int, count: int, wanted: bool) -> nn.ModuleList:
 
 
 class DownBlock(nn.Module):
-    """Two residual blocks, then half the resolution."""
+    """Two residual blocks, then a convolution that halves the resolution."""
 
     def __init__(self, inputs: int, outputs: int, *, attention: bool, downsample: bool) -> None:
         super().__init__()
@@ -86,7 +86,7 @@ class DownBlock(nn.Module):
         self.downsample = nn.Conv2d(outputs, outputs, 3, 2, 1) if downsample else None
 
     def forward(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Return the output and all intermediate maps, which the skips use."""
+        """Return the output, and all intermediate maps for the skip connections."""
         skips = []
         for i, net in enumerate(self.nets):
             x = net(x)
@@ -100,7 +100,7 @@ class DownBlock(nn.Module):
 
 
 class MidBlock(nn.Module):
-    """Residual, attention, residual, at the lowest resolution."""
+    """A residual block, attention, and a residual block at the lowest resolution."""
 
     def __init__(self, channels: int, *, attention: bool) -> None:
         super().__init__()
@@ -108,7 +108,7 @@ class MidBlock(nn.Module):
         self.attns = _attentions(channels, 1, attention)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[B*4,C,h,w] -> [B*4,C,h,w]."""
+        """Map [B*4,C,h,w] to the same shape."""
         x = self.nets[0](x)
         for attention in self.attns:
             x = attention(x)
@@ -116,7 +116,7 @@ class MidBlock(nn.Module):
 
 
 class UpBlock(nn.Module):
-    """Three residual blocks, each joined by one skip, then twice the resolution."""
+    """Three residual blocks with one skip connection each, then doubling of the resolution."""
 
     def __init__(
         self, inputs: Sequence[int], outputs: int, *, attention: bool, upsample: bool
@@ -127,7 +127,7 @@ class UpBlock(nn.Module):
         self.upsample = nn.Conv2d(outputs, outputs, 3, padding=1) if upsample else None
 
     def forward(self, x: Tensor, skips: list[Tensor]) -> Tensor:
-        """Takes its skips from the end of `skips`."""
+        """Map x to the block's output, taking skips from the end of the list `skips`."""
         for i, net in enumerate(self.nets):
             x = net(torch.cat([x, skips.pop()], dim=1))
             if self.attns:
@@ -138,10 +138,10 @@ class UpBlock(nn.Module):
 
 
 class UNet(nn.Module):
-    """[B*4,9,H,W] (colour and Pluecker ray) -> [B*4,14,h,w], h = H * 2^(ups - downs).
+    """Maps [B*4,9,H,W] (colour, Pluecker ray) to [B*4,14,h,w], with h = H * 2^(ups - downs).
 
-    With fewer up than down blocks the output is smaller than the input and the first skips are
-    unused.
+    With fewer up blocks than down blocks, the output is smaller than the input, and the first skips
+    are unused.
     """
 
     def __init__(
@@ -175,7 +175,7 @@ class UNet(nn.Module):
         self.conv_out = nn.Conv2d(channels, outputs, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """The views of an object follow each other in the batch."""
+        """Map views to output maps; the views of an object are adjacent in the batch."""
         x = self.conv_in(x)
         skips = [x]
         for block in self.down_blocks:
