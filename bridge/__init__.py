@@ -1,8 +1,8 @@
-"""The bridge: a clip's Gaussians as ROS 2 topics and MCAP files.
+"""The bridge: publishes a clip's Gaussians as ROS 2 topics and writes MCAP files.
 
-phy124 imports nothing from here. Everything except `sinks/` needs only NumPy and pydantic; each
-sink imports its own library when it is opened.
+phy124 imports nothing from this package. All modules outside `sinks/` need only NumPy and pydantic;
+each sink imports its own library when it is opened.
 """
 
 PROGRAM = "python -m bridge" if __name__ == "bridge" else "phy124-bridge"
-"""The command a user types: in a checkout, or if this folder is installed as `phy124_bridge`."""
+"""The command to type: in a checkout, or if this folder is installed as `phy124_bridge`."""

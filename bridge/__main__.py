@@ -1,7 +1,7 @@
 """The bridge: record, play, inspect and repair moving Gaussians as ROS 2 messages.
 
-Exit status: 0 done, 1 the machine refused, 2 bad input, 3 the simulation stopped early and kept
-its good frames, 130 interrupted. Errors that a user can correct show no traceback.
+Exit status: 0 done, 1 the machine refused, 2 bad input, 3 the simulation stopped early and its
+valid frames were saved, 130 interrupted. Errors that a user can correct show no traceback.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from contextlib import contextmanager
 STOPPED = "bridge: stopped\n"
 
 
-# Only light modules may be imported above: before `importing`, Ctrl-C shows a traceback.
+# Import only light modules above: until `importing` runs, Ctrl-C would show a traceback.
 @contextmanager
 def importing(status: int, text: str = "") -> Iterator[None]:
     """Within this context, Ctrl-C and SIGTERM end the process at once with a status and a text.
 
-    A KeyboardInterrupt could get lost, since some code only prints it during an import.
+    A KeyboardInterrupt could get lost, because some libraries catch it during their import.
     """
     try:
         from phy124.runtime.signals import ending, handling
@@ -31,7 +31,7 @@ def importing(status: int, text: str = "") -> Iterator[None]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status."""
+    """Run a command; return the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with importing(130, STOPPED):

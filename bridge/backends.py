@@ -1,6 +1,6 @@
-"""Backends: the way frames are published live. rclpy where ROS 2 is, otherwise DDS; also Foxglove.
+"""Backends that publish frames live: rclpy where ROS 2 is installed, otherwise DDS; or Foxglove.
 
-A package adds one with an entry point `phy124.sinks` (docs/guide/extending-files.md).
+A package adds a backend with an entry point `phy124.sinks` (docs/guide/extending-files.md).
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from .sinks.rclpy import RclpySink, require_rclpy
 from .topics import Controls
 
 OWN = ("rclpy", "dds", "foxglove")
-"""The backends that come with the bridge."""
+"""Names of the backends that come with the bridge."""
 REQUIREMENTS: dict[str, Callable[[], None]] = {
     "rclpy": require_rclpy,
     "dds": require_cyclonedds,
     "foxglove": require_foxglove,
     "mcap": require_mcap,
 }
-"""Outlet -> function that raises InputError if the package it needs is missing."""
+"""Outlet -> function that raises InputError if the package that the outlet needs is missing."""
 AUTOMATIC = ("rclpy", "dds")
-"""Tried in this order by `auto`; never both at once, or each frame would arrive twice."""
+"""Backends that `auto` tries in this order; it uses only one, or frames would arrive twice."""
 
 
 def sink_names() -> list[str]:
-    """Names of all backends, those that packages have registered included."""
+    """Return the names of all backends, including those that packages register."""
     return [*OWN, *(name for name in list_plugins("sinks") if name not in OWN)]
 
 
 def missing(outlet: str) -> InputError | None:
-    """Why an outlet cannot be used, or None if it can."""
+    """Return why an outlet cannot be used, or None if it can."""
     try:
         REQUIREMENTS.get(outlet, lambda: load_plugin("sinks", outlet))()
     except InputError as error:
@@ -50,10 +50,10 @@ def missing(outlet: str) -> InputError | None:
 
 
 def choose(backend: str) -> str:
-    """The backend to use.
+    """Return the name of the backend to use.
 
     Raises:
-        InputError: There is no backend of that name, or `auto` finds none that works.
+        InputError: There is no backend of that name, or `auto` finds no usable backend.
     """
     if backend in sink_names():
         return backend
@@ -82,17 +82,17 @@ def open_sink(
     ros_args: Sequence[str] = (),
     controls: Controls | None = None,
 ) -> LiveSink:
-    """The live sink of a chosen backend, not entered yet.
+    """Create the live sink of a backend; the caller enters it.
 
     Args:
         backend: rclpy, dds, foxglove, or the name of a registered sink.
-        options: How frames become messages.
+        options: Options that define how frames become messages.
         duration: Length of the clip [s]; None for a running simulation.
-        network: All but rclpy: also reach other machines.
-        clock: rclpy: publish /clock.
-        port: Foxglove and registered sinks: the port to use.
-        ros_args: rclpy: `--ros-args` and the arguments after it.
-        controls: All that come with the bridge: what is heard and offered besides frames.
+        network: For all but rclpy: also reach other machines.
+        clock: For rclpy: publish /clock.
+        port: For Foxglove and registered sinks: the port to use.
+        ros_args: For rclpy: `--ros-args` and the arguments after it.
+        controls: For the bridge's own backends: inputs and services offered in addition to frames.
 
     Raises:
         InputError: An option does not suit the backend, or a registered sink is broken.
@@ -114,7 +114,7 @@ def open_sink(
 
 
 def _refuse_unsuitable(backend: str, network: bool, clock: bool, ros_args: Sequence[str]) -> None:
-    """Raise InputError for an option that only another backend has."""
+    """Raise InputError for an option that the backend does not have."""
     if network and backend == "rclpy":
         limit = "ROS_AUTOMATIC_DISCOVERY_RANGE sets how far a ROS 2 node reaches."
         raise InputError("network", network, limit, "Leave it out.")
@@ -127,14 +127,14 @@ def _refuse_unsuitable(backend: str, network: bool, clock: bool, ros_args: Seque
 
 
 def _registered_sink(backend: str, options: Options, **how: Any) -> LiveSink:
-    """A sink that a package has registered; raises InputError if it is not one."""
+    """Create a sink that a package registers; raise InputError if it is not a sink."""
     remedy = f"Correct or remove the package that registers it, or use {', '.join(OWN)}."
     try:
         sink = load_plugin("sinks", backend)(options, **how)
     except InputError:
         raise
     except Exception as error:
-        # Whatever a stranger's code raises, the user can only change or leave that package.
+        # Whatever exception foreign code raises: the user can only correct or remove the package.
         limit = f"the sink registered under this name cannot be made ({error})."
         raise InputError("backend", backend, limit, remedy) from error
     needed = ("__enter__", "__exit__", "write", "monotonic", "listen", "show", "audience")

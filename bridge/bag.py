@@ -1,7 +1,7 @@
-"""What makes an MCAP file a ROS 2 bag: channels with quality of service, and metadata.yaml.
+"""Make an MCAP file a ROS 2 bag: add quality of service to channels, and write metadata.yaml.
 
-A bag is a folder `<name>/` with `<name>_0.mcap` and a metadata.yaml of version 9 (ROS 2 Jazzy),
-or the .mcap file alone, which Jazzy opens as well.
+A bag is a folder `<name>/` with `<name>_0.mcap` and a metadata.yaml of format version 9 (ROS 2
+Jazzy), or the .mcap file alone, which Jazzy opens as well.
 """
 
 from __future__ import annotations
@@ -26,43 +26,43 @@ METADATA = "metadata.yaml"
 PROFILE = "ros2"
 ENCODING = "cdr"
 RECORD = "phy124"
-"""Name of the MCAP metadata record with the scene, the report and the stream's settings."""
+"""Name of the MCAP metadata record with scene, report and settings of the stream."""
 OWN_RECORD = "rosbag2"
-"""Name of the record in which rosbag2 keeps its metadata, including the ROS distribution."""
+"""Name of the metadata record in which rosbag2 stores its metadata and the ROS distribution."""
 FOREVER = "\n    sec: 9223372036\n    nsec: 854775807"
 
 
 @dataclass
 class Counts:
-    """The contents of a bag, counted while it is written."""
+    """Topics, message counts and times of a bag, updated while the bag is written."""
 
     topics: dict[str, Topic] = field(default_factory=dict)
     messages: dict[str, int] = field(default_factory=dict)
     """Topic name -> number of messages."""
     start: int | None = None
     end: int = 0
-    """Times of the first and last message [ns since 1970]."""
+    """Times of the earliest and latest message [ns since 1970]."""
 
     def announce(self, topics: list[Topic]) -> None:
-        """Add topics, which may have no messages yet."""
+        """Add topics, initially without messages."""
         for topic in topics:
             self.topics[topic.name] = topic
             self.messages[topic.name] = 0
 
     def add(self, topic: Topic, stamp: int) -> None:
-        """Count one message of an announced topic; `stamp` in ns since 1970."""
+        """Count a message of an announced topic; `stamp` in ns since 1970."""
         self.messages[topic.name] += 1
         self.start = stamp if self.start is None else min(self.start, stamp)
         self.end = max(self.end, stamp)
 
 
 def mcap_file(bag: Path) -> Path:
-    """The .mcap file of a bag: the file itself, or the one in the folder."""
+    """Return the .mcap file of a bag: the file itself, or the file in the folder."""
     return bag if bag.suffix == SUFFIX else bag / f"{bag.name}_0{SUFFIX}"
 
 
 def register(writer: Writer, topic: Topic) -> int:
-    """Announce a topic in an MCAP file; returns its channel id."""
+    """Announce a topic in an MCAP file; return its channel id."""
     schema = writer.register_schema(topic.type, "ros2msg", messages.definition(topic.type).encode())
     about = {
         "offered_qos_profiles": _qos(topic, numbers=True),
@@ -72,7 +72,7 @@ def register(writer: Writer, topic: Topic) -> int:
 
 
 def write_metadata(folder: Path, file: str, counts: Counts) -> None:
-    """Write metadata.yaml, completely or not at all; it makes the folder a bag."""
+    """Write metadata.yaml atomically; with this file the folder is a bag."""
     with replacing(folder / METADATA) as temporary, temporary.open("w", encoding="utf-8") as stream:
         stream.write(metadata_yaml(file, counts))
         stream.flush()
@@ -80,12 +80,12 @@ def write_metadata(folder: Path, file: str, counts: Counts) -> None:
 
 
 def metadata_yaml(file: str, counts: Counts) -> str:
-    """The text of metadata.yaml, version 9."""
+    """Return the text of metadata.yaml in format version 9."""
     return f"rosbag2_bagfile_information:\n{_indent(_information(file, counts))}"
 
 
 def describe(writer: Writer, file: str, counts: Counts) -> None:
-    """Write the same into the .mcap file itself, which ROS 2 reads if there is no metadata.yaml."""
+    """Write the same metadata into the .mcap file, for ROS 2 to read without metadata.yaml."""
     writer.add_metadata(OWN_RECORD, {"serialized_metadata": _information(file, counts)})
 
 
@@ -120,7 +120,7 @@ def _topic_entry(topic: Topic, count: int) -> str:
 
 
 def _qos(topic: Topic, *, numbers: bool) -> str:
-    """A YAML list of one profile; as in rosbag2, channels hold numbers and metadata.yaml words."""
+    """Return a YAML list with one profile; rosbag2 has numbers in channels, words in the file."""
     form = 0 if numbers else 1
     reliability = (1, "reliable") if topic.reliable else (2, "best_effort")
     durability = (1, "transient_local") if topic.transient_local else (2, "volatile")

@@ -1,9 +1,9 @@
 """CDR: the bytes of ROS 2 messages, little-endian XCDR version 1 (OMG DDS-XTypes 1.3, 7.4.1).
 
-There is one encoder for every outlet, driven by the definitions in `messages`. A message is a
-mapping from member names to values; absent members are zero, empty or false, as in ROS. Messages
-whose members all have the same primitive type (points, quaternions, colours) may be given as plain
-sequences.
+All outlets share this encoder, which uses the definitions in `messages`. A message is a mapping
+from member names to values; missing members are zero, empty or false, as in ROS. A message whose
+members all have the same primitive type (points, quaternions, colours) may also be a plain
+sequence.
 """
 
 from __future__ import annotations
@@ -38,9 +38,10 @@ NANO = 1_000_000_000
 
 
 def encode(name: str, message: Mapping[str, Any]) -> bytes:
-    """The CDR payload of one message of type `package/msg/Name`, including the encapsulation.
+    """Return the CDR payload of a message of type `package/msg/Name`, encapsulation included.
 
-    Large `uint8[]` members may be bytes, a memoryview or a contiguous array; they are copied once.
+    Large `uint8[]` members may be bytes, a memoryview or a contiguous array; they are copied only
+    once.
 
     Raises:
         KeyError: The type has no such member.
@@ -53,13 +54,13 @@ def encode(name: str, message: Mapping[str, Any]) -> bytes:
 
 
 def time(nanoseconds: int) -> dict[str, int]:
-    """A `builtin_interfaces/msg/Time` or `Duration` from nanoseconds."""
+    """Convert nanoseconds to a `builtin_interfaces/msg/Time` or `Duration`."""
     seconds, rest = divmod(nanoseconds, NANO)
     return {"sec": seconds, "nanosec": rest}
 
 
 class _Body:
-    """The payload so far, as parts to be joined, so that bulk data is copied only once."""
+    """The payload so far, as a list of parts; joining them copies bulk data only once."""
 
     def __init__(self) -> None:
         self.parts: list[Any] = []
@@ -85,7 +86,7 @@ _LENGTH = struct.Struct("<I")
 
 @cache
 def _encoder(base: str) -> Encoder:
-    """The function that appends one value of a primitive, string or message type."""
+    """Return the function that appends a value of a primitive, string or message type."""
     if base == "string":
         return _string
     if base in PRIMITIVES:
@@ -129,7 +130,7 @@ def _member(member: Field) -> Encoder:
 
 
 def _numbers(member: Field) -> Encoder:
-    """A sequence or array of primitives, copied in one piece."""
+    """Return the encoder of a sequence or array of primitives, which is copied in one piece."""
     dtype = np.dtype("<" + PRIMITIVES[member.base])
 
     def encode_numbers(body: _Body, value: Any) -> None:
@@ -156,7 +157,7 @@ def _sequence(member: Field) -> Encoder:
 
 
 def _count(body: _Body, member: Field, count: int) -> None:
-    """Append the length of a sequence; check that of an array."""
+    """Append the length of a sequence, or check the length of an array."""
     if member.length == 0:
         body.pack(_LENGTH, 4, count)
     elif count != member.length:
@@ -172,7 +173,7 @@ def _zero(member: Field) -> Any:
 
 
 def _flat(name: str) -> list[str]:
-    """The primitives of a message in wire order; empty if it contains anything else."""
+    """Return the primitives of a message in wire order; empty if it contains anything else."""
     primitives: list[str] = []
     for member in fields(name):
         inner = [member.base] if member.base in PRIMITIVES else []

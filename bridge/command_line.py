@@ -1,4 +1,4 @@
-"""The command line: parses the arguments, runs the command, sets up its log."""
+"""The command line: parse the arguments, set up the log, run the command."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAY_BE_EMPTY = ("--parent-frame",)
 
 
 def run(arguments: list[str], description: str | None) -> int:
-    """Run one command; returns the exit status."""
+    """Run a command; return the exit status."""
     logging.basicConfig(level=logging.INFO, format="%(message)s", force=True)
     with warnings.catch_warnings():
         warnings.showwarning = _note
@@ -43,9 +43,10 @@ def _command(arguments: list[str], description: str | None) -> Any:
 
 
 def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """Split off the arguments from `--ros-args` to `--` or the end; the others come first.
+    """Separate the arguments from `--ros-args` up to `--` or the end; return the others first.
 
-    Any other `--` ends the options, so that `--ros-args` after it is an ordinary word.
+    A `--` that does not close `--ros-args` ends the options: after it, `--ros-args` is an ordinary
+    word.
     """
     program: list[str] = []
     ros: list[str] = []
@@ -65,7 +66,7 @@ def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
 
 
 def _report(problem: BaseException) -> int:
-    """Print what a problem means; returns the exit status."""
+    """Explain an exception to the user; return the exit status."""
     ending = failure(problem)
     text = "stopped" if ending.kind is Kind.STOPPED else ending.sentence
     print(f"bridge: {text}", file=sys.stderr)
@@ -77,5 +78,5 @@ def _say(line: str) -> None:
 
 
 def _note(message: Warning | str, *_: object) -> None:
-    """Log a warning as one line, without its source line."""
+    """Log a warning as one line, without the source line that caused it."""
     logging.getLogger(__name__).warning(str(message))

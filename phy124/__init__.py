@@ -5,8 +5,8 @@
     result = phy124.generate("duck.png", phy124.Scene.named("press"), "out")
     clip = phy124.Clip.load(result.folder / "clip.safetensors")
 
-The names in `__all__` are the public interface, versioned as CONTRIBUTING.md says. Each is imported
-when it is first used, so that importing this package is fast.
+The names in `__all__` are the public interface; CONTRIBUTING.md says how it is versioned. Each name
+is imported when it is first used, which keeps `import phy124` fast.
 """
 
 from importlib import import_module

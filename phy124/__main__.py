@@ -1,12 +1,13 @@
 """The command line: `phy124 COMMAND ...`, or `python -m phy124`.
 
-Every command also takes --quiet (print nothing but problems) and --verbose (print what the
-libraries say, and where in the code a problem arose). `phy124 --version` prints this version.
+Every command also takes --quiet (print only problems) and --verbose (print the messages of the
+libraries, and the traceback of an error). `phy124 --version` prints this version.
 `phy124 --tyro-print-completion bash` (zsh, fish) prints a script that completes commands and
 options with the Tab key; see docs/guide/commands.md.
 
 Exit status: 0 done, 1 the machine refused (disk full, ...), 2 bad input, 3 the simulation stopped
-early and kept its good frames, 130 interrupted. Errors that a user can correct show no traceback.
+early and its valid frames were saved, 130 interrupted. Errors that a user can correct show no
+traceback.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
         warnings.showwarning = _note
         with _no_collection():
             command = _parse(arguments)
-        if "warp" in sys.modules:  # Some commands, as `weights`, do without.
+        if "warp" in sys.modules:  # Some commands, such as `weights`, do not need Warp.
             _start(talkative=verbose and "--json" not in split_operands(arguments)[0])
         if quiet:
             from phy124.commands.bars import silence
@@ -79,9 +80,9 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """Within this context no garbage is looked for: what imports make stays, and there is a lot.
-
-    It is left out of later searches, too: those of a run and those at exit took 0.9 s of 6 s.
+    """Within this context the garbage collector is off: imports create many lasting objects.
+    Later collections skip these objects, too: otherwise the collections of a run and at exit took
+    0.9 s of 6 s.
     """
     was = gc.isenabled()
     gc.disable()
@@ -104,7 +105,7 @@ def _start(*, talkative: bool) -> None:
 
 
 def _parse(arguments: list[str]) -> Any:
-    """Return the command with its options; a request for all commands prints them and exits."""
+    """Return the command with its options; a request for a list of commands prints it and exits."""
     from phy124.commands import COMMANDS, outline
     from phy124.schema.arguments.parsing import asks_for_commands, parse
 
@@ -126,7 +127,7 @@ def _note(message: Warning | str, *_: object) -> None:
 
 
 def _report(problem: BaseException, *, as_json: bool, verbose: bool) -> int:
-    """Print what a problem means, as JSON on standard output for scripts; returns the status."""
+    """Explain an exception to the user, for --json on standard output too; return the status."""
     from phy124.runtime.installation import with_program
 
     cause = failure(problem)

@@ -1,6 +1,5 @@
-"""A pinhole camera with the pixel-centre rule, and the views that the paper shows.
-
-This is the only place that knows how a camera looks at the world. Camera axes are OpenCV's: x
+"""A pinhole camera with pixel centres at half-integers, and the four views of the paper.
+Only this module defines the camera's axes. They are OpenCV's: x
 right, y down, z forward; pixel (i, j) covers [i, i+1) x [j, j+1), so its centre is (i + 0.5, j +
 0.5), and the optical axis meets the image at (width/2, height/2) unless it is shifted.
 """
@@ -22,7 +21,7 @@ FOV_Y = 49.1
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera at `eye` that looks at `target`, with world z up."""
+    """A pinhole camera at `eye` that looks at `target`; world z points up in its image."""
 
     eye: tuple[float, float, float]
     """Position, m."""
@@ -35,7 +34,7 @@ class Camera:
     fov_y: float = FOV_Y
     """Vertical field of view, degrees."""
     shift: tuple[float, float] = (0.0, 0.0)
-    """How far from the middle of the image the optical axis meets it, right and down, pixels."""
+    """Offset of the principal point from the middle of the image, right and down, pixels."""
 
     @classmethod
     def orbit(
@@ -47,7 +46,7 @@ class Camera:
         target: tuple[float, float, float] = (0.0, 0.0, 0.0),
         fov_y: float = FOV_Y,
     ) -> Camera:
-        """A camera on a sphere around `target`.
+        """Return a camera on a sphere around `target`.
 
         Args:
             azimuth: Degrees; 0 is the front (+x), 90 the right side (+y).
@@ -70,12 +69,12 @@ class Camera:
 
     @property
     def halves(self) -> tuple[float, float]:
-        """Half the width and half the height of what it shows at a distance of 1."""
+        """Half the width and half the height of the visible area at a distance of 1."""
         return 0.5 * self.width / self.focal, 0.5 * self.height / self.focal
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Where the optical axis meets the image, pixels."""
+        """Principal point: where the optical axis meets the image, pixels."""
         return self.width / 2 + self.shift[0], self.height / 2 + self.shift[1]
 
     @cached_property
@@ -83,7 +82,7 @@ class Camera:
         """World-to-camera transform [4,4]."""
         eye, target = np.asarray(self.eye, float), np.asarray(self.target, float)
         forward = (target - eye) / np.linalg.norm(target - eye)
-        # Straight up or down has no horizon: keep +x at the top of the image there.
+        # A camera that looks straight up or down has no horizon: +x is at the top of its image.
         up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 1 - 1e-9 else np.array([1.0, 0.0, 0.0])
         right = np.cross(forward, up)
         right /= np.linalg.norm(right)
@@ -100,7 +99,7 @@ class Camera:
         return np.array([[f, 0, x], [0, f, y], [0, 0, 1]])
 
     def project(self, points: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Pixel positions [N,2] and depths [N] m of world points [N,3]."""
+        """Return pixel positions [N,2] and depths [N] m of world points [N,3]."""
         seen = points @ self.view[:3, :3].T + self.view[:3, 3]
         image = seen @ self.intrinsics.T
         return image[:, :2] / image[:, 2:], seen[:, 2]

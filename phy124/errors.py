@@ -1,4 +1,4 @@
-"""The ways a run ends early that are not bugs: bad input, cancellation, results kept in part."""
+"""Exceptions that end a run early but are no bugs: bad input, cancellation, partial results."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
 SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
-"""The machine runs short of something, which is no fault of the file's name."""
+"""Error codes for a resource of the machine that ran out; the file's name is not at fault."""
 DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 
 
@@ -23,10 +23,10 @@ class Remedy(NamedTuple):
 
 
 class InputError(ValueError):
-    """Something the user chose cannot be used; the message says what, why and what to do.
+    """A choice of the user cannot be used; the message says which, why, and how to correct it.
 
     The command line and the web page print only the message, never a traceback. `remedies` are
-    changes of the scene, each sufficient by itself, if any are known.
+    changes of the scene, if any are known; each solves the problem by itself.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class InputError(ValueError):
         super().__init__(f"{field} = {value}: {limit} {remedy}".rstrip())
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        """Supports pickle, which would otherwise pass the whole message as the field."""
+        """Support pickle, which would otherwise pass the whole message as the field."""
         return type(self), (self.field, self.value, self.limit, self.remedy)
 
 
@@ -46,9 +46,9 @@ class Cancelled(Exception):
 
 
 class Incomplete(Exception):
-    """Raised from the problem that ended the work, once a part of the results has been saved.
+    """Raised from the exception that ended the work, after some of the results were saved.
 
-    `kept` is the second half of a sentence: the files that are there, and the command that goes on.
+    `kept` ends a sentence: it names the saved files and the command that continues the run.
     """
 
     def __init__(self, kept: str) -> None:
@@ -57,11 +57,11 @@ class Incomplete(Exception):
 
 
 def did_you_mean(word: str, known: Iterable[str], *, similarity: float = 0.6) -> str:
-    """The sentence "Did you mean ...?" if a known word is close, else nothing."""
+    """Return the sentence "Did you mean ...?" if a known word is close, else an empty text."""
     close = difflib.get_close_matches(word, [*known], 1, similarity)
     return f"Did you mean {close[0]}?" if close else ""
 
 
 def suggest(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
-    """The sentence "Did you mean ...?" if a known word is close, else the known words."""
+    """Return the sentence "Did you mean ...?" if a known word is close, else all known words."""
     return did_you_mean(word, known) or f"{otherwise} {', '.join(known)}."

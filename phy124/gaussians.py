@@ -1,4 +1,4 @@
-"""Gaussians and frames: what every stage of the pipeline passes on.
+"""Gaussians and frames: the data that the stages of the pipeline exchange.
 
 Conventions: the world is right-handed, in metres, z up, and the object faces +x
 (docs/reference/conventions.md); quaternions are wxyz; values are post-activation (opacity 0..1,
@@ -46,8 +46,8 @@ class Gaussians:
     Arrays are converted to C-contiguous float32.
 
     Raises:
-        ValueError: If shapes disagree. That is a programming error; bad files are refused by their
-            readers.
+            ValueError: Shapes disagree. This is a programming error; readers refuse bad files
+                themselves.
     """
 
     means: Array
@@ -61,7 +61,7 @@ class Gaussians:
     sh: Array
     """Spherical-harmonic colours [N,K,3], K in 1, 4, 9, 16."""
     object_id: NDArray[np.int32] | None = None
-    """Which object of its scene each belongs to [N], from 0; None: all are one object."""
+    """Index of the scene's object to which each Gaussian belongs [N]; None: a single object."""
 
     def __post_init__(self) -> None:
         for name in ("means", "quats", "scales", "opacities", "sh"):
@@ -89,7 +89,7 @@ class Gaussians:
     def from_rgb(
         cls, means: NDArray, quats: NDArray, scales: NDArray, opacities: NDArray, rgb: NDArray
     ) -> Gaussians:
-        """Gaussians of plain colours (spherical harmonics of degree 0).
+        """Return Gaussians of plain colours (spherical harmonics of degree 0).
 
         Args:
             means: Centres [N,3], m.
@@ -104,7 +104,7 @@ class Gaussians:
 
     @property
     def rgb(self) -> Array:
-        """Colours [N,3] in 0..1 without their dependence on the direction: the degree-0 part."""
+        """Colours [N,3] in 0..1, independent of the viewing direction: the degree-0 part."""
         return np.clip(0.5 + SH_C0 * self.sh[:, 0], 0, 1)
 
     @property
@@ -113,7 +113,7 @@ class Gaussians:
         return SH_COEFFICIENTS.index(self.sh.shape[1])
 
     def select(self, which: NDArray) -> Gaussians:
-        """The Gaussians selected by a boolean mask or an index array."""
+        """Return the Gaussians selected by a boolean mask or an index array."""
         if which.dtype == bool and which.all():
             return self
         return Gaussians(
@@ -126,7 +126,7 @@ class Gaussians:
         )
 
     def of_object(self, index: int) -> Gaussians:
-        """Return the Gaussians of one object, without `object_id`; empty if there are none."""
+        """Return the Gaussians of the object of this index, without `object_id`; may be empty."""
         if self.object_id is None:
             return self if index == 0 else self.select(np.zeros(0, int))
         return replace(self.select(self.object_id == index), object_id=None)
@@ -138,29 +138,29 @@ class Gaussians:
 
     @property
     def longest(self) -> Array:
-        """Largest standard deviation of each [N], m."""
+        """Largest standard deviation of each Gaussian [N], m."""
         x, y, z = self.scales.T  # several times faster than a maximum over three neighbours
         return np.maximum(np.maximum(x, y), z)
 
     @property
     def cover(self) -> Array:
-        """Opacity times the product of the two longest axes of each [N], m^2: its visible area."""
+        """Visible area of each Gaussian [N], m^2: opacity times product of its two longest axes."""
         x, y, z = self.scales.T
         return self.opacities * np.maximum(np.maximum(x * y, y * z), z * x)
 
     def deviations(self) -> NDArray[np.float64]:
-        """Standard deviations along the axes of space [N,3], m, in double precision."""
+        """Return standard deviations along the world axes [N,3], m, in double precision."""
         axes = rotation_matrices(self.quats) * self.scales[:, None, :].astype(np.float64)
         return np.sqrt(np.einsum("nij,nij->ni", axes, axes))
 
     def covariances(self) -> NDArray[np.float64]:
-        """Covariance matrices [N,3,3], m^2, in double precision."""
+        """Return covariance matrices [N,3,3], m^2, in double precision."""
         axes = rotation_matrices(self.quats) * self.scales[:, None, :].astype(np.float64)
         return axes @ axes.transpose(0, 2, 1)
 
 
 def join(sets: Sequence[Gaussians]) -> Gaussians:
-    """Join several sets in order; all get as many harmonics as the set of the highest degree."""
+    """Join several sets in order; lower harmonic degrees are padded with zeros to the highest."""
     most = max(item.sh.shape[1] for item in sets)
 
     def stack(name: str) -> NDArray:
@@ -173,7 +173,7 @@ def join(sets: Sequence[Gaussians]) -> Gaussians:
 
 
 def as_objects(objects: dict[int, Gaussians]) -> Gaussians:
-    """Join objects, given by number; each Gaussian gets the number of its object."""
+    """Join the Gaussians of several objects; `object_id` becomes each object's key."""
     return join(
         [
             replace(item, object_id=np.full(len(item), index, np.int32))
@@ -183,7 +183,7 @@ def as_objects(objects: dict[int, Gaussians]) -> Gaussians:
 
 
 class Wrench(NamedTuple):
-    """Mean force and torque that the object exerts on a wall, since the frame before."""
+    """Force and torque that the object exerts on a wall, averaged over the last frame interval."""
 
     force: NDArray[np.float64]
     """Force [3], N."""
@@ -193,23 +193,23 @@ class Wrench(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """The Gaussians at one instant."""
+    """The Gaussians at one time of the simulation."""
 
     index: int
-    """Number of the frame, from 0."""
+    """Index of the frame, from 0."""
     time: float
     """Time since the start, s."""
     gaussians: Gaussians
     velocities: Array | None = None
-    """Velocities of the centres [N,3], m/s, if they were asked for."""
+    """Velocities of the centres [N,3], m/s, if requested."""
     contacts: Array | None = None
-    """Mean force of the walls on each since the frame before [N,3], N, if it was asked for."""
+    """Force of the walls on each Gaussian [N,3], N, averaged over the last frame interval."""
     wrenches: dict[str, Wrench] | None = None
-    """What the object exerts on each wall, by the wall's name, if it was asked for."""
+    """Force and torque of the object on each wall, by the wall's name, if requested."""
 
 
 def rotation_matrices(quats: NDArray) -> NDArray[np.float64]:
-    """Rotation matrices [N,3,3] of quaternions wxyz [N,4] of any length."""
+    """Return rotation matrices [N,3,3] of quaternions wxyz [N,4] of any length."""
     q = np.asarray(quats, dtype=np.float64)
     w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
     rows = (
@@ -221,11 +221,11 @@ def rotation_matrices(quats: NDArray) -> NDArray[np.float64]:
 
 
 def quaternions(rotations: NDArray) -> NDArray[np.float64]:
-    """Unit quaternions wxyz [N,4] of rotation matrices [N,3,3] (Shepperd's method)."""
+    """Return unit quaternions wxyz [N,4] of rotation matrices [N,3,3] (Shepperd's method)."""
     r = np.asarray(rotations, dtype=np.float64)
     diagonal = np.einsum("nii->ni", r)
     trace = diagonal.sum(axis=1, keepdims=True)
-    # Four ways to write 4 q q^T's column; the one with the largest diagonal is well conditioned.
+    # The four columns of 4 q q^T; the column with the largest diagonal is well conditioned.
     squares = np.concatenate([1 + trace, 1 + 2 * diagonal - trace], axis=1)
     best = squares.argmax(axis=1)
     xy, xz, yz = r[:, 1, 0] + r[:, 0, 1], r[:, 0, 2] + r[:, 2, 0], r[:, 2, 1] + r[:, 1, 2]
@@ -244,7 +244,7 @@ def quaternions(rotations: NDArray) -> NDArray[np.float64]:
 
 
 def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
-    """Values of the first `count` (1, 4, 9 or 16) harmonics at unit directions [..., 3]."""
+    """Evaluate the first `count` (1, 4, 9 or 16) harmonics at unit directions [..., 3]."""
     x, y, z = np.moveaxis(np.asarray(directions, dtype=np.float64), -1, 0)
     xx, yy, zz = x * x, y * y, z * z
     values = [np.full_like(x, SH_C0), -SH_C1 * y, SH_C1 * z, -SH_C1 * x]
@@ -260,10 +260,10 @@ def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
-    """Rotate each colour function with its Gaussian: c'(d) = c(R^T d).
+    """Rotate each Gaussian's colour function with the Gaussian: c'(d) = c(R^T d).
 
-    Each degree rotates within itself. Its matrix is found by requiring equality in fixed,
-    well-spread directions, which is exact.
+    A rotation mixes only harmonics of equal degree. The matrix of each degree follows from
+    requiring equality in fixed, well-spread directions; this is exact.
 
     Args:
         sh: Coefficients [N,K,3].
@@ -276,20 +276,20 @@ def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
         if sh.shape[1] < (degree + 1) ** 2:
             break
         solve = np.linalg.pinv(sh_basis(directions, 16)[:, band])
-        # Row vector times R is R^T d: what the direction was before the turn.
+        # Row vector times R is R^T d: the direction before the rotation.
         before = sh_basis(directions @ rotations, 16)[:, :, band]
         turned[:, band] = np.einsum("jd,ndk,nkc->njc", solve, before, turned[:, band])
     return turned.astype(np.float32)
 
 
 def mirror_signs(count: int) -> NDArray[np.float64]:
-    """Signs [count] that mirroring along x gives to the first harmonics: each is odd or even."""
+    """Return the sign of each harmonic under mirroring along x [count]: each is odd or even."""
     direction = np.array([0.3, 0.5, np.sqrt(0.66)])
     return np.sign(sh_basis(direction * [-1, 1, 1], count) * sh_basis(direction, count))
 
 
 def spread_directions(count: int) -> NDArray[np.float64]:
-    """Unit vectors spread evenly over the sphere (Fibonacci lattice) [count,3]."""
+    """Return unit vectors spread evenly over the sphere (Fibonacci lattice) [count,3]."""
     i = np.arange(count) + 0.5
     z, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
     r = np.sqrt(1 - z * z)
@@ -297,11 +297,11 @@ def spread_directions(count: int) -> NDArray[np.float64]:
 
 
 def stack_wrenches(frames: Sequence[Frame]) -> NDArray[np.float64]:
-    """Return the wrenches of frames that have them [T,W,2,3], in the order of the walls."""
+    """Return the wrenches of all frames [T,W,2,3], in the order of the walls."""
     rows = [[[*wrench] for wrench in (frame.wrenches or {}).values()] for frame in frames]
     return np.array(rows, np.float64).reshape(len(frames), -1, 2, 3)
 
 
 def of_walls(walls: Sequence[str], wrenches: NDArray) -> dict[str, Wrench]:
-    """Return the wrenches of one frame [W,2,3] by the names of the walls."""
+    """Return the wrenches of a frame [W,2,3] by the names of the walls."""
     return {wall: Wrench(*wrench) for wall, wrench in zip(walls, wrenches, strict=True)}

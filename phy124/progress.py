@@ -1,6 +1,6 @@
-"""How long work reports its progress: a function called with stage, steps done, steps in all.
+"""Progress of work is reported by a function called with stage, steps done, and total steps.
 
-A progress function may raise `Cancelled`; callers let that pass, so that every loop which reports
+A progress function may raise `Cancelled`. Callers do not catch it; so every loop that reports
 progress can also be stopped.
 """
 
@@ -10,5 +10,5 @@ Progress = Callable[[str, int, int], None]
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """Report nothing; the default."""
+    """Ignore the progress; this is the default."""
     del stage, done, total

@@ -1,6 +1,5 @@
-"""One class per command of the command line: its fields are its options, `run` does the work.
-
-A command's module is imported when the command is asked for, and none to list them all.
+"""One class per command of the command line: its fields are its options, and `run` does the work.
+A command's module is imported only when that command is run; listing the commands imports none.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ MODULES = {
     "warm": ("scenes", "Warm"),
     "doctor": ("doctor", "Doctor"),
 }
-"""Name on the command line -> module here, and the class in it."""
+"""Name of a command -> its module in this package, and its class in that module."""
 
 
 class Commands(Mapping[str, type]):
-    """Name on the command line -> class, imported when it is looked up."""
+    """Name of a command -> its class, imported when it is looked up."""
 
     def __getitem__(self, name: str) -> type:
         module, kind = MODULES[name]
@@ -53,7 +52,7 @@ COMMANDS = Commands()
 
 
 def outline() -> dict[str, type]:
-    """Name -> class without options, but with the command's docstring: enough to list them."""
+    """Return a class without options, but with a docstring, for each command, to list them."""
     return {
         name: type(kind, (), {"__doc__": _docstrings(module)[kind]})
         for name, (module, kind) in MODULES.items()
@@ -62,7 +61,7 @@ def outline() -> dict[str, type]:
 
 @cache
 def _docstrings(module: str) -> dict[str, str | None]:
-    """Class -> docstring of a module here, which is read without being imported."""
+    """Return class -> docstring for a module of this package, without importing the module."""
     code = Path(__file__).with_name(f"{module}.py").read_text("utf-8")
     classes = [node for node in ast.parse(code).body if isinstance(node, ast.ClassDef)]
     return {node.name: ast.get_docstring(node) for node in classes}

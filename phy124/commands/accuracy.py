@@ -1,4 +1,4 @@
-"""`phy124 accuracy`: is the solver right, and what does accuracy cost in a scene of your own?"""
+"""`phy124 accuracy`: verify the solver, or measure how error and time depend on the grid."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ KEPT = "the results are those of the settings that were run"
 
 @dataclass(frozen=True)
 class ShowAccuracy:
-    """Verify the solver against known answers, or study what accuracy costs in a scene."""
+    """Verify the solver against known answers, or study error and time in a scene."""
 
     scene: tyro.conf.Positional[str | None] = None
     """Preset or .toml file to study."""
@@ -57,7 +57,7 @@ class ShowAccuracy:
     """Print as JSON and nothing else."""
 
     def run(self) -> int:
-        """Verify or study; returns status 1 if a known answer is missed, 3 if no level was run.
+        """Verify or study; return status 1 if a known answer is missed, 3 if no level was run.
 
         Raises:
             InputError: There is nothing to study, or scene, picture or levels cannot be used.
@@ -128,7 +128,7 @@ class ShowAccuracy:
         return bars.status(KEPT) or _status(report)
 
     def _sorted_levels(self, scene: Scene) -> tuple[int, ...]:
-        """The levels from coarse to fine; raises InputError for one that the scene rejects."""
+        """Return the levels from coarse to fine; raises InputError if the scene rejects a level."""
         for cells in self.levels:
             try:
                 scene.replaced({"accuracy": {"cells": cells}})
@@ -145,7 +145,7 @@ class ShowAccuracy:
         return levels
 
     def _advice(self, levels: tuple[int, ...], report: Report, per_axis: float) -> str:
-        """A line with the command that may find the error of a scene, or nothing."""
+        """Return a line with a command that may yield an error estimate, or an empty text."""
         from phy124.accuracy.choose import DENSEST
         from phy124.studies.validation.accuracy.study import COARSEST
 
@@ -171,7 +171,7 @@ class ShowAccuracy:
         return with_program(f"Try `{shlex.join(words)}`.\n")
 
     def _object(self, scene: Scene, context: RunContext) -> tuple[Gaussians, Scene, Crop]:
-        """Return the Gaussians to study, their scene, and where they are in the picture."""
+        """Return the Gaussians to study, their scene, and their crop of the picture."""
         if self.image is None:
             from phy124.generators.shapes import ball
 
@@ -198,12 +198,12 @@ class ShowAccuracy:
 
 
 def _status(report: Report) -> int:
-    """Exit status of a finished study: that of a stopped simulation if no level was run."""
+    """Return a study's exit status: that of a stopped simulation if no level was run."""
     return 0 if any(row.level for row in report.rows) else 3
 
 
 def _verdict_line(row: dict[str, Any]) -> str:
-    """A check as a line of text."""
+    """Format a check as a line of text."""
     order = ""
     if row["expected_order"]:
         low, high = row["expected_order"]
@@ -218,7 +218,7 @@ def _verdict_line(row: dict[str, Any]) -> str:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """The rows of a study as aligned text."""
+    """Format the rows of a study as an aligned table."""
     heads = (
         "setting",
         "cells",
@@ -246,7 +246,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def _split(lost: dict[str, float] | None) -> str:
-    """The energy lost by cause, in per cent of the energy supplied."""
+    """Format the energy lost by cause, in per cent of the energy supplied."""
     if lost is None:
         return "-"
     return "/".join(f"{round(100 * part, 1) + 0.0:.1f}" for part in lost.values())

@@ -1,4 +1,4 @@
-"""Progress on standard error, and a safe Ctrl-C."""
+"""Progress on standard error, and Ctrl-C that stops the work safely."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from phy124.runtime.signals import handling, interrupt
 
 _silent: ContextVar[bool] = ContextVar("_silent", default=False)
 BETWEEN_LINES = 10.0
-"""Interval between two lines about a stage where no bar can be drawn [s]."""
+"""Interval between the lines that replace the bar outside a terminal [s]."""
 LEFT = "{l_bar}{bar}| {n_fmt}/{total_fmt}{postfix}"
 """Format of a bar with the predicted time left."""
 TITLES = {"compile": "compile kernels, once"}
-"""Stage -> its title for users, if that differs."""
+"""Stage -> the title that users see, where it differs."""
 
 
 @contextmanager
@@ -36,13 +36,11 @@ def silence() -> Iterator[None]:
 
 class Bars:
     """A `Progress` that shows the current stage; use it as a context manager.
-
-    On a terminal it is a bar; elsewhere, for example in a log, it is a line at intervals.
-
-    Within the context, Ctrl-C ends the work at the next report of progress, never inside a kernel,
-    where it could crash the process. A second Ctrl-C before that acts at once. With `keeps` the
-    caller keeps the results so far, and a message says so. `left` predicts the time left [s], which
-    is better than the bar's estimate from equal steps.
+    On a terminal it draws a bar; elsewhere, for example in a log, it prints a line at intervals.
+    Within the context, Ctrl-C ends the work at the next report of progress, because stopping inside
+    a kernel could crash the process. A second Ctrl-C before that report interrupts at once.
+    `keeps` says that the caller saves the results so far, and a message then says so. `left`
+    predicts the time left [s], better than the bar's estimate, which assumes equal steps.
     """
 
     def __init__(
@@ -97,9 +95,8 @@ class Bars:
 
     @contextmanager
     def keeping(self) -> Iterator[None]:
-        """Within this context an error or Ctrl-C ends the work, so that results can be saved.
-
-        `status` then reports it.
+        """Within this context an error or Ctrl-C ends the work without an exception.
+        The caller can then save the results so far, and `status` reports the error.
         """
         try:
             yield
@@ -107,7 +104,7 @@ class Bars:
             self.ended = problem
 
     def status(self, kept: str) -> int:
-        """Report the end of a command that keeps the results `kept`; returns its exit status."""
+        """Report why a command ended early, and the results `kept`; return its exit status."""
         if self.ended is None:
             return 0
         incomplete = Incomplete(kept)
@@ -141,7 +138,7 @@ class Bars:
             self._say(line)
 
     def _left(self) -> str:
-        """The time left as text; empty if it is not predicted."""
+        """Return the time left as text, empty if it is not predicted."""
         seconds = self.left() if self.left is not None else None
         if not seconds:
             return ""

@@ -1,4 +1,4 @@
-"""`phy124 compare`: how much two clips differ, in figures and side by side."""
+"""`phy124 compare`: measure how much two clips differ, and film them side by side."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Compare:
     """Measure how much two clips of one object differ, and film them side by side."""
 
     a: tyro.conf.Positional[Path]
-    """clip.safetensors, or its folder; shown on the left, and its cameras film both."""
+    """clip.safetensors, or its folder. It is shown on the left; its cameras film both clips."""
     b: tyro.conf.Positional[Path]
     """The other clip."""
     view: Annotated[CameraOptions, tyro.conf.arg(name="")] = field(default_factory=CameraOptions)
@@ -40,7 +40,7 @@ class Compare:
     """Print the figures as JSON and nothing else."""
 
     def run(self) -> int:
-        """Compare; prints the table and the files."""
+        """Compare the clips; print the table and the files."""
         paths = [path / "clip.safetensors" if path.is_dir() else path for path in (self.a, self.b)]
         a, b = (Clip.load(path) for path in paths)
         check_comparable(a, b)
@@ -72,7 +72,7 @@ class Compare:
 
 
 def _name(path: Path) -> str:
-    """The name of a clip: of its folder if the file has the usual name, else of the file."""
+    """Return a clip's name: its folder's if the file is named clip.*, else the file's."""
     return path.resolve().parent.name if path.stem == "clip" else path.stem
 
 

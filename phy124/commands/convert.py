@@ -1,4 +1,4 @@
-"""`phy124 convert` and `phy124 export`: Gaussians and clips for other programs."""
+"""`phy124 convert` and `phy124 export`: write Gaussians and clips for other programs."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().i
 
 @dataclass(frozen=True)
 class Convert:
-    """Write a file of Gaussians in another format, with that format's up axis."""
+    """Write a file of Gaussians in another format, turned to that format's up axis."""
 
     file: tyro.conf.Positional[Path]
-    """PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB, determined from its content."""
+    """PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB, recognised by its content."""
     out: tyro.conf.Positional[Path]
     """File to write; its ending determines the format."""
     to: Annotated[str | None, tyro.conf.arg(help=f"Format, if the ending is ambiguous. {TO}")] = (
@@ -52,10 +52,10 @@ class Convert:
     """Print what was done as JSON and nothing else."""
 
     def run(self) -> int:
-        """Convert; prints the file, its size and what opens it.
+        """Convert the file; print the new file, its size and the programs that open it.
 
         Raises:
-            InputError: The file cannot be read, or the other cannot be written.
+            InputError: The file cannot be read, or the new file cannot be written.
         """
         chosen = find_written_format(self.out, self.to)
         content = read_gaussians(
@@ -78,19 +78,19 @@ class Export:
     """clip.safetensors made by `phy124 generate`."""
     to: Annotated[str, tyro.conf.arg(help=f"Format. {TO}", metavar="FORMAT")]
     frame: int | None = None
-    """Number of the frame to write, from 0; default 0, or all frames if the format holds motion.
-    The file is named as with --all, where the first is 0001."""
+    """Index of the frame to write, from 0; default 0, or all frames if the format holds motion.
+    The file is named as with --all, where the first frame has the number 0001."""
     all: bool = False
     """Write every frame, as one file or as numbered files."""
     out: Path | None = None
     """File to write, or with --all a folder or a name ending in .zip; default next to the clip."""
     merge: Annotated[int | None, MERGE] = None
-    """Largest number of Gaussians; those that stay neighbours are merged."""
+    """Largest number of Gaussians; those that stay neighbours in all frames are merged."""
     json: bool = False
     """Print what was done as JSON and nothing else."""
 
     def run(self) -> int:
-        """Export; prints the files, their size and what opens them.
+        """Export the clip; print the files, their size and the programs that open them.
 
         Raises:
             InputError: The clip cannot be read, has no such frame, or a file cannot be written.
@@ -128,7 +128,7 @@ class Export:
 
 
 def note_lost(gaussians: Gaussians, chosen: Format) -> list[str]:
-    """Note what a format cannot store."""
+    """Return notes about the data that a format cannot store."""
     if gaussians.sh_degree <= chosen.degree:
         return []
     return [
@@ -142,7 +142,7 @@ def _note_dropped(count: int) -> list[str]:
 
 
 def _note_far(content: Content) -> list[str]:
-    """Note that positions were shifted."""
+    """Note that the positions were shifted towards the origin."""
     if not any(content.origin):
         return []
     place = ", ".join(f"{x:.10g}" for x in content.origin)

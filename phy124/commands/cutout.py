@@ -1,4 +1,4 @@
-"""`phy124 cutout` cuts an object out of a picture; and the options of commands with a picture."""
+"""`phy124 cutout` cuts an object out of a picture. Also the options of commands with a picture."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ IF_WRONG = (
 
 
 class CutoutOptions(Cutting):
-    """Options of cutting out the object, and its weights."""
+    """Options of cutting out the object, and the folder of trained weights."""
 
     foreground: Annotated[str, tyro.conf.arg(aliases=["--method"])] = Field(
         default="auto", description=Cutting.model_fields["foreground"].description
@@ -49,7 +49,7 @@ class CutoutOptions(Cutting):
 
 @dataclass(frozen=True)
 class CutOut:
-    """Cut the object out of a picture, report how and whether it looks right, and save it."""
+    """Cut the object out of a picture, save it, and report the method and any doubts."""
 
     image: tyro.conf.Positional[Path]
     """PNG, JPEG, WebP, AVIF or HEIC picture of one object."""
@@ -60,10 +60,10 @@ class CutOut:
     """Print as JSON and nothing else."""
 
     def run(self) -> int:
-        """Cut out; prints method, coverage, warnings and the file.
+        """Cut out the object; print method, coverage, warnings and the file.
 
         Raises:
-            InputError: The picture or the name of the file cannot be used.
+            InputError: The picture cannot be read, or the output's name has another ending.
         """
         out = self.out or Path("out") / f"{self.image.stem}-cutout.png"
         if out.suffix.lower() not in KINDS:
@@ -99,12 +99,12 @@ class CutOut:
 
 
 def describe(cutout: dict[str, Any]) -> str:
-    """Describe in words how the object was cut out, from `Cutout.data()`."""
+    """Describe the method and the coverage of a cut-out, from `Cutout.data()`."""
     return f"cut out by {title_of(cutout['method'])}: {cutout['coverage']:.1%} of the picture"
 
 
 def doubt(cutout: Cutout, remedy: str) -> None:
-    """Print doubts about a cut-out, and the remedy, on standard error."""
+    """Print a cut-out's notes and warnings on standard error, and a remedy if it has warnings."""
     for note in cutout.notes:
         print(f"note: {note}", file=sys.stderr)
     for warning in cutout.warnings:
@@ -115,7 +115,7 @@ def doubt(cutout: Cutout, remedy: str) -> None:
 
 @dataclass(frozen=True)
 class PictureOptions:
-    """Options of turning a picture into Gaussians."""
+    """Options of generating Gaussians from a picture."""
 
     generator: GeneratorName = "relief"
     effort: Annotated[GeneratorOptions, tyro.conf.arg(name="")] = field(
@@ -129,7 +129,7 @@ class PictureOptions:
     views: Annotated[OtherViews, tyro.conf.arg(name="")] = field(default_factory=OtherViews)
 
     def arguments(self) -> dict[str, Any]:
-        """The options as arguments of `phy124.pipeline.make_gaussians`."""
+        """Return the options as arguments of `phy124.pipeline.make_gaussians`."""
         return {
             "generator": self.generator,
             "options": self.effort,
@@ -141,10 +141,10 @@ class PictureOptions:
         }
 
     def refuse_without_picture(self) -> None:
-        """Refuse options of a picture without a picture.
+        """Refuse options that need a picture, for a command without one.
 
         Raises:
-            InputError: An option is set.
+            InputError: Such an option is set.
         """
         self.reading.refuse("image", "none")
         usual = PictureOptions()
@@ -163,5 +163,5 @@ def announce_generator(generator: str, effort: Effort) -> str:
 
 
 def span(effort: Effort) -> tuple[float, float]:
-    """Shortest and longest expected time [s]; the effort already includes the machine's load."""
+    """Return shortest and longest expected time [s]; `effort` includes the machine's load."""
     return Load().span(effort.seconds)

@@ -37,22 +37,22 @@ EXTRAS = {
     "fit": ("cma",),
     "fourdgs": ("fourdgs",),
 }
-"""Optional part -> the modules it needs."""
+"""Optional extra -> the modules it needs."""
 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Check this installation: Python, devices, video encoder, optional parts, weights."""
+    """Check this installation: Python, devices, video encoder, optional extras, weights."""
 
     weights: Path | None = None
-    """Folder to look for weights in first."""
+    """Folder to search for weights first."""
     all: bool = False
-    """Also list every file of weights: where it is looked for, its checksum, how to fetch it."""
+    """Also list every weights file: the places searched, its checksum, how to download it."""
     json: bool = False
     """Print as JSON."""
 
     def run(self) -> int:
-        """Print the findings; returns status 1 if a required part is missing."""
+        """Print the findings; return status 1 if a required part is missing."""
         facts, files = examine(), check_all(self.weights, check=self.all or self.json)
         if self.json:
             print(json.dumps({**facts, "weights": data(files)}))
@@ -93,14 +93,14 @@ def examine() -> dict[str, Any]:
 
 
 def _encoder() -> str | None:
-    """The path of the ffmpeg program that writes MP4s; None if it does not work."""
+    """Return the path of the ffmpeg program that writes MP4s; None if it does not work."""
     import imageio_ffmpeg
 
     return None if encoder_problem() else imageio_ffmpeg.get_ffmpeg_exe()
 
 
 def _faults() -> list[str]:
-    """List missing requirements of runs, with the remedy."""
+    """List missing requirements of runs, each with its remedy."""
     try:
         refuse_missing_encoder()
     except InputError as fault:

@@ -1,4 +1,4 @@
-"""`phy124 evaluate`: how good a clip is, in figures."""
+"""`phy124 evaluate`: measure the quality of a clip."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ class Evaluate:
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""
     clip_model: str | None = None
-    """CLIP model: a folder, or a name on huggingface.co that was fetched; "none": no CLIP-T."""
+    """CLIP model: a folder, or a downloaded model's name on huggingface.co; "none": no CLIP-T."""
     bgr: bool = False
-    """Pass CLIP the channels in the order blue, green, red, as 4DGen's program does."""
+    """Pass the channels to CLIP in the order blue, green, red, as 4DGen's program does."""
     size: int = 256
-    """Width and height of the pictures measured."""
+    """Width and height of the rendered pictures that are measured [pixels]."""
     elevation: float = 0.0
     """Elevation angle of the camera [degrees]."""
     weights: Path | None = None
-    """Folder to look for weights in first."""
+    """Folder to search for weights first."""
     out: Path | None = None
     """File of the figures; default evaluation.json next to the clip."""
     device: Device = "auto"
@@ -48,7 +48,7 @@ class Evaluate:
     """Print the figures as JSON and nothing else."""
 
     def run(self) -> int:
-        """Measure; prints the table and writes evaluation.json."""
+        """Measure the clip; print the table and write evaluation.json."""
         clip = Clip.load(self.clip)
         out = self.out or self.clip.parent / "evaluation.json"
         weights, bars = search_first(self.weights), Bars(quiet=self.json)
@@ -63,7 +63,7 @@ class Evaluate:
         return 0
 
     def _model(self) -> tuple[similarity.ClipModel | None, str | None]:
-        """The CLIP model, or why there is none; a model that is named must exist."""
+        """Return the CLIP model, or None and the reason; a model named by the user must exist."""
         if self.clip_model == "none":
             return None, "it was left out with --clip-model none."
         try:
@@ -75,7 +75,7 @@ class Evaluate:
             return None, str(error)
 
     def _videos(self, clip: Clip, progress: Progress) -> dict[str, np.ndarray]:
-        """Pictures [T,S,S,3] from the paper's four sides."""
+        """Return pictures [T,S,S,3] from the paper's four sides."""
         view = Scene.of_clip(clip.scene, str(self.clip)).view
         usual = {
             "size": (self.size, self.size),

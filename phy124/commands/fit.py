@@ -1,4 +1,4 @@
-"""`phy124 fit` finds the material from an observed motion."""
+"""`phy124 fit` estimates material parameters from an observed motion."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ from phy124.studies.fit.declaration import parse_ranges
 @dataclass(frozen=True)
 class Fit:
     """Find stiffness, damping, friction or a start from a clip, tracked points, or a video.
-
     `phy124 fit points.csv --object duck.ply --scene drop --find material.E=1e4..1e6` searches
-    on a coarse grid and refines on finer ones; the same command continues an interrupted search.
+    on a coarse grid and refines on finer grids; the same command continues an interrupted search.
     """
 
     target: tyro.conf.Positional[str]
@@ -33,7 +32,7 @@ class Fit:
     object: Annotated[str | None, help_of(Declared, "object")] = None
     scene: Annotated[str | None, help_of(Declared, "scene")] = None
     find: tuple[str, ...] = field(default_factory=tuple)
-    """What to find, as PATH=LEAST..LARGEST: material.E=1e4..1e6 material.nu=0.2..0.45."""
+    """Values to search for, as PATH=LEAST..LARGEST: material.E=1e4..1e6 material.nu=0.2..0.45."""
     set: tuple[str, ...] = field(default_factory=tuple)
     """Any other value of the scene, as KEY=VALUE."""
     forces: Annotated[str | None, help_of(Declared, "forces")] = None
@@ -47,14 +46,14 @@ class Fit:
     out: Path | None = None
     """Folder of the results; default out/TARGET-fit."""
     workers: int | None = None
-    """Processes; absent: one per core."""
+    """Number of worker processes; absent: one per core."""
     dry_run: bool = False
-    """Print the expected cost, and stop."""
+    """Print the expected cost, then stop."""
     json: bool = False
     """Print the report as JSON and nothing else."""
 
     def run(self) -> int:
-        """Fit; prints the table and the files."""
+        """Fit the material; print the table and the files."""
         declared, workers = self._declare(), self._processes()
         if self.dry_run:
             with Bars(quiet=self.json):
@@ -81,7 +80,7 @@ class Fit:
         return 0
 
     def _declare(self) -> Declared:
-        """Build the declaration from the options, and the file if there is one."""
+        """Build the declaration from the options, and from the .toml file if the target is one."""
         from_file = Path(self.target).suffix.lower() == ".toml"
         data: dict[str, Any] = Declared.from_toml(self.target) if from_file else {}
         if not from_file:

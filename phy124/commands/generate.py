@@ -47,13 +47,13 @@ class Generate:
         default_factory=PictureOptions
     )
     compose: bool = False
-    """Also film the object in its picture (composed.mp4)."""
+    """Also film the object inside its original picture (composed.mp4)."""
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
 
     def run(self) -> int:
-        """Generate; prints files and durations."""
+        """Generate a clip and its films; print files and durations."""
         scene = self.options.resolve()
         pipeline.check_sources(scene, self.more)
         out = self.out or default_out(str(self.image), self.options.scene)
@@ -94,7 +94,7 @@ class Generate:
         return self.options.study_command(self.image, "" if chosen == usual else chosen)
 
     def _compose(self, result: pipeline.Result, context: RunContext) -> pipeline.Result:
-        """Return the result with its film in the photograph."""
+        """Film the object in the photograph; return the result with this film added."""
         clip = Clip.load(result.folder / "clip.safetensors")
         view = Scene.of_clip(clip.scene).view
         try:
@@ -114,7 +114,7 @@ class Generate:
         return replace(result, files=files, report=report)
 
     def _refuse_compose(self) -> None:
-        """Refuse to compose if the run makes no cut-out of a picture."""
+        """Refuse --compose where the run has no cut-out of a picture that can be read again."""
         if not self.compose:
             return
         refuse_missing_encoder()
@@ -130,7 +130,7 @@ class Generate:
             raise InputError("compose", self.image, limit, f"Continue it first, then use {later}.")
 
     def _predict(self, scene: Scene) -> int:
-        """Make the Gaussians and print how long the remaining stages would take."""
+        """Make the Gaussians, then print how long the remaining stages would take."""
         with Bars(quiet=self.options.json) as bars:
             context, pictures = self.options.context(bars), [self.image, *self.more]
             options = self._options(bars)
@@ -149,7 +149,7 @@ class Generate:
         )
 
     def _options(self, bars: Bars) -> dict[str, Any]:
-        """How the Gaussians are made, and what is printed meanwhile."""
+        """Return the options of making Gaussians, with the callbacks that print meanwhile."""
         calls = {"on_cutout": self._look, "on_estimate": self._announce}
         bound = {name: partial(call, bars) for name, call in calls.items()}
         return {**self.making.arguments(), **bound}
@@ -162,7 +162,7 @@ class Generate:
     def _look(self, bars: Bars, cutout: Cutout) -> None:
         """Print doubts about the cut-out before the long work starts."""
         if not self.options.json:
-            bars.close()  # a warning does not belong on the line of a bar
+            bars.close()  # the warning must not share a line with the bar
             doubt(cutout, f"Look at it with `phy124 cutout {cutout.file}`; {IF_WRONG}")
 
 
@@ -177,13 +177,13 @@ class Simulate:
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
-    """Largest number of Gaussians to use; the kept ones are enlarged to cover the same area."""
+    """Largest number of Gaussians; those that are kept are enlarged to cover the same area."""
     out: Path | None = None
     """Folder of the results; default out/FILE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
 
     def run(self) -> int:
-        """Simulate; prints files and durations."""
+        """Simulate the object; print files and durations."""
         scene = self.options.resolve()
         pipeline.check_sources(scene, self.more)
         out = self.out or default_out(str(self.file), self.options.scene)
@@ -222,14 +222,14 @@ class Simulate:
     def _read(self, file: PlyFile, scene: Scene, context: RunContext) -> Capture:
         read = capture(file, scene, count=self.gaussians, progress=context.progress)
         count = self.gaussians
-        # The generator of further pictures works on the CPU, and its time counts as "read".
+        # The generator of further pictures works on the CPU; its time counts as stage "read".
         context = RunContext(progress=context.progress)
         every = pipeline.with_others(read.gaussians, read.scene, self.more, context, count=count)
         about = read.about | every.about
         return replace(read, gaussians=every.gaussians, scene=every.scene, about=about)
 
     def _predict(self, file: PlyFile, scene: Scene, study: str) -> int:
-        """Read the Gaussians and print how long the remaining stages would take."""
+        """Read the Gaussians, then print how long the remaining stages would take."""
         with Bars(quiet=self.options.json) as bars:
             context = self.options.context(bars)
             with context.watch.stage("read"):
@@ -253,9 +253,9 @@ def go_on(
     Args:
         out: The folder of the interrupted run.
         options: The options of the command.
-        scene: The scene that the run must have.
+        scene: The scene of the interrupted run, which is checked.
         study: The command that measures the error of this scene.
-        goal: The goal that the run must have had, if any.
+        goal: The goal of the interrupted run, if it had one.
     """
     with Bars(quiet=options.json, keeps=True) as bars:
         any_accuracy = goal is not None
@@ -266,7 +266,7 @@ def go_on(
 
 
 def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
-    """Print what a run produced; returns the exit status.
+    """Print the results of a run; return the exit status.
 
     Args:
         result: The files and the report.
@@ -303,7 +303,7 @@ def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
 
 
 def print_files(result: pipeline.Result) -> None:
-    """Print the quality of the film in the photograph, if any, and the files."""
+    """Print the PSNR of the film in the photograph, if there is one, and the files."""
     if composed := result.report.get("compose"):
         print(f"in the picture: {composed['psnr']:.1f} dB inside the object in the first frame")
     for path in result.files:
@@ -311,7 +311,7 @@ def print_files(result: pipeline.Result) -> None:
 
 
 def floor_sentence(floor: dict[str, Any]) -> str:
-    """Describe the detected floor, in the file's axes and units."""
+    """Describe the detected floor in the axes and units of the file."""
     up = ", ".join(f"{value:.3f}" for value in floor["normal"])
     return (
         f"floor: {floor['gaussians']} Gaussians ({floor['fraction']:.0%}) within "
@@ -321,7 +321,7 @@ def floor_sentence(floor: dict[str, Any]) -> str:
 
 
 def print_forecast(report: dict[str, Any]) -> None:
-    """Print the forecast and the goal, with the outcome."""
+    """Print the forecast with the time taken, and the goal with the error or time reached."""
     forecast, goal = report.get("forecast"), report.get("goal")
     if forecast:
         caveat = f"; {forecast['caveat']}" if forecast["caveat"] else ""

@@ -1,4 +1,4 @@
-"""Detects the kind of a file, and refuses files for another command."""
+"""Detect the kind of a file, and refuse a file that is meant for another command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ KINDS = {
     ".safetensors": "a clip",
     ".toml": "a scene",
 }
-"""Ending of a file's name -> its content."""
+"""Ending of a file's name -> kind of the file."""
 SIGNS = {
     b"ply\n": "a file of Gaussians",
     b"ply\r": "a file of Gaussians",
@@ -38,9 +38,9 @@ SIGNS = {
     b"GIF8": "a picture",
     b"RIFF": "a picture",
 }
-"""First bytes of a file -> its content, whatever its name."""
+"""First bytes of a file -> kind of the file, whatever its name."""
 HEAD = 4096
-"""Number of bytes that are examined."""
+"""Number of bytes read from the beginning of a file to detect its kind."""
 TAKES = {
     "generate": ("image", "a picture"),
     "cutout": ("image", "a picture"),
@@ -51,7 +51,7 @@ TAKES = {
     "export": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }
-"""Command -> its field that is a file, and the kind of file it takes."""
+"""Command -> its field that names a file, and the kind of file it takes."""
 USES = {
     "a picture": "Use `phy124 generate {}`.",
     "a file of Gaussians": "Use `phy124 simulate {}`.",
@@ -62,10 +62,10 @@ USES = {
 
 
 def refuse_other_kind(name: str, command: Any) -> None:
-    """Refuse a file that is meant for another command.
+    """Refuse a file of a kind that only another command takes.
 
     Raises:
-        InputError: The file is of a kind that another command takes.
+        InputError: The command's file is of such a kind.
     """
     if name not in TAKES:
         return
@@ -78,16 +78,16 @@ def refuse_other_kind(name: str, command: Any) -> None:
 
 
 def _kind(path: Path) -> str | None:
-    """The kind of a file, by its first bytes, else by its name; None if unknown."""
+    """Return the kind of a file by its first bytes, else by its name; None if unknown."""
     head = b""
     with suppress(OSError, ValueError):
-        if path.is_file():  # a pipe can be read only once
+        if path.is_file():  # a pipe must not be read here: it can be read only once
             with open(path, "rb") as file:
                 head = file.read(HEAD)
     signed = next((kind for sign, kind in SIGNS.items() if head.startswith(sign)), None)
     if begins(head):
         signed = "a file of Gaussians"
-    if head[8:10] == b'{"' and not any(head[4:8]):  # safetensors: the length of a header of JSON
+    if head[8:10] == b'{"' and not any(head[4:8]):  # safetensors: header length, then JSON
         signed = "a clip"
     ending = path.suffix.lower()
     return signed or KINDS.get(ending) or ("a file of Gaussians" if ending in endings() else None)

@@ -1,4 +1,4 @@
-"""Options that several commands share; bounds and help come from the scene's own declaration."""
+"""Options that several commands share; bounds and help texts come from the scene's classes."""
 
 from __future__ import annotations
 
@@ -40,31 +40,31 @@ GeneratorName = Annotated[
 
 
 def help_of(model: Any, name: str, *, example: str = "") -> Any:
-    """The help text of an option, taken from the field it sets."""
+    """Return the help text of the field that an option sets."""
     text = model.model_fields[name].description
     return tyro.conf.arg(help=f"{text} Such as {example}." if example else text)
 
 
 Listed = tuple[str, ...] | None
-"""Several values, separated by spaces or commas; the scene says which are allowed."""
+"""Several values, separated by spaces or commas; the scene checks them."""
 
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """Cameras of a clip."""
+    """Options of the cameras that film a clip."""
 
     views: Annotated[Listed, help_of(View, "views")] = None
     azimuth: Annotated[Listed, help_of(View, "azimuths")] = None
     elevation: Annotated[float | None, help_of(View, "elevation")] = None
     cameras: Path | None = None
-    """TOML file with [[view.cameras]] as in a scene; without --views only these are filmed."""
+    """TOML file with [[view.cameras]] as in a scene; without --views only its cameras film."""
     size: Annotated[str | None, help_of(View, "size", example="512 or 1920x1080")] = None
     follow: tyro.conf.FlagCreatePairsOff[Annotated[bool, help_of(View, "follow")]] = False
     no_follow: tyro.conf.FlagCreatePairsOff[bool] = False
-    """The camera stands still, however far the object moves."""
+    """Keep the camera fixed, however far the object moves."""
 
     def changes(self) -> dict[str, Any]:
-        """The chosen values by path in the scene."""
+        """Return the chosen values by their paths in the scene."""
         chosen = {
             "view.views": _items(self.views),
             "view.azimuths": _items(self.azimuth),
@@ -90,7 +90,7 @@ class ViewOptions(CameraOptions):
     speed: Annotated[float | None, help_of(View, "speed")] = None
 
     def changes(self) -> dict[str, Any]:
-        """The chosen values by path in the scene."""
+        """Return the chosen values by their paths in the scene."""
         chosen = {
             "view.formats": _items(self.format),
             "view.outputs": _items(self.outputs),
@@ -102,10 +102,10 @@ class ViewOptions(CameraOptions):
 
 
 def cameras_in(path: Path) -> list[Any]:
-    """Read the cameras of a file, as plain data.
+    """Read the cameras in a TOML file, as plain data.
 
     Raises:
-        InputError: It cannot be read, or contains anything else.
+        InputError: The file cannot be read, or contains anything but cameras.
     """
     data = read_toml(path, "cameras")
     view = data.get("view")
@@ -116,7 +116,7 @@ def cameras_in(path: Path) -> list[Any]:
 
 
 def _items(texts: Listed) -> list[Any] | None:
-    """Parse texts such as ("front,left", "45")."""
+    """Split texts at commas and parse the values: ("front,left", "45") -> ["front", "left", 45]."""
     if texts is None:
         return None
     return [parse_value(item) for text in texts for item in text.split(",") if item]
@@ -124,7 +124,7 @@ def _items(texts: Listed) -> list[Any] | None:
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """Options of the scene, and changes of it."""
+    """Options that choose a scene and change its values."""
 
     scene: str = "press"
     """Preset (see `phy124 scenes`) or path of a .toml file."""
@@ -139,12 +139,12 @@ class SceneOptions:
     """Any other value of the scene, as KEY=VALUE: material.E=2e4, boundaries.0.friction=0.1."""
     device: Device = "auto"
     threads: int | None = None
-    """CPU threads that simulate and draw; absent: one per free core."""
+    """CPU threads that simulate and render; absent: one per free core."""
     json: bool = False
     """Print the report as JSON and nothing else."""
 
     def resolve(self) -> Scene:
-        """The scene with all changes, by default on the stage studio; raises InputError."""
+        """Return the scene with all changes, on the stage studio by default; raises InputError."""
         chosen = {
             "accuracy": self.accuracy,
             "time.frames": self.frames,

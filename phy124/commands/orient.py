@@ -22,26 +22,26 @@ from phy124.rendering.render import Renderer
 from phy124.runtime.device import pick_device
 
 SIZE = 320
-"""Side of one picture, pixels."""
+"""Width and height of a picture of the contact sheet [pixels]."""
 
 
 @dataclass(frozen=True)
 class Orient:
-    """Draw a file of Gaussians with each of the six up axes, or four fronts, and its options."""
+    """Draw a file of Gaussians with each of six up axes, or of the four fronts of one up axis."""
 
     file: tyro.conf.Positional[Path]
     """File of Gaussians with unknown axes."""
     up: Annotated[str | None, tyro.conf.arg(metavar="AXIS")] = None
-    """The axis that points up, once it is known: the four fronts are drawn."""
+    """The axis that points up, if it is known: only its four fronts are drawn."""
     out: Path | None = None
     """PNG file to write; default out/FILE-orient.png."""
     device: Device = "auto"
 
     def run(self) -> int:
-        """Draw the candidates; prints the file of the picture.
+        """Draw the candidates; print the path of the contact sheet.
 
         Raises:
-            InputError: If the file cannot be read, `up` is no axis, or `out` no PNG file.
+            InputError: The file cannot be read, `up` is no axis, or `out` is no PNG file.
         """
         out = self.out or Path("out") / f"{self.file.stem}-orient.png"
         if out.suffix.lower() != ".png":
@@ -62,7 +62,7 @@ class Orient:
 
 
 def _tile(renderer: Renderer, gaussians: Gaussians, reading: Reading) -> NDArray[np.uint8]:
-    """Draw the object from its front, with its options below [H,W,3]."""
+    """Draw the object from its front, with the options for its axes written below [H,W,3]."""
     tile = Image.fromarray(draw_oriented(renderer, gaussians, reading, SIZE))
     words = f"--up={reading.up} --front={reading.front}"
     ImageDraw.Draw(tile).text((8, SIZE - 20), words, fill=(60, 60, 60))

@@ -1,4 +1,4 @@
-"""Options of a run's accuracy and time, and the forecast printed before it."""
+"""Options of a run's accuracy and time, and the forecast printed before the run."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ STOOD_IN = "The times after the generator are for a stand-in object made by reli
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """Goal of a run, and whether it is only predicted."""
+    """Accuracy goal or time goal of a run, and whether the run is only predicted."""
 
     forecast: bool = False
-    """Predict the seconds first and compare them in the report; takes about a second."""
+    """Predict the time before the run, which takes about a second; the report compares both."""
     dry_run: bool = False
     """Only print the stages, their predicted time and the promised error; write nothing."""
     max_error: str | None = None
@@ -35,10 +35,10 @@ class PlanOptions:
     """Continue the interrupted run in the folder of the results."""
 
     def goal(self) -> Goal | None:
-        """Return the requested error or time, if any.
+        """Return the requested largest error or longest time, if any.
 
         Raises:
-            InputError: Both are set, or a value cannot be used.
+            InputError: Both are set, or a value is out of bounds or has an unknown unit.
         """
         if self.max_error is not None and self.max_seconds is not None:
             limit = "--max-error is set, too."
@@ -52,12 +52,12 @@ class PlanOptions:
         return None if self.max_seconds is None else Goal.time(self.max_seconds)
 
     def forecaster(self, context: RunContext) -> Forecaster | None:
-        """Return the forecaster, if the report is to compare its prediction."""
+        """Return the forecaster if the report is to contain a forecast, else None."""
         return Forecaster(context) if self.forecast else None
 
 
 def announce(scene: Scene, *, as_json: bool) -> None:
-    """Print the scene, and what makes it slow."""
+    """Print a summary of the scene, and a note on the part that makes it slow."""
     if as_json:
         return
     print(f"scene: {summarise(scene)}", flush=True)
@@ -77,17 +77,17 @@ def predict(
     as_json: bool,
     effort: Effort | None = None,
 ) -> int:
-    """Print how long a run would take, the grid chosen for a given time, and the promised error.
+    """Print the run's predicted time, the grid chosen for a time goal, and the error bound.
 
     Args:
         gaussians: The object.
         scene: The scene.
         plan: The options of the command.
         context: Device, threads, and the durations of the stages so far.
-        crop: Where the object is in the picture that the masks of parts were painted on.
+        crop: Position of the object in the picture on which the masks of parts were painted.
         study: The command that measures the error of this scene.
         as_json: Print JSON and nothing else.
-        effort: What a generator for which `relief` stood in will take.
+        effort: Expected effort of the slow generator that `relief` replaced in this forecast.
     """
     forecaster, goal, spent = Forecaster(context), plan.goal(), dict(context.watch.seconds)
     if effort is not None:

@@ -39,17 +39,17 @@ class Render:
     """Any other value of the view, as KEY=VALUE: elevation=30, background=[0,0,0]; or, as in a
     scene, view.elevation=30."""
     compose: Path | None = None
-    """The photograph that the clip was made from, to also film it there (composed.mp4)."""
+    """The photograph from which the clip was made, to also film the object in it (composed.mp4)."""
     out: Path | None = None
     """Folder of the files; default: that of the clip."""
     device: Device = "auto"
     threads: int | None = None
-    """CPU threads that draw; absent: one per core."""
+    """CPU threads that render; absent: one per core."""
     json: bool = False
     """Print the files as JSON and nothing else."""
 
     def run(self) -> int:
-        """Render; prints the files."""
+        """Render the clip; print the files."""
         refuse_threads(self.threads)
         clip = Clip.load(self.clip)
         changes = self.view.changes()
@@ -81,7 +81,7 @@ class Render:
         return bars.status("the files named are complete, the others were not made")
 
     def _photograph(self) -> Photograph | None:
-        """Open the photograph to compose, if any, before any film is drawn."""
+        """Open the photograph for --compose, if any, before any film is rendered."""
         if self.compose is None:
             return None
         from phy124.rendering.compose import photograph_of

@@ -20,7 +20,7 @@ from phy124.scene.reference import format_reference, format_schema
 
 @dataclass(frozen=True)
 class Scenes:
-    """List the preset scenes, or print one as TOML, as a start for a scene file."""
+    """List the preset scenes, or print a preset as TOML to start a scene file from."""
 
     name: tyro.conf.Positional[str | None] = None
     """Preset to print in full, or with --reference a section such as material or forces."""
@@ -52,7 +52,7 @@ class Scenes:
 
 @dataclass(frozen=True)
 class ShowEffects:
-    """List the effects that a scene turns on, and those left out, without running it."""
+    """List the effects that a scene turns on and those that it leaves out, without running it."""
 
     scene: tyro.conf.Positional[str]
     """Preset or .toml file."""
@@ -75,14 +75,14 @@ class ShowEffects:
 
 @dataclass(frozen=True)
 class Warm:
-    """Compile the kernels of presets ahead of time, so that runs need not wait for them."""
+    """Compile the kernels of presets ahead of time, so that later runs need not wait for it."""
 
     scenes: tyro.conf.Positional[tuple[str, ...]] = ()
     """Presets or .toml files; none: all presets."""
     device: Device = "auto"
 
     def run(self) -> int:
-        """Compile missing kernels; prints their number."""
+        """Compile missing kernels; print how many modules were compiled."""
         names = self.scenes or preset_names()
         scenes = [Scene.named(name) for name in names]
         start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""`phy124 sweep`: many clips, on all cores or a cluster."""
+"""`phy124 sweep`: make many clips, on all cores or a cluster."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from phy124.studies.sweep.storage import Storage
 
 @dataclass(frozen=True)
 class Sweep:
-    """Make the clips that a file declares: pictures, generators, values; or report on them.
+    """Make the clips that a file declares (pictures, generators, values), or report on them.
 
-    `phy124 sweep SWEEP.toml --out DIR` makes what is not there yet, `phy124 sweep report DIR`
+    `phy124 sweep SWEEP.toml --out DIR` makes the clips that are missing; `phy124 sweep report DIR`
     prints a table and writes a page with pictures.
     """
 
     file: tyro.conf.Positional[str]
     """A .toml file (see docs/guide/sweeps.md), or the word report."""
     folder: tyro.conf.Positional[str | None] = None
-    """After report: the --out of a sweep."""
+    """After report: the folder that was the sweep's --out."""
     out: str | None = None
     """Folder, or address such as s3://bucket/sweep; default out/NAME."""
     dry_run: bool = False
-    """Print what would be made, what it would cost, and what is refused."""
+    """Print the planned clips, the expected cost and the clips that are refused; make none."""
     ray: str | None = None
     """Address of a Ray cluster, such as auto or ray://host:10001."""
     workers: int | None = None
-    """Worker processes on this machine; absent: one per core; 0: this process."""
+    """Worker processes on this machine; absent: one per core; 0: work in this process."""
     shard: str = "1/1"
-    """The part to make, as 3/8: the third of eight."""
+    """Shard of the clips to make: 3/8 is the third of eight shards."""
     device: Device = "auto"
     json: bool = False
     """Print the outcome as JSON and nothing else."""
@@ -119,10 +119,10 @@ class Sweep:
 
 
 def parts_of(shard: str) -> tuple[int, int]:
-    """A part and the number of parts, of text such as 3/8.
+    """Return number and count of a shard, from a text such as 3/8.
 
     Raises:
-        InputError: It is something else.
+        InputError: The text is something else.
     """
     part, _, parts = shard.partition("/")
     if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):

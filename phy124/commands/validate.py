@@ -1,4 +1,4 @@
-"""`phy124 validate`: does the solver describe the world? Experiments of others, repeated."""
+"""`phy124 validate`: compare the solver with published experiments and theory."""
 
 from __future__ import annotations
 
@@ -28,36 +28,37 @@ from phy124.studies.validation.experiments.page import (
 from phy124.studies.validation.experiments.running import run_all
 
 DOCS = Path("docs/lab/experiments.md"), Path("docs/images/experiments")
-"""The page and its plots in a clone."""
+"""The page and its folder of plots, in a clone of the repository."""
 
 
 @dataclass(frozen=True)
 class Validate:
-    """Repeat experiments of the literature on three grids each, with a control that must fail.
+    """Repeat published experiments on three grids each, with a control that must fail.
 
-    The status is 0 if all ran, each control left its band, and what missed its band is known to.
+    The status is 0 if all experiments ran, every control left its band, and every value outside its
+    band is a known deviation.
     """
 
     name: tyro.conf.Positional[str | None] = None
-    """One experiment; absent: all. --list names them."""
+    """Experiment to repeat; absent: all. --list prints the names."""
     quick: bool = False
-    """Only those that take seconds: about half of them, in a minute."""
+    """Repeat only those experiments that take seconds: about half of them, in a minute."""
     list: bool = False
-    """Print the names and what is measured, and run nothing."""
+    """Print the names and the measured quantities, and run nothing."""
     jobs: int | None = None
-    """Processes at once; absent: one per core."""
+    """Number of parallel processes; absent: one per core."""
     out: Path | None = None
-    """Folder for experiments.md, .json and a plot of each."""
+    """Folder for experiments.md, experiments.json and a plot of each experiment."""
     docs: bool = False
-    """In a clone: renew docs/lab/experiments.md and its plots."""
+    """In a clone: update docs/lab/experiments.md and its plots."""
     json: bool = False
     """Print as JSON and nothing else."""
 
     def run(self) -> int:
-        """Run and print; returns status 1 if a control or a run fails, or a miss is new.
+        """Run and print; return status 1 if a control or a run fails, or a deviation is new.
 
         Raises:
-            InputError: There is no such experiment, or the page cannot be written here.
+            InputError: There is no such experiment, or its results cannot be written.
         """
         chosen = self._chosen()
         if self.list:
@@ -86,16 +87,16 @@ class Validate:
         return bars.status(f"{len(done)} experiments were made") or (0 if good else 1)
 
     def _chosen(self) -> Sequence[Experiment]:
-        """The experiments to run."""
+        """Return the experiments to run."""
         if self.name is None:
             return [each for each in EXPERIMENTS if each.quick or not self.quick]
         return [find_experiment(self.name)]
 
     def _refuse_docs(self) -> None:
-        """Make sure that the whole page can be written.
+        """Refuse --docs if the page cannot be written as a whole.
 
         Raises:
-            InputError: This is no clone, or not all experiments are run.
+            InputError: This is no clone, or only some experiments are run.
         """
         if not self.docs:
             return
@@ -115,10 +116,10 @@ class Validate:
             )
 
     def _refuse_out(self) -> None:
-        """Make sure that the results can be written, before the hours that they take.
+        """Refuse an unusable output now, because the experiments take hours.
 
         Raises:
-            InputError: The folder cannot be written, or what draws the plots is missing.
+            InputError: The folder cannot be written, or the plotting package is missing.
         """
         if self.docs or self.out is not None:
             refuse_missing_plots()
@@ -127,7 +128,7 @@ class Validate:
                 pass
 
     def _write(self, done: Sequence[Outcome], *, whole: bool) -> None:
-        """Write what was asked for; the page of a clone only if no experiment is missing."""
+        """Write the requested files; the page of a clone only if no experiment is missing."""
         if self.docs and whole:
             save_page(done, *DOCS, machine=_machine())
         if self.out is not None and done:
@@ -139,7 +140,7 @@ class Validate:
 
 
 def _summary(done: Sequence[Outcome]) -> str:
-    """The result of all in a sentence."""
+    """Summarise the results of all experiments in a sentence."""
     inside, total = (sum(map(f, done)) for f in (lambda o: o.inside, lambda o: len(o.estimates)))
     held = sum(outcome.control_holds for outcome in done)
     seconds = sum(outcome.seconds for outcome in done)
@@ -152,7 +153,7 @@ def _summary(done: Sequence[Outcome]) -> str:
 
 
 def _machine() -> str:
-    """What measured, in a sentence; says so if others were at work too."""
+    """Describe the machine in a sentence, and say whether other work kept it busy."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     busy = f" while others were at work (load {load:.0f})" if load > 1.5 * cores() else ""
     return (
@@ -162,7 +163,7 @@ def _machine() -> str:
 
 
 def _processor() -> str:
-    """Name of the processor, where the system tells, or its architecture."""
+    """Return the name of the processor, or its architecture where the system has no name for it."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
             if line.startswith("model name"):
@@ -172,7 +173,7 @@ def _processor() -> str:
 
 @dataclass(frozen=True)
 class Stress:
-    """Run the hard cases on this machine's devices: case, bound, measured, verdict."""
+    """Run the hard cases on this machine's devices; print bound, measured value and verdict."""
 
     all: bool = False
     """Run at full length: minutes instead of seconds."""
@@ -180,7 +181,7 @@ class Stress:
     """Print as JSON."""
 
     def run(self) -> int:
-        """Print the table; returns status 1 if a case fails."""
+        """Run the cases and print the table; return status 1 if a case fails."""
         total, rows = len(stress.CASES) * len(stress.settings()), []
         with Bars(quiet=self.json, keeps=True) as bars, bars.keeping():
             for row in stress.run(long=self.all):

@@ -1,4 +1,4 @@
-"""`phy124 weights`: lists trained weights, and fetches them."""
+"""`phy124 weights` lists trained weights, and downloads them."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ SENTENCES = {
     "unchecked": "found; not checked",
     "missing": "missing",
 }
-"""Verdict -> sentence."""
+"""Verdict of the check of a weights file -> its sentence."""
 OLDER = "(with huggingface_hub before 1.0 the command is `huggingface-cli download ...`)"
 
 
 @dataclass(frozen=True)
 class Weights:
-    """List the known trained weights and which are present, or fetch a set of them."""
+    """List the known trained weights and which are present, or download a set of weights."""
 
     action: tyro.conf.Positional[Literal["list", "fetch"]] = "list"
-    """What to do."""
+    """`list` the weights, or `fetch` a set."""
     name: tyro.conf.Positional[str | None] = None
     """Set to fetch: u2net, u2netp, lgm, imagedream, zero123, clip, ..."""
     weights: Path | None = None
-    """Folder to look in first, and to fetch into."""
+    """Folder to search first, and to download into."""
     json: bool = False
     """Print as JSON."""
 
     def run(self) -> int:
-        """List or fetch; returns status 1 if a listed file differs from the published one.
+        """List or download; return status 1 if a listed file differs from the published file.
 
         Raises:
-            InputError: The set is missing or unknown, or it cannot be fetched.
+            InputError: The name of the set is missing or unknown, or the download fails.
         """
         if self.action == "list":
             return self._list()
@@ -62,7 +62,7 @@ class Weights:
 
 
 def data(statuses: list[WeightStatus]) -> list[dict[str, Any]]:
-    """Statuses as plain data."""
+    """Return the statuses as plain data."""
     return [
         {
             "weights": s.weights,
@@ -81,7 +81,7 @@ def data(statuses: list[WeightStatus]) -> list[dict[str, Any]]:
 
 
 def summary(statuses: list[WeightStatus]) -> str:
-    """Statuses in one line: which sets are complete, damaged or missing."""
+    """Summarise the statuses in one line: which sets are complete, damaged or missing."""
     sets: dict[str, list[WeightStatus]] = {}
     for s in statuses:
         sets.setdefault(s.weights, []).append(s)
@@ -95,7 +95,7 @@ def summary(statuses: list[WeightStatus]) -> str:
 
 
 def lines(statuses: list[WeightStatus]) -> list[str]:
-    """Statuses as text, a paragraph for each file."""
+    """Format the statuses as text, a paragraph for each file."""
     text = []
     for s in statuses:
         text.append(f"{s.weights}: {s.file.repo}/{s.file.path}")

@@ -1,4 +1,4 @@
-"""Chooses the finest grid that a live run can have on this machine, by a trial of half a second."""
+"""Choose the finest grid that this machine can run live, by a trial of half a second."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from phy124.scene import Scene
 from phy124.simulation.bodies import thickness_of
 
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32)
-"""Grids that may be chosen."""
+"""Cells across the object that may be chosen."""
 TRIED = 12
-"""The grid of the trial, unless an error is asked for."""
+"""Cells across the object in the trial, unless an error is requested."""
 SPARE = 0.8
-"""Fraction of a frame's time that the run may take."""
+"""Fraction of the frame interval that computing a frame may take."""
 WARM, FRAMES, SECONDS = 2, 6, 0.2
-"""Frames of a trial before it counts, frames that count, and its time limit [s]."""
+"""Warm-up frames of a trial, timed frames, and the time limit of the timed frames [s]."""
 COST_POWER = 4
-"""Substeps cost as this power of the cells: particles fill space, and substeps get shorter."""
+"""The time of substeps grows as this power of the cells: more particles, shorter substeps."""
 
 
 class Cost(NamedTuple):
-    """Time of a frame on the grid of the trial [s]."""
+    """Time of a frame on the trial's grid: `substeps` and `others` [s]."""
 
     cells: int
     substeps: float
@@ -41,17 +41,17 @@ class Cost(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A scene on a grid that this machine runs fast enough, or as fast as it can."""
+    """A scene on the finest grid that is fast enough here, or on the coarsest if none is."""
 
     scene: Scene
     factor: float
-    """Simulated seconds per second that this machine reaches, by the trial."""
+    """Simulated seconds per second that this machine reaches, from the trial."""
     promise: Promise
-    """Promised error."""
+    """Error bound of this grid."""
 
     @property
     def sentence(self) -> str:
-        """The choice in words."""
+        """Describe the choice in a sentence."""
         slow = "" if self.factor >= 1 else "; time runs slower than in reality"
         cells = f"{self.scene.resolution.cells} cells across the object"
         return f"{cells}, {self.factor:.1f}x real time{slow}. {self.promise.brief}"
@@ -66,15 +66,15 @@ def held_rate(
     max_error: float | None = None,
     shapes: bool = True,
 ) -> Choice:
-    """The finest grid on which a scene runs at a rate here, its Gaussians riding on a lattice.
+    """Find the finest grid on which this machine runs a scene at a rate, with lattice binding.
 
     Args:
         gaussians: The object.
-        scene: The scene; its own cells are ignored.
+        scene: The scene; its number of cells is ignored.
         context: Device, threads and progress.
-        rate: Simulated seconds per second, with a fifth of the time to spare.
-        max_error: Largest error promised, in sizes of the object; the coarsest grid that has it
-            is taken, fast enough or not. None: whatever the rate allows.
+        rate: Simulated seconds per second; a fifth of the time stays free.
+        max_error: Largest error bound, as a fraction of the object's size. The coarsest grid
+            that meets it is chosen, even if it is too slow. None: `rate` alone decides.
         shapes: As for `Live`.
 
     Raises:
@@ -94,13 +94,13 @@ def held_rate(
 
 
 def _on(scene: Scene, cells: int) -> Scene:
-    """The scene on another grid, its Gaussians riding on a lattice."""
+    """Return the scene with this number of cells, with lattice binding."""
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 
 def _exact_enough(scene: Scene, thickness: float | None, error: float) -> int:
-    """The coarsest grid of which such an error is promised; the finest if none is."""
+    """Return the coarsest grid whose error bound is at most `error`; the finest grid if none is."""
     for cells in CELLS:
         promised = promise(_on(scene, cells), thickness).error
         if promised is not None and promised <= error:
@@ -109,7 +109,7 @@ def _exact_enough(scene: Scene, thickness: float | None, error: float) -> int:
 
 
 def _trial(gaussians: Gaussians, scene: Scene, context: RunContext, shapes: bool) -> Cost:
-    """What frames take while a hand swings the object by its top, which costs most."""
+    """Measure the time of frames while a hand swings the object by its top, the costliest input."""
     watch = Stopwatch()
     live = Live(gaussians, scene, replace(context, watch=watch), shapes=shapes)
     means = live.step().gaussians.means

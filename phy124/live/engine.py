@@ -1,7 +1,7 @@
-"""Runs a scene frame by frame while inputs act on it.
+"""Run a scene frame by frame while inputs act on it.
 
-If a frame is not sound, the run notes it, drops the inputs, and continues from the last sound
-frame.
+If the watchdog rejects a frame, the run notes this, drops the inputs, and continues from the last
+valid frame.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ from phy124.simulation import Setup, Simulation, Stopped, prepare
 from phy124.simulation.appearance import Appearance
 
 FOREVER = 1e8
-"""Time budget of a live run [s]: none."""
+"""Time budget of a live run [s]: practically unlimited."""
 KEPT_EVERY = 12
 """Frames between two stored states."""
 LOST = 50.0
-"""Distance from the middle of the scene [sizes] at which the run starts again."""
+"""Distance from the middle of the scene [sizes of the object] at which the run starts again."""
 NOTES = 20
 """Largest number of stored notes."""
 
 
 class Live:
-    """A run that is pushed while it runs.
+    """A run that accepts inputs while it is computed.
 
-    Give inputs between two frames; they act from the next frame on. It is not safe for several
-    threads: queue inputs that come from elsewhere.
+    Call the input methods between two frames; inputs act from the next frame on. The class is not
+    thread-safe: pass inputs from other threads through a queue.
     """
 
     def __init__(
@@ -67,12 +67,12 @@ class Live:
 
         Args:
             gaussians: The object at any size, standing upright, facing +x.
-            scene: What happens to it without inputs; its accuracy is kept (`held_rate` chooses
-                one that this machine runs in real time).
+            scene: The scene without inputs; its accuracy is kept (`held_rate` chooses an accuracy
+                that this machine runs in real time).
             context: Device, threads, progress and stopwatch.
-            shapes: False if frames need no Gaussians, since another program binds them to
-                `particles`; saves time.
-            crop: Where the object is in the picture that the masks of parts were painted on.
+            shapes: False leaves the shapes of the Gaussians out of frames, which saves time; for
+                programs that bind Gaussians to `particles` themselves.
+            crop: Position of the object in the picture on which the masks of parts were painted.
 
         Raises:
             InputError: The Gaussians or the scene cannot be used.
@@ -99,12 +99,12 @@ class Live:
 
     @property
     def time(self) -> float:
-        """Simulated time of the last frame [s], from which inputs act."""
+        """Simulated time of the last frame [s]; new inputs act from this time on."""
         return max(self._run.count - 1, 0) / self._scene.time.fps
 
     @property
     def count(self) -> int:
-        """Number of frames of the session."""
+        """Number of frames computed so far."""
         return self._run.count
 
     @property
@@ -123,7 +123,7 @@ class Live:
 
     @property
     def holds(self) -> bool:
-        """True if something is held."""
+        """True while a grab holds the object."""
         return self._inputs.holding is not None
 
     @property
@@ -138,16 +138,16 @@ class Live:
 
     @property
     def look(self) -> Appearance:
-        """Gaussians of the object at rest, and which of them move."""
+        """Gaussians of the object at rest, and which of the Gaussians move."""
         return self._run.setup.appearance
 
     def frames(self, count: int) -> Iterator[Frame]:
-        """Yield `count` frames; inputs may act between them."""
+        """Yield `count` frames; the input methods may be called between them."""
         for _ in range(count):
             yield self.step()
 
     def step(self) -> Frame:
-        """Compute the next frame; if it is not sound, continue from the last sound state."""
+        """Compute the next frame; if it is not valid, continue from the last valid state."""
         if self._run.count:
             self._lead()
         self._apply()
@@ -173,17 +173,17 @@ class Live:
         stiffness: float | None = None,
         strength: float | None = None,
     ) -> None:
-        """Take hold of the object and release what was held before.
+        """Grab the object, and release an earlier grab.
 
         Args:
-            point: Place on or near the moving object [m].
-            object: Name of the object, of several; None: the nearest.
-            radius: Radius of the held material [m], which is held less firmly towards the rim.
+            point: Position on or near the moving object [m].
+            object: Name of the object, if there are several; None: the nearest.
+            radius: Radius of the held material [m]; the hold weakens towards the rim.
             stiffness: Stiffness of the spring between hand and object [N/m].
             strength: Largest force [N].
 
         Raises:
-            InputError: A number cannot be used, or no part of the object is there.
+            InputError: A number cannot be used, or no part of the object is near `point`.
         """
         limits = self.limits
         place = check_vector("grab.point", point)
@@ -207,7 +207,7 @@ class Live:
         self._target, self._changed = place, True
 
     def move_to(self, target: Sequence[float]) -> None:
-        """Move the grab target to a place [m], reached by the next frame if nothing blocks it.
+        """Set the target position of the grab [m]; the hand reaches it by the next frame.
 
         Raises:
             InputError: Nothing is held, or these are not three finite numbers.
@@ -242,17 +242,17 @@ class Live:
 
         Args:
             force: Force [N].
-            torque: Torque about the place where the push acts [N m].
-            at: Place on the moving object [m]; None: the whole object.
-            object: Name of the object, of several; None: the object at this place, or all.
-            radius: Radius of the pushed material [m], which is pushed less towards the rim.
+            torque: Torque about `at` [N m].
+            at: Position on the moving object [m]; None: the push acts on the whole object.
+            object: Name of the object, if there are several; None: the object at `at`, or all.
+            radius: Radius of the pushed material [m]; the push weakens towards the rim.
             seconds: Duration [s].
             name: A push with this name replaces the earlier push of the same name; an unnamed push
                 adds to all others.
 
         Raises:
-            InputError: A number cannot be used, no part of the object is there, or too many pushes
-                act already.
+            InputError: A number cannot be used, no part of the object is near `at`, or the largest
+                number of pushes act already.
         """
         now, limits = self.time, self.limits
         before = self._named.get(name or "")
@@ -287,7 +287,7 @@ class Live:
         self._changed = True
 
     def gravity(self, g: Sequence[float]) -> None:
-        """Change the gravity [m/s^2], at most to ten times that of the earth.
+        """Set the gravity [m/s^2]; its magnitude is capped at ten times the earth's gravity.
 
         Raises:
             InputError: The value is not three finite numbers.
@@ -297,7 +297,7 @@ class Live:
         self._changed = True
 
     def soften(self, factor: float) -> None:
-        """Multiply the Young's modulus of the scene by a factor, 0.01 to 100.
+        """Set the factor on the scene's Young's modulus, 0.01 to 100; replaces an earlier factor.
 
         Raises:
             InputError: The factor is out of bounds, or the scene has a stiffness profile.
@@ -311,11 +311,11 @@ class Live:
         self._changed = True
 
     def move(self, wall: int, to: Sequence[float]) -> None:
-        """Move a boundary of the scene to a displacement [m] from its start, at hand speed.
+        """Move a boundary of the scene to a displacement [m] from its start, capped at hand speed.
 
         Raises:
-            InputError: There is no such boundary, it cannot move or has a motion, or the value is
-                not three finite numbers.
+            InputError: There is no such boundary, it is not movable or follows a motion of the
+                scene, or the value is not three finite numbers.
         """
         walls = self._scene.boundaries
         if not (isinstance(wall, int) and 0 <= wall < len(walls)):
@@ -327,12 +327,12 @@ class Live:
         self._offsets[wall] = self._note_change(*self.limits.place("move.to", to))
 
     def contacts(self) -> dict[str, Wrench]:
-        """Return mean force [N] and torque [N m] over the last frame, of each wall and pair."""
+        """Return mean force [N] and torque [N m] of each wall and pair since the previous frame."""
         return dict(self._frame.wrenches or {})
 
     @property
     def pairs(self) -> dict[str, str]:
-        """Wrenches between objects (`duck_on_cushion`) -> the object that each acts on."""
+        """Name of each wrench between objects (`duck_on_cushion`) -> object on which it acts."""
         return places.list_pairs(self._run)
 
     @property
@@ -341,20 +341,20 @@ class Live:
         return places.compute_centres(self._run)
 
     def session(self) -> Scene:
-        """Return the scene with all inputs, as long as the session."""
+        """Return the scene with all inputs, with as many frames as the session."""
         frames = max(self._run.count, 1)
         scene = self._inputs.scene()
         return scene.model_copy(update={"time": scene.time.model_copy(update={"frames": frames})})
 
     def clip(self) -> Clip:
-        """Simulate the session again and return the clip: its frames are equal, bit for bit."""
+        """Simulate the session again and return the clip: its frames are equal bit for bit."""
         return Simulation(self._prepare(self.session())).run()
 
     def _prepare(self, scene: Scene, **options: Any) -> Setup:
         return prepare(self._gaussians, scene, self._context, crop=self._crop, **options)
 
     def _lead(self) -> None:
-        """Add targets and displacements for the next frame."""
+        """Record the hand's target and the wall displacements for the next frame."""
         next_time = self._run.count / self._scene.time.fps
         held = self._inputs.holding
         if held is not None and self._target is not None:
@@ -365,7 +365,7 @@ class Live:
             self._move_on(wall, offset, next_time)
 
     def _move_on(self, wall: int, offset: Vector, next_time: float) -> None:
-        """Move a wall towards its offset in the next frame, at most at the speed of a hand."""
+        """Move a wall towards its requested offset in the next frame, capped at hand speed."""
         moved = self._inputs.moved.setdefault(wall, WallPath())
         here, there = np.array(moved.points[-1]), np.array(offset)
         step, most = there - here, FASTEST * self.limits.size / self._scene.time.fps
@@ -385,12 +385,12 @@ class Live:
     def _apply(self) -> None:
         """Pass new inputs to the run."""
         if self._changed:
-            # The first kick of a frame also covers the half substep before it.
+            # The first kick of a frame also covers the half substep before the frame starts.
             self._run.change(self._inputs.scene(self.time - 1 / self._scene.time.fps))
             self._changed = False
 
     def _go_back(self, why: str) -> Frame:
-        """Drop the inputs and continue from the last state, an earlier state, or the start."""
+        """Drop the inputs; continue from the last state, or an earlier state, or the start."""
         self._note(f"{why} The inputs are dropped.")
         for time, snapshot in [(self.time, None), *reversed(self._kept)]:
             if snapshot is not None:
@@ -405,13 +405,13 @@ class Live:
         return self._run.step()
 
     def _drop(self, time: float) -> None:
-        """Remove the inputs from a time on."""
+        """Drop the inputs from a time on [s]."""
         self._inputs.forget(time)
         self._target, self._offsets = None, {}
         self._run.change(self._inputs.scene())
 
     def _note_change(self, value: Vector, sentence: str) -> Vector:
-        """Return the value, and store the sentence on its change."""
+        """Return the value, and note the sentence that says how the value was changed."""
         if sentence:
             self._note(sentence)
         return value

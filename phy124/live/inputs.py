@@ -1,6 +1,6 @@
-"""Records what hands do to a live run, as forces and wall motions of a scene.
+"""Record a live run's inputs as forces and wall motions of a scene.
 
-All times are those of frames, so that a run of the recorded scene takes the same substeps.
+All times are times of frames, so that a run of the recorded scene takes the same substeps.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from phy124.schema.region import Vector
 
 @dataclass
 class GrabRecord:
-    """A grab; each frame adds a target."""
+    """A grab with its targets over time; each frame adds a target."""
 
     start: float
     """Start time [s]."""
     options: dict[str, Any]
     """Constant fields of `Grab`."""
     times: list[float]
-    """Times since the start [s]."""
+    """Time of each target since `start` [s]."""
     targets: list[Vector]
     end: float | None = None
-    """Time of release [s]; None: it still holds."""
+    """Time of release [s]; None: not released yet."""
 
     def force(self, since: float) -> Grab:
-        """Return the grab as a force of a scene, without its targets before a time [s]."""
+        """Return the grab as a force of a scene, without targets that ended before `since` [s]."""
         before = bisect_right(self.times, since - self.start) - 1
         first = max(min(before, len(self.times) - 2), 0)
         return Grab(
@@ -53,7 +53,7 @@ class WallPath:
 
 
 class Inputs:
-    """All inputs of a session, on top of a scene."""
+    """All inputs of a session, and the scene to which they are added."""
 
     def __init__(self, scene: Scene) -> None:
         self.base = scene
@@ -65,7 +65,7 @@ class Inputs:
         """Times [s] and factors on Young's modulus."""
 
     def soften(self, factor: float, now: float, before: float) -> None:
-        """Set the factor on Young's modulus from `now` on; it was the old factor at `before`."""
+        """Set the factor on Young's modulus from `now` on; up to `before` the old factor acts."""
         kept = [key for key in self.softness if key[0] < now]
         if kept and kept[-1][0] < before:
             kept.append((before, kept[-1][1]))
@@ -83,13 +83,13 @@ class Inputs:
         self.gravity.append(Gravity(g=g, start=now))
 
     def end_push(self, before: WrenchForce | None, now: float) -> None:
-        """End a push at `now` [s]; a push that has not begun is removed."""
+        """End a push at `now` [s]; remove it if it has not begun."""
         if before in self.wrenches:
             index = self.wrenches.index(before)
             self.wrenches[index : index + 1] = _cut_push(before, now)
 
     def scene(self, since: float = 0.0) -> Scene:
-        """Return the scene with all inputs, except those that ended before a time [s]."""
+        """Return the scene with all inputs, except those that ended before `since` [s]."""
         boundaries = list(self.base.boundaries)
         for index, moved in self.moved.items():
             path = Path(times=tuple(moved.times), points=tuple(moved.points), smooth=False)
@@ -101,17 +101,17 @@ class Inputs:
         return self.base.model_copy(update=done)
 
     def _stiffness_profile(self, since: float) -> dict[str, Keyframes]:
-        """Return the factors on Young's modulus as a field of the scene, if they ever changed."""
+        """Return the factors on Young's modulus as a field of the scene; empty if never changed."""
         if self.softness == [(0.0, 1.0)]:
             return {}
         first = max(sum(time <= since for time, _ in self.softness) - 1, 0)
         kept = self.softness[first:]
-        # A profile needs two keys; the last factor stays.
+        # A profile needs at least two keys: the last factor is repeated one second later.
         times, factors = zip(*kept, (kept[-1][0] + 1, kept[-1][1]), strict=True)
         return {"stiffness_profile": Keyframes(times=times, factors=factors)}
 
     def forget(self, since: float) -> None:
-        """Remove all inputs from a time on [s]; those that act then end there."""
+        """Remove inputs that start from `since` [s] on; inputs that act at `since` end there."""
         self.grabs = [held for held in self.grabs if held.start < since]
         for held in self.grabs:
             kept = sum(held.start + time <= since + 1e-9 for time in held.times)
@@ -130,7 +130,7 @@ class Inputs:
         self.moved = {i: moved for i, moved in self.moved.items() if len(moved.times) > 1}
 
     def _weights(self, since: float) -> list[AnyForce]:
-        """Return the forces of the scene, whose gravity ends where another gravity begins."""
+        """Return the scene's forces and gravity inputs; each gravity ends when the next begins."""
         if not self.gravity:
             return list(self.base.forces)
         first, forces = self.gravity[0].start, []
@@ -147,12 +147,12 @@ class Inputs:
 
 
 def _acts_after(item: GrabRecord | WrenchForce | Gravity, since: float) -> bool:
-    """Return whether an input acts after a time [s]."""
+    """Return whether an input acts after `since` [s]."""
     return item.end is None or item.end > since
 
 
 def _cut_push(push: WrenchForce, now: float) -> list[WrenchForce]:
-    """Return the part of a push before a time [s], if any."""
+    """Return the part of a push before `now` [s]; empty if it has not begun."""
     if push.start >= now:
         return []
     end = now if push.end is None else min(push.end, now)

@@ -1,7 +1,8 @@
-"""Limits and defaults of what a hand may do to an object.
+"""Limits and defaults of a hand's inputs.
 
-By default a hand pulls with three times the object's weight, so it can lift and throw it but not
-make it explode; its spring lets the object sag by a few hundredths of its size.
+By default a hand pulls with three times the object's weight. This lifts and throws the object, but
+cannot make it explode. The object's weight stretches the hand's spring by a few hundredths of the
+object's size.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ LIFTS = 3.0
 STRONGEST = 30.0
 """Largest strength of a hand, in weights of the object."""
 SWAY = 3.0
-"""Frequency at which the object swings on a hand's spring [Hz], for an object of 1 m."""
+"""Natural frequency of an object of 1 m on a hand's spring [Hz]."""
 FARTHEST = 5.0
 """Reach of a hand from the middle of the scene [sizes of the object]."""
 FASTEST = 5.0
@@ -34,7 +35,7 @@ PUSHES = 16
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of one object."""
+    """Limits of the inputs on an object of this mass and size."""
 
     mass: float
     """[kg]"""
@@ -53,12 +54,12 @@ class Limits:
 
     @property
     def stiffness(self) -> float:
-        """Stiffness of a hand's spring [N/m]: smaller objects swing faster."""
+        """Stiffness of a hand's spring [N/m]; smaller objects oscillate faster on it."""
         return self.mass * (2 * math.pi * SWAY) ** 2 / self.size
 
     @property
     def damping(self) -> float:
-        """Critical damping of the spring [N s/m]."""
+        """Critical damping coefficient of the spring [N s/m]."""
         return 2 * math.sqrt(self.stiffness * self.mass)
 
     @property
@@ -67,20 +68,20 @@ class Limits:
         return 0.2 * self.size
 
     def force(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Shorten a force [N] to the limit; the sentence is empty if it was within."""
+        """Cap a force [N] at the limit; the sentence is empty if nothing was changed."""
         return shorten(field, value, STRONGEST * self.weight, "N")
 
     def torque(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Shorten a torque [N m] to the limit; the sentence is empty if it was within."""
+        """Cap a torque [N m] at the limit; the sentence is empty if nothing was changed."""
         return shorten(field, value, STRONGEST * self.weight * self.size, "N m")
 
     def place(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Shorten a place [m] to the reach of a hand; the sentence is empty if it was within."""
+        """Cap a position [m] at a hand's reach; the sentence is empty if nothing was changed."""
         return shorten(field, value, FARTHEST * max(self.size, 1e-6), "m")
 
 
 def check_vector(field: str, value: Sequence[float]) -> Vector:
-    """Return a vector of three finite numbers.
+    """Return a value as a vector of three finite numbers.
 
     Raises:
         InputError: The value is something else.
@@ -96,7 +97,7 @@ def check_vector(field: str, value: Sequence[float]) -> Vector:
 
 
 def check_number(field: str, value: float, least: float, most: float) -> float:
-    """Return a finite number within bounds.
+    """Return a value as a finite number within bounds.
 
     Args:
         field: Name in error messages.
@@ -118,7 +119,7 @@ def check_number(field: str, value: float, least: float, most: float) -> float:
 
 
 def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple[Vector, str]:
-    """Shorten a vector to a limit; the sentence is empty if it was within.
+    """Shorten a vector to a largest length; the sentence is empty if nothing was changed.
 
     Args:
         field: Name in error messages.
@@ -133,7 +134,7 @@ def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple
     length = math.hypot(*vector)
     if length <= most:
         return vector, ""
-    # The largest component first: the square of a huge number is infinite.
+    # Divide by the largest component first: the square of a huge number overflows.
     largest = max(map(abs, vector))
     x, y, z = (component / largest for component in vector)
     scale = most / math.hypot(x, y, z)

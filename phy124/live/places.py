@@ -1,4 +1,4 @@
-"""Finds the material at a place of a live run, and where each object is."""
+"""Find the material at a position in a live run, and the position of each object."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from phy124.simulation import Simulation
 
 
 class NearestMaterial(NamedTuple):
-    """Material nearest to a place."""
+    """The particle nearest to a position."""
 
     rest: Vector
     """Position at rest [m]."""
@@ -26,17 +26,17 @@ class NearestMaterial(NamedTuple):
 def find_material(
     run: Simulation, field: str, place: Vector, radius: float, name: str | None
 ) -> NearestMaterial:
-    """Find the material nearest to a place.
+    """Find the particle nearest to a position.
 
     Args:
         run: The run.
-        field: Name of the place in error messages.
-        place: [m]
-        radius: Largest distance of the material [m].
-        name: Name of its object; None: any object that can move.
+        field: Name of the position in error messages.
+        place: Position [m].
+        radius: Largest distance of the particle [m].
+        name: Name of the object to which it belongs; None: any object that can move.
 
     Raises:
-        InputError: No material is that near, or the object never moves.
+        InputError: No particle is within `radius`, or the object never moves.
     """
     number = _object_number(run.scene, field, name)
     x, body = _positions(run), _objects(run)
@@ -54,7 +54,7 @@ def find_material(
 
 
 def check_object(scene: Scene, field: str, name: str | None) -> str | None:
-    """Check the name of an object to be moved; returns None if there is only one object.
+    """Check the name of an object to be moved; return None if there is only one object.
 
     Raises:
         InputError: There is no such object, or it never moves.
@@ -64,7 +64,7 @@ def check_object(scene: Scene, field: str, name: str | None) -> str | None:
 
 
 def compute_centres(run: Simulation) -> dict[str, NDArray[np.float64]]:
-    """Return the centre of mass [3], m, of each object with particles and each free solid."""
+    """Return the centre of mass [3], m, of each object with particles and each free rigid solid."""
     x, mass, body = (
         _positions(run),
         run.setup.particles.mass.astype(np.float64),
@@ -86,7 +86,7 @@ def list_pairs(run: Simulation) -> dict[str, str]:
 
 
 def _objects(run: Simulation) -> NDArray[np.int32]:
-    """Return the number of each particle's object [P]."""
+    """Return the index of each particle's object [P]."""
     body = run.setup.particles.body
     return np.zeros(len(run.setup.particles), np.int32) if body is None else body
 
@@ -97,7 +97,7 @@ def _positions(run: Simulation) -> NDArray[np.float64]:
 
 
 def _list_movable(scene: Scene) -> list[int]:
-    """Return the numbers of the objects that are not held in place; all if they all are."""
+    """Return the indices of the objects that are not held in place; all if all are held."""
     numbers = [
         i
         for i, item in enumerate(scene.every_object)

@@ -1,4 +1,4 @@
-"""Paces a live run: frames when they are due, or later where the machine is too slow."""
+"""Show each frame of a live run when it is due, or later if the machine is too slow."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ REMEMBERED = 24
 
 
 class RealTime:
-    """Call `wait` after each frame; it returns when the next one is due.
+    """Paces frames: call `wait` after each frame; it returns when the next frame is due.
 
-    A late frame delays all later frames: time slows down, and frames never queue up.
+    A late frame shifts the due times of all later frames: simulated time then runs slower, and no
+    backlog of frames builds up.
     """
 
     def __init__(
@@ -23,21 +24,21 @@ class RealTime:
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Start now.
+        """Start the clock now.
 
         Args:
             fps: Frames per second of simulated time.
             clock: Monotonic clock [s].
-            sleep: Waits for a number of seconds.
+            sleep: Function that waits for a number of seconds.
         """
         self.speed = 1.0
-        """Simulated seconds per second to aim for; below 1: slow motion."""
+        """Simulated seconds per real second to aim for; below 1: slow motion."""
         self._fps, self._clock, self._sleep = fps, clock, sleep
         self._due = clock()
         self._shown: deque[float] = deque([self._due], maxlen=REMEMBERED)
 
     def wait(self) -> float:
-        """Wait until the next frame is due; returns the real-time factor."""
+        """Wait until the next frame is due; return the real-time factor."""
         self._due += 1 / (self._fps * self.speed)
         now = self._clock()
         if now < self._due:
@@ -49,14 +50,14 @@ class RealTime:
 
     @property
     def factor(self) -> float:
-        """Simulated seconds per second over the last frames."""
+        """Simulated seconds per real second, averaged over the last frames."""
         first, last = self._shown[0], self._shown[-1]
         if last <= first:
             return self.speed
         return (len(self._shown) - 1) / self._fps / (last - first)
 
     def restart(self) -> None:
-        """Start again after a pause."""
+        """Restart the pacing after a pause."""
         self._due = self._clock()
         self._shown.clear()
         self._shown.append(self._due)

@@ -1,9 +1,9 @@
 """The whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
 
-Every function here reports progress and the durations of its stages. A run that is refused or
-cancelled leaves nothing behind; one that stops early keeps its finished frames, and so does a
-cancelled one if `keep` is set. If anything else ends it (an error, lack of disk space or memory, a
-kill), its frames so far stay for `go_on`, and its clip stays once it is complete.
+Every function here reports its progress and the durations of its stages. A run that is refused or
+cancelled leaves no files. A run that stops early keeps its finished frames, as does a cancelled run
+if `keep` is set. If anything else ends a run (an error, lack of disk space or memory, a kill), the
+frames so far stay on disk for `go_on`, and so does the clip once it is complete.
 """
 
 from __future__ import annotations
@@ -66,12 +66,13 @@ def generate(
     """Turn a picture into moving Gaussians, videos and a report in a folder.
 
     Args:
-        image: The picture, or one for each object of the scene; a generator that is a .ply file
-            ignores it.
-        scene: What happens to the object.
+        image: The picture, or a picture for each object of the scene; ignored by a generator that
+            is a .ply file.
+        scene: The scene to simulate.
         out: The folder to write.
         context: Device, threads, progress and stopwatch.
-        goal: An error or a time; the accuracy is chosen to meet it (`phy124.accuracy.choose`).
+        goal: Largest error or longest time; the accuracy is chosen to meet it
+            (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run; the report compares it with the time taken.
         keep: Whether a cancelled run keeps its frames, so that `go_on` can continue it.
         **making: `device`, `threads` and `progress`, if there is no context; and options of
@@ -79,7 +80,7 @@ def generate(
 
     Raises:
         InputError: The picture, the scene or the options cannot be used.
-        Incomplete: Not everything could be computed or written; the message says what is kept.
+        Incomplete: Not everything could be computed or written; the message names the saved files.
         Cancelled: `progress` raised it.
     """
     context = RunContext.pop(context, making)
@@ -120,30 +121,31 @@ def simulate(
     each: Callable[[Simulation, Frame], object] = lambda run, frame: None,
     **fields: Unpack[ContextOptions],
 ) -> Result:
-    """Turn static Gaussians into moving ones, videos and a report in a folder.
+    """Turn static Gaussians into moving Gaussians, videos and a report in a folder.
 
     Args:
         gaussians: The object at any size, standing upright, facing +x.
-        scene: What happens to it.
+        scene: The scene to simulate.
         out: The folder to write.
         context: Device, threads, progress and stopwatch.
-        about: Entries of the report about how the Gaussians were made.
-        crop: Where the object is in the picture that the masks of parts were painted on.
+        about: Entries of the report that describe how the Gaussians were made.
+        crop: Position of the object in the picture on which the masks of parts were painted.
         cutout: The cut-out, to be saved with the results.
-        goal: An error or a time; the accuracy is chosen to meet it (`phy124.accuracy.choose`).
+        goal: Largest error or longest time; the accuracy is chosen to meet it
+            (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run; the report compares it with the time taken.
-        keep: Whether a run that `progress` cancels is filmed and kept, so that `go_on` can
+        keep: Whether a run that `progress` cancels saves and films its frames, so that `go_on` can
             continue it.
         films: Whether videos are made.
-        rescues: Whether the frames so far are kept if the run fails or its folder has no space;
-            `Incomplete` then says where.
-        each: Called with the simulation and every frame as soon as it is computed, but not for the
-            grids that are tried to meet a `goal`.
+        rescues: Whether the frames so far are saved if the run fails or its folder has no space;
+            `Incomplete` then names their place.
+        each: Called with the simulation and every frame as soon as the frame is computed, except
+            in trial runs that look for a grid that meets `goal`.
         **fields: `device`, `threads` and `progress`, if there is no context.
 
     Raises:
         InputError: The Gaussians, the scene or the folder cannot be used.
-        Incomplete: Not everything could be computed or written; the message says what is kept.
+        Incomplete: Not everything could be computed or written; the message names the saved files.
         Cancelled: `progress` raised it.
     """
     context = RunContext.of(context, **fields)
@@ -184,20 +186,22 @@ def go_on(
     keep: bool = False,
     **fields: Unpack[ContextOptions],
 ) -> Result:
-    """Continue the run that was interrupted in a folder, bit for bit as if it had not been.
+    """Continue an interrupted run in its folder; the result is that of an uninterrupted run.
+
+    The two are equal bit for bit with the same number of threads.
 
     Args:
         out: The folder of the interrupted run.
-        scene: The scene that it must have; None: any.
-        context: Device, threads, progress and stopwatch. Without a number of threads there are as
-            many as before; with another number the run is equal only within rounding.
-        any_accuracy: Whether its accuracy may differ from the scene's, as it does with a goal.
-        keep: Whether it is kept again if `progress` cancels it.
+        scene: The scene that the run is expected to have; None: any.
+        context: Device, threads, progress and stopwatch. If it sets no number of threads, the run
+            continues with its own; with another number the result is equal only within rounding.
+        any_accuracy: Whether the run's accuracy may differ from the scene's, as with a goal.
+        keep: Whether the run is saved again if `progress` cancels it.
         **fields: `device`, `threads` and `progress`, if there is no context.
 
     Raises:
-        InputError: There is no interrupted run, another process is continuing it, or it has another
-            scene.
+        InputError: There is no interrupted run, another process is continuing it, or its scene
+            differs from `scene`.
     """
     context = RunContext.of(context, **fields)
     refuse_threads(context.threads)
@@ -212,7 +216,7 @@ def go_on(
             asked["accuracy"] = paused["accuracy"]
         objects = zip(asked.get("objects", ()), paused.get("objects", ()), strict=False)
         for asked_object, paused_object in objects:
-            # The crop is no option: it was read from the picture.
+            # The crop is not chosen by the user: it was read from the picture.
             asked_object["crop"] = paused_object.get("crop")
         _refuse_other(asked, paused, out)
     refuse_unfilmable(Scene.from_data(about["scene"], str(path)))
@@ -232,7 +236,7 @@ def go_on(
 
 
 def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) -> None:
-    """Raise InputError if two scenes differ; it names the field."""
+    """Refuse to continue if two scenes differ; the InputError names the field."""
     asked, before = _flat(scene), _flat(paused)
     for name in {**asked, **before}:
         if asked.get(name) != before.get(name):

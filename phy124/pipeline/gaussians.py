@@ -1,4 +1,4 @@
-"""From pictures to static Gaussians: every choice that makes them is declared here, once."""
+"""Turn pictures into static Gaussians; all options of this step are declared here, once."""
 
 from __future__ import annotations
 
@@ -33,38 +33,38 @@ from phy124.simulation.bodies import errors_prefixed_with, refuse_ids
 
 PathLike = str | os.PathLike[str]
 SHARED = ("generator", "count", "on_cutout")
-"""Options of the first object that hold for the others, too."""
+"""Options of the first object that also apply to the other objects."""
 CLIP = ".safetensors"
-"""Ending of a clip."""
+"""File name ending of a clip."""
 
 
 @dataclass(frozen=True)
 class StaticObject:
-    """The objects made from pictures, before anything happens to them."""
+    """Static Gaussians of a scene's objects, made from pictures, and facts about their making."""
 
     gaussians: Gaussians
-    """With `object_id` if there are several objects."""
+    """Gaussians of all objects, with `object_id` if there are several objects."""
     scene: Scene
-    """The scene; for a capture with the detected floor, and regions in metres."""
+    """The scene; for a capture it contains the detected floor, and its regions are in metres."""
     crop: Crop
-    """Where the first object is in its picture."""
+    """Position of the first object in its picture."""
     cutout: Cutout | None
     """The cut-out of the first object; None without a picture."""
     about: dict[str, Any]
-    """How the objects were cut out, and which generator made the Gaussians."""
+    """Entries of the report: cut-out methods and generator."""
     effort: Effort | None
     """Forecast of the generator's time, if it takes long."""
 
 
 class Objects(NamedTuple):
-    """The objects of a scene as far as they are made from pictures or files."""
+    """Those objects of a scene that are made from pictures or files."""
 
     gaussians: Gaussians
-    """With `object_id` if there are several."""
+    """Gaussians of these objects, with `object_id` if there are several."""
     scene: Scene
-    """The scene, in which each object knows where it is in its picture."""
+    """The scene, in which each object has its crop of its picture."""
     about: dict[str, Any]
-    """How they were made, for the report."""
+    """Entries of the report about the making of the objects."""
 
 
 def make_gaussians(
@@ -76,12 +76,13 @@ def make_gaussians(
     """Turn a picture, or one for each object of a scene, into static Gaussians.
 
     Args:
-        image: The picture, or several: the first object's, then those of the scene's `objects`
-            that name no picture, file or shape, in order. Missing ones are copies of the first.
+        image: The picture of the first object, or several pictures: the first object's, then those
+            of the scene's `objects` that name no picture, file or shape, in order. An object
+            without a picture is a copy of the first object.
         scene: The scene that the Gaussians are made for; None: the default scene.
         context: Device of the generator, progress and stopwatch.
-        **making: Options of `make_object` for the first object, of which the others share
-            generator, number of Gaussians and `on_cutout`; and fields of the context.
+        **making: Options of `make_object` for the first object, and fields of the context. The
+            other objects share its generator, number of Gaussians and `on_cutout`.
 
     Raises:
         InputError: A picture or the options cannot be used, or there are too many pictures.
@@ -119,20 +120,20 @@ def make_object(
     """Turn the picture of one object into static Gaussians.
 
     Args:
-        image: The picture; a generator that is a .ply file ignores it.
+        image: The picture; ignored by a generator that is a .ply file.
         scene: The scene that the Gaussians are made for.
         context: Device of the generator, progress and stopwatch.
         generator: Name, path of a .ply file, or a generator itself.
         options: How much work the generator does.
-        reading: How to interpret that .ply file, and whether to find its floor.
-        method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
+        reading: How to interpret that .ply file, and whether to detect its floor.
+        method: Method of segmentation, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.
         pick: A point on the object, if the picture shows several.
         depth: Depth map of the picture, for `relief`.
         views: Further pictures of the object, for `relief`.
-        on_cutout: Called with each cut-out before the long work begins.
-        on_estimate: Called with the generator's forecast before it begins, if it takes long.
-        preview_with_relief: Whether `relief` replaces a generator that takes long, for a forecast.
+        on_cutout: Called with each cut-out, before the slow steps begin.
+        on_estimate: Called with the forecast of a slow generator before that generator begins.
+        preview_with_relief: Whether `relief` replaces a slow generator, for a forecast.
         count: Largest number of Gaussians.
 
     Raises:
@@ -145,7 +146,7 @@ def make_object(
     deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
 
     def cut_view(field: str, path: Path) -> Cutout:
-        """Return the object in a further picture, for the option of this name."""
+        """Cut the object out of a further picture; `field` names the option in errors."""
         try:
             with watch.stage("image"):
                 way = method if mask is None else "auto"
@@ -202,19 +203,19 @@ def with_others(
     count: int | None = None,
     on_cutout: Callable[[Cutout], object] = lambda cutout: None,
 ) -> Objects:
-    """Return the first object and those that are made from pictures or files.
+    """Return the first object and the objects that are made from pictures or files.
 
     Args:
-        first: The Gaussians of the first object; or of several, with `object_id`.
+        first: The Gaussians of the first object, or of several objects, with `object_id`.
         scene: The scene.
-        more: Pictures or files for the objects that name none, in order.
+        more: Pictures or files for the objects that name no source themselves, in order.
         context: Device of the generator, progress and stopwatch.
-        generator: What makes Gaussians of a picture, unless an object says otherwise.
-        count: Largest number of Gaussians of each.
-        on_cutout: Called with each cut-out before the long work begins.
+        generator: Generator for pictures, unless an object names its own.
+        count: Largest number of Gaussians of each object.
+        on_cutout: Called with each cut-out, before the slow steps begin.
 
     Raises:
-        InputError: A picture or file cannot be used, or there are too many.
+        InputError: A picture or file cannot be used, or there are more of them than objects.
     """
     check_sources(scene, more)
     if not scene.objects:
@@ -258,7 +259,7 @@ def with_others(
 
 
 def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLike, ...]]:
-    """Return the first picture and the others."""
+    """Return the first picture and the tuple of the others."""
     if isinstance(image, (str, os.PathLike)):
         return image, ()
     first, *more = image
@@ -266,10 +267,10 @@ def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLik
 
 
 def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
-    """Refuse more pictures than there are objects that wait for a picture.
+    """Refuse more further pictures than the scene has objects that need a picture.
 
     Raises:
-        InputError: There are more pictures.
+        InputError: There are too many pictures.
     """
     waiting = sum(body.waits for body in scene.objects)
     if len(more) <= waiting:
@@ -285,10 +286,10 @@ def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
 
 
 def at_rest(path: PathLike) -> Gaussians:
-    """Return the object of a clip as it is in the first frame.
+    """Return the object of a clip in its first frame.
 
     Raises:
-        InputError: It is no clip, or one of several objects.
+        InputError: The file is no clip, or the clip has several objects.
     """
     gaussians = Clip.load(path).surface.frame(0).gaussians
     if gaussians.object_id is not None:

@@ -1,8 +1,8 @@
-"""A run on disk: its frames as they are computed, and from time to time its state.
+"""Record a run on disk: each frame as soon as it is computed, and the solver's state at intervals.
 
-Whatever ends the run (kill -9, lack of memory, an error), `resume` can continue from the last
-state. Frames are written once, to the file that becomes the clip. The state is written so rarely
-that this takes a hundredth of the time.
+If the run is ended by anything (kill -9, lack of memory, an error), `resume` can continue from the
+last saved state. Frames are written once, to the file that becomes the clip. The intervals are long
+enough that writing the state takes at most a hundredth of the time.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from phy124.simulation import Simulation
 PAUSE = "pause.safetensors"
 """File from which an interrupted run continues."""
 FRAMES = "pause-{}.frames"
-"""File with the frames of a run that is in progress, or was killed."""
+"""File with the frames of a run that is in progress or was killed."""
 COST = 0.01
-"""Largest fraction of the time that writing the state takes."""
+"""Largest fraction of the run's time that may be spent on writing the state."""
 GUESS = 4e8
-"""Speed of writing the state until it has been measured [bytes/s]."""
+"""Assumed write speed of the state until a speed has been measured [bytes/s]."""
 HEADER, PER_FRAME = 32_000, 120
-"""Space for the report in the clip, and for its entries of each frame [bytes]."""
+"""Space reserved in the clip for the report, and for the report's entries of each frame [bytes]."""
 
 
 class Recording:
@@ -50,26 +50,26 @@ class Recording:
         frames: Growing | None = None,
         saved: int = 0,
     ) -> None:
-        """Write nothing before the first frame.
+        """Prepare the recording; nothing is written before the first frame.
 
         Args:
-            out: The folder of the run; None: nothing is kept.
-            about: Entries of the report, as far as they are known when the state is written.
-            files: Further results, known before the first frame.
-            frames: The file of the frames of the run that is continued, if it has one.
-            saved: Number of frames of the run that is continued.
+            out: The folder of the run; None: nothing is written.
+            about: Entries of the report that are known while the run is in progress.
+            files: Content of further result files by name, saved with the state.
+            frames: The frame file of the run that is continued, if it has one.
+            saved: Number of frames already computed by the run that is continued.
         """
         self.out, self.path = out, (out or Path()) / PAUSE
         self.about, self.files, self.frames = about, files, frames
         self.failed = out is None or not disk.LOCKS_AVAILABLE
-        """Whether nothing more is written."""
+        """True if no more is written."""
         self.resumed, self.saved = saved > 0, saved
         """Number of frames after which the run could be continued if it ended now."""
         self._run: Simulation | None = None
         self._put, self._last, self._cost = 0, time.perf_counter(), 0.0
 
     def see(self, run: Simulation) -> None:
-        """Write new frames and, if enough time has passed, the state."""
+        """Write the new frames and, if enough time has passed, the solver's state."""
         if run is not self._run:
             self._begin(run)
         if self.failed:
@@ -86,7 +86,7 @@ class Recording:
                 try:
                     self.pause(run)
                 except (OSError, InputError) as error:
-                    self._last = math.inf  # not tried again
+                    self._last = math.inf  # do not write again
                     self._complain("the state of the run cannot be written", error)
 
     def _complain(self, what: str, error: Exception) -> None:
@@ -94,7 +94,7 @@ class Recording:
         warnings.warn(f"{what}, so a kill would lose {lost} ({error})", stacklevel=3)
 
     def pause(self, run: Simulation) -> None:
-        """Write the state after the last frame.
+        """Write the solver's state after the last frame.
 
         Raises:
             OSError: It cannot be written.
@@ -109,7 +109,7 @@ class Recording:
         self._cost = self._last - begun
 
     def finish(self, clip: Clip, path: Path) -> None:
-        """Write the clip; usually its frames are written, and only the header is missing.
+        """Complete the clip's file; usually the frames are written and only the header is missing.
 
         Raises:
             OSError: The disk is full.
@@ -129,27 +129,27 @@ class Recording:
             self.frames.state(clip)
 
     def discard(self) -> None:
-        """Remove pause and frames; in a folder that became read-only both stay."""
+        """Remove the files of pause and frames; in a folder that became read-only both stay."""
         if self.out is not None:
             with suppress(OSError):
                 self.path.unlink(missing_ok=True)
         self.close()
 
     def close(self) -> None:
-        """Remove the frames, which are saved elsewhere, or useless."""
+        """Remove the frame file, because its frames are saved elsewhere or useless."""
         if self.frames is not None:
             self.frames.remove()
         self.frames, self.failed = None, True
 
     def drop(self) -> None:
-        """Remove the files of this run; a continued run keeps all."""
+        """Remove the files of this run, but keep those of a run that was continued."""
         if self.resumed or not self.saved:
             self.leave()
         else:
             self.discard()
 
     def rescue(self) -> int:
-        """Keep the frames of a run that failed; return their number."""
+        """Keep the frames of a failed run on disk; return their number."""
         if self._run is not None:
             with suppress(Exception):
                 self.pause(self._run)
@@ -157,13 +157,13 @@ class Recording:
         return self.saved
 
     def leave(self) -> None:
-        """Keep the files on disk for `resume`."""
+        """Keep the files of pause and frames on disk for `resume`."""
         if self.frames is not None:
             self.frames.close() if self.saved else self.frames.remove()
         self.frames, self.failed = None, True
 
     def _begin(self, run: Simulation) -> None:
-        """Start with another run: a search for an accuracy makes several runs."""
+        """Switch to another run: a search for an accuracy makes several runs."""
         first, self._run, self._last = self._run is None, run, time.perf_counter()
         if first:
             self._put = 0 if self.frames is None else self.saved
@@ -172,19 +172,19 @@ class Recording:
             self.frames, self._put, self.saved = None, 0, 0
 
     def _write_frames(self, run: Simulation) -> None:
-        """Write the new frames, and read them from the file from now on, which takes no memory."""
+        """Write the new frames; later reads use the memory-mapped file, which saves memory."""
         for place in range(self._put, run.count):
             frame, turns = run.frames[place], run.rotations[place] if run.rotations else None
             if self.frames is None:
                 path = self.path.with_name(FRAMES.format(secrets.token_hex(4)))
                 count, header = run.scene.time.frames, self._header(run)
-                with disk.locking(path.parent):  # so that no other process removes it
+                with disk.locking(path.parent):  # keeps other processes from removing the file
                     self.frames = Growing.like(path, frame, count, rotation=turns, header=header)
             run.frames[place], turned = self.frames.put(frame, turns)
             if turned is not None:
                 run.rotations[place] = turned
             if place and len(run.setup.shown) and run.setup.shown.sh_degree:
-                # Only the last frame's turned colours are needed again.
+                # Only the last frame's rotated colours are needed again.
                 before = run.frames[place - 1]
                 plain = replace(before.gaussians, sh=run.setup.shown.sh)
                 run.frames[place - 1] = replace(before, gaussians=plain)
@@ -204,10 +204,10 @@ class Recording:
 
 
 def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, Recording]:
-    """Return the run that was left in a folder, if it can be continued, and its recording.
+    """Return the interrupted run in a folder, if it can be continued, and its recording.
 
     Args:
-        out: The folder; None: nothing is kept.
+        out: The folder; None: nothing is written.
         context: Device, threads, progress and stopwatch.
     """
     if out is None or not (out / PAUSE).is_file():
@@ -218,7 +218,7 @@ def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, R
         saved = resume.read_about(out / PAUSE)["frames"]
         frames = resume.frames_of(out / PAUSE)
         run = resume.load(out / PAUSE, context, frames=frames)
-    except InputError:  # another version's, or damaged
+    except InputError:  # the pause is damaged, or another version wrote it
         if frames is not None:
             frames.close()
         return None, Recording(out, {})
@@ -226,7 +226,7 @@ def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, R
 
 
 def sweep(out: Path) -> None:
-    """Remove the frames of killed runs from a folder, except those that its pause needs."""
+    """Remove frame files of killed runs from a folder, except the file that its pause needs."""
     leftover = list(out.glob(FRAMES.format("*")))
     if not leftover:
         return

@@ -1,7 +1,7 @@
 """The keys of report.json, which every run writes and which its clip contains too.
 
-Keys that are `NotRequired` exist only if the named option or scene asks for them. An observer of
-your own may add keys. The keys are stable: a release that removes one says so in the changelog.
+A `NotRequired` key exists only if the named option or field of the scene requests it. A user's
+observer may add keys. Keys are stable: the changelog names each key that a release removes.
 """
 
 from typing import Any
@@ -10,7 +10,7 @@ from typing_extensions import NotRequired, TypedDict
 
 
 class CutOut(TypedDict):
-    """How the object was cut out of the picture, as seen in `cutout.png`."""
+    """Method and quality of the cut-out, which `cutout.png` shows."""
 
     method: str
     """alpha, u2net, u2netp, grabcut, mask or brush."""
@@ -21,15 +21,15 @@ class CutOut(TypedDict):
     touches: list[str]
     """Edges of the picture that the object touches."""
     unseen: float
-    """Fraction of the outline on the edge of the picture."""
+    """Fraction of the outline that lies on the edge of the picture."""
     alike: float
-    """Fraction of the surroundings that have the object's colours."""
+    """Fraction of the background whose colours resemble the object's."""
     undecided: float
-    """Fraction of half-transparent pixels away from the outline."""
+    """Fraction of pixels that are half transparent although they are away from the outline."""
     frames: int
     """Number of frames of an animation, of which the first is used."""
     objects: int
-    """Number of separate objects found."""
+    """Number of separate objects detected."""
     touching: bool
     """Whether the object may be two objects that touch."""
     warnings: list[str]
@@ -44,7 +44,7 @@ class Substep(TypedDict):
     mean: float
     """Mean length [s]."""
     asked: float | None
-    """`time.substep` of the scene [s]."""
+    """`time.substep` requested by the scene [s]; null: none."""
     split: bool
     """Whether substeps are shorter than `asked`."""
     fractions: dict[str, float]
@@ -52,18 +52,18 @@ class Substep(TypedDict):
     rejected: int
     """Number of substeps that were repeated with a shorter length."""
     retried: list[int]
-    """Frames that were repeated with shorter substeps."""
+    """Frames that were computed again with shorter substeps."""
 
 
 class Tearing(TypedDict):
     """Elastic particles that may have lost contact with each other."""
 
     apart: int
-    """Largest number of particles in one frame that are stretched apart."""
+    """Largest number of particles in a frame that are stretched apart."""
     stretch: float
-    """Their largest stretch."""
+    """Largest stretch of these particles."""
     loose: int
-    """Number of particles that separated from the piece to which they belong."""
+    """Number of particles that separated from the rest of their piece."""
     likely: bool
     """Whether the grid probably tore the material."""
 
@@ -72,43 +72,43 @@ class Balance(TypedDict):
     """Results of the watchdog."""
 
     energy_gain: float | None
-    """Spurious energy as a fraction of the energy supplied; negative: lost; null if unbalanced."""
+    """Spurious energy as a fraction of the energy supplied; negative: lost; null: not balanced."""
     momentum_gain: float | None
-    """Spurious momentum as a fraction of the momentum exchanged; null if unbalanced."""
+    """Spurious momentum as a fraction of the momentum exchanged; null: not balanced."""
     min_J: float
-    """Smallest volume ratio of a particle."""
+    """Smallest volume ratio J of all particles."""
     max_J: float
-    """Largest volume ratio of a particle."""
+    """Largest volume ratio J of all particles."""
     inside_out: int
     """Number of inverted particles."""
     reset: int
-    """Number of deformations that were reset to the shape at rest."""
+    """Number of deformation gradients that were reset to the rest shape."""
     ballistic: int
-    """Number of particles outside the simulated space."""
+    """Number of particles outside the simulated space, which move without forces but gravity."""
     tearing: Tearing
     """Signs of numerical fracture."""
 
 
 class Promise(TypedDict):
-    """Error to expect of the clip; docs/results/accuracy.md explains it."""
+    """Error bound of the clip; docs/results/accuracy.md explains it."""
 
     error: float | None
     """Upper bound as a fraction of the object's size; null if not measured, torn or stopped."""
     why: str
-    """Reason for this value, as a sentence."""
+    """Reason for the value or for null, as a sentence."""
     unmeasured: str
-    """Kind of scene that was not measured, if that is the reason."""
+    """Kind of scene for which no error was measured, if this is why `error` is null."""
     of_scene: bool
     """Whether the error was measured on this scene."""
     seconds: float | None
-    """Length of the part of the clip for which it holds, from the start [s]; null: all of it."""
+    """The bound holds from the start to this time [s]; null: for the whole clip."""
 
 
 class Goal(TypedDict):
     """Result of `--max-error` or `--max-seconds`."""
 
     target: str
-    """Error or time asked for."""
+    """Requested error or time."""
     cells: int
     """Cells across the object in the chosen grid."""
     error: float | None
@@ -118,11 +118,11 @@ class Goal(TypedDict):
     fraction: float | None
     """Estimated error as a fraction of the object's size."""
     levels: list[int]
-    """Grids that were simulated."""
+    """Cells across the object of each grid that was simulated."""
     errors: list[float]
     """Estimated error of each grid."""
     seconds: list[float]
-    """Time of each grid [s]."""
+    """Time of the run on each grid [s]."""
     order: float
     """Observed order of convergence."""
     refined: bool
@@ -130,30 +130,30 @@ class Goal(TypedDict):
     met: bool
     """Whether the target is met."""
     why_not: str
-    """Reason if the target is not met."""
+    """Reason why the target is not met; empty if it is."""
     torn: list[int]
-    """Grids that were not used because they may have torn the material."""
+    """Cells of grids that were left out because they may have torn the material."""
     particles_per_axis: float
     """Particles per cell and axis."""
 
 
 class Forecast(TypedDict):
-    """Predicted and actual times."""
+    """Predicted and actual times of a run."""
 
     predicted: float
     """Predicted time [s]."""
     span: list[float]
-    """Range that should contain the actual time [s]."""
+    """Lowest and highest actual time expected [s]."""
     spent: float
     """Actual time [s]."""
     ratio: float
-    """Actual time divided by the predicted one."""
+    """Actual time divided by predicted time."""
     stages: dict[str, Any]
-    """The same for each stage."""
+    """Predicted and actual time of each stage."""
     substeps: int
     """Predicted number of substeps."""
     limiters: dict[str, int]
-    """Predicted number of substeps that each limit determines."""
+    """Predicted number of substeps whose length each limit determines."""
     caveat: str | None
     """Reason why the prediction may be wrong."""
 
@@ -162,30 +162,30 @@ class Energy(TypedDict):
     """Energy balance [J]."""
 
     turnover: float
-    """Largest energy that the object had at the start or received."""
+    """Largest sum of the energy at the start and the energy supplied up to a time."""
     lost: float
     """Energy lost since the start; the sum of the following three."""
     material: float
-    """Loss by viscosity, plasticity and flow inside the material."""
+    """Loss by viscosity and plasticity inside the material."""
     contact: float
     """Loss by friction at walls."""
     numerical: float
-    """Remaining loss, caused by the method; negative if energy was gained."""
+    """Remaining loss, caused by the numerical method; negative if energy was gained."""
 
 
 class Report(TypedDict):
     """The keys of the report."""
 
     complete: bool
-    """Whether the simulation reached its end; otherwise the good frames are kept."""
+    """Whether the simulation reached its end; otherwise its valid frames were saved."""
     stopped: str | None
     """Reason why the simulation stopped early."""
     interrupted: bool
     """Whether Ctrl-C or SIGTERM ended the run; `--resume` continues it."""
     files: list[str]
-    """Files and folders that the run wrote; the next run in this folder removes old ones."""
+    """Files and folders that the run wrote; the next run in this folder removes old files."""
     remedies: list[dict[str, Any]]
-    """Changes of the scene that help after a stop, each sufficient alone, as field and value."""
+    """Changes of the scene that prevent the stop, as field and value; each suffices alone."""
     foreground: str | None
     """Method that cut the object out; null without a picture."""
     cutout: CutOut | None
@@ -197,7 +197,7 @@ class Report(TypedDict):
     gaussians: int
     """Number of Gaussians."""
     grains: int
-    """Number of additional Gaussians inside granular or torn material."""
+    """Number of additional Gaussians inside granular or torn material, hidden at the start."""
     particles: int
     """Number of particles."""
     frames: int
@@ -213,15 +213,15 @@ class Report(TypedDict):
     pairs: NotRequired[dict[str, Any]]
     """Largest force [N] and its time, and last force and torque, of each pair of objects."""
     sources: NotRequired[dict[str, Any]]
-    """Source, cut-out, generator and cleaning of each further object from a file."""
+    """Source, cut-out, generator and cleaning of each further object from a picture or file."""
     shapes: dict[str, Any]
-    """Largest ratios of the axes of a Gaussian (`needle`, `axis_ratio`) and `opacity` per law."""
+    """Per law: largest axis ratios of a Gaussian (`needle`, `axis_ratio`), and its `opacity`."""
     shine: dict[str, Any]
-    """Ranges of Gaussians whose gloss is drawn, per law."""
+    """Per law: index ranges of Gaussians that are drawn with gloss."""
     static: int
     """Number of Gaussians of static parts, which are not simulated."""
     sleep: dict[str, Any] | None
-    """First frame at rest (`since`), number of `frames` at rest, and `substeps` saved."""
+    """First frame at rest (`since`), number of `frames` at rest, and number of `substeps` saved."""
     walls: dict[str, Any] | None
     """Largest and last force [N] and torque [N m] of each wall, with `wrenches` or `contacts`."""
     cleaning: list[str]
@@ -229,19 +229,19 @@ class Report(TypedDict):
     notes: list[str]
     """Further remarks about files, materials and the run, as sentences."""
     unregistered: list[str]
-    """Classes of the scene that only the program that made the run defines."""
+    """Classes used by the scene that are defined only in the program that made the run."""
     capture: NotRequired[dict[str, Any]]
-    """Of a capture: rotation from the file's axes, and the floor found with `--floor`."""
+    """For a capture: rotation from the file's axes, and the floor detected with `--floor`."""
     playback: NotRequired[dict[str, Any]]
     """Pictures per second (`fps`), `speed` (1 is real time) and `seconds` of the videos."""
     departures: NotRequired[list[dict[str, Any]]]
-    """Views that the object leaves, and the camera distance that shows all of it."""
+    """Views whose picture the object leaves, and the camera distance that shows all of it."""
     grid: dict[str, Any]
     """Cell width `dx` [m] and number of nodes of the last `window`."""
     threads: int
-    """CPU threads; the result is the same bit for bit for the same number of threads."""
+    """CPU threads; the same number of threads gives the same result bit for bit."""
     limiters: dict[str, int]
-    """Number of substeps that each limit determined: elastic, speed, gradient, viscous, user."""
+    """Substeps whose length each limit determined: elastic, speed, gradient, viscous, user."""
     substep: Substep
     """Length of the substeps."""
     balance: Balance
@@ -251,7 +251,7 @@ class Report(TypedDict):
     effects: dict[str, Any]
     """Effects that were computed (`ran`) or not (`left_out`, with reason and saved seconds)."""
     promise: Promise
-    """Error to expect of the clip."""
+    """Error bound of the clip."""
     forecast: NotRequired[Forecast]
     """Predicted and actual times, with `--forecast`."""
     goal: NotRequired[Goal]
@@ -259,12 +259,12 @@ class Report(TypedDict):
     stages: list[dict[str, Any]]
     """Name, seconds and kernel launches of each stage."""
     substep_stages: list[dict[str, Any]]
-    """The same for the stages of a substep, on the main thread."""
+    """Name, seconds and kernel launches of each stage of a substep, on the main thread."""
     seconds: float
     """Wall time of the run [s]."""
     device: str
-    """Device that simulated."""
+    """Device on which the simulation ran."""
     processor: str
     """Processor of the machine."""
     versions: dict[str, str]
-    """Versions of phy124 and of the libraries that compute."""
+    """Versions of phy124 and of the libraries it computes with."""

@@ -1,6 +1,7 @@
-"""Saves a paused simulation as one safetensors file and continues it later.
+"""Save a paused simulation as a safetensors file, and continue it later.
 
-On a CPU that is bit for bit; on a GPU, which sums in no fixed order, to within rounding.
+On a CPU the continued run is equal bit for bit. On a GPU, which sums in no fixed order, it is equal
+within rounding.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ FORMAT = "phy124-pause-6"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 OBJECTS = "given.object_id"
 FILE = "file."
-"""Prefix of the names of files that are saved with a run."""
+"""Prefix of the names of the result files that are saved with a run."""
 Tensors = dict[str, NDArray]
 ARRAY = "array"
-"""Placeholder of an array, which is stored as a tensor."""
+"""Placeholder in the metadata for an array, which is stored as a tensor."""
 
 
 def save(
@@ -53,14 +54,14 @@ def save(
 
     Args:
         run: The run.
-        path: Where to write it.
+        path: The file to write.
         about: Entries that `read_about` returns.
-        frames: The file in the same folder with the frames; None: they are written, too.
-        files: Files that `read_files` returns.
+        frames: The frame file in the same folder; None: the frames are written to `path`, too.
+        files: Contents of result files by name, which `read_files` returns.
 
     Raises:
-        InputError: If the folder is missing or no file can be made there.
-        OSError: If the disk is full.
+        InputError: The folder is missing, or a file cannot be created in it.
+        OSError: The disk is full.
     """
     run.scene.require_serialisable()
     tensors: Tensors = {f"given.{name}": getattr(run.setup.source, name) for name in GAUSSIANS}
@@ -96,19 +97,19 @@ def load(
     frames: Growing | None = None,
     observers: Sequence[type[Observer]] = OBSERVERS,
 ) -> Simulation:
-    """Return a saved run, ready to be iterated on.
+    """Load a paused run, ready to be iterated on.
 
     Args:
         path: The file.
-        context: Device, threads, progress and stopwatch. Without a number of threads there are as
-            many as before the pause, so that the run continues bit for bit; with another number it
-            is equal to within rounding, which its report notes. The seconds spent before the pause
-            are added to the stopwatch.
-        frames: The file of its frames, if it is open already (`frames_of`).
+        context: Device, threads, progress and stopwatch. If it sets no number of threads, the run
+            continues bit for bit with the number it had. With another number the result is equal
+            within rounding, and the report notes this. The seconds spent before the pause are added
+            to the stopwatch.
+        frames: The run's frame file, if it is already open (`frames_of`).
         observers: Classes of observers, as for `prepare`.
 
     Raises:
-        InputError: If the file is missing, cut short or not a paused run.
+        InputError: The file is missing, truncated or not a paused run.
     """
     context = context or RunContext()
     metadata, tensors = _read(Path(path))
@@ -136,29 +137,29 @@ def load(
 
 
 def frames_of(path: str | os.PathLike[str]) -> Growing | None:
-    """Open the file of a paused run's frames; None if they are in the run's own file.
+    """Open the frame file of a paused run; None if the frames are in the run's own file.
 
     Raises:
-        InputError: It is missing, or another process is continuing the run.
+        InputError: The file is missing, or another process is continuing the run.
     """
     place = read_frames(path)
     return None if place is None else Growing.there(Path(path).parent, place)
 
 
 def read_frames(path: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """Return the file of a paused run's frames; None if they are in the run's own file."""
+    """Return the description of a run's frame file; None if the run's file has the frames."""
     return _read(Path(path), tensors=False)[0]["frames"].get("growing")
 
 
 def read_files(path: str | os.PathLike[str]) -> dict[str, bytes]:
-    """Return files that were saved with a run, by name."""
+    """Return the result files that were saved with a run: name -> content."""
     tensors = _read(Path(path))[1]
     files = {name: array for name, array in tensors.items() if name.startswith(FILE)}
     return {name.removeprefix(FILE): array.tobytes() for name, array in files.items()}
 
 
 def _saved_frames(metadata: dict[str, Any], tensors: Tensors, frames: Growing | None) -> Tensors:
-    """Return the frames so far: the rows of each array."""
+    """Return the arrays of the frames so far, a row per frame."""
     if frames is not None:
         count = metadata["frames"]["count"]
         return {name: rows[:count] for name, rows in frames.arrays.items() if name in MOVING}
@@ -183,7 +184,7 @@ def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
-    """Return a snapshot without its arrays, which go to `tensors` under their path."""
+    """Return a snapshot without its arrays, which are added to `tensors` under their paths."""
     if isinstance(tree, dict):
         return {key: _plain(value, tensors, f"{name}.{key}") for key, value in tree.items()}
     if isinstance(tree, (np.ndarray, wp.array)):
@@ -193,7 +194,7 @@ def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
 
 
 def _whole(tree: Any, tensors: Tensors, name: str) -> Any:
-    """Return a snapshot with its arrays."""
+    """Return a snapshot with its arrays inserted from `tensors`."""
     if not isinstance(tree, dict):
         return tree
     if ARRAY in tree:
@@ -202,7 +203,7 @@ def _whole(tree: Any, tensors: Tensors, name: str) -> Any:
 
 
 def _frames(run: Simulation) -> Tensors:
-    """Return the frames so far."""
+    """Return the arrays of the frames so far, a row per frame."""
     tensors: Tensors = {"frames.times": np.array([f.time for f in run.frames])}
     if run.frames:
         for name in ("means", "quats", "scales"):
@@ -220,7 +221,7 @@ def _frames(run: Simulation) -> Tensors:
 
 
 def _put_frames(run: Simulation, kept: Tensors) -> None:
-    """Give a run its frames so far; each frame is a row of the arrays."""
+    """Restore a run's frames so far from arrays with a row per frame."""
     walls = kept.get("wrenches")
     wrenches_of = run.find(Wrenches)
     names = () if wrenches_of is None else wrenches_of.names
@@ -267,7 +268,7 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
 
 
 def _checksum(tensors: Tensors) -> int:
-    """Return the CRC-32 of all arrays in the order of their names; older files have none."""
+    """Return the CRC-32 of all arrays, sorted by name; files of older versions have none."""
     total = 0
     for name in sorted(tensors):
         total = zlib.crc32(np.ascontiguousarray(tensors[name]).data, total)

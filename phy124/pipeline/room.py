@@ -1,4 +1,4 @@
-"""Room on the disk: what the results of a run will take, and whether it is there."""
+"""Forecast the disk space that a run's results need, and compare it with the free space."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from phy124.budget.cost import BYTES_PER_GAUSSIAN
 from phy124.simulation import Simulation
 
 PLY = 4 * 17
-"""A Gaussian in a PLY file [bytes]; 12 more for each further coefficient of its colour."""
+"""Size of a Gaussian in a PLY file [bytes]; 12 more per further colour coefficient."""
 EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY}
-"""Format -> a Gaussian of one frame in it [bytes]."""
+"""Format -> size of a Gaussian of one frame [bytes]."""
 PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05}
-"""Format -> a pixel of a picture in it, roughly [bytes]."""
+"""Format -> approximate size of a rendered pixel [bytes]."""
 OUTPUT = 6
-"""A pixel of an output, roughly [bytes]."""
+"""Approximate size of a pixel of an output such as depth [bytes]."""
 
 
 def warn_of_room(run: Simulation, out: Path, *, films: bool) -> None:
-    """Warn if there is less room for the results than they are forecast to take."""
+    """Warn if the disk has less free space than the results are forecast to need."""
     needed = forecast(run, films=films)
     try:
         free = shutil.disk_usage(out).free
@@ -36,7 +36,7 @@ def warn_of_room(run: Simulation, out: Path, *, films: bool) -> None:
 
 
 def forecast(run: Simulation, *, films: bool) -> float:
-    """What a run's files will take [bytes]; films only roughly."""
+    """Forecast the size of a run's files [bytes]; for films this is a rough estimate."""
     scene, count, frames = run.scene, len(run.setup.shown), run.scene.time.frames
     colours = 12 * (run.setup.shown.sh.shape[1] - 1)
     kept = 12 * (scene.velocities + scene.keeps_contacts) + 16 * (colours > 0)
@@ -51,7 +51,7 @@ def forecast(run: Simulation, *, films: bool) -> float:
 
 
 def size(count: float) -> str:
-    """A number of bytes in words."""
+    """Format a number of bytes with a unit."""
     for unit, name in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
         if count >= unit:
             return f"{count / unit:.1f} {name}"

@@ -1,6 +1,6 @@
-"""The folder of a run: clip, Gaussians, scene, videos and report, complete or not at all.
+"""Write the folder of a run: clip, Gaussians, scene, videos and report, all or none of them.
 
-Results of an earlier run are removed once the new ones are written. Only files that the earlier
+Results of an earlier run are removed after the new results are written. Only files that the earlier
 report lists are removed; files of the user stay.
 """
 
@@ -42,16 +42,16 @@ from phy124.simulation import Interrupted, Simulation
 CLIP, SCENE, PLY, CUTOUT = "clip.safetensors", "scene.toml", "gaussians.ply", "cutout.png"
 REPORT = "report.json"
 LARGEST_REPORT = 1 << 26
-"""Largest report that is read [bytes]; a usual one has 10,000."""
+"""Size above which a report is not read [bytes]; a report usually has 10,000."""
 INTERRUPTED = "it was interrupted; the same command with --resume continues it"
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a run produced."""
+    """Folder, files and report of a finished run."""
 
     folder: Path
-    """Where the files are."""
+    """Folder that contains the files."""
     files: tuple[Path, ...]
     """All files that were written."""
     report: dict[str, Any]
@@ -60,24 +60,24 @@ class Result:
 
 @dataclass
 class RunFolder:
-    """A run that writes into a folder, and its options."""
+    """Writes the results of a run into a folder, with these options."""
 
     out: Path
     context: RunContext
     about: dict[str, Any]
-    """Entries of the report in addition to the run's own."""
+    """Entries that are added to the run's own entries of the report."""
     keep: bool
-    """Whether the frames so far are kept when the context's `progress` cancels."""
+    """Whether the frames so far are saved when the context's `progress` cancels the run."""
     cutout: bytes | None = None
     """The cut-out as a PNG file, to be saved with the results."""
     films: bool = True
     """Whether videos are made."""
     frames: Growing | None = None
-    """The file with the frames of the run that is continued, if it has one."""
+    """The frame file of the run that is continued, if it has one."""
     continued: int = 0
     """Number of frames of the run that is continued."""
     rescues: bool = True
-    """Whether finished frames are kept if the run fails or its folder has no space."""
+    """Whether finished frames are saved if the run fails or its folder has no space."""
     predicted: Forecast | None = None
 
     def __post_init__(self) -> None:
@@ -87,13 +87,13 @@ class RunFolder:
         )
 
     def fill(self, simulate: Callable[[], tuple[Simulation, Clip]]) -> Result:
-        """Simulate, save and film; a folder that cannot be written is refused first.
+        """Simulate, save and film; an unwritable folder is refused before the simulation.
 
         Raises:
-            Incomplete: Not everything could be made or written; the message says what is kept.
+            Incomplete: Not everything could be made or written; the message names the saved files.
             Cancelled: The context's `progress` raised it, and `keep` is not set.
         """
-        before = list_results(self.out) - {PAUSE}  # this run's own may be of that name
+        before = list_results(self.out) - {PAUSE}  # this run may write a file of that name itself
         try:
             with staging(self.out) as folder:
                 sweep(self.out)
@@ -104,27 +104,27 @@ class RunFolder:
     def _save_and_film(
         self, folder: Path, before: set[str], run: Simulation, clip: Clip, interrupted: bool
     ) -> Result:
-        """Save, then film.
+        """Save the results, then film the clip.
 
         Args:
-            folder: Where files are written first.
-            before: Names of what an earlier run left.
+            folder: Temporary folder in which files are written first.
+            before: Names of the files of an earlier run.
             run: The run.
-            clip: Its frames.
-            interrupted: Whether it was interrupted.
+            clip: The clip of the run.
+            interrupted: Whether the run was interrupted.
         """
         report = self._save(folder, run, clip, interrupted)
         made = set(deliver(folder) if self.keep else ())
         remove_results(self.out, before.difference(made) if made else ())
         if self.keep and self.films and not interrupted:
             with suppress(OSError, InputError):
-                self.recording.pause(run)  # the filming may be killed
+                self.recording.pause(run)  # allows --resume if the filming is killed
         cut, problem = self._film(clip, run.scene, folder)
         if cut and not interrupted:
             interrupted = self._pause(folder, run)
         made |= {path.name for path in folder.glob("[!.]*")} | {REPORT}
         report = self._update(report, made, interrupted=cut or interrupted)
-        with suppress(OSError, InputError):  # the earlier report stays if there is no room
+        with suppress(OSError, InputError):  # without disk space the earlier report stays
             self.recording.restate(clip.with_report(report))
             write_json(folder / REPORT, report)
         deliver(folder)
@@ -145,7 +145,7 @@ class RunFolder:
             if not self.keep:
                 self.recording.drop()
                 raise
-            with suppress(OSError, InputError):  # what was written before stays
+            with suppress(OSError, InputError):  # an earlier saved state stays
                 self.recording.pause(cut.run)
             return cut.run, cut.run.clip(), True
         except (Cancelled, InputError):
@@ -160,9 +160,9 @@ class RunFolder:
             raise
 
     def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
-        """Film all views; returns whether it was interrupted, and what failed.
+        """Film all views; return whether filming was interrupted, and the exception if it failed.
 
-        Finished ones stay in either case.
+        Finished films stay in either case.
         """
         if not self.films:
             return False, None
@@ -178,7 +178,7 @@ class RunFolder:
         return False, None
 
     def _save(self, folder: Path, run: Simulation, clip: Clip, interrupted: bool) -> dict[str, Any]:
-        """Write everything but the films, what matters most first; returns the report."""
+        """Write everything but the films, the most important files first; return the report."""
         try:
             return self._write(folder, run, clip, interrupted)
         except Exception as error:
@@ -220,7 +220,7 @@ class RunFolder:
         return report
 
     def _relist(self, folder: Path) -> None:
-        """List in the report what is there, where not all that was to be written is."""
+        """Correct the list of files in the report after a file could not be written."""
         listed = folder / REPORT
         report = json.loads(listed.read_bytes())
         report["files"] = sorted(path.name for path in folder.glob("[!.]*"))
@@ -228,7 +228,7 @@ class RunFolder:
             write_json(listed, report)
 
     def _pause(self, folder: Path, run: Simulation) -> bool:
-        """Write the state of a run that ends early; returns whether it can go on."""
+        """Write the state of a run that ends early; return whether the run can be continued."""
         try:
             resume.save(run, folder / PAUSE, about=self.about, files=self.files)
         except (OSError, InputError):
@@ -238,7 +238,7 @@ class RunFolder:
         return True
 
     def _elsewhere(self, run: Simulation, clip: Clip, interrupted: bool) -> Incomplete:
-        """Write the results where there is room; returns the exception that says where that is."""
+        """Write the results to a temporary folder instead; return the exception that names it."""
         folder = None
         try:
             folder = Path(tempfile.mkdtemp(prefix="phy124-kept-"))
@@ -262,7 +262,7 @@ class RunFolder:
         )
 
     def _end(self, made: Iterable[str], *, interrupted: bool) -> None:
-        """Remove what the run needed while it went on."""
+        """Remove the files that were needed only while the run was in progress."""
         if not interrupted:
             self.recording.discard()
         elif PAUSE in made:
@@ -282,7 +282,7 @@ class RunFolder:
     def _update(
         self, report: dict[str, Any], made: Iterable[str], *, interrupted: bool
     ) -> dict[str, Any]:
-        """Return a report with the time spent and the files made by now."""
+        """Return the report, updated with the time spent and the files written so far."""
         report = {**report, **environment_info(self.context), "files": sorted(made)}
         if self.predicted is not None:
             report["forecast"] = self.predicted.compare(self.context.watch.seconds)
@@ -292,7 +292,7 @@ class RunFolder:
 
 
 def _scene_file(scene: Scene) -> str:
-    """Return a scene as TOML, without users' classes that a file cannot name."""
+    """Format a scene as TOML, without classes of the user, which no file can name."""
     if not scene.unregistered:
         return scene.to_toml()
     left_out = ", ".join(scene.unregistered)
@@ -301,21 +301,21 @@ def _scene_file(scene: Scene) -> str:
 
 
 def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomplete:
-    """Return the exception for a run whose clip is saved, but not filmed or exported."""
+    """Return the exception for a run whose clip is saved, but neither filmed nor exported."""
     names = ", ".join(sorted(made))
     more = ", or the same command with --resume makes what is missing" if resumes else ""
     return Incomplete(f"kept in {out}: {names}. `phy124 render {out / CLIP}` films it{more}")
 
 
 def _after_error(out: Path, frames: int) -> Incomplete:
-    """Return the exception for a run that failed with this number of frames on disk."""
+    """Return the exception for a run that failed after saving this number of frames."""
     return Incomplete(
         f"{frames} frames are kept in {out}; the same command with --resume continues from there"
     )
 
 
 def list_results(folder: Path) -> set[str]:
-    """Return names of files that the run wrote whose report is in a folder; none without one."""
+    """Return the file names that the report in a folder lists; none without a report."""
     path = folder / REPORT
     try:
         large = path.stat().st_size > LARGEST_REPORT
@@ -326,7 +326,7 @@ def list_results(folder: Path) -> set[str]:
 
 
 def remove_results(folder: Path, names: Iterable[str]) -> None:
-    """Remove files and folders of these names from a folder; missing ones are ignored."""
+    """Remove the named files and folders from a folder; missing names are ignored."""
     for name in names:
         path = folder / name
         if path.is_dir() and not path.is_symlink():
@@ -336,7 +336,7 @@ def remove_results(folder: Path, names: Iterable[str]) -> None:
 
 
 def _is_plain(name: str) -> bool:
-    """Return whether a name stays within its folder; reports may come from anywhere."""
+    """Return whether a name stays within its folder; reports from elsewhere are not trusted."""
     return name not in ("", ".", "..") and "\0" not in name and Path(name).name == name
 
 
@@ -348,7 +348,7 @@ def _source_notes(about: dict[str, Any]) -> list[str]:
 
 
 def view_report(clip: Clip, view: View) -> dict[str, Any]:
-    """Return entries of the report about the pictures: rate, Gaussians that leave them, notes."""
+    """Return the report's entries about films: playback rate, views that cut the object, notes."""
     seen, slow = describe_framing(clip, view), note_if_choppy(clip, view)
     return {
         "playback": describe_playback(clip, view),
@@ -358,7 +358,7 @@ def view_report(clip: Clip, view: View) -> dict[str, Any]:
 
 
 def environment_info(context: RunContext) -> dict[str, Any]:
-    """Return entries of the report about the machine: device, versions, durations of stages."""
+    """Return the report's entries about machine and time: device, versions, durations of stages."""
     packages = ("phy124", "numpy", "warp-lang", "opencv-python-headless", "imageio-ffmpeg")
     versions = {}
     for package in packages:
@@ -376,5 +376,5 @@ def environment_info(context: RunContext) -> dict[str, Any]:
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write plain data to a JSON file, which appears whole or not at all."""
+    """Write plain data to a JSON file atomically."""
     write_whole(path, json.dumps(data, indent=2, allow_nan=False) + "\n")

@@ -1,4 +1,4 @@
-"""Compiles the kernels of some scenes ahead of time, so that no run waits for them."""
+"""Compile the kernels of some scenes ahead of time, so that no run waits for them."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ STAGE = {
     "cpu": (shadow.cover_simd, arrange, stage.blend_staged_simd),
     "cuda": (shadow.cover, arrange, stage.draw_setting),
 }
-"""One kernel of each module that draws a stage."""
+"""A kernel from each module that draws a stage; compiling it compiles the module."""
 RELIEF = (INFLATED.project, HULL.project, push)
-"""One kernel of each module that `relief` uses; it works on the processor."""
+"""A kernel from each module that `relief` uses; `relief` works on the CPU."""
 FEW = {"accuracy.cells": 8, "accuracy.particles_per_axis": 1.0, "time.frames": 2, "time.fps": 240.0}
-"""What makes a run of any scene short; its precision stays, as kernels depend on it."""
+"""Changes that make a run of any scene short; precision is kept because kernels depend on it."""
 
 
 def warm(scenes: Sequence[Scene], context: RunContext) -> int:
-    """Compile the kernels of `relief`, of scenes, of the renderer and of the stage.
+    """Compile the kernels of `relief`, of the scenes, of the renderer and of the stage.
 
     Args:
         scenes: The scenes.
-        context: Device, and progress, which is called with ("compile", modules done, modules) if
-            any are missing, and with ("try", scenes done, scenes).
+        context: Device, and progress: called with ("compile", modules done, modules) if any
+            modules are missing, and with ("try", scenes done, scenes) for the trial runs.
 
     Returns:
-        Number of modules that were compiled at the same time.
+        Number of modules that were missing.
     """
     device, progress = context.device, context.progress
     drawn = STAGE["cpu" if device == "cpu" else "cuda"]
@@ -45,7 +45,7 @@ def warm(scenes: Sequence[Scene], context: RunContext) -> int:
     compiled = compile_missing(RELIEF, "cpu", progress)
     compiled += compile_missing([*listed, *drawn], device, progress)
     Renderer(device=device)
-    # Forces and the second thread need small kernels that are not listed: short runs find them.
+    # Forces and the second thread need small kernels that are not listed: trial runs compile them.
     threads = min(2, cores()) if device == "cpu" else None
     for done, scene in enumerate(scenes, 1):
         probe = replace(context.aside(), threads=threads)

@@ -1,4 +1,4 @@
-"""Films a clip from a view: videos, pictures, and files for other programs."""
+"""Film a clip from a view: write videos, pictures, and files for other programs."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ def film(
     context: RunContext | None = None,
     **fields: Unpack[ContextOptions],
 ) -> list[Path]:
-    """Write every format and every output of a view, from each of its sides.
+    """Write every format and output of a view, from each of its sides.
 
-    Pictures are drawn for each format separately, so that none is kept in memory.
+    Pictures are rendered separately for each format, because keeping them would take much memory.
 
     Args:
         clip: The clip to film.
         view: Sides, size, background, formats and outputs.
-        folder: Where to write; it is made if it is missing.
-        context: Device, threads, stopwatch, and progress, which is called as ("render SIDE",
-            pictures done, pictures in all) for each side, and as ("outputs SIDE", ...).
+        folder: The folder to write; it is created if it is missing.
+        context: Device, threads, stopwatch, and progress: called as ("render SIDE", pictures done,
+            total pictures) for each side, and as ("outputs SIDE", ...).
         **fields: `device`, `threads` and `progress`, if there is no context.
 
     Returns:
@@ -100,9 +100,9 @@ def _images(
     shine: Shine | None,
     context: RunContext,
 ) -> Generator[Picture, None, None]:
-    """Draw the pictures of all sides, one side after the other.
+    """Render the pictures of all sides, one side after the other.
 
-    The first pictures of a side are drawn while the encoder finishes the previous side's video.
+    The first pictures of a side are rendered while the encoder finishes the previous side's video.
     """
     seen = [cameras(clip, view, side) for side in view.sides]
     shown = (clip.frames() if shine is None else shine.frames(clip.frames(), c) for c in seen)
@@ -120,7 +120,7 @@ def _images(
 def _take_side(
     images: Iterator[Picture], side: str, count: int, progress: Progress
 ) -> Iterator[Picture]:
-    """Yield the next `count` pictures, which show a side."""
+    """Yield the next `count` pictures, which show one side, and report progress."""
     for done, image in enumerate(islice(images, count), 1):
         progress(f"render {side}", done, count)
         yield image
@@ -160,17 +160,17 @@ ENCODERS: dict[str, Encoder] = {
     "gif": _encode("gif", write_animation),
     "png": _png,
 }
-"""Formats made from the pictures of one side; each returns the file or folder it made."""
+"""Formats made from the pictures of a side; each function returns its file or folder."""
 PLAYED = {"mp4", "webp", "gif"}
-"""Formats that have a playback rate."""
+"""Formats with a playback rate."""
 SMOOTH = 12.0
 """Pictures per second below which slow motion looks choppy."""
 EXPORTS: dict[str, Callable[[Clip, Path, Progress], Path]] = {"usd": _usd, "ply": _ply}
-"""Formats made from the whole clip; each returns the file or folder it made."""
+"""Formats made from the whole clip; each function returns its file or folder."""
 
 
 def playback(fps: float, view: View) -> float:
-    """Pictures per second of a film, for a clip of `fps` frames per second."""
+    """Return the pictures per second of a film of a clip with `fps` frames per second."""
     return view.fps or fps * view.speed
 
 
@@ -195,7 +195,8 @@ def refuse_unfilmable(scene: Scene) -> None:
     """Refuse a scene whose films or outputs cannot be made on this machine.
 
     Raises:
-        InputError: No video has this rate, an output is impossible, or a program is missing.
+        InputError: No video format has this playback rate, an output is impossible, or a program
+            is missing.
     """
     refuse_outputs(scene.view, scene.time.frames)
     refuse_missing_writers(scene.view)
@@ -209,10 +210,10 @@ def refuse_unfilmable(scene: Scene) -> None:
 
 
 def refuse_missing_writers(view: View) -> None:
-    """Refuse a view whose formats need an encoder or package that is missing.
+    """Refuse a view whose formats need an encoder or a package that is not installed.
 
     Raises:
-        InputError: One is missing.
+        InputError: The encoder or package is not installed.
     """
     if "mp4" in view.formats:
         refuse_missing_encoder()
@@ -221,5 +222,5 @@ def refuse_missing_writers(view: View) -> None:
 
 
 def rate(clip: Clip) -> float:
-    """Frames per second at which a clip plays in real time."""
+    """Return the frames per second at which a clip plays in real time."""
     return float((len(clip) - 1) / (clip.times[-1] - clip.times[0])) if len(clip) > 1 else 24.0

@@ -1,4 +1,4 @@
-"""Draws many frames with several threads, and yields the images in order."""
+"""Render frames with several threads, and yield the images in order."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.cores import cores
 
 LOOK_AHEAD = 4
-"""Number of frames per thread by which `render_frames` may be ahead of its reader."""
+"""Largest number of frames per thread that `render_frames` renders ahead of its reader."""
 
 
 def render_frames(
@@ -39,30 +39,30 @@ def render_frames(
 ) -> Generator[NDArray[np.uint8], None, None]:
     """Yield images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
 
-    Without a background images are [H,W,4]: unblended colours, and the coverage as last channel.
-    Closing the iterator stops the threads, which are only a few frames ahead of the reader.
+    Without a background images are [H,W,4]: unblended colours, with the coverage as last channel.
+    Closing the iterator stops the threads, which render only a few frames ahead of the reader.
 
     Args:
         frames: The frames to draw; a clip's `frames()`, or `itertools.repeat` of a still frame.
-        cameras: One camera for all frames, or one each.
+        cameras: One camera for all frames, or an iterable with a camera per frame.
         size: Width and height in pixels, or one number for both; default: the cameras' sizes.
         background: Colour behind the Gaussians, 0..1; None for none.
         device: Warp's name of the device; default: CUDA if there is one.
-        stage: Returns the stage of a frame, which replaces the background.
+        stage: Returns the stage of a frame; the stage replaces the background.
         filter: Anti-aliasing filter, one of `FILTERS`.
-        threads: Number of frames drawn at once on a CPU, where kernels use one core each; None: the
-            number of cores.
-        progress: Called as ("render", frames done, frames in all or 0 if unknown).
+        threads: Number of frames rendered at once on a CPU, where kernels use one core each;
+            None: the number of cores.
+        progress: Called as ("render", frames done, total frames, or 0 if unknown).
 
     Raises:
-        InputError: If there is no such device, or a camera or the background cannot be used.
+        InputError: There is no such device, or a camera or the background cannot be used.
     """
     total = operator.length_hint(frames, 0) or operator.length_hint(cameras, 0)
     every = itertools.repeat(cameras) if isinstance(cameras, Camera) else cameras
     first = Renderer(device=device, filter=filter)
     threads = cores() if threads is None else threads
     threads = 1 if first.device.is_cuda else max(1, min(threads, total or threads))
-    # The first renderer has loaded the kernels: Warp cannot load them from several threads at once.
+    # Warp cannot load kernels from several threads at once: the first renderer has loaded them.
     renderers: SimpleQueue[Renderer] = SimpleQueue()
     for renderer in [first] + [Renderer(device=device, filter=filter) for _ in range(threads - 1)]:
         renderers.put(renderer)
@@ -93,7 +93,7 @@ def render_frames(
 
 
 def _in_order(tasks: Iterator[Future], ahead: int) -> Iterator[Any]:
-    """Yield results of tasks in order; start at most `ahead` tasks beyond the one returned."""
+    """Yield the results of tasks in order; at most `ahead` later tasks are already started."""
     waiting = deque(itertools.islice(tasks, ahead))
     while waiting:
         result = waiting.popleft().result()

@@ -1,4 +1,4 @@
-"""Places the cameras of a clip, and checks whether they show the whole motion."""
+"""Place the cameras of a clip, and check whether they show the whole motion."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from phy124.scene.cameras import Poses
 STEP = 0.1
 """Recommended distances are multiples of this, in object sizes."""
 LARGEST = 5.0
-"""Largest extent of a motion that a still camera shows, in object sizes; beyond, it follows."""
+"""Largest extent of a motion for a fixed camera, in object sizes; above it, the camera follows."""
 WINDOW = 0.3
-"""Time before and after a frame [s] that a camera shows that moves in and out."""
+"""A camera that moves in and out shows the motion of this time before and after a frame [s]."""
 NEARER = 1.1
-"""The camera moves in and out with several objects that are usually this many times as large."""
+"""The camera moves in and out if this usually enlarges several objects by at least this factor."""
 FARTHEST = 100.0
-"""Largest distance a view may have, in object sizes."""
+"""Largest allowed distance of a view, in object sizes."""
 
 
 def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
     """Return the camera of each frame from one side: fixed, circling, moving, or following.
 
-    Unless its distance is set (`View.fits`), it stands as near as possible while showing the whole
-    motion, and it follows a motion that a still camera would show too small. With several objects
-    it moves in and out.
+    Unless the distance is set (`View.fits`), the camera is as near as possible while it shows the
+    whole motion; if the motion would then look too small, the camera follows the object. With
+    several objects it moves in and out.
     """
     camera, poses = view.camera(side), _poses(clip, view, side)
     if view.fits and not (camera is not None and camera.chosen):
@@ -43,18 +43,18 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
     path = Sample.of(clip).path if view.follow else 0.0
     targets = (low + high) / 2 + size * poses.target + path
     width, height = view.size
-    # A portrait picture is taken from farther away, so that it shows as much width as a square one.
+    # A portrait camera stands farther away, to show as much width as a square picture does.
     portrait = max(1.0, height / width)
     return _make_cameras(view, poses, poses.distance * size * portrait, targets)
 
 
 def still_camera(clip: Clip, view: View, side: str) -> Camera:
-    """Return the camera of a player, which stands still while the clip plays."""
+    """Return the fixed camera of a player."""
     return cameras(clip, view.model_copy(update={"follow": False}), side)[0]
 
 
 def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
-    """Place cameras as near as possible to show the motion, or `LARGEST` object sizes of it."""
+    """Place cameras as near as possible to show the motion, up to `LARGEST` object sizes of it."""
     low, high = _box(clip, view)
     size = float((high - low).max())
     sample, count = Sample.of(clip), len(clip)
@@ -78,7 +78,7 @@ def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
 
 
 def _make_cameras(view: View, poses: Poses, radii: Values, targets: Values) -> list[Camera]:
-    """Make cameras that look at targets [T,3] m from distances [T] m."""
+    """Create cameras that look at targets [T,3] m from distances [T] m."""
     lists = (poses.azimuth, poses.elevation, radii, targets, poses.fov)
     return [
         Camera.orbit(azimuth, elevation, radius, view.size, (x, y, z), fov)
@@ -89,7 +89,7 @@ def _make_cameras(view: View, poses: Poses, radii: Values, targets: Values) -> l
 
 
 def _poses(clip: Clip, view: View, side: str) -> Poses:
-    """Position of the camera around the object in each frame."""
+    """Return the camera's pose around the object in each frame."""
     count, camera, azimuth = len(clip), view.camera(side), 0.0
     if not camera and side != "orbit":
         azimuth = VIEWS[side] if side in VIEWS else float(side.removeprefix("azimuth-"))
@@ -101,7 +101,7 @@ def _poses(clip: Clip, view: View, side: str) -> Poses:
 
 
 def _length(clip: Clip) -> float:
-    """Duration of a clip [s], including the interval after its last frame."""
+    """Return the duration of a clip [s], including the interval after its last frame."""
     count = len(clip)
     return float(clip.times[-1] - clip.times[0]) * count / (count - 1) if count > 1 else 1.0
 
@@ -112,19 +112,19 @@ class Departure:
 
     view: str
     frame: int
-    """The first frame with part of the object outside, from 0."""
+    """Index of the first frame with part of the object outside the picture."""
     worst_frame: int
-    """The frame with the largest part outside."""
+    """Index of the frame with the largest part outside."""
     outside: float
-    """Fraction of the object that is outside in the worst frame."""
+    """Fraction of the object that is outside in that frame."""
     distance: float
-    """Distance from which the whole object would be visible, in object sizes."""
+    """Camera distance at which the whole object would be visible, in object sizes."""
 
 
 def departures(clip: Clip, view: View) -> list[Departure]:
-    """Return the sides from which the object leaves the picture.
+    """Return the sides from which part of the object leaves the picture.
 
-    Cameras whose distance, field of view or target is set explicitly are not checked.
+    A camera is not checked if the user set its distance, field of view or target.
     """
     chosen = {camera.name for camera in view.cameras if camera.chosen}
     sample = Sample.of(clip)
@@ -135,7 +135,7 @@ def departures(clip: Clip, view: View) -> list[Departure]:
 
 
 def describe_framing(clip: Clip, view: View) -> dict[str, Any]:
-    """Return the `departures`, and `notes` on them and on camera paths that the clip cuts off."""
+    """Return the `departures`, and `notes` on them and on camera paths longer than the clip."""
     left = departures(clip, view)
     notes = [note for note in (_note_departures(clip, view, left), _note_cut(clip, view)) if note]
     return {"departures": [asdict(departure) for departure in left], "notes": notes}
@@ -173,7 +173,7 @@ def _note_departures(clip: Clip, view: View, left: list[Departure]) -> str | Non
 
 
 def _find_departure(clip: Clip, points: Values, view: View, side: str) -> Departure | None:
-    """Return the departure of points [T,S,3] from the pictures of a side, or None."""
+    """Return the departure of points [T,S,3] from the picture of a side, or None."""
     seen = cameras(clip, view, side)
     needed = _radii(points, seen)
     radii = np.array([math.dist(camera.eye, camera.target) for camera in seen])
@@ -190,7 +190,7 @@ def _find_departure(clip: Clip, points: Values, view: View, side: str) -> Depart
 
 
 def _radii(points: Values, cameras: list[Camera]) -> Values:
-    """Smallest camera distances from their targets that show each of the points [T,S]."""
+    """Return the smallest camera distances from the target that show each point [T,S], m."""
 
     def radius(points: Values, camera: Camera) -> Values:
         across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T
@@ -201,8 +201,8 @@ def _radii(points: Values, cameras: list[Camera]) -> Values:
 
 
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
-    """Corners of the box around the object at rest, extended down to the ground if it can fall."""
-    # One row per axis: extremes of long rows are faster.
+    """Return the corners of the resting object's box, down to the ground if it can fall."""
+    # One row per axis: minimum and maximum of long contiguous rows are faster.
     rest = np.ascontiguousarray(clip.means[0][clip.object_mask].T)
     first = np.compress(np.isfinite(rest).all(axis=0), rest, axis=1)
     if not first.size:

@@ -1,10 +1,11 @@
-"""Finds the nearest camera position that shows the whole motion, and its target.
+"""Find the nearest camera position that shows the whole motion, and the camera's target.
 
-A point is in the picture if it lies between four planes through the camera. The two vertical planes
-through the outermost Gaussians meet in one line, the two horizontal planes in another; the farther
-line gives the distance, and both give the target. An object much longer along the view than across,
-such as a sword seen from its tip, would be distorted and blurred from there. For it the camera
-stands farther away with a narrower field of view, which shows the object at the same size.
+A point is in the picture if it lies between four planes through the camera. Consider the planes
+that touch the outermost Gaussians: the two vertical planes intersect in a line, and so do the two
+horizontal planes. The more distant line gives the distance; both lines give the target. An object
+that is much longer along the view than across, such as a sword seen from its tip, would look
+distorted and blurred from this distance. The camera then stands farther away with a narrower field
+of view, in which the object has the same size.
 """
 
 from __future__ import annotations
@@ -22,25 +23,25 @@ from phy124.io.clip import Clip
 Values = NDArray[np.float64]
 
 SAMPLE = 2048
-"""Number of Gaussians, evenly picked, that represent all of them."""
+"""Largest number of Gaussians, picked at even intervals, that represent the object."""
 VISIBLE = 0.1
 """Smallest opacity of a Gaussian that counts as part of the object."""
 OUTSIDE = 0.01
 """Fraction of the object that may be outside the picture without a warning."""
 LEFT_OUT = 5e-4
-"""Fraction of the sample that may be outside each edge, so that a few drops do not matter."""
+"""Fraction of the sample that may lie outside each edge, so that single drops do not matter."""
 DEPTHS = 1.5
 """Smallest distance from a motion, in units of its depth along the view."""
 CLOSE, TRIES = 0.98, 8
-"""Fraction of that distance that suffices, and the largest number of zooms to try."""
+"""Fraction of this distance that suffices, and the largest number of zooms tried."""
 ZOOM = 40.0
-"""Largest factor by which the view is narrowed."""
+"""Largest factor by which the field of view is narrowed."""
 ROOM = 1.08
-"""Width (or height) of the picture relative to that of the whole motion."""
+"""Width (or height) of the picture divided by that of the whole motion."""
 MOST = 0.8
-"""Fraction of the frames that make up most of a motion; the others are rare moments."""
+"""Fraction of frames that define a motion's usual extent; the others are rare moments."""
 RARE = 1.5
-"""The camera follows a motion whose rare moments enlarge it by at least this factor."""
+"""The camera follows a motion if its rare moments enlarge its extent by at least this factor."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +49,13 @@ class Sample:
     """Visible Gaussians that represent a clip's object."""
 
     means: Values
-    """Centres [T,S,3], m; those that are not finite are taken from the first frame."""
+    """Centres [T,S,3], m; values that are not finite are replaced by those of the first frame."""
     covariances: Values
-    """[T,S,3,3], m^2."""
+    """Covariance matrices [T,S,3,3], m^2."""
 
     @classmethod
     def of(cls, clip: Clip) -> Sample:
-        """Sample a clip's object, without its scenery."""
+        """Sample the Gaussians of a clip's object, without its scenery."""
         visible = np.flatnonzero(clip.object_mask & (clip.opacities >= VISIBLE))
         chosen = visible if len(visible) else np.flatnonzero(clip.object_mask)
         chosen = chosen[:: 1 + len(chosen) // SAMPLE]
@@ -88,13 +89,13 @@ class Sample:
         return (low.min(axis=0) + high.max(axis=0)) / 2
 
     def follow(self) -> Sample:
-        """Return the sample relative to its path, as a following camera sees it."""
+        """Return the sample relative to its path, as a camera that follows it sees it."""
         return Sample(self.means - self.path[:, None], self.covariances)
 
     def has_rare_moment(self, largest: float) -> bool:
-        """Whether only a following camera shows most of the motion large.
+        """Return whether rare moments make the motion too large for a fixed camera.
 
-        Motions of an extent up to `largest` [m] need no following camera.
+        A fixed camera always suffices for motions of an extent up to `largest` [m].
         """
         low, high = self._boxes(self.means)
         whole = _extent(low, high)
@@ -103,31 +104,31 @@ class Sample:
         return far and whole > RARE * _extent(*self._boxes(self.follow().means))
 
     def _boxes(self, means: Values) -> tuple[Values, Values]:
-        """Corners of the object in each frame [T,3], [T,3], ignoring its outermost Gaussians."""
+        """Return the object's corners in each frame [T,3], [T,3], without outermost Gaussians."""
         low, high = np.quantile(means, [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         return low, high
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Positions of cameras that show a whole motion."""
+    """Camera distance, target and zoom that show a whole motion."""
 
     distance: float
-    """Distance from their targets [m]."""
+    """Distance of the cameras from their targets [m]."""
     shift: Values
-    """Displacement of their targets [3], m."""
+    """Displacement of the targets [3], m."""
     zoom: float
-    """Factor by which the view is narrowed."""
+    """Factor by which the field of view is narrowed."""
 
 
 def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) -> Standing:
-    """Find the nearest positions of cameras that show the whole motion.
+    """Find the nearest camera positions that show the whole motion.
 
     Args:
         sample: The object in motion.
-        cameras: One for each frame; they give orientation, field of view and, if they turn during
-            the clip, target.
-        zooms: Whether they may narrow their view to keep the distance `DEPTHS`.
+        cameras: A camera for each frame, which defines orientation, field of view and, if the
+            cameras turn during the clip, target.
+        zooms: Whether the field of view may be narrowed to keep the distance `DEPTHS`.
     """
     seen, halves = _Seen.by(sample, cameras), np.array(cameras[0].halves) / ROOM
     least = DEPTHS * seen.depth if zooms else 0.0
@@ -135,7 +136,7 @@ def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) 
     for _ in range(TRIES):
         if stand.distance >= CLOSE * least:
             break
-        # The distance is almost linear in the zoom, apart from changes of the outermost Gaussian.
+        # Except where the outermost Gaussian changes, the distance is almost linear in the zoom.
         slope = slope or stand.distance / stand.zoom
         more = seen.standing(halves, min(stand.zoom + (least - stand.distance) / slope, ZOOM))
         if more.zoom == stand.zoom:
@@ -150,16 +151,16 @@ def place_along(
 ) -> tuple[Values, Values]:
     """Place cameras that move in and out smoothly and show the object in every frame.
 
-    A camera that shows the frames around an instant shows each of them; so does any mean of such
-    cameras, since the places from which a point is in the picture are a convex set.
+    The camera positions from which a point is in the picture are a convex set. So the mean of
+    several camera positions that show a frame shows this frame, too.
 
     Args:
         sample: The object in motion.
-        cameras: One for each frame; they give orientation, field of view and, if they turn during
-            the clip, target.
-        still: The nearest positions that show the whole motion, whose zoom and, if the cameras
-            turn, target are kept.
-        window: Number of frames before and after a frame that its camera shows as well.
+        cameras: A camera for each frame, which defines orientation, field of view and, if the
+            cameras turn during the clip, target.
+        still: The nearest positions that show the whole motion; their zoom and, if the cameras
+            turn, their target are kept.
+        window: Number of frames before and after a frame that the frame's camera also shows.
 
     Returns:
         Distances from the targets [T], m, and displacements of the targets [T,3], m.
@@ -184,7 +185,7 @@ def place_along(
 
 @dataclass(frozen=True)
 class _Seen:
-    """A sample in camera axes."""
+    """A sample of Gaussians in camera axes."""
 
     points: Values
     """Positions right, down and ahead of the target [T,3,S], m."""
@@ -206,7 +207,7 @@ class _Seen:
 
     @property
     def depth(self) -> float:
-        """Extent of the motion along the view [m]; the largest of any frame if cameras turn."""
+        """Extent of the motion along the view [m]; if cameras turn, the largest of any frame."""
         ahead = np.quantile(self.points[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         if self.turning:
             return float((ahead[1] - ahead[0]).max())
@@ -218,14 +219,14 @@ class _Seen:
         return not np.allclose(self.axes, self.axes[0])
 
     def standing(self, halves: Values, zoom: float) -> Standing:
-        """Return the nearest positions at a zoom; `halves` is half the view at distance 1 [2]."""
+        """Return the nearest positions at a zoom; `halves` as in `Camera.halves` [2]."""
         halves = halves / zoom
         edges = self._edges(halves)
         across, along = halves * (edges[:, 0] - edges[:, 1]) / 2
         if not self.turning:
             shift = across * self.axes[0, 0] + along * self.axes[0, 1]
             return Standing(float(edges.sum(axis=1).max() / 2), shift, zoom)
-        # All look at one point, which may only move up or down.
+        # All cameras look at the same point, which may only move up or down.
         shift = np.array([0.0, 0.0, along * self.axes[:, 1, 2].mean()])
         moved = replace(self, points=self.points - (self.axes @ shift)[..., None])
         lower = moved._edges(halves).max()
@@ -234,7 +235,7 @@ class _Seen:
         return Standing(float(edges.max()), np.zeros(3), zoom)
 
     def _edges(self, halves: Values) -> Values:
-        """Distances that keep the sample inside the edges right, left; bottom, top [2,2], m."""
+        """Return distances that keep the sample inside right, left; bottom, top edge [2,2], m."""
         both = [(sign * self.points[:, :2] + self.reach) / halves[:, None] for sign in (1, -1)]
         needed = np.stack(both, axis=2) - self.points[:, None, None, 2]
         few = int(LEFT_OUT * needed.shape[-1])
@@ -242,5 +243,5 @@ class _Seen:
 
 
 def _extent(low: Values, high: Values) -> float:
-    """Longest side of the box around boxes [T,3], m."""
+    """Return the longest side of the box around boxes [T,3], m."""
     return float((high.max(axis=0) - low.min(axis=0)).max())

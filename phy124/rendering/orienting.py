@@ -1,4 +1,4 @@
-"""Draws Gaussians from a file of unknown axes in each possible orientation."""
+"""Render Gaussians from a file with unknown axes in each possible orientation."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from phy124.particles.thinning import thin
 from phy124.rendering.render import Renderer
 
 ENOUGH = 30_000
-"""Number of Gaussians that suffice for these pictures."""
+"""Number of Gaussians that suffices for these pictures."""
 UPS = ("-y", "y", "z", "-z", "x", "-x")
-"""The six possible up axes, the most usual first."""
+"""The six possible up axes, the most common first."""
 TURNS = ("x", "y", "z", "-x", "-y", "-z")
 UNTURNED = Reading(up="z", front="x")
-"""Reads a file without rotation: these are phy124's axes."""
+"""Reading that does not rotate a file: these are phy124's axes."""
 
 
 def candidates(up: str | None) -> list[Reading]:
-    """List the up axes, each with its usual front; for a known up axis, list its fronts."""
+    """Return a reading per up axis, with its usual front; for a known up axis, one per front."""
     if up is None:
         return [Reading(up=axis, front=FRONTS[axis]) for axis in UPS]
     return [Reading(up=up, front=axis) for axis in TURNS if axis[-1] != up[-1]]
 
 
 def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
-    """Read up to `ENOUGH` of a file's Gaussians, in the file's axes, and notes on the file.
+    """Read a file's Gaussians, at most `ENOUGH`, in the file's axes; also return notes on the file.
 
     Raises:
-        InputError: As `PlyFile.open`, or if all centres lie in one point.
+        InputError: The file cannot be read (see `PlyFile.open`), or all centres coincide.
     """
     opened = PlyFile(path, UNTURNED).open()
     few = thin(opened.gaussians, ENOUGH, seed=0)
@@ -42,16 +42,16 @@ def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
 def draw_oriented(
     renderer: Renderer, gaussians: Gaussians, reading: Reading, size: int
 ) -> NDArray[np.uint8]:
-    """Draw the object from its front, slightly from the left and above [size,size,3].
+    """Render the object from its front, slightly from the left and above [size,size,3].
 
     Args:
-        renderer: Draws it.
+        renderer: The renderer.
         gaussians: The object in the axes of its file, of any size.
         reading: The file's axes that point up and to the front.
-        size: Side of the picture [pixels].
+        size: Width and height of the picture [pixels].
 
     Raises:
-        InputError: If all centres lie in one point.
+        InputError: All centres coincide.
     """
     standing = normalise_size(rotate_gaussians(gaussians, orientation(reading.up, reading.front)))
     image = renderer(standing, Camera.orbit(20.0, 15.0, 1.6, size))[..., :3]

@@ -1,11 +1,11 @@
-"""Writes depth, normals, flow, force and other quantities per pixel, as training data.
+"""Write depth, normals, flow, force and other quantities per pixel, as training data.
 
-The renderer draws values instead of colours, so that a pixel has the mean of the Gaussians it
-shows, weighted by their contributions,
+The renderer blends values instead of colours. A pixel therefore has the mean value of the Gaussians
+it shows, weighted by their contributions,
 
     value = sum_i w_i value_i / sum_i w_i,    w_i = alpha_i prod_{j<i} (1 - alpha_j).
 
-Forces add up, so they are distributed over the pixels instead of averaged.
+Forces add up: they are distributed over the pixels, not averaged.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ from phy124.scene.view import Output
 
 Values = NDArray[np.float64]
 FARTHEST_FLOW = 4
-"""Largest flow, in picture sizes; a Gaussian that passes through the camera would exceed it."""
+"""Largest flow, in picture sizes; a Gaussian that passes through the camera would exceed this."""
 
 SHARP = 0.3
-"""Blur that is negligible, px."""
+"""Largest standard deviation of a blur that is left out as negligible, px."""
 
 
 class Quantity(NamedTuple):
@@ -89,14 +89,14 @@ QUANTITIES: dict[Output, Quantity] = {
         "frame's force. Its resolution is one grid cell; it is blurred by half a cell.",
     ),
 }
-"""Unit and meaning of each output; `channels` are the names in an EXR file."""
+"""Unit and meaning of each output; `channels` are the channel names in an EXR file."""
 
 
 def refuse_outputs(view: View, frames: int) -> None:
-    """Refuse outputs of a view that cannot be made.
+    """Refuse outputs of a view that cannot be made from this number of frames.
 
     Raises:
-        InputError: A single frame has no motion, or a package is missing.
+        InputError: Motion is requested of a single frame, or a package is missing.
     """
     moving = [name for name in view.outputs if name in ("flow", "velocity")]
     if moving and frames < 2:
@@ -110,7 +110,7 @@ def refuse_unkept(clip: Clip, view: View) -> None:
     """Refuse outputs of a view that need data which the clip lacks.
 
     Raises:
-        InputError: The clip lacks them, or `refuse_outputs` refuses them.
+        InputError: The clip lacks the data, or `refuse_outputs` refuses the outputs.
     """
     refuse_outputs(view, len(clip))
     if "force" in view.outputs and clip.contacts is None:
@@ -126,18 +126,17 @@ def write_outputs(
     folder: Path,
     context: RunContext,
 ) -> Path:
-    """Write the outputs of one side into the folder SIDE-outputs, with a description.
+    """Write the outputs of one side into the folder SIDE-outputs, with a description in JSON.
 
     Args:
         clip: The clip to draw.
         view: Names the outputs and their format.
         side: The side.
         folder: An existing folder.
-        context: Device, and progress, which is called as ("outputs SIDE", frames done, frames in
-            all).
+        context: Device, and progress: called as ("outputs SIDE", frames done, total frames).
 
     Returns:
-        The folder made.
+        The folder that was written.
 
     Raises:
         InputError: The clip lacks the data of an output, or a package is missing.
@@ -161,14 +160,14 @@ def write_outputs(
 
 
 class Seen:
-    """A clip seen by its cameras: values of the Gaussians and of the pixels in each frame."""
+    """Computes, for each frame of a clip, the outputs' values of Gaussians and pixels."""
 
     def __init__(self, clip: Clip, cameras: Sequence[Camera], outputs: Sequence[Output]) -> None:
-        """Select the outputs of a clip; there is one camera for each frame."""
+        """Store the clip, a camera for each frame, and the names of the outputs."""
         self.clip, self.cameras, self.outputs = clip, cameras, outputs
 
     def values(self, frame: Frame) -> dict[Output, Values]:
-        """Values of the Gaussians [N,C] in a frame, for each of its outputs except alpha."""
+        """Return the Gaussians' values [N,C] in a frame, per output except alpha and force."""
         camera, means = self.cameras[frame.index], frame.gaussians.means
         values: dict[Output, Values] = {}
         if "depth" in self.outputs:
@@ -185,7 +184,7 @@ class Seen:
     def rasters(
         self, renderer: Renderer, index: int
     ) -> tuple[dict[Output, Array], NDArray[np.bool_]]:
-        """Draw the outputs of a frame [H,W,C], 0 where nothing is visible, and the mask [H,W]."""
+        """Render the outputs of a frame [H,W,C], 0 where nothing is visible, and the mask [H,W]."""
         frame = self._frame(index)
         values = self.values(frame)
         camera = self.cameras[index]
@@ -201,7 +200,7 @@ class Seen:
         return {name: rasters[name] for name in self.outputs if name in rasters}, alpha > 0
 
     def steps(self) -> dict[Output, float]:
-        """Step of the 16-bit values of each output, the same for all frames."""
+        """Return the quantisation step of each output's 16-bit values, the same for all frames."""
         largest = dict.fromkeys(self.outputs, 0.0) | {"alpha": 1.0, "normals": 1.0}
         if set(self.outputs) & {"depth", "flow", "velocity"}:
             for index, camera in enumerate(self.cameras):
@@ -218,8 +217,8 @@ class Seen:
         }
 
     def _force(self, frame: Frame) -> Array:
-        """Draw the forces on the Gaussians of a frame [H,W,3], N."""
-        assert frame.contacts is not None  # `refuse_unkept`
+        """Distribute the forces on the Gaussians of a frame over the pixels [H,W,3], N."""
+        assert frame.contacts is not None  # checked by `refuse_unkept`
         cell = self.clip.report.get("grid", {}).get("dx", 0.0)
         camera = self.cameras[frame.index]
         return spread(frame.contacts, frame.gaussians.means, camera, cell / 2)
@@ -231,10 +230,10 @@ class Seen:
 def means_seen(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, values: Sequence[Values]
 ) -> tuple[list[Array], Array]:
-    """Draw the mean values [H,W,C] of each pixel, 0 where nothing is visible, and alpha [H,W].
+    """Render the mean values [H,W,C] of each pixel, 0 where nothing is visible, and alpha [H,W].
 
     Args:
-        renderer: Draws three columns at a time.
+        renderer: Renders three columns at a time.
         gaussians: The Gaussians to draw.
         camera: The camera.
         values: Values of the Gaussians, each [N,C].
@@ -252,9 +251,9 @@ def means_seen(
 def _draw_means(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, columns: Values
 ) -> tuple[Array, Array]:
-    """Draw the means [H,W,3] of up to three columns [N,C], and alpha [H,W]."""
+    """Render the means [H,W,3] of up to three columns of values [N,C], and alpha [H,W]."""
     padded = np.pad(columns, [(0, 0), (0, 3 - columns.shape[1])])
-    # The renderer's colours lie in 0..1.
+    # The renderer accepts colours in 0..1: map the values to this range and back.
     ahead = camera.project(gaussians.means)[1] > NEAR
     shown = padded[ahead] if ahead.any() else np.zeros((1, 3))
     low, high = shown.min(axis=0), shown.max(axis=0)
@@ -268,7 +267,7 @@ def _draw_means(
 
 
 def normals(gaussians: Gaussians, camera: Camera) -> Values:
-    """The shortest axis of each Gaussian, towards the camera: unit vectors in world axes [N,3]."""
+    """Return the shortest axis of each Gaussian, turned to the camera: world unit vectors [N,3]."""
     axes = rotation_matrices(gaussians.quats)
     shortest = axes[np.arange(len(gaussians)), :, gaussians.scales.argmin(axis=1)]
     towards = np.asarray(camera.eye) - gaussians.means
@@ -276,13 +275,13 @@ def normals(gaussians: Gaussians, camera: Camera) -> Values:
 
 
 def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Values:
-    """Displacement of points [N,3] on the picture to the next frame [N,2], right and down.
+    """Return the displacement of points in the picture to the next frame [N,2], right and down, px.
 
     Args:
         before: The points in this frame, m.
-        camera: Its camera.
+        camera: The camera of this frame.
         after: The points in the next frame, m.
-        following: The next frame's camera.
+        following: The camera of the next frame.
     """
     (start, near), (end, nearer) = camera.project(before), following.project(after)
     seen = (near > NEAR) & (nearer > NEAR)
@@ -291,7 +290,7 @@ def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Valu
 
 
 def spread(values: Array, points: Array, camera: Camera, blur: float) -> Array:
-    """Distribute values over pixels [H,W,C], whose sum is that of the points in the picture.
+    """Distribute values over pixels [H,W,C]; their sum is that of all points inside the picture.
 
     Args:
         values: Value of each point [N,C].
@@ -336,7 +335,7 @@ def _write(
 
 
 def _row(clip: Clip, index: int, camera: Camera, files: Mapping[Output, str]) -> dict[str, Any]:
-    """Describe a frame: time, camera, files, and the walls' forces."""
+    """Describe a frame: time, camera, files, and the forces of the walls."""
     total: dict[str, Any] = {}
     if "force" in files and clip.contacts is not None:
         total["force"] = clip.contacts[index].astype(np.float64).sum(axis=0).tolist()
@@ -358,7 +357,7 @@ def _row(clip: Clip, index: int, camera: Camera, files: Mapping[Output, str]) ->
 def _description(
     view: View, side: str, steps: Mapping[Output, float], rows: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Describe all files: units, channels, scales, cameras."""
+    """Describe all files: units, channels, scales and cameras."""
     outputs: dict[str, Any] = {}
     for name in view.outputs:
         unit, channels, signed, meaning = QUANTITIES[name]

@@ -1,9 +1,9 @@
-"""Renderer: draws Gaussians from a camera, with the same kernels on CPU and CUDA.
+"""Render Gaussians from a camera, with kernels that run on CPU and CUDA alike.
 
 EWA splatting (Zwicker et al. 2001) with the conventions of 3D Gaussian Splatting (Kerbl et al.
 2023): screen covariance plus 0.3 px^2 (or the filter of Mip-Splatting), front-to-back blending in
 the order of the centres' depths, alpha at most 0.99, contributions below 1/255 skipped.
-Every splat is drawn out to where it contributes 1/255, so that no cut-off is visible.
+Every splat extends to where its contribution falls to 1/255, so that no cut-off is visible.
 """
 
 from __future__ import annotations
@@ -35,24 +35,26 @@ BLENDS = {
     "plain": blend.blend_tiles,
     "pixel": blend.blend_pixels,
 }
-"""Forms of the last stage: a tile per thread in vectorised C++ (CPU only), the same in Warp,
-and a pixel per thread (what CUDA runs)."""
+"""Variants of the blending stage: a tile per thread in vectorised C++ (CPU only), the same in Warp,
+and a pixel per thread (used on CUDA)."""
 BLEND_STAGED = stage.blend_staged_simd
-"""The form `simd` with a stage behind the Gaussians."""
+"""The variant `simd` with a stage behind the Gaussians."""
 FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
 """Anti-aliasing filter -> addition to the screen covariance [px^2], and whether opacity is reduced
-to compensate: no in 3D Gaussian Splatting, which thickens thin objects seen from far away; yes in
-Mip-Splatting (Yu et al. 2024, section 4.2)."""
+to compensate. 3D Gaussian Splatting does not reduce it, which thickens thin objects seen from far
+away; Mip-Splatting does (Yu et al. 2024, section 4.2)."""
 NEAR = 0.01
-"""Smallest distance of a Gaussian's centre from the camera to be drawn, m."""
+"""Smallest distance from the camera at which a Gaussian's centre is drawn, m."""
 FRUSTUM_MARGIN = 1.3
-"""Largest offset at which the projection is linearised, in half images (Kerbl et al. 2023)."""
+"""Largest offset from the image centre at which the projection is linearised, in half images
+
+(Kerbl et al. 2023)."""
 MAX_PIXELS = 1 << 26
 """Number of pixels of the largest image (8192 x 8192)."""
 
 
 class Renderer:
-    """Draws Gaussians on one device and keeps its buffers from call to call.
+    """Renders Gaussians on one device; buffers are reused from call to call.
 
     An instance must be used by one thread at a time.
     """
@@ -63,12 +65,9 @@ class Renderer:
         """Compile or load the kernels for a device.
 
         Args:
-            device: Warp's name of it; None: CUDA if there is one.
-            blend: Form of the last stage, one of `BLENDS`, or auto.
+            device: Warp's name of the device; None: CUDA if there is one.
+            blend: Variant of the blending stage, one of `BLENDS`, or auto.
             filter: Anti-aliasing filter, one of `FILTERS`.
-
-        Raises:
-            InputError: If the device, its form of blending, or the filter does not exist.
         """
         self.device = _device(device)
         if filter not in FILTERS:
@@ -85,7 +84,7 @@ class Renderer:
                 "Choose auto, plain or pixel, or on a CPU simd.",
             )
         self._blend = BLENDS[blend]
-        # Binning and blending have the same form, so a CPU can test the GPU's.
+        # Binning follows the blending variant, so a CPU can test the GPU's variant.
         self._per_pixel = blend == "pixel"
         binned = project.bin_parallel if self._per_pixel else project.bin_serial
         # Gaussians per thread, and the kernel of the projection.
@@ -106,23 +105,23 @@ class Renderer:
         alpha: bool = False,
         stage: StageFrame | None = None,
     ) -> Array:
-        """Draw one image [H,W,3] float32 in 0..1.
+        """Render one image [H,W,3] float32 in 0..1.
 
         Colours are blended as stored (sRGB). Gaussians that are not finite, closer than `NEAR` or
         fainter than 1/255 are not drawn.
 
         Args:
             gaussians: The Gaussians to draw.
-            camera: The camera, which includes the image's size.
+            camera: The camera, which defines the image's size.
             background: Colour behind the Gaussians, 0..1.
-            alpha: Whether to return [H,W,4], the last channel being the coverage.
+            alpha: Whether to return [H,W,4], with the coverage as last channel.
             stage: Surroundings of the Gaussians, which replace the background.
 
         Raises:
-            InputError: If the camera or the background cannot be used.
+            InputError: The camera or the background cannot be used.
         """
         image, coverage = self._draw(gaussians, camera, background, stage)
-        # Concatenation copies: the next call overwrites the buffers.
+        # `concatenate` copies the image, because the next call overwrites the buffers.
         channels = [image] + [coverage[:, None]] * alpha
         joined = np.concatenate(channels, axis=1, dtype=np.float32)
         return joined.reshape(camera.height, camera.width, -1)
@@ -136,16 +135,16 @@ class Renderer:
         *,
         stage: StageFrame | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw one image as bytes [H,W,3], rounded to the nearest.
+        """Render one image as bytes [H,W,3], rounded to the nearest integer.
 
         Args:
             gaussians: The Gaussians to draw.
-            camera: The camera, which includes the image's size.
+            camera: The camera, which defines the image's size.
             background: Colour behind the Gaussians, 0..1.
             stage: Surroundings of the Gaussians, which replace the background.
 
         Raises:
-            InputError: If the camera or the background cannot be used.
+            InputError: The camera or the background cannot be used.
         """
         image, _ = self._draw(gaussians, camera, background, stage)
         # In place: clearing new memory for each picture takes up to half as long as drawing it.
@@ -156,7 +155,7 @@ class Renderer:
     def _draw(
         self, gaussians: Gaussians, camera: Camera, background: Colour, stage: StageFrame | None
     ) -> tuple[Array, Array]:
-        """Draw light [H*W,3] and coverage [H*W]; on a CPU they alias the renderer's buffers."""
+        """Render colours [H*W,3] and coverage [H*W]; on a CPU both alias the renderer's buffers."""
         pixels = camera.width * camera.height
         view, counts = self.prepare(gaussians, camera)
         colour = wp.vec3(*_checked_background(BLACK if stage else background))
@@ -185,17 +184,17 @@ class Renderer:
         return light[:pixels], covered[:pixels]
 
     def prepare(self, gaussians: Gaussians, camera: Camera) -> tuple[Any, NDArray[np.int64]]:
-        """Project; return the camera as a `screen.View` and the number of splats per tile."""
+        """Project the Gaussians; return the camera as a `screen.View` and the splats per tile."""
         view = pinhole(camera)
         view.low_pass, view.keeps_light = self._filter
         view.low_area = float(np.float32(view.low_pass) ** 2)
         return view, self._project(gaussians, view)
 
     def _project(self, gaussians: Gaussians, view: Any) -> NDArray[np.int64]:
-        """Fill `splats`, and `order` by depth; return the number of splats per tile [tiles]."""
+        """Compute `splats` and their `order` by depth; return the number per tile [tiles]."""
         n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
-        # Sorting needs twice the space.
+        # Sorting needs buffers of twice the size.
         depths = self._buffer("depths", 2 * n, wp.float32)
         order = self._buffer("order", 2 * n, wp.int32)
         shape = (view.rows + 1, view.columns + 1)
@@ -226,7 +225,7 @@ class Renderer:
     def _bin(
         self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
     ) -> tuple[Any, Any, Any]:
-        """List the splats of tiles `first` to `last`: starts and ends [tiles], and the lists."""
+        """Return the splats of tiles `first` to `last`: starts and ends [tiles], and the lists."""
         bounds = np.zeros(len(counts) + 1, np.int32)
         bounds[first + 1 : last + 1] = counts[first:last].cumsum()
         total = int(bounds[last])
@@ -249,16 +248,16 @@ class Renderer:
         return starts, ends, lists
 
     def _buffer(self, name: str, size: int, dtype: Any) -> wp.array:
-        """The named buffer with room for at least `size` items; its content may be lost."""
+        """Return the named buffer with room for at least `size` items; its content may be lost."""
         buffer = self._buffers.get(name)
         if buffer is None or buffer.size < size:
-            # A fifth more than requested, since the need of a moving scene grows slowly.
+            # A fifth more than requested: a moving scene needs slightly more space in later frames.
             buffer = wp.empty(max(1, size + size // 5), dtype=dtype, device=self.device)
             self._buffers[name] = buffer
         return buffer
 
     def _fill(self, name: str, values: NDArray[np.int32]) -> Any:
-        """Fill the named buffer with values; returns a view of their length."""
+        """Copy values into the named buffer; return a view of the same length."""
         buffer = self._buffer(name, len(values), wp.int32)[: len(values)]
         buffer.assign(values)
         return buffer
@@ -268,11 +267,11 @@ class Renderer:
         return wp.array(array, dtype=dtype, device=self.device, copy=False)
 
     def _constant(self, name: str, array: Array, dtype: Any) -> wp.array:
-        """Upload an array that is constant in a clip, once for the same memory."""
+        """Upload an array that is constant within a clip; later calls reuse the uploaded copy."""
         where = (array.ctypes.data, array.shape)
         known = self._constants.get(name)
         if known is None or known[0] != where:
-            # Keeping the array keeps its address from being used again.
+            # A reference to the array keeps its memory address from being reused.
             known = self._constants[name] = (where, array, self._upload(array, dtype))
         return known[2]
 
@@ -285,23 +284,23 @@ def render(
     alpha: bool = False,
     device: str | None = None,
 ) -> Array:
-    """Draw one image, as `Renderer` does; for many images keep a `Renderer` or use `render_frames`.
+    """Render one image, as `Renderer` does; for many images use a `Renderer` or `render_frames`.
 
     Args:
         gaussians: The Gaussians to draw.
-        camera: The camera, which includes the image's size.
+        camera: The camera, which defines the image's size.
         background: Colour behind the Gaussians, 0..1.
-        alpha: Whether to return [H,W,4], the last channel being the coverage.
+        alpha: Whether to return [H,W,4], with the coverage as last channel.
         device: Warp's name of the device; default: CUDA if there is one.
 
     Raises:
-        InputError: If there is no such device, or the camera or the background cannot be used.
+        InputError: There is no such device, or the camera or the background cannot be used.
     """
     return Renderer(device=device)(gaussians, camera, background, alpha=alpha)
 
 
 def to_bytes(image: Array) -> NDArray[np.uint8]:
-    """Convert an image in 0..1 to bytes, rounded to the nearest."""
+    """Convert an image in 0..1 to bytes, rounded to the nearest integer."""
     return (image * 255 + 0.5).astype(np.uint8)
 
 
@@ -327,7 +326,7 @@ def _checked_background(background: Colour) -> Colour:
 
 
 def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
-    """Split tiles into runs [first, last) of at most `limit` entries each, or of a single tile."""
+    """Split tiles into runs [first, last) of at most `limit` entries, or of one larger tile."""
     sums, first = np.cumsum(counts), 0
     while first < len(counts):
         before = sums[first - 1] if first else 0
@@ -337,10 +336,10 @@ def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
 
 
 def pinhole(camera: Camera) -> Any:
-    """Convert the camera to a `screen.View`, except the filter.
+    """Convert the camera to a `screen.View`; the filter is not set.
 
     Raises:
-        InputError: The camera or its picture's size cannot be used.
+        InputError: The camera or the size of its image cannot be used.
     """
     width, height = camera.width, camera.height
     if min(width, height) < 1 or width * height > MAX_PIXELS:

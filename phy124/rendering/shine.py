@@ -1,12 +1,11 @@
-"""Adds highlights and reflections to fluids and metal, from their surface normals.
+"""Add highlights and reflections to fluids and metal, from their surface normals.
 
-Colours of Gaussians contain no gloss. For each frame and camera, Gaussians of shiny laws are lit
-again: by a highlight (Blinn 1977) of one lamp above, and by reflections of a bright sky and a dark
-floor. Water reflects little, and more at grazing angles (Schlick 1994); metal reflects almost
-everything, tinted.
-
-A fluid's normals are the gradient of its density, smoothed over `BLUR` cells; it is drawn as discs
-along its surface. A metal's normals are the shortest axes of its Gaussians.
+Colours of Gaussians contain no gloss. For each frame and camera, the Gaussians of glossy laws
+get new colours: with the highlight (Blinn 1977) of a lamp above, and reflections of a bright sky
+and a dark floor. Water reflects little, but more at grazing angles (Schlick 1994); metal reflects
+almost everything, tinted with its colour.
+The normals of a fluid are the gradient of its density, smoothed over `BLUR` cells; its Gaussians
+are drawn as discs along the surface. The normals of metal are the shortest axes of its Gaussians.
 """
 
 from __future__ import annotations
@@ -29,26 +28,26 @@ from phy124.scene import View
 BLUR = 1.2
 """Standard deviation of the smoothing, in cells of the simulation's grid."""
 KEPT = 256 * 2**20
-"""Memory for normals kept from view to view, bytes."""
+"""Memory for the normals that are reused in further views [bytes]."""
 MOST = 4_000_000
-"""Largest number of density cells; more scattered fluids get larger cells."""
+"""Largest number of density cells; the cells of a more scattered fluid are larger."""
 LAMP = np.array([0.434, -0.338, 0.835], np.float32)
-"""Direction of the lamp."""
+"""Direction towards the lamp (unit vector)."""
 OVERLAP, LARGER = 0.48, 2.5
-"""Size of a fluid's splats in units of their spacing, and their largest enlargement to overlap."""
+"""Size of a fluid's splats relative to their spacing, and the largest enlargement to overlap."""
 FLAT, WIDE = 0.4, 1.2
-"""Axes of a fluid's discs, across and along its surface, relative to their size as balls."""
+"""Axes of a fluid's discs, normal to and along the surface, relative to the radius as balls."""
 
 
 class Gloss(NamedTuple):
-    """How a material reflects."""
+    """Reflection properties of a material."""
 
     least: float
-    """Fraction reflect straight on."""
+    """Fraction of light reflected at normal incidence."""
     most: float
-    """Fraction reflect at grazing angles."""
+    """Fraction of light reflected at grazing angles."""
     tint: float
-    """Fraction of the reflection that has the material's colour."""
+    """Fraction of the reflected light that is tinted with the material's colour."""
     highlight: float
     """Strength of the lamp's highlight."""
     sharpness: float
@@ -61,14 +60,14 @@ GLOSSES = {
     "fluid": Gloss(0.04, 0.4, 0.0, 0.9, 60.0, 0.85),
     "metal": Gloss(0.75, 0.85, 0.85, 0.7, 30.0, 0.12),
 }
-"""The laws that shine."""
+"""Law -> reflection properties, for the laws that are glossy."""
 
 
 class Shine:
-    """The shine of one clip; normals of fluids are kept from view to view."""
+    """Gloss of a clip; the normals of fluids are stored and reused in further views."""
 
     def __init__(self, clip: Clip) -> None:
-        """Read from the clip's report which Gaussians shine."""
+        """Read from the clip's report which Gaussians are glossy."""
         laws = clip.report.get("shine") or {}
         self._parts = {
             law: np.concatenate([np.arange(*run) for run in runs])
@@ -78,15 +77,15 @@ class Shine:
         self._cell = float(clip.report.get("grid", {}).get("dx", 0.0))
         self._surfaces: dict[tuple[int, str], tuple[NDArray, ...]] = {}
         self.seconds = 0.0
-        """Time spent so far."""
+        """Time spent on gloss so far [s]."""
 
     @property
     def any(self) -> bool:
-        """Whether anything shines."""
+        """Whether any Gaussians are glossy."""
         return bool(self._parts) and self._cell > 0
 
     def frames(self, frames: Iterable[Frame], cameras: Sequence[Camera]) -> Iterator[Frame]:
-        """Yield the frames as their cameras see them, one camera per frame."""
+        """Yield the frames with the gloss that their cameras see; there is a camera per frame."""
         for frame, camera in zip(frames, cameras, strict=False):
             start = time.perf_counter()
             shown = self.illuminate(frame, camera)
@@ -94,7 +93,7 @@ class Shine:
             yield shown
 
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
-        """Give the shiny Gaussians of a frame the colours that a camera sees."""
+        """Return the frame with the colours of glossy Gaussians as a camera sees them."""
         gaussians = frame.gaussians
         sh, quats, scales = gaussians.sh.copy(), gaussians.quats, gaussians.scales
         for law, which in self._parts.items():
@@ -121,7 +120,7 @@ class Shine:
                 _, *shapes = self._surface(law, frame, which)
                 if shapes:
                     quats[frame.index, which], scales[frame.index, which] = shapes
-        # The player blends quaternions of neighbouring frames, so their signs must agree.
+        # The player interpolates quaternions between frames, so their signs must agree.
         for before, after in pairwise(quats):
             after[(before * after).sum(axis=1) < 0] *= -1
         laws = [
@@ -131,7 +130,7 @@ class Shine:
         return replace(clip, quats=quats, scales=scales), {"lamp": LAMP.tolist(), "laws": laws}
 
     def _surface(self, law: str, frame: Frame, which: NDArray) -> tuple[NDArray, ...]:
-        """Normals [N,3] of a law's Gaussians; for a fluid also quaternions and scales to draw."""
+        """Return normals [N,3] of a law's Gaussians; for fluids also quaternions and scales."""
         key = frame.index, law
         if key not in self._surfaces:
             part = frame.gaussians.select(which)
@@ -148,25 +147,25 @@ class Shine:
 
 
 def make_shine(clip: Clip, view: View) -> Shine | None:
-    """Return the shine of a clip; None if nothing in it shines, or if the view turns it off."""
+    """Return the gloss of a clip; None if nothing is glossy, or if the view turns gloss off."""
     shine = Shine(clip) if view.shine else None
     return shine if shine is not None and shine.any else None
 
 
 def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
-    """Return the clip and its gloss as the player draws them; the clip itself if nothing shines."""
+    """Return the clip and its gloss for the player; the unchanged clip if nothing is glossy."""
     shine = make_shine(clip, view)
     return (clip, None) if shine is None else shine.pack(clip)
 
 
 def runs_of(which: NDArray) -> list[list[int]]:
-    """Split rising integers into runs [first, last + 1]."""
+    """Split ascending integers into runs [first, last + 1]."""
     runs = np.split(which, np.flatnonzero(np.diff(which) > 1) + 1)
     return [[int(run[0]), int(run[-1]) + 1] for run in runs]
 
 
 class _Field:
-    """A smoothed density on a grid around points."""
+    """A smoothed number density of points on a grid."""
 
     def __init__(self, x: NDArray, cell: float, blur: float) -> None:
         low, high = np.percentile(x, [0.1, 99.9], axis=0)
@@ -181,7 +180,7 @@ class _Field:
         self._flat = np.ravel_multi_index(tuple(inside), self._size)
 
     def sum_points(self) -> NDArray[np.float32]:
-        """Count the points in each cell, smoothed."""
+        """Return the smoothed number of points in each cell."""
         sums = np.bincount(self._flat, minlength=int(np.prod(self._size))).reshape(self._size)
         smooth: Any = scipy.ndimage.gaussian_filter(
             sums.astype(np.float32), self._blur, mode="constant", truncate=3
@@ -195,14 +194,14 @@ class _Field:
 
 
 def surface(x: NDArray, cell: float, blur: float) -> tuple[NDArray, NDArray]:
-    """Return normals [N,3] of the material that points x [N,3] m fill, and their spacing [N] m.
+    """Return normals [N,3] and spacing [N] m of points x [N,3] m that fill a material.
 
-    Normals point outwards and are shorter than 1 away from the surface.
+    Normals point outwards and have unit length near the surface; they are shorter inside.
 
     Args:
         x: The points, m.
-        cell: Cell size of the density, m.
-        blur: Standard deviation of its smoothing, in cells.
+        cell: Cell size of the density grid, m.
+        blur: Standard deviation of the density's smoothing, in cells.
     """
     field = _Field(x, cell, blur)
     density: NDArray = field.sum_points()
@@ -218,13 +217,13 @@ def surface(x: NDArray, cell: float, blur: float) -> tuple[NDArray, NDArray]:
 
 
 def discs(part: Gaussians, normals: NDArray, spacing: NDArray) -> tuple[NDArray, NDArray]:
-    """Return quaternions [N,4] and scales [N,3] of a fluid: discs along its surface, else balls.
+    """Return quaternions [N,4] and scales [N,3] of a fluid: discs along its surface, balls inside.
 
-    `normals` and `spacing` come from `surface`; discs are large enough to overlap.
+    `normals` and `spacing` come from `surface`; the discs are large enough to overlap.
     """
     length = _length(normals)
     x, y, z = (normals / np.maximum(length, 1e-6)).T
-    # The shortest rotation from the z axis; about x if the normal is opposite to it.
+    # The shortest rotation from the z axis to the normal; about x if they are opposite.
     rotated = np.stack([1 + z, np.where(z > -0.9999, -y, 1), x, 0 * z], axis=1)
     rotated /= _length(rotated)
     size = np.sort(part.scales, axis=1)[:, 1:].mean(axis=1, keepdims=True)
@@ -234,13 +233,13 @@ def discs(part: Gaussians, normals: NDArray, spacing: NDArray) -> tuple[NDArray,
 
 
 def reflect(rgb: NDArray, normals: NDArray, towards: NDArray, gloss: Gloss) -> NDArray:
-    """Light a reflecting surface; returns colours [N,3].
+    """Compute the colours of a reflecting surface [N,3].
 
     Args:
         rgb: Colours without reflection [N,3].
-        normals: Normals [N,3]; shorter ones reflect less.
+        normals: Normals [N,3]; a normal shorter than 1 reflects less.
         towards: Directions towards the camera [N,3].
-        gloss: Reflectance of the material.
+        gloss: Reflection properties of the material.
     """
     length = _length(normals)
     n, certain = normals / np.maximum(length, 1e-6), np.minimum(length, 1)
@@ -255,7 +254,7 @@ def reflect(rgb: NDArray, normals: NDArray, towards: NDArray, gloss: Gloss) -> N
 
 
 def shortest_axes(gaussians: Gaussians) -> NDArray[np.float32]:
-    """The shortest axis of each Gaussian, of either sign [N,3]."""
+    """Return the shortest axis of each Gaussian [N,3]; its sign is arbitrary."""
     w, x, y, z = gaussians.quats.T
     axes = np.stack(
         [
@@ -281,7 +280,7 @@ def _smoothstep(x: NDArray, low: float, high: float) -> NDArray:
 
 
 def _finite(x: NDArray) -> NDArray[np.float64]:
-    """The points, with those that are not finite replaced by the median of the others."""
+    """Return the points; those that are not finite are replaced by the median of the others."""
     good = np.atleast_1d(np.isfinite(x).all(axis=1))
     middle = np.median(x[good], axis=0) if good.any() else np.zeros(3)
     return np.where(good[:, None], x, middle)

@@ -1,1 +1,1 @@
-"""The process phy124 runs in: starting Warp, signals, timing, work that can be killed."""
+"""Services of the process: starting Warp, signals, timing, work that can be killed."""

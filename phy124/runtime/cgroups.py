@@ -1,7 +1,7 @@
-"""Limits of this process's Linux control groups, which containers set.
+"""Read the memory and CPU limits that Linux control groups (containers) set for this process.
 
-Versions 1 and 2 are read, even if both are mounted. A group's limit applies to all groups below it,
-so the smallest limit on the path to the root counts.
+Versions 1 and 2 are read, even if both are mounted. A group's limit applies to all groups below it:
+the smallest limit on the path to the root is the effective limit.
 """
 
 from __future__ import annotations
@@ -13,35 +13,35 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path("/")
-"""Root of the file system; tests use a folder."""
+"""Root of the file system; tests use a temporary folder."""
 RECLAIMED = ("inactive_file", "active_file", "total_inactive_file", "total_active_file")
-"""Cached files in a group's memory use, which the system can reclaim."""
+"""Entries of memory.stat for cached files, which the system can reclaim."""
 
 
 class Mount(NamedTuple):
-    """A hierarchy of groups."""
+    """A mounted hierarchy of control groups."""
 
     folder: Path
     """Mount point."""
     top: str
-    """The mounted group; a container sees only its own."""
+    """The group at the mount point; in a container this is the container's group."""
     version: int
     controllers: frozenset[str]
-    """Controllers of version 1; version 2 has all in one hierarchy."""
+    """Controllers of this hierarchy (version 1); version 2 has all in one hierarchy."""
 
 
 def memory_left(root: Path = ROOT) -> float:
-    """Memory that the groups leave to this process [bytes]; infinity without a limit."""
+    """Return the memory that the groups leave to this process [bytes]; infinity without a limit."""
     return min((_left(group) for group in _groups("memory", root)), default=math.inf)
 
 
 def cpu_quota(root: Path = ROOT) -> float:
-    """Number of processors that the groups grant this process; infinity without a limit."""
+    """Return the number of CPUs that the groups grant this process; infinity without a limit."""
     return min((_quota(group) for group in _groups("cpu", root)), default=math.inf)
 
 
 def _left(group: Path) -> float:
-    """Limit minus use of a group [bytes]; reclaimable memory counts as free."""
+    """Return limit minus use of a group [bytes]; reclaimable memory counts as free."""
     for limit, use in (
         ("memory.max", "memory.current"),
         ("memory.limit_in_bytes", "memory.usage_in_bytes"),
@@ -53,7 +53,7 @@ def _left(group: Path) -> float:
 
 
 def _reclaimable(group: Path) -> float:
-    """Cached files in a group's use [bytes]; version 1 has those of groups below as total_."""
+    """Return cached files in a group's use [bytes]; in version 1, total_ includes subgroups."""
     parts = dict(line.split() for line in _text(group / "memory.stat").splitlines())
     kept = {name: float(value) for name, value in parts.items() if name in RECLAIMED}
     totals = [value for name, value in kept.items() if name.startswith("total_")]
@@ -61,18 +61,18 @@ def _reclaimable(group: Path) -> float:
 
 
 def _quota(group: Path) -> float:
-    """Quota over period of a group."""
+    """Return a group's CPU quota divided by its period."""
     quota, _, period = _text(group / "cpu.max").strip().partition(" ")
     if not period:
         quota, period = (_text(group / f"cpu.cfs_{name}_us") for name in ("quota", "period"))
     with suppress(ValueError, ZeroDivisionError):
-        share = float(quota) / float(period)  # "max" and "-1" mean none
+        share = float(quota) / float(period)  # "max" and "-1" mean no limit
         return share if share > 0 else math.inf
     return math.inf
 
 
 def _groups(controller: str, root: Path) -> Iterator[Path]:
-    """Folders of the groups that control this process, each followed by its parents."""
+    """Yield the folders of the groups that control this process, each followed by its parents."""
     paths = dict(_own_groups(root))
     for mount in _mounts(root):
         if mount.version == 1 and controller not in mount.controllers:
@@ -81,20 +81,20 @@ def _groups(controller: str, root: Path) -> Iterator[Path]:
         if path is None:
             continue
         folder = mount.folder / _below(path, mount.top)
-        # A container may see the host's name of the group, which does not exist inside it.
+        # In a container, /proc may show the host's path, which does not exist in the container.
         folder = folder if folder.is_dir() and ".." not in folder.parts else mount.folder
         yield folder
         yield from (above for above in folder.parents if above.is_relative_to(mount.folder))
 
 
 def _below(path: str, top: str) -> str:
-    """The path of a group relative to the mounted one."""
+    """Return the path of a group relative to the mounted group."""
     inside = path.removeprefix(top.rstrip("/")) if f"{path}/".startswith(f"{top}/") else path
     return inside.lstrip("/")
 
 
 def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
-    """Each controller of version 1, and "" for version 2, with the path of this process's group."""
+    """Yield each controller of version 1 (version 2: "") with the path of this process's group."""
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")
@@ -102,7 +102,7 @@ def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
 
 
 def _mounts(root: Path) -> Iterator[Mount]:
-    """All hierarchies that this process sees."""
+    """Yield all control-group hierarchies that this process sees."""
     for line in _text(root / "proc/self/mountinfo").splitlines():
         fields, _, kind = line.partition(" - ")
         words = kind.split()
@@ -114,14 +114,14 @@ def _mounts(root: Path) -> Iterator[Mount]:
 
 
 def _number(path: Path) -> float:
-    """The number in a file; infinity for "max" or without one."""
+    """Return the number in a file; infinity for "max" or if there is none."""
     with suppress(ValueError):
         return float(_text(path).replace("max", "inf"))
     return math.inf
 
 
 def _text(path: Path) -> str:
-    """The text of a file, or nothing."""
+    """Return the text of a file, empty if it cannot be read."""
     try:
         return path.read_text("utf-8", "replace")
     except OSError:

@@ -1,7 +1,7 @@
-"""Compiles kernels side by side before they are needed; Warp would compile one after the other.
+"""Compile missing kernels in parallel before they are needed; Warp compiles one after the other.
 
-Threads are enough, as the compiler runs outside Python's lock. Processes that compile the same
-kernels do not disturb each other: each writes a folder of its own and renames it when complete.
+Threads suffice, because the compiler releases Python's global lock. Processes that compile the same
+kernels do not disturb each other: each writes its own folder and renames it when it is complete.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from phy124.runtime.startup import start
 def compile_missing(
     kernels: Iterable[Any], device: str = "cpu", progress: Progress = silent
 ) -> int:
-    """Compile and load those modules of kernels that are not in Warp's cache.
+    """Compile and load the modules of kernels that are missing in Warp's cache.
 
     Args:
-        kernels: What will be launched.
+        kernels: The kernels that will be launched.
         device: Warp device.
         progress: Called with ("compile", modules done, modules), if any are missing.
 
     Returns:
-        How many were missing.
+        Number of modules that were missing.
 
     Raises:
         Cancelled: `progress` raised it; modules that are being compiled are finished first.
     """
-    # Otherwise the first thread would do it, and discard what the others know of their modules.
+    # Warp starts here, because a start in a thread would discard the modules of the other threads.
     start()
     missing = {k.module.name: k for k in kernels if not is_compiled(k, device)}
     if not missing:
         return 0
-    # The longest first, or it would be compiled alone at the end.
+    # The longest first: at the end it would be compiled alone, on a single core.
     modules = [k.module for k in sorted(missing.values(), key=lambda k: -k.seconds)]
     total = len(modules)
     progress("compile", 0, total)
     if device == "cpu" and not has_headers():
-        # With the first module headers are compiled, which otherwise every thread would do.
+        # The first module also compiles the headers; otherwise every thread would compile them.
         wp.load_module(modules.pop(), device)
         progress("compile", 1, total)
     with ThreadPoolExecutor(min(cores(), len(modules)) or 1) as pool:
@@ -59,7 +59,7 @@ def compile_missing(
 
 
 def is_compiled(kernel: Any, device: str = "cpu") -> bool:
-    """Whether a kernel's module is loaded, or its current version is in the cache."""
+    """Return whether a kernel's module is loaded, or its current version is in the cache."""
     if kernel.module.execs:
         return True
     file = compiled_file(kernel, device)

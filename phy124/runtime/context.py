@@ -1,4 +1,4 @@
-"""Run context: where work is computed, who hears of its progress, and what times it."""
+"""Run context: the device of a computation, its threads, progress function and stopwatch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class ContextOptions(TypedDict, total=False):
-    """Fields of `RunContext` as keywords, for callers that need only one or two of them."""
+    """Fields of `RunContext` as keywords, for callers that set only some of them."""
 
     device: str
     threads: int | None
@@ -23,32 +23,32 @@ class ContextOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class RunContext:
-    """Device, threads, progress function and stopwatch of one piece of work.
+    """Device, threads, progress function and stopwatch of a computation.
 
-    Everything here may change without changing the result, except for rounding: the number of
-    threads and the device determine the order of sums.
+    A change of these fields changes results only by rounding: the number of threads and the device
+    determine the order of sums.
     """
 
     device: str = "cpu"
     """Warp device, "cpu" or "cuda:0"."""
     threads: int | None = None
-    """CPU threads that simulate and draw; None: as many as have a free core and enough work."""
+    """CPU threads that simulate and render; None: one per free core, as far as there is work."""
     progress: Progress = silent
-    """Called with (stage, steps done, steps in all); may raise Cancelled."""
+    """Function called with (stage, steps done, total steps); it may raise Cancelled."""
     watch: Stopwatch = field(default_factory=Stopwatch)
     """Records the durations of stages."""
 
     @classmethod
     def of(cls, context: RunContext | None, **options: Unpack[ContextOptions]) -> RunContext:
-        """Return a context, by default a new one, with some fields replaced."""
+        """Return the context, or a new one, with the named fields replaced."""
         return replace(context or cls(), **options)
 
     @classmethod
     def pop(cls, context: RunContext | None, options: dict[str, Any]) -> RunContext:
-        """Like `of`, with fields that are removed from a function's other options."""
+        """Return a context as `of` does; its fields are removed from `options`."""
         fields = ContextOptions.__annotations__.keys() & options.keys()
         return replace(context or cls(), **{name: options.pop(name) for name in fields})
 
     def aside(self) -> RunContext:
-        """Return the same device and threads for a probe, which neither reports nor is timed."""
+        """Return a context for a probe: same device and threads, no progress, no timing."""
         return replace(self, progress=silent, watch=Stopwatch())

@@ -1,4 +1,4 @@
-"""Counts the processor cores that this process may use, and those that are free."""
+"""Count the CPU cores that this process may use, and those that are free."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from phy124.errors import InputError
 from phy124.runtime.cgroups import cpu_quota
 
 MOST_THREADS = 256
-"""Largest number of threads of a run."""
+"""Largest allowed number of threads of a run."""
 SIBLINGS = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
-"""File of Linux that lists the hardware threads of the same core."""
+"""Linux file that lists the hardware threads of a core."""
 
 
 def cores() -> int:
-    """Number of hardware threads this process may use, limited by its control groups' quota."""
+    """Return the number of hardware threads this process may use, capped by the groups' quota."""
     return _within_quota(_hardware_threads())
 
 
 def physical_cores() -> int:
-    """Number of cores of these threads; where unknown, each thread counts as a core."""
+    """Return the number of cores of these threads; if unknown, each thread counts as a core."""
     try:
         mine = os.sched_getaffinity(0)
         return _within_quota(len({Path(SIBLINGS.format(thread)).read_text() for thread in mine}))
@@ -30,18 +30,18 @@ def physical_cores() -> int:
 
 
 def free_cores() -> int:
-    """Number of these cores that no other program uses now; at least 1."""
-    # Other programs do not use this process's quota.
+    """Return the number of these cores that no other program uses now, at least 1."""
+    # The quota limits only this process: other programs do not count against it.
     return max(1, min(physical_cores(), _hardware_threads() - _others_running()))
 
 
 def _hardware_threads() -> int:
-    """Number of hardware threads this process may run on."""
+    """Return the number of hardware threads on which this process may run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _within_quota(threads: int) -> int:
-    """Limit threads to the quota's full processors, since they wait for each other."""
+    """Cap threads at the quota's whole CPUs: threads wait for each other, a fraction is no use."""
     return max(1, int(min(threads, cpu_quota())))
 
 
@@ -49,7 +49,7 @@ def refuse_threads(threads: int | None) -> None:
     """Refuse an impossible number of threads; None is chosen automatically.
 
     Raises:
-        InputError: It is below 1, or too large.
+        InputError: The number is below 1 or above `MOST_THREADS`.
     """
     if threads is None or 1 <= threads <= MOST_THREADS:
         return
@@ -59,12 +59,12 @@ def refuse_threads(threads: int | None) -> None:
 
 
 def _others_running() -> int:
-    """Number of other programs' running threads; 0 where unknown."""
+    """Return the number of other programs' running threads; 0 if unknown."""
     counts = []
     for _ in range(5):
         try:
             running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
-            # This process's threads, which libraries may leave spinning briefly, do not count.
+            # Subtract this process's threads: libraries may leave some spinning briefly.
             stats = [path.read_text("latin-1") for path in Path("/proc/self/task").glob("*/stat")]
         except OSError:
             return 0

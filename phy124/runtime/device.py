@@ -1,4 +1,4 @@
-"""The computing device by its name, and the version of NVIDIA's driver."""
+"""Choose the computing device by name, and check the version of NVIDIA's driver."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from phy124.errors import InputError
 CHOICES = "auto, cpu, cuda:0 or another GPU."
 """Help text of the options that take a device."""
 KEPT = 2**30
-"""Freed GPU memory kept for the next frame [bytes], since allocation is slow."""
+"""Freed GPU memory kept for the next frame [bytes], because allocation is slow."""
 P = ParamSpec("P")
 Made = TypeVar("Made")
 Owner = TypeVar("Owner")
@@ -31,7 +31,7 @@ def pick_device(name: str) -> str:
     """Return Warp's name of the device; "auto" is CUDA if available.
 
     Raises:
-        InputError: If there is no such device.
+        InputError: There is no such device.
     """
     import warp as wp
 
@@ -55,9 +55,10 @@ def pick_device(name: str) -> str:
 def one_at_a_time(
     method: Callable[Concatenate[Owner, P], Made],
 ) -> Callable[Concatenate[Owner, P], Made]:
-    """Decorator: on a GPU, only one thread at a time runs such methods of objects with a `device`.
+    """Decorate a method so that on a GPU only one thread at a time runs any such method.
 
-    While one thread captures a graph, Warp would record the launches of other threads in it.
+    While a thread captures a CUDA graph, Warp would record the launches of other threads in the
+    graph.
     """
 
     @wraps(method)
@@ -70,14 +71,14 @@ def one_at_a_time(
 
 
 class Driver(NamedTuple):
-    """Versions of CUDA: supported by the driver, needed by Warp; None without either."""
+    """CUDA versions supported by the driver and needed by Warp; None if missing."""
 
     supported: Version | None
     needed: Version | None
 
     @property
     def problem(self) -> str | None:
-        """A sentence if the driver is too old."""
+        """Sentence that says that the driver is too old, or None."""
         if self.supported is None or self.needed is None or self.supported >= self.needed:
             return None
         release = RELEASES.get(self.needed[0])
@@ -88,14 +89,14 @@ class Driver(NamedTuple):
         )
 
     def __str__(self) -> str:
-        """The supported version, in words."""
+        """The supported version in words, or the problem."""
         if self.supported is None:
             return "none"
         return f"CUDA {_text(self.supported)}" if self.problem is None else self.problem
 
 
 def driver() -> Driver:
-    """Return the driver of this machine; Warp must have been started."""
+    """Return the versions of this machine's driver; Warp must have been started."""
     import warp as wp
 
     toolkit = wp.get_cuda_toolkit_version()
@@ -104,7 +105,7 @@ def driver() -> Driver:
 
 
 def _library_version() -> Version | None:
-    """Ask the driver's library for its version, since Warp does not load one that is too old."""
+    """Read the version from the driver's library: Warp itself does not load an old driver."""
     version = ctypes.c_int()
     for name in LIBRARIES:
         try:

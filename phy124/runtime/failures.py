@@ -1,8 +1,8 @@
-"""Decides what any exception means to a user: its kind, the exit status and one sentence.
+"""Explain any exception to users: its kind, the exit status and a sentence.
 
-The command line, the bridge and the web page all ask here, so no exception is shown as a traceback,
-and the same problem reads the same everywhere. Libraries are recognised by name, so none of them is
-imported.
+The command line, the bridge and the web page all use this module: no user sees a traceback, and
+the same problem has the same message everywhere. Exceptions of libraries are recognised by their
+names, which avoids importing the libraries.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from phy124.errors import DISK_CODES, DISK_WORDS, Cancelled, Incomplete, InputEr
 
 OWN = "phy124"
 OURS = (OWN, "phy124_demo", "phy124_bridge", "demo", "bridge", "__main__")
-"""Packages of this project, by every name that they are imported under."""
+"""Packages of this project, under every name by which they are imported."""
 LONGEST = 300
-"""Largest number of characters of a library's message that a sentence repeats."""
+"""Largest number of characters of a library's message that is repeated to the user."""
 MEMORY_WORDS = (
     "out of memory",
     "failed to allocate",
@@ -31,13 +31,13 @@ MEMORY_WORDS = (
     "failed to map segment",
     "bad_alloc",
 )
-"""How libraries that have no MemoryError of their own say that memory has run out."""
+"""Words for lack of memory in the messages of libraries that raise no MemoryError."""
 NAMES = {"PIL": "Pillow", "warp": "Warp", "cv2": "OpenCV", "safetensors_rust": "safetensors"}
-"""Import name of a library -> the name users know, where they differ."""
+"""Import name of a library -> the name that users know, if it differs."""
 
 
 class Kind(Enum):
-    """The kinds of failure that users can tell apart by what they can do about them."""
+    """The kinds of failure; each calls for a different action of the user."""
 
     REFUSED = "bad input"
     STOPPED = "stopped by the user"
@@ -48,12 +48,12 @@ class Kind(Enum):
 
 
 STATUS = {Kind.REFUSED: 2, Kind.STOPPED: 130}
-"""Exit status of a kind; 1 for all others."""
+"""Kind of failure -> exit status; 1 for all other kinds."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """What an exception means to a user."""
+    """Explanation of an exception for the user."""
 
     kind: Kind
     sentence: str
@@ -64,10 +64,11 @@ class Failure:
 
 
 def failure(problem: BaseException) -> Failure:
-    """What an exception that ended the work means to a user.
+    """Explain the exception that stopped the run.
 
     Args:
-        problem: The exception. An `Incomplete` stands for its cause, and adds what was kept.
+        problem: The exception. For an `Incomplete`, its cause is explained, and the saved results
+            are named.
     """
     if isinstance(problem, Incomplete):
         return _incomplete(problem)
@@ -77,9 +78,10 @@ def failure(problem: BaseException) -> Failure:
 
 
 def is_stop(problem: BaseException) -> bool:
-    """Whether the user stopped the work.
+    """Return whether the user stopped the work.
 
-    Ctrl-C while a library's native code calls Python arrives as the cause of a SystemError.
+    If Ctrl-C is pressed while native code of a library calls Python, the KeyboardInterrupt is the
+    cause of a SystemError.
     """
     stop = problem.__cause__ if isinstance(problem, SystemError) else problem
     return isinstance(stop, (Cancelled, KeyboardInterrupt))
@@ -91,7 +93,7 @@ def _incomplete(problem: Incomplete) -> Failure:
         return Failure(Kind.FAULT, problem.kept, 1)
     why = failure(cause)
     said = "stopped" if why.kind is Kind.STOPPED else why.sentence.rstrip(".")
-    # Results are there, so the command cannot simply be corrected and given again.
+    # Partial results exist, so the same command cannot simply be corrected and repeated.
     status = 1 if why.kind is Kind.REFUSED else why.status
     return Failure(why.kind, f"{said}; {problem.kept}", status)
 
@@ -141,13 +143,13 @@ def _sentence(kind: Kind, problem: BaseException) -> str:
 
 
 def _words(problem: BaseException) -> str:
-    """The message of an exception on one line, without a full stop at its end."""
+    """Return the message of an exception on one line, without a full stop at the end."""
     text = " ".join(str(problem).split()) or type(problem).__name__
     return (text if len(text) <= LONGEST else f"{text[:LONGEST]}...").rstrip(".")
 
 
 def _refusal(problem: BaseException) -> InputError | None:
-    """The refusal of an option by pydantic, in our words."""
+    """Return pydantic's refusal of an option as an InputError; None for other exceptions."""
     if not {"pydantic", "pydantic_core"} & {type(problem).__module__.partition(".")[0]}:
         return None
     from pydantic import ValidationError
@@ -156,14 +158,15 @@ def _refusal(problem: BaseException) -> InputError | None:
 
     try:
         return explain_options(problem) if isinstance(problem, ValidationError) else None
-    except LookupError:  # no section of options, but an error in the code
+    except LookupError:  # the error is not about options, but in the code
         return None
 
 
 def _package(problem: BaseException) -> str:
-    """The package that defines the exception, else the one whose code raised it.
+    """Return the package that defines the exception, else the package whose code raised it.
 
-    Python's own modules do not count: what `pathlib` raises is a matter of its caller.
+    Modules of Python's standard library are skipped: an error in `pathlib` is attributed to its
+    caller.
     """
     modules = [OWN, *_modules(problem.__traceback__), type(problem).__module__]
     packages = [module.partition(".")[0] for module in modules]
@@ -172,7 +175,7 @@ def _package(problem: BaseException) -> str:
 
 
 def _place(problem: BaseException) -> str:
-    """The innermost line of this project that a traceback passes through."""
+    """Return the innermost line of this project's code in a traceback."""
     place, trace = "place unknown", problem.__traceback__
     while trace is not None:
         name = str(trace.tb_frame.f_globals.get("__name__", ""))
@@ -183,7 +186,7 @@ def _place(problem: BaseException) -> str:
 
 
 def _modules(trace: TracebackType | None) -> Iterator[str]:
-    """Names of the modules that a traceback passes through, innermost last."""
+    """Yield the names of the modules in a traceback, innermost last."""
     while trace is not None:
         yield str(trace.tb_frame.f_globals.get("__name__", OWN))
         trace = trace.tb_next

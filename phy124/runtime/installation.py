@@ -1,4 +1,4 @@
-"""How this phy124 was installed, and which command adds one of its optional parts."""
+"""Detect how phy124 was installed, and which command installs an optional extra."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pathlib import Path
 
 PACKAGE = "phy124"
 MADE = ("bridge", "dds", "foxglove")
-"""Optional parts that `make bridge` installs into the .venv of a clone."""
+"""Optional extras that `make bridge` installs into the .venv of a clone."""
 _EXTRA = re.compile(r"""extra\s*==\s*['"]([\w-]+)['"]""")
 _OWN = re.compile(rf"{PACKAGE}\[([\w,\s-]+)\]")
 
 
 def install_command(extra: str) -> str:
-    """The command that adds an optional part of pyproject.toml to this installation.
+    """Return the command that installs an optional extra of pyproject.toml.
 
-    In a clone it is make, or pip with the clone's folder. Elsewhere it is pip with the packages
-    that the part consists of, since a package index need not know phy124.
+    In a clone the command is make, or pip with the clone's folder. Elsewhere it is pip with the
+    packages of the extra, because phy124 may be missing from the package index.
     """
     root = clone()
     if root is None:
@@ -32,7 +32,7 @@ def install_command(extra: str) -> str:
 
 
 def program() -> str:
-    """How the running program is started again: `phy124`, or its path from here."""
+    """Return the command that starts the running program again: `phy124`, or its relative path."""
     path = Path(sys.argv[0])
     if path.name == "__main__.py":
         return f"{_short(Path(sys.executable))} -m {PACKAGE}"
@@ -43,18 +43,18 @@ def program() -> str:
 
 
 def with_program(message: str) -> str:
-    """Return a message whose commands (`phy124 ...` in backquotes) start the running program."""
+    """Return a message in which commands (`phy124 ...` in backquotes) start the running program."""
     return message.replace(f"`{PACKAGE} ", f"`{program()} ")
 
 
 def clone() -> Path | None:
-    """The repository checkout this code runs from, or None."""
+    """Return the repository checkout that contains this code, or None."""
     root = Path(__file__).resolve().parents[2]
     return root if (root / "pyproject.toml").is_file() else None
 
 
 def packages(extra: str) -> list[str]:
-    """Requirements of an optional part, as the installed package states them."""
+    """Return the requirements of an optional extra, from the metadata of the installed package."""
     try:
         stated = requires(PACKAGE) or []
     except PackageNotFoundError:
@@ -72,7 +72,7 @@ def packages(extra: str) -> list[str]:
 
 
 def _pip() -> str:
-    """`pip install` for this interpreter; uv if the environment has no pip."""
+    """Return `pip install` for this interpreter, or uv if the environment has no pip."""
     python = _short(Path(sys.executable))
     if not _has("pip"):
         return f"uv pip install --python {python}"
@@ -80,7 +80,7 @@ def _pip() -> str:
 
 
 def _short(path: Path) -> str:
-    """A path as a shell's word, relative to the current folder if it lies inside."""
+    """Quote a path for a shell, relative to the current folder if it lies inside."""
     here = Path.cwd()
     path = path if path.is_absolute() else here / path
     return shlex.quote(str(path.relative_to(here) if path.is_relative_to(here) else path))

@@ -1,7 +1,7 @@
-"""Keeps Warp's folder of compiled kernels intact, with the compiler's precompiled headers.
+"""Repair Warp's folder of compiled kernels, and reuse the compiler's precompiled headers.
 
-A module that cannot be loaded is compiled again, incomplete modules are removed, and compilation is
-refused on a full disk, where the compiler would end the whole program.
+A module that cannot be loaded is compiled again, and incomplete modules are removed. On a full disk
+compilation is refused, because the compiler would crash the whole program.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ except ImportError:  # Windows
 ROOM = 8_000_000
 """Free disk space required to compile a module [bytes]; the headers take 5 MB."""
 FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
-"""Temporary files of a compilation whose process has ended."""
+"""Patterns of temporary files, which remain if the compiling process is killed."""
 PROCESS = re.compile(r"_p(\d+)_t\d+$")
-"""Number of the process in the name of such a folder."""
+"""Process id in the name of a temporary folder."""
 OLD = 600
-"""Age above which temporary headers are abandoned [s]; making them takes some seconds."""
+"""Age above which temporary headers count as abandoned [s]; compiling them takes seconds."""
 
 
 def keep_sound() -> None:
-    """Let Warp repair its cache from now on, and remove files of killed programs.
+    """Make Warp repair its cache from now on, and remove files of killed programs.
 
-    Unknown versions of Warp are left unchanged.
+    Unknown versions of Warp are not changed.
     """
     try:
         from warp._src.context import Module
@@ -70,7 +70,7 @@ def keep_sound() -> None:
 
 
 def compiled_file(kernel: Any, device: str) -> Path | None:
-    """The file of a kernel's module for this processor or GPU; None without a cache."""
+    """Return the compiled file of a kernel's module for this CPU or GPU; None without a cache."""
     if wp.config.kernel_cache_dir is None:
         return None
     module = kernel.module
@@ -78,7 +78,7 @@ def compiled_file(kernel: Any, device: str) -> Path | None:
     folder = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(block)
     try:
         return folder / module._get_compile_output_name(wp.get_device(device), block_dim=block)
-    except (AttributeError, TypeError):  # another version of Warp, whose names are not known
+    except (AttributeError, TypeError):  # another version of Warp, with unknown file names
         return next(iter(folder.glob("*.o" if device == "cpu" else "*.meta")), None)
 
 
@@ -87,7 +87,7 @@ def _load_mended(
 ) -> Any:
     """Load a module; compile it again if its cached files are broken."""
     block = options.pop("block_dim", block)
-    if rest or options:  # a file that the caller has chosen
+    if rest or options:  # the caller names the file to load
         return load(module, device, block, *rest, **options)
     number = module.options["block_dim"] if block is None else block
     folder = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(number)
@@ -112,9 +112,9 @@ def _discard(folder: Path) -> None:
 
 
 def _is_whole(file: Path) -> bool:
-    """Whether a file of the cache looks complete, without loading it.
+    """Return whether a cached file looks complete, without loading it.
 
-    A file that was written when the disk was full or the power failed is truncated or ends
+    If the disk was full or the power failed while a file was written, the file is truncated or ends
     in zeros.
     """
     with open(file, "rb") as stream:
@@ -130,7 +130,7 @@ def _is_whole(file: Path) -> bool:
             struct.unpack_from("HH", head, 58),
         )
         stream.seek(start + size * (count - 1))
-        last = stream.read(size)  # the last section's header stands at the end
+        last = stream.read(size)  # the header of the last section is at the end of the file
         return len(last) == size and any(last)
 
 
@@ -144,7 +144,7 @@ def _is_json(text: bytes) -> bool:
 
 @contextmanager
 def _building(folder: Path | None) -> Iterator[None]:
-    """Within this context a module may be compiled; a failure leaves no files."""
+    """Within this context a module may be compiled; files of a failed compilation are removed."""
     with _lock(wait=True):
         if folder is not None and not folder.is_dir():
             _refuse_full(folder.parent)
@@ -167,8 +167,8 @@ def _refuse_full(cache: Path) -> None:
 def _sweep() -> None:
     """Remove incomplete modules, unless a compilation is running.
 
-    A program that launches kernels without `start` compiles without a lock, so folders of running
-    processes stay: without its folder the compiler ends the program.
+    A program that launches kernels without `start` compiles without the lock. The folders of
+    running processes therefore stay: the compiler crashes if its folder is missing.
     """
     with _lock(wait=False) as alone:
         if alone:
@@ -182,7 +182,7 @@ def _sweep() -> None:
 
 
 def _is_abandoned(folder: Path) -> bool:
-    """Whether the process that made a folder has ended."""
+    """Return whether the process that created a folder has ended."""
     number = PROCESS.search(folder.name)
     if number is None:
         return False
@@ -190,7 +190,7 @@ def _is_abandoned(folder: Path) -> bool:
         os.kill(int(number[1]), 0)
     except ProcessLookupError:
         return True
-    except (OSError, OverflowError):  # somebody else's process, or a number that no process has
+    except (OSError, OverflowError):  # a process of another user, or an impossible number
         pass
     return False
 
@@ -200,14 +200,14 @@ def _lock(*, wait: bool) -> Iterator[bool]:
     """Lock the cache: shared for compiling, exclusive for cleaning up.
 
     Args:
-        wait: Whether to wait for the shared lock; otherwise try once to get the exclusive one.
+        wait: True waits for the shared lock; False tries once to get the exclusive lock.
 
     Yields:
         Whether the lock is held.
     """
     try:
         descriptor = os.open(str(wp.config.kernel_cache_dir), os.O_RDONLY)
-    except OSError:  # it does not exist yet
+    except OSError:  # the folder does not exist yet
         yield False
         return
     held = False
@@ -222,10 +222,10 @@ def _lock(*, wait: bool) -> Iterator[bool]:
 
 
 def keep_headers() -> None:
-    """Let Warp reuse precompiled headers from now on.
+    """Make Warp reuse precompiled headers from now on.
 
-    Warp compiles them again in each thread of each process, which takes 2 s of processor time, more
-    than most kernels. Unknown versions of Warp are left unchanged.
+    Otherwise Warp compiles them again in each thread of each process. This takes 2 s of CPU time,
+    more than most kernels need. Unknown versions of Warp are not changed.
     """
     try:
         from warp._src.context import Runtime
@@ -249,9 +249,10 @@ def keep_headers() -> None:
 
 
 def headers_folder() -> Path:
-    """The folder of the headers, next to the kernels of the same version of Warp.
+    """Return the folder of the headers, next to the kernels of the same version of Warp.
 
-    Each installation has its own, since the compiler checks the headers' paths and times.
+    Each installation of Warp has its own folder, because the compiler checks paths and times of the
+    headers.
     """
     header = Path(wp.__file__).parent / "native" / "builtin.h"
     identity = f"{header} {header.stat().st_mtime_ns}"
@@ -260,5 +261,5 @@ def headers_folder() -> Path:
 
 
 def has_headers() -> bool:
-    """Whether precompiled headers exist."""
+    """Return whether precompiled headers exist."""
     return any(headers_folder().glob("*.pch"))

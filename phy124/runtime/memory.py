@@ -1,4 +1,4 @@
-"""Free memory of this process, and the refusal of a limit that is too small."""
+"""Measure the free memory of this process, and refuse too small a limit of its address space."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ except ImportError:  # Windows
 
 
 def free_memory(device: str = "cpu") -> float:
-    """Memory that this process may still allocate [bytes]; infinity where unknown.
+    """Return the memory that this process may still allocate [bytes]; infinity if unknown.
 
-    On a CPU it is the smallest of the machine's free memory, the limits of control groups
+    On a CPU this is the minimum of the machine's free memory, the limits of control groups
     (containers, batch systems), and `ulimit -v`. `device` is Warp's name of the device.
     """
     if device != "cpu":
@@ -28,7 +28,7 @@ def free_memory(device: str = "cpu") -> float:
 
 
 def _of_machine() -> float:
-    """Free memory of the machine [bytes]."""
+    """Return the free memory of the machine [bytes]."""
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):
@@ -41,7 +41,7 @@ def _of_machine() -> float:
 
 
 def _of_process() -> float:
-    """Free address space of this process [bytes]."""
+    """Return the address space that this process may still use [bytes]."""
     if resource is None:
         return math.inf
     most, _ = resource.getrlimit(resource.RLIMIT_AS)
@@ -65,9 +65,9 @@ THREADS = "OPENBLAS_NUM_THREADS"
 
 
 def refuse_narrow() -> None:
-    """Refuse a limit of the address space that is too small; call it before NumPy is imported.
+    """Refuse too small a limit of the address space; to be called before NumPy is imported.
 
-    Under any other limit, OpenBLAS gets one thread, since each thread allocates buffers.
+    Under any larger limit, OpenBLAS gets a single thread, because each thread allocates buffers.
 
     Raises:
         MemoryError: The limit is too small.
@@ -87,7 +87,7 @@ def refuse_narrow() -> None:
 
 
 def _take_buffers() -> None:
-    """Call each copy of OpenBLAS once, so that it allocates its buffers now."""
+    """Call each copy of OpenBLAS once, so that it allocates its buffers now and not under load."""
     import numpy as np
     import scipy.linalg
 

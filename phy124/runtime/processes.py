@@ -1,4 +1,4 @@
-"""Runs work in parallel in spawned processes, while the caller continues."""
+"""Run work in parallel in spawned processes, while the caller continues."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Result = TypeVar("Result")
 
 @contextmanager
 def processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Pool of `count` processes, terminated on exit.
+    """Provide a pool of `count` processes, which are terminated on exit.
 
-    They are spawned, since a forked process would share the threads of Warp.
+    They are spawned, because a forked process would share the threads of Warp.
     """
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
@@ -40,16 +40,16 @@ def as_done(
     tasks: Iterable[Task],
     beat: Callable[[], object],
 ) -> Iterator[tuple[Task, Result]]:
-    """Yield each task with its result when it is done.
+    """Yield each task with its result as soon as it is done.
 
     Args:
         pool: The processes.
         work: The function to run; it must be picklable.
-        tasks: Its arguments, in order.
+        tasks: The arguments of the calls, in order.
         beat: Called at least every `BEAT` seconds; may raise Cancelled.
 
     Raises:
-        OSError: A worker was killed, most likely for lack of memory.
+        OSError: A worker process was killed, most likely for lack of memory.
     """
     waiting = {pool.submit(work, task): task for task in tasks}
     while waiting:
@@ -64,6 +64,6 @@ def as_done(
 
 
 def _begin() -> None:
-    """Ignore Ctrl-C, which reaches all processes of a terminal; the parent handles it."""
+    """Start Warp, and ignore Ctrl-C: all processes of a terminal get it, and the parent acts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     start()

@@ -15,9 +15,9 @@ Handler = Callable[[int, FrameType | None], object]
 
 @contextmanager
 def handling(handler: Handler) -> Iterator[None]:
-    """Within this context these signals call `handler`; only the main thread can set it.
+    """Within this context these signals call `handler`; outside the main thread nothing changes.
 
-    Signals that the parent process chose to ignore (nohup) stay ignored.
+    Signals that the parent process has set to be ignored (nohup) stay ignored.
     """
     usual = {}
     if threading.current_thread() is threading.main_thread():
@@ -36,7 +36,7 @@ interrupt: Handler = signal.default_int_handler
 
 
 def ending(status: int, text: str = "") -> Handler:
-    """Return a handler that writes a text and ends the process at once, without flushing."""
+    """Return a handler that prints a text and ends the process at once, without flushing files."""
 
     def end(number: int, frame: FrameType | None) -> None:
         del number, frame

@@ -1,4 +1,4 @@
-"""Starts Warp without side effects: its messages, its warnings, its kernel folder."""
+"""Start Warp without its messages, in a writable kernel folder."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from phy124.runtime.kernel_cache import keep_headers, keep_sound
 NAMED = "WARP_CACHE_PATH"
 """Warp's environment variable for the folder of compiled kernels."""
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
-"""Warp's message on every machine without a GPU."""
+"""Message of Warp on every machine without a GPU."""
 
 
 def prepare() -> None:
-    """Before Warp starts: keep standard output free, and choose a writable kernel folder."""
+    """Prepare Warp's start: keep standard output free, and choose a writable kernel folder."""
     keep_headers()
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
-    if NAMED in os.environ:  # Warp would make a folder named ~ here
+    if NAMED in os.environ:  # Warp would create a folder named ~ in the current folder
         os.environ[NAMED] = os.path.expanduser(os.environ[NAMED])
     usual = kernel_folder()
     if wp.config.kernel_cache_dir is None and usual is not None and not _usable(usual):
@@ -39,7 +39,7 @@ def prepare() -> None:
 
 
 def start() -> None:
-    """Start Warp, without its warning that there is no GPU."""
+    """Start Warp, without its warning about a missing GPU."""
     prepare()
     with _without_line(NO_DRIVER):
         wp.init()
@@ -47,7 +47,7 @@ def start() -> None:
 
 
 def kernel_folder() -> Path | None:
-    """Warp's folder of compiled kernels; None if unknown."""
+    """Return Warp's folder of compiled kernels; None if unknown."""
     if NAMED in os.environ:
         return Path(os.environ[NAMED])
     if not sys.platform.startswith("linux"):
@@ -57,7 +57,7 @@ def kernel_folder() -> Path | None:
 
 
 def temporary_folder() -> Path:
-    """Return a folder that later runs of the same user reuse, and no one else may write to."""
+    """Return a folder for later runs of the same user, to which no other user may write."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"phy124-kernels-{user}"
     try:
@@ -72,8 +72,8 @@ def temporary_folder() -> Path:
 
 
 def _usable(folder: Path) -> bool:
-    """Whether files can be written in a folder; tested by writing a file."""
-    if folder.parts[:1] == ("~",):  # this user has no home
+    """Return whether files can be written in a folder, by writing a file."""
+    if folder.parts[:1] == ("~",):  # this user has no home folder
         return False
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -85,10 +85,10 @@ def _usable(folder: Path) -> bool:
 
 @contextmanager
 def _without_line(unwanted: bytes) -> Iterator[None]:
-    """Within this context, drop a line that native code writes to standard error."""
+    """Within this context, drop an unwanted line that native code writes to standard error."""
     try:
         usual = os.dup(2)
-    except OSError:  # it is closed
+    except OSError:  # standard error is closed
         yield
         return
     if sys.stderr is not None:

@@ -1,4 +1,4 @@
-"""Stopwatch: how a run's time was spent, by stage."""
+"""Stopwatch: measures how long each stage of a run takes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 class Stopwatch:
-    """Adds up seconds and device launches per named stage; stages may be entered again."""
+    """Adds up seconds and kernel launches per named stage; a stage may be entered several times."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -20,7 +20,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Within this context, time counts for the stage."""
+        """Within this context, time is added to the stage."""
         start = time.perf_counter()
         try:
             yield
@@ -29,7 +29,7 @@ class Stopwatch:
             self.seconds[name] = self.seconds.get(name, 0.0) + spent
 
     def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Yields the items; the time to produce each counts for the stage."""
+        """Yield the items; the time to produce each item is added to the stage."""
         iterator = iter(items)
         try:
             while True:
@@ -55,7 +55,7 @@ class Stopwatch:
         return time.perf_counter() - self.start
 
     def data(self) -> list[dict[str, Any]]:
-        """Plain data: name, seconds and, if they were counted, launches of each stage."""
+        """Return name, seconds and, if counted, launches of each stage, as plain data."""
         return [
             {"name": name, "seconds": seconds, "launches": self.launches.get(name)}
             for name, seconds in self.seconds.items()

@@ -1,8 +1,7 @@
-"""Standard streams that never end a program: closed ones, broken pipes, poor encodings.
+"""Standard streams whose errors never end a program: closed ones, broken pipes, poor encodings.
 
-A program's messages are worth less than its results. So a stream without a reader, or that cannot
-be written, discards the rest of the text, and a character that the encoding lacks is written in
-ASCII.
+Results matter more than messages. A stream that is closed or cannot be written therefore discards
+the remaining text, and a character that is missing in the encoding is written in ASCII.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ from typing import Any, TextIO
 PLAIN = "phy124-plain"
 """Name of the error handler for characters that an encoding lacks."""
 SPELLED = {"•": "*", "…": "...", "–": "-", "—": "-", "×": "x", "−": "-", "µ": "u"}
-"""Character -> the same in ASCII; other characters are written by their number."""
+"""Character -> ASCII replacement; other characters are written as their code point."""
 
 
 @contextmanager
 def steady_streams() -> Iterator[list[OSError]]:
     """Within this context, writing to standard output or standard error never fails.
 
-    Yields the errors of standard output, to which one is added if what was written there got lost.
-    A reader who has closed the pipe has seen enough and counts as no error.
+    Yields a list of errors; an error is added when text for standard output is lost. A reader that
+    closes the pipe has read enough: this is not an error.
     """
     _occupy()
     codecs.register_error(PLAIN, _spell)
@@ -45,22 +44,22 @@ def steady_streams() -> Iterator[list[OSError]]:
 def _occupy() -> None:
     """Open the null device for each standard stream that is closed.
 
-    Otherwise the next file that is opened would get its number, and with it what native code
-    prints.
+    Otherwise the next opened file would get the number of the closed stream, and receive the text
+    that native code prints.
     """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
 
 
 def _steady(stream: TextIO | None, problems: list[OSError]) -> Any:
-    """A stream that writes where another one does, and never fails; None is replaced, too."""
+    """Return a stream that writes to `stream` and never fails; None becomes the null device."""
     if stream is None:
         return open(os.devnull, "w", encoding="utf-8", errors=PLAIN)
     if not isinstance(stream, io.TextIOWrapper) or not _is_file(stream):
-        return stream  # an editor's or a test's
+        return stream  # replaced by an editor or a test
     stream.flush()
     raw = _Steady(getattr(stream.buffer, "raw", stream.buffer), problems)
     return io.TextIOWrapper(
@@ -80,7 +79,7 @@ def _is_file(stream: TextIO) -> bool:
 
 
 class _Steady(io.RawIOBase):
-    """Writes to another raw stream until that fails, and nowhere from then on."""
+    """Writes to another raw stream until an error occurs, and discards all text afterwards."""
 
     def __init__(self, raw: Any, problems: list[OSError]) -> None:
         self.raw, self.problems, self.ended = raw, problems, False
@@ -106,16 +105,16 @@ class _Steady(io.RawIOBase):
         return len(data)
 
     def _written(self, data: Any) -> int:
-        """Bytes that were written, after waiting for a pipe that another program does not block."""
+        """Write data to the raw stream, waiting while a pipe is full; return the bytes written."""
         while (count := self.raw.write(data)) is None:
             select.select([], [self.raw], [])
         return count
 
 
 def _spell(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Spell a character that the encoding lacks: its bytes, its ASCII form or its number.
+    """Replace a character that the encoding lacks by bytes, an ASCII form or its code point.
 
-    Bytes of a file's name that are not text are stored as lone surrogates, and written unchanged.
+    File names that are not text contain lone surrogates; these are written as the original bytes.
     """
     if not isinstance(error, UnicodeEncodeError):
         raise error

@@ -1,4 +1,4 @@
-"""Accuracy settings: the values behind `draft`, `standard`, `fine`, and what each promises."""
+"""Accuracy settings, and the values and purposes of `draft`, `standard` and `fine`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from phy124.schema.section import Section
 
 
 class Accuracy(Section):
-    """Settings that trade accuracy against time: cells across the object, particles in them."""
+    """Settings that trade accuracy against time, such as cells and particles per cell."""
 
     cells: int = Field(default=32, ge=4, le=256, description="Grid cells across the longest side.")
     particles_per_axis: float | None = Field(
@@ -63,7 +63,7 @@ class Accuracy(Section):
 
     @property
     def fraction(self) -> float:
-        """Length of a substep as a fraction of the elastic limit."""
+        """Length of a substep as a fraction of the elastic limit, including RPIC damping."""
         return beside_rpic(self.cfl) if self.rpic_damping > 0 else self.cfl
 
     @property
@@ -74,7 +74,7 @@ class Accuracy(Section):
 
     @property
     def share(self) -> float:
-        """Fraction that particles keep of the velocities that the grid cannot represent."""
+        """Fraction of the velocities that the grid cannot represent which particles keep."""
         return self.blend if self.transfer == "aflip" else 1.0
 
 

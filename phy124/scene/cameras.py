@@ -1,8 +1,8 @@
-"""Cameras of a view: on a turntable, on a dolly, or along a path of keys.
+"""Cameras of a view: on a turntable, on a dolly, or along a path of keyframes.
 
-Angles are those of the view: azimuth 0 is the front, 90 the right; positive elevation looks down.
-Distances and targets are in object sizes, so that a camera fits any object. Values that a camera
-leaves out come from the view.
+Angles are those of the view: azimuth 0 is the front, 90 the right; with a positive elevation the
+camera looks down. Distances and targets are in object sizes, so that a camera fits any object.
+Values that a camera does not set come from the view.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ class Poses(NamedTuple):
     """Camera poses for all frames, relative to the object's centre."""
 
     azimuth: Values
-    """Degrees [T]."""
+    """Azimuth [T], degrees."""
     elevation: Values
-    """Degrees [T]."""
+    """Elevation [T], degrees."""
     distance: Values
-    """Object sizes [T]."""
+    """Distance from the target [T], object sizes."""
     fov: Values
-    """Vertical field of view, degrees [T]."""
+    """Vertical field of view [T], degrees."""
     target: Values
-    """Point looked at, relative to the object's centre, object sizes [T,3]."""
+    """Point at which the camera looks, relative to the object's centre [T,3], object sizes."""
 
     @classmethod
     def still(
         cls, count: int, azimuth: float, elevation: float, distance: float, fov: float
     ) -> Poses:
-        """Return poses of a camera that does not move.
+        """Return poses of a fixed camera.
 
         Args:
             count: Number of frames.
@@ -59,7 +59,7 @@ class Poses(NamedTuple):
         return cls(a, e, d, f, np.zeros((count, 3)))
 
     def replace(self, **values: ArrayLike | None) -> Poses:
-        """Return poses with other values, each a number or an array; None changes nothing."""
+        """Return poses with some values replaced by numbers or arrays; None keeps a value."""
         changes = {
             name: np.broadcast_to(value, getattr(self, name).shape)
             for name, value in values.items()
@@ -69,7 +69,7 @@ class Poses(NamedTuple):
 
 
 class _Circling(Section):
-    """Fields shared by the cameras that stand around a point."""
+    """Fields shared by the cameras whose position is set by angles and distance around a target."""
 
     elevation: Elevation | None = Field(
         default=None, examples=[30], description="Height angle [deg]; absent: the view's."
@@ -84,12 +84,12 @@ class _Circling(Section):
 
     @property
     def end(self) -> float:
-        """Time at which its path ends [s]; 0, since it adapts to the clip's length."""
+        """End time of the camera's path [s]; 0, because the path adapts to the clip's length."""
         return 0.0
 
 
 class TurntableCamera(_Circling):
-    """Circles the object at a constant rate, by default once in the clip."""
+    """Circles the object at a constant angular velocity, by default once during the clip."""
 
     kind: Literal["turntable"] = "turntable"
     name: Name = Field(default="turntable", description="Name of its files.")
@@ -103,16 +103,16 @@ class TurntableCamera(_Circling):
 
     @property
     def chosen(self) -> bool:
-        """Whether distance, field of view or target differ from the view's."""
+        """Whether distance, field of view or target differ from those of the view."""
         return self.distance is not None or self.fov is not None or any(self.target)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Return the camera's poses at some times.
+        """Return the camera's poses at the given times.
 
         Args:
             times: Times since the first frame [T], s.
-            length: Length of the clip [s]; a whole turn ends where it began.
-            usual: Poses of the view, for the values that this camera leaves out.
+            length: Length of the clip [s]; a full turn ends where it began.
+            usual: Poses of the view, for the values that this camera does not set.
         """
         return usual.replace(
             azimuth=self.start + 360 * self.turns * times / length,
@@ -124,7 +124,7 @@ class TurntableCamera(_Circling):
 
 
 class DollyCamera(_Circling):
-    """Moves straight towards the object or away from it; it starts and ends gently."""
+    """Moves straight towards the object or away from it; the speed is zero at start and end."""
 
     kind: Literal["dolly"] = "dolly"
     name: Name = Field(default="dolly", description="Name of its files.")
@@ -134,16 +134,16 @@ class DollyCamera(_Circling):
 
     @property
     def chosen(self) -> bool:
-        """True: its distances are always set."""
+        """True, because the distances of this camera are always set."""
         return True
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Return the camera's poses at some times.
+        """Return the camera's poses at the given times.
 
         Args:
-            times: Times since the first frame [T], s; the path ends with the last one.
+            times: Times since the first frame [T], s; the path ends at the last time.
             length: Length of the clip [s], not used.
-            usual: Poses of the view, for the values that this camera leaves out.
+            usual: Poses of the view, for the values that this camera does not set.
         """
         del length
         end = float(times[-1]) or 1.0
@@ -157,7 +157,7 @@ class DollyCamera(_Circling):
 
 
 class CameraKey(Section):
-    """A key of a camera path: a time and the values that the camera has then."""
+    """A key of a camera path: a time and the camera's values at this time."""
 
     time: Instant = Field(default=0.0, description="Motion since the first frame [s].")
     azimuth: Turn | None = Field(
@@ -182,7 +182,7 @@ class CameraKey(Section):
 
 
 class PathCamera(Section):
-    """Moves smoothly through keys without overshoot, and stands still before and after them."""
+    """Moves smoothly through keys without overshoot; fixed before the first and after the last."""
 
     kind: Literal["path"] = "path"
     name: Name = Field(default="path", description="Name of its files.")
@@ -207,16 +207,16 @@ class PathCamera(Section):
 
     @property
     def chosen(self) -> bool:
-        """Whether distance, field of view or target differ from the view's."""
+        """Whether distance, field of view or target differ from those of the view."""
         return any((key.distance, key.fov, key.target) != (None,) * 3 for key in self.keys)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Return the camera's poses at some times.
+        """Return the camera's poses at the given times.
 
         Args:
             times: Times since the first frame [T], s.
             length: Length of the clip [s], not used.
-            usual: Poses of the view, for the values that this camera leaves out.
+            usual: Poses of the view, for the values that this camera does not set.
         """
         del length
         values = {}
@@ -233,8 +233,8 @@ AnyCamera = Annotated[TurntableCamera | DollyCamera | PathCamera, Field(discrimi
 def interpolate(at: Values, times: Sequence[float], values: Sequence[object]) -> Values:
     """Interpolate keys by a monotone cubic (Fritsch and Carlson 1980), without overshoot.
 
-    The rate is continuous, and zero at the first and last key; the value is constant outside them.
-    Between two keys alone this is 3 s^2 - 2 s^3.
+    The derivative is continuous, and zero at the first and last key; outside them the value is
+    constant. With only two keys the interpolation is 3 s^2 - 2 s^3.
 
     Args:
         at: Times at which to interpolate [T], s.
@@ -244,7 +244,7 @@ def interpolate(at: Values, times: Sequence[float], values: Sequence[object]) ->
     from scipy.interpolate import PchipInterpolator
 
     first, last = times[0], times[-1]
-    # Repeating the end values makes the rate zero at both ends.
+    # Repeating the end values makes the derivative zero at both ends.
     through = PchipInterpolator(
         [first - 1, *times, last + 1], np.array([values[0], *values, values[-1]], float)
     )

@@ -17,21 +17,21 @@ else:
     import tomli as tomllib
 
 TAGS = ("law", "kind")
-"""Keys that say which of several kinds a section is."""
+"""Keys that name the kind of a section."""
 LENGTH = ("time.frames", "time.seconds")
-"""Two ways to say how long a scene is; either replaces the other."""
+"""Two fields for the length of a scene; setting either replaces the other."""
 REFERENCE = "`phy124 scenes --reference` lists all fields."
 
 
 def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
     """Set values at dotted paths, outer paths first.
 
-    When a section changes its kind, for instance to a material of another law, it starts from the
-    defaults of the new kind, because the old values would mean something else. Values set in the
-    same call are kept.
+    When a section changes its kind, for instance to a material of another law, its other values
+    become the defaults of the new kind, because the old values would have another meaning. Values
+    set in the same call are kept.
 
     Raises:
-        InputError: If a path does not exist in the data.
+        InputError: A path does not exist in the data.
     """
     for path, value in changes.items():
         _check_path(path)
@@ -48,7 +48,7 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
 
 
 def _check_path(path: str) -> None:
-    """Refuse a path that is too long, before tables are created for it."""
+    """Refuse too long a path, before tables are created for it."""
     keys = path.count(".") + 1
     if keys > DEEPEST:
         limit = f"it has {keys:,} names; a path in a scene has at most {DEEPEST}."
@@ -56,7 +56,7 @@ def _check_path(path: str) -> None:
 
 
 def parse_value(text: str) -> Any:
-    """Parse a value in TOML's notation; bare words are text."""
+    """Parse a value in TOML notation; text that is not valid TOML is returned as it stands."""
     try:
         table = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -65,10 +65,11 @@ def parse_value(text: str) -> Any:
 
 
 def parse_changes(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Parse texts such as `material.E=2e4` to a dict of paths and values.
+    """Parse texts such as `material.E=2e4` into a dict: path -> value.
 
     Raises:
-        InputError: If a text is not of the form KEY=VALUE, or two texts disagree.
+        InputError: A text is not of the form KEY=VALUE, or two texts set a path to different
+            values.
     """
     pairs: dict[str, Any] = {}
     for text in texts:
@@ -83,7 +84,7 @@ def merge_changes(some: dict[str, Any], others: dict[str, Any]) -> dict[str, Any
     """Merge two sets of changes.
 
     Raises:
-        InputError: If they disagree about a value.
+        InputError: They set a path to different values.
     """
     for path in some.keys() & others.keys():
         if some[path] != others[path]:
@@ -98,7 +99,7 @@ def _outer_first(path: str) -> tuple[int, bool]:
 
 
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set a value in nested dicts and lists; the index len(list) appends an item."""
+    """Set a value in nested dicts and lists; an index equal to a list's length appends to it."""
     *parents, last = path.split(".")
     section: Any = data
     for key in parents:
@@ -115,7 +116,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 def _item(section: Any, key: str, path: str, value: Any) -> Any:
     """Return the dict or list under a key; create it if it does not exist.
 
-    A named accuracy is replaced by its table of values, so that single values can be changed.
+    A named accuracy is first replaced by its table of values; then a single value can be changed.
     """
     if isinstance(section, dict):
         inner = section.setdefault(key, {})

@@ -1,4 +1,4 @@
-"""Reading a scene's TOML file, checking its depth, and listing the files that it names."""
+"""Read a scene's TOML file, check its nesting depth, and list the files that it names."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ else:
 
 
 DEEPEST = 32
-"""Largest depth of nested tables and lists; a scene has eight. Code that reads them recurses."""
+"""Largest nesting depth of tables and lists, because reading them recurses; a scene has eight."""
 
 
 def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
-    """Read a TOML file; error messages call it `field`.
+    """Read a TOML file, named `field` in error messages.
 
     Raises:
-        InputError: It cannot be read or is not TOML.
+        InputError: The file cannot be read or is not TOML.
     """
     try:
         return tomllib.loads(Path(path).read_text("utf-8-sig"))
@@ -45,14 +45,14 @@ def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
 
 
 def check_depth(data: Any, field: str) -> None:
-    """Check how deep plain data is nested.
+    """Refuse plain data that is nested too deep.
 
     Args:
         data: Tables, lists and values.
         field: Name of the data in an error message.
 
     Raises:
-        InputError: It is nested deeper than `DEEPEST`.
+        InputError: The data is nested deeper than `DEEPEST`.
     """
 
     def list_inner(section: Any) -> list[Any]:
@@ -69,7 +69,7 @@ def check_depth(data: Any, field: str) -> None:
 
 
 def files_named(section: Any, field: str = "") -> Iterator[tuple[str, Path]]:
-    """Yield each file that a scene names, after the dotted path of the field that names it."""
+    """Yield each file that a scene names, with the dotted path of the field that names it."""
     if isinstance(section, Path):
         yield field, section
     elif isinstance(section, BaseModel):

@@ -1,4 +1,4 @@
-"""Several objects in one scene: the further objects, and the contact of each pair."""
+"""Further objects of a scene, and the contact of each pair of objects."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _Side = Annotated[float, Field(ge=0.01, le=1)]
 _Fraction = Annotated[float, Field(ge=0, le=1)]
 CREAM = (0.93, 0.87, 0.73)
 ANY = "any"
-"""Stands for every object's name in a pair."""
+"""Name that stands for every object in a pair."""
 FLAT = Ground | HalfSpace | Press | Container
 """Boundaries that a free solid can touch."""
 
 
 class SceneObject(Object):
-    """A further object: from a picture, from a file of Gaussians, a mesh, or a plain shape.
+    """A further object: made from a picture, a file of Gaussians, a mesh, or a plain shape.
 
-    Without any of these it is made from the next picture of the command; if there is none, it is
-    a copy of the first object.
+    Without any of these the object is made from the next picture on the command line; without such
+    a picture it is a copy of the first object.
     """
 
     name: Name = Field(description="Name of the object.")
@@ -123,26 +123,26 @@ class SceneObject(Object):
 
     @property
     def scenery(self) -> bool:
-        """Whether it has no particles: it is static, or a rigid shape with a motion."""
+        """Whether the object has no particles: it is static, or a rigid shape with a motion."""
         return self.static or self.motion is not None
 
     @property
     def free(self) -> bool:
-        """Whether it is a rigid solid that moves freely."""
+        """Whether the object is a rigid solid that moves freely."""
         return isinstance(self.motion, Free)
 
     @property
     def path(self) -> Path | Swing | None:
-        """Its prescribed motion; None if it has none."""
+        """Prescribed motion of the object; None without one."""
         return None if isinstance(self.motion, Free) else self.motion
 
     @property
     def half(self) -> NDArray[np.float64]:
-        """Half the sides of the shape [3], m."""
+        """Half the side lengths of the shape [3], m."""
         return np.array(self.sides) / max(self.sides) * self.size / 2
 
     def solid(self, pairs: Sequence[Pair]) -> Movable:
-        """Return the moving boundary that an object with a path is for other objects.
+        """Return the moving boundary that represents this object with a path for other objects.
 
         Args:
             pairs: The scene's pairs, for friction and contact.
@@ -166,12 +166,12 @@ class SceneObject(Object):
 
     @property
     def waits(self) -> bool:
-        """Whether it takes the next picture of the command, if there is one."""
+        """Whether the object is made from the next picture on the command line, if there is one."""
         return not (self.picture or self.file or self.mesh or self.shape)
 
 
 class Pair(Section):
-    """The contact of two objects."""
+    """Contact of two objects."""
 
     between: tuple[Name, Name] = Field(
         default=(ANY, ANY),
@@ -186,10 +186,10 @@ class Pair(Section):
 
 
 def check_objects(first: Object, others: Sequence[SceneObject]) -> None:
-    """Check that objects have different names, and that each stands on an object that exists.
+    """Check that all names differ, and that each object stands on the floor or an existing object.
 
     Raises:
-        ValueError: Two have the same name, or one stands on itself or on an unknown object.
+        ValueError: Two names are equal, or an object stands on itself or on an unknown object.
     """
     objects = {first.name: first}
     for other in others:
@@ -214,7 +214,7 @@ def check_free(objects: Sequence[Object], boundaries: Sequence[Any]) -> None:
     """Check that a free solid cannot pass through a boundary or another object.
 
     Raises:
-        ValueError: It would pass through one.
+        ValueError: The solid would pass through it.
     """
     free = [item.name for item in objects if isinstance(item, SceneObject) and item.free]
     if not free:
@@ -241,10 +241,10 @@ def check_free(objects: Sequence[Object], boundaries: Sequence[Any]) -> None:
 
 
 def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
-    """Check that each pair of objects is declared once at most.
+    """Check that each pair of objects is declared at most once.
 
     Raises:
-        ValueError: A name is unknown, or two entries are about the same pair.
+        ValueError: A name is unknown, or two entries declare the same pair.
     """
     seen: set[frozenset[str]] = set()
     for pair in pairs:
@@ -260,7 +260,7 @@ def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
 
 
 def find_pair(pairs: Sequence[Pair], first: str, second: str) -> Pair:
-    """Return the entry for two objects, preferably one that names both."""
+    """Return the entry for two objects; an entry that names both takes precedence."""
     fitting = [pair for pair in pairs if set(pair.between) <= {first, second, ANY}]
     return min(fitting, key=lambda pair: pair.between.count(ANY), default=Pair())
 

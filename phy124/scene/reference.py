@@ -1,4 +1,4 @@
-"""The reference page of a scene: each field with its accepted values, default and meaning."""
+"""Write the scene reference: each field with its accepted values, default and meaning."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ background = "whitesmoke"
 
 
 def format_reference(section: str | None = None) -> str:
-    """Return the reference in Markdown, or one section of it such as `material`.
+    """Return the reference in Markdown, or only a section such as `material`.
 
     Raises:
         InputError: There is no such section.
@@ -91,7 +91,7 @@ def format_reference(section: str | None = None) -> str:
 
 
 def list_pages() -> dict[str, str]:
-    """Return the tables of each section: `scene` for its own fields, then by their names."""
+    """Return section name -> tables in Markdown; `scene` holds the scene's top-level fields."""
     declared, written = read_declaration(Scene), set[str]()
     pages = dict[str, str]()
     for path, text in _format_section(declared, "Fields of a scene", declared.schema, "", written):
@@ -124,7 +124,7 @@ def _format_section(
 
 
 def _list_sections(declared: Declaration, node: Node) -> Iterator[tuple[str, Node]]:
-    """Yield the sections that a field accepts, each after the name of its law or kind."""
+    """Yield the sections that a field accepts, each with the name of its law or kind."""
     node = declared.resolve(node)
     if "items" in node:
         yield from _list_sections(declared, node["items"])

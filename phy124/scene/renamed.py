@@ -1,4 +1,4 @@
-"""Reads the option names of earlier versions in scene files, clips and commands."""
+"""Convert option names of earlier versions in scene files, clips and commands."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from typing import Any
 from phy124.errors import InputError
 
 KEYS = {"ppc": "particles_per_axis", "patience": "budget", "share": "fraction"}
-"""Keys of version 0.1 -> present names."""
+"""Key of version 0.1 -> present name."""
 VALUES = {("binding", "field"): "lattice", ("kind", "field"): "zone"}
-"""Keys with a value of version 0.1 -> present name of the value."""
+"""Key and value of version 0.1 -> present name of the value."""
 STAGES = {True: "transparent", False: "plain"}
-"""Values of the key `transparent` of version 0.2 -> values of `stage`."""
+"""Value of the key `transparent` of version 0.2 -> value of `stage`."""
 
 
 def rename_keys(data: Any) -> Any:
-    """Replace old names in plain data of a scene; each causes a FutureWarning.
+    """Replace old names in plain data of a scene; each old name causes a FutureWarning.
 
     Raises:
-        InputError: The old section `stiffness` of kind array stands next to `properties`, which
-            replaced it.
+        InputError: The scene has both the old section `stiffness` of kind array and `properties`,
+            which replaced it.
     """
     if isinstance(data, dict):
         if _is_array(data.get("stiffness")) and data.get("properties") is not None:
             limit, remedy = "the scene has properties as well.", "Give them a column `fraction`."
             raise InputError("stiffness.kind", "array", limit, remedy)
-        if data.get("transparent") is False:  # the default, and any stage may replace it
+        if data.get("transparent") is False:  # the old default, which any stage may replace
             data = {key: value for key, value in data.items() if key != "transparent"}
         return dict(rename_item(key, value) for key, value in data.items())
     return [rename_keys(item) for item in data] if isinstance(data, list) else data
 
 
 def rename_item(key: str, value: Any) -> tuple[str, Any]:
-    """Return the present names of a key, or dotted path, and of its value."""
+    """Return the present names of a key (or dotted path) and of its value."""
     if key == "stiffness" and _is_array(value):
         _note("stiffness of kind array", "properties")
         return "properties", {"file": value.get("file")}

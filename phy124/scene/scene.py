@@ -1,7 +1,7 @@
-"""Scene: everything that a user can choose, as one frozen tree, read from and written to TOML.
+"""Scene: all options of a user, as an immutable tree, read from and written to TOML.
 
-Each option is declared here and nowhere else: its bounds and description serve validation, the
-command line's help and the web page.
+Each option is declared only here: its bounds and description are used by validation, by the command
+line's help and by the web page.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from phy124.schema.refusals import explain
 from phy124.schema.section import Section
 
 MOST_OBJECTS = 16
-"""Largest number of objects in a scene. Each has its own velocity field where it meets another."""
+"""Largest number of objects in a scene; objects that touch need a velocity field each."""
 
 
 class Scene(Section):
@@ -171,18 +171,18 @@ class Scene(Section):
 
     @property
     def resolution(self) -> Accuracy:
-        """The accuracy settings; a named accuracy is looked up."""
+        """Accuracy settings; a named accuracy is replaced by its settings."""
         return PRESETS[self.accuracy] if isinstance(self.accuracy, str) else self.accuracy
 
     @property
     def particles_per_axis(self) -> float:
-        """Particles per cell and axis: the chosen number, or the one that the materials need."""
+        """Particles per cell and axis: the number set, or the largest that a material needs."""
         chosen = self.resolution.particles_per_axis
         return chosen or max(section.particles_per_axis for section in self.materials)
 
     @property
     def acting(self) -> list[AnyForce]:
-        """The forces whose strength is not zero."""
+        """Forces whose strength is not zero."""
         return [force for force in self.forces if not force.idle]
 
     @property
@@ -207,7 +207,7 @@ class Scene(Section):
 
     @property
     def materials(self) -> list[AnyMaterial]:
-        """Materials of each object that has particles, followed by those of its moving parts."""
+        """Material of each object with particles, followed by those of its moving parts."""
         materials = []
         for item in (self, *self.objects):
             if not (isinstance(item, SceneObject) and item.scenery):
@@ -222,7 +222,7 @@ class Scene(Section):
         return self.model_copy(update={"boundaries": (*self.boundaries, *solids)})
 
     def alone(self, index: int) -> Scene:
-        """Return the scene with a single object; the grid spacing follows from that object."""
+        """Return the scene with a single object, whose size then defines the grid spacing."""
         if index == 0:
             return self.model_copy(update={"objects": (), "pairs": ()})
         other = self.objects[index - 1]
@@ -250,10 +250,10 @@ class Scene(Section):
 
     @classmethod
     def from_data(cls, data: dict[str, Any], source: str = "scene") -> Scene:
-        """Validate plain data.
+        """Validate plain data and return the scene.
 
         Raises:
-            InputError: If the data is not a scene; it names field, value, limit and remedy.
+            InputError: The data is not a scene; the error names field, value, limit and remedy.
         """
         check_depth(data, source)
         try:
@@ -263,13 +263,13 @@ class Scene(Section):
 
     @classmethod
     def of_clip(cls, data: dict[str, Any], source: str = "clip") -> Scene:
-        """Read the scene of a clip to film it, without classes that this program does not know.
+        """Read the scene of a clip for filming, without classes that this program does not know.
 
-        Forces and boundaries of unknown classes are left out, and unknown materials become the
-        default. Such a clip was made by a program that defines the classes.
+        Another program may have defined such classes. Forces and boundaries of unknown classes are
+        left out, and unknown materials are replaced by the default.
 
         Raises:
-            InputError: If the data is not a scene.
+            InputError: The data is not a scene.
         """
         try:
             return cls.from_data(data, source)
@@ -284,7 +284,7 @@ class Scene(Section):
         """Read a scene file.
 
         Raises:
-            InputError: If the file is missing, is not TOML, or is not a scene.
+            InputError: The file is missing, is not TOML, or is not a scene.
         """
         return cls.from_data(read_toml(path, "scene"), str(path))
 
@@ -293,7 +293,7 @@ class Scene(Section):
         """Return a preset by its name, or read a scene file by its path.
 
         Raises:
-            InputError: If there is neither a preset nor a file of that name.
+            InputError: There is neither a preset nor a file of that name.
         """
         if name in preset_names():
             return cls.from_toml(preset_folder() / f"{name}.toml")
@@ -318,7 +318,7 @@ class Scene(Section):
 
     @property
     def unregistered(self) -> dict[str, str]:
-        """Users' classes that a file cannot name, each with the entry points that register it."""
+        """Users' classes that have no name in files -> entry-point group to register them in."""
         sections = ((LAWS, self.materials), (FORCES, self.forces), (BOUNDARIES, self.boundaries))
         return {
             type(section).__name__: kinds.group
@@ -328,7 +328,7 @@ class Scene(Section):
         }
 
     def require_serialisable(self) -> None:
-        """Refuse a scene with a user's class that a file cannot name.
+        """Refuse a scene with a user's class that has no name in files.
 
         Raises:
             InputError: A user's class is not registered under a name.
@@ -345,10 +345,10 @@ class Scene(Section):
         defaults.
 
         Raises:
-            InputError: If a path does not exist or a value is out of bounds.
+            InputError: A path does not exist or a value is out of bounds.
         """
         data = self.data()
-        # Keep instances of users' classes: plain data may not name their class.
+        # Keep instances of users' classes, because plain data may be unable to name their class.
         if LAWS.is_foreign(self.material):
             data["material"] = self.material
         of_objects = zip(self.objects, data.get("objects", []), strict=True)
@@ -370,12 +370,12 @@ def preset_names() -> list[str]:
 
 
 def preset_folder() -> Path:
-    """Return the folder that holds the presets."""
+    """Return the folder of the presets."""
     return Path(str(resources.files("phy124") / "presets"))
 
 
 def _known_part(data: dict[str, Any]) -> dict[str, Any]:
-    """Plain data of a scene without sections of classes that this program does not know."""
+    """Return plain data of a scene without sections of classes that this program does not know."""
     data = _with_known_laws(data)
     for kinds in (FORCES, BOUNDARIES):
         if kinds.group in data:
@@ -384,7 +384,7 @@ def _known_part(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_known_laws(section: dict[str, Any]) -> dict[str, Any]:
-    """A section without unknown materials, also in its parts and objects."""
+    """Return a section without unknown materials; the same applies to its parts and objects."""
     section = dict(section)
     if not LAWS.knows(section.get("material", {})):
         section.pop("material", None)

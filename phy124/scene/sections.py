@@ -1,4 +1,4 @@
-"""The sections of a scene other than its view: the object, its parts, the timing, the checks."""
+"""Sections of a scene except its view: the object, its parts, the timing, the checks."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ Number = Annotated[int, Field(ge=0, le=10_000_000)]
 Seconds = Annotated[float, Field(ge=1e-3, le=1e4)]
 Rate = Annotated[float, Field(ge=1, le=1000)]
 LENGTH = TypeAdapter(tuple[Seconds, Rate])
-"""A length of time [s] and frames per second."""
+"""Length of time [s] and frames per second."""
 FLOOR = "floor"
-"""What an object stands on unless it stands on another object."""
+"""Name of the floor, on which an object stands unless it stands on another object."""
 _Degrees = Annotated[float, Field(ge=-360, le=360)]
 Angles = tuple[_Degrees, _Degrees, _Degrees]
 
 
 def _is(default: Any) -> Callable[[Any], bool]:
-    """Return a test for the default, which is not written into scene files."""
+    """Return a test for a default value; defaults are not written into scene files."""
     return lambda value: value == default
 
 
 class Object(Section):
-    """The object made from the picture, and how it is placed in the world."""
+    """The object made from the picture, and its placement in the world."""
 
     size: float = Field(default=1.0, ge=1e-6, le=1e4, description="Longest side [m].")
     lift: float = Field(
@@ -67,7 +67,7 @@ class Object(Section):
 
 
 class Timing(Section):
-    """Which times are stored as frames, and how long a run may take."""
+    """Number and rate of the frames that are stored, and limits on substep and computing time."""
 
     frames: int = Field(default=14, ge=1, le=10_000, description="Number of frames.")
     fps: Rate = Field(default=24.0, description="Frames per second of motion.")
@@ -99,7 +99,7 @@ class Timing(Section):
     @model_validator(mode="before")
     @classmethod
     def _replace_seconds(cls, data: Any) -> Any:
-        """Replace seconds by frames, so that a scene states its length in one way."""
+        """Replace `seconds` by `frames`, so that a scene states its length only once."""
         if not isinstance(data, dict) or data.get("seconds") is None:
             return data
         if "frames" in data:
@@ -108,18 +108,18 @@ class Timing(Section):
             rate = data.get("fps", cls.model_fields["fps"].default)
             seconds, fps = LENGTH.validate_python((data["seconds"], rate))
         except ValidationError:
-            return data  # the fields' own validation reports it
+            return data  # the validation of the fields reports the error
         rest = {name: value for name, value in data.items() if name != "seconds"}
         return {**rest, "frames": max(1, round(seconds * fps))}
 
     @property
     def length(self) -> float:
-        """Length of the motion [s]: 1 / fps per frame."""
+        """Length of the motion [s]; each frame adds 1 / fps."""
         return self.frames / self.fps
 
 
 class Checks(Section):
-    """How closely a run is watched. Each check costs time and guards against a kind of failure."""
+    """Monitoring of a run. Each check costs time and detects a kind of failure."""
 
     measure: int = Field(
         default=16,
@@ -143,11 +143,11 @@ class Checks(Section):
 
 
 def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
-    """Refuse `checks.energy` in a scene where a part of the energy is not measured.
+    """Refuse `checks.energy` in a scene where some of the energy is not measured.
 
     Args:
         checks: The scene's checks.
-        unsupported: Feature that the split does not support -> whether the scene has it.
+        unsupported: Feature for which energy losses cannot be split -> whether the scene has it.
 
     Raises:
         ValueError: `checks.energy` is on and the scene has such a feature.
@@ -162,7 +162,7 @@ def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
 
 
 class Part(Section):
-    """A part of the object that is made of another material, or does not move at all."""
+    """A part of the object that has another material, or is static."""
 
     material: AnyMaterial = Field(default=NeoHookean(), description="Its material.")
     static: bool = Field(
@@ -198,7 +198,7 @@ class Part(Section):
         return self
 
     def data(self) -> dict[str, Any]:
-        """Return how the part is selected, as plain data."""
+        """Return the selection of the part as plain data."""
         return self.model_dump(
             mode="json", exclude_none=True, exclude={"material", "static", "surroundings"}
         )

@@ -1,4 +1,4 @@
-"""A scene in one line: the parameters of its laws, forces, boundaries, grid and frames."""
+"""Summarise a scene in one line: parameters of laws, forces, boundaries, grid and frames."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BINDINGS = {
     "lattice": "Gaussians on a lattice of particles",
     "particles": "each Gaussian a particle",
 }
-"""The bindings, in words."""
+"""Binding -> description in words."""
 
 
 def summarise(scene: Scene) -> str:
@@ -44,7 +44,7 @@ def _describe_material(material: AnyMaterial) -> str:
     values = []
     for name, info in type(material).model_fields.items():
         unit = re.search(r"\[(.*)\]", info.description or "")
-        if name not in ("law", "tint"):  # its motion, not its look
+        if name not in ("law", "tint"):  # a tint changes the look, not the motion
             value = format_number(getattr(material, name))
             values.append(f"{name} {value} {unit[1]}" if unit else f"{name} {value}")
     return f"{material.law} ({', '.join(values)})"

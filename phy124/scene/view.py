@@ -1,4 +1,4 @@
-"""View: cameras, picture size, formats and stage with which a clip is filmed."""
+"""View: cameras, picture size, formats and stage for filming a clip."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
 def _width_and_height(size: Any) -> Any:
-    """Convert 512, "512", [640, 480] or "640x480" to two numbers; leave the rest to validation.
+    """Convert 512, "512", [640, 480] or "640x480" to two numbers; validation checks the rest.
 
     Raises:
         ValueError: A text is neither a number nor two numbers.
@@ -49,11 +49,11 @@ Size = Annotated[
     BeforeValidator(_width_and_height, json_schema_input_type=Side | tuple[Side, Side]),
     PlainSerializer(_shortest),
 ]
-"""Width and height in pixels; one number or text such as 640x480 is accepted as well."""
+"""Width and height in pixels; a single number or text such as 640x480 is accepted as well."""
 
 
 class View(Section):
-    """How a clip is filmed."""
+    """Options of filming a clip."""
 
     views: tuple[ViewName, ...] = Field(
         default=("front", "right", "back", "left", "orbit"),
@@ -188,7 +188,7 @@ class View(Section):
 
     @property
     def fits(self) -> bool:
-        """Whether the camera's distance is chosen so that it shows the whole motion."""
+        """Whether the camera's distance is chosen automatically to show the whole motion."""
         return self.fit and self.distance == View.model_fields["distance"].default
 
     def camera(self, side: str) -> AnyCamera | None:
@@ -196,7 +196,7 @@ class View(Section):
         return next((camera for camera in self.cameras if camera.name == side), None)
 
     def only(self, side: str) -> View:
-        """Return the section with only one of its views."""
+        """Return the section with only the named view."""
         camera = self.camera(side)
         views = tuple(name for name in self.views if name == side)
         angle = () if views or camera else (float(side.removeprefix("azimuth-")),)

@@ -1,1 +1,1 @@
-"""How options are declared, bounded, described and read from command lines."""
+"""Declaration of options: bounds, descriptions, and parsing of command lines."""

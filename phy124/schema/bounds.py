@@ -1,6 +1,7 @@
-"""Bounds of a scene's numbers, within what float32 and a grid of cells can represent.
+"""Bounds of a scene's numbers, within the range of float32 and of a grid of cells.
 
-They are wider than any scene needs, and narrow enough that no product of two numbers overflows.
+The bounds are wider than any scene needs, but narrow enough that no product of two numbers
+overflows.
 """
 
 import difflib
@@ -10,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BeforeValidator, Field
 
 LONGEST = 1e5
-"""Largest time [s]; a clip lasts at most 1e4 s."""
+"""Largest time [s]; a clip may last up to 1e4 s."""
 SHORTEST = 1e-6
 """Smallest duration [s]; shorter than any substep of a visible object."""
 FARTHEST = 1e5
@@ -30,9 +31,9 @@ Velocity = tuple[_Rate, _Rate, _Rate]
 Push = tuple[_Push, _Push, _Push]
 """An acceleration [m/s^2], a force [N] or a momentum [N s]."""
 Direction = tuple[_Direction, _Direction, _Direction]
-"""A vector whose length is ignored."""
+"""A vector of which only the direction matters."""
 Factor = Annotated[float, Field(ge=-1e6, le=1e6)]
-"""The factor of a time profile."""
+"""Value of a time profile, a factor."""
 Instant = Annotated[float, Field(ge=0, le=LONGEST)]
 """A time since the start [s]."""
 Colour = Annotated[float, Field(ge=0, le=1)]
@@ -40,7 +41,7 @@ Colour = Annotated[float, Field(ge=0, le=1)]
 
 
 def _named_colour(value: Any) -> Any:
-    """Convert a CSS name or #rrggbb to channels; leave anything else to the validation."""
+    """Convert a CSS name or #rrggbb to channels; validation checks anything else."""
     if not isinstance(value, str):
         return value
     from PIL import ImageColor
@@ -70,7 +71,7 @@ def _check_text(text: str) -> str:
 Text = Annotated[str, AfterValidator(_check_text)]
 """Text that UTF-8 can encode."""
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
-"""Name of an object, also in files and topics: a letter, then letters, digits, - and _."""
+"""Name of an object, also used in files and topics: a letter, then letters, digits, - and _."""
 NAME_LENGTH = 4096
 """Largest length of a file name [characters]."""
 
@@ -85,4 +86,4 @@ def _check_file_name(path: Path) -> Path:
 FileName = Annotated[
     Path, AfterValidator(_check_file_name), Field(json_schema_extra={"maxLength": NAME_LENGTH})
 ]
-"""A file to read. The page refuses values of this type that come from outside."""
+"""Path of a file to read. The web page refuses values of this type from outside."""

@@ -1,4 +1,4 @@
-"""The fields a section declares, read from its JSON schema and described in words."""
+"""Describe in words the fields that a section declares, from its JSON schema."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Declaration:
         self.schema: Node = root.model_json_schema()
 
     def resolve(self, node: Node) -> Node:
-        """Follow references; of an optional field, return the schema of its value."""
+        """Follow references; for an optional field, return the schema of its value."""
         while True:
             options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:
@@ -31,7 +31,7 @@ class Declaration:
             node = {**inner, **{k: v for k, v in node.items() if k not in ("$ref", "anyOf")}}
 
     def kinds(self, node: Node) -> dict[str, Node]:
-        """Return the sections that a field accepts, by their law or kind."""
+        """Return law or kind -> section, for the sections that a field accepts."""
         mapping = self.resolve(node).get("discriminator", {}).get("mapping", {})
         return {name: self.resolve({"$ref": ref}) for name, ref in mapping.items()}
 
@@ -41,7 +41,7 @@ class Declaration:
         return [self.resolve(option) for option in node.get("anyOf", [])] or [node]
 
     def describe(self, node: Node) -> str:
-        """Say what a field accepts, such as "a number from 1 to 1e13"."""
+        """Describe the values that a field accepts, such as "a number from 1 to 1e13"."""
         return " or ".join(self._describe_choice(choice) for choice in self.choices(node))
 
     def _describe_choice(self, node: Node) -> str:
@@ -65,12 +65,12 @@ class Declaration:
 
 @cache
 def read_declaration(root: type[BaseModel]) -> Declaration:
-    """Return the declaration of a section class; cached, since it takes a fifth of a second."""
+    """Return the declaration of a section class; cached, because reading takes 0.2 s."""
     return Declaration(root)
 
 
 def describe_bounds(node: Node) -> str:
-    """Return the bounds of a number in words; empty if it has none."""
+    """Return the bounds of a number in words, empty without bounds."""
     if "minimum" in node and "maximum" in node:
         return f"from {format_number(node['minimum'])} to {format_number(node['maximum'])}"
     words = {

@@ -1,7 +1,7 @@
-"""Plugins: users' classes and functions, as instances or by name.
+"""Plugins: classes and functions of users, used as instances or by name.
 
-In Python, an instance of a user's material, force or boundary can be used directly. An entry point
-of one of the `GROUPS` gives the class a name for scene files and the command line.
+In Python, an instance of a user's material, force or boundary can be used directly. In scene files
+and on the command line a class is used by the name of its entry point in one of the `GROUPS`.
 """
 
 from __future__ import annotations
@@ -18,28 +18,29 @@ from phy124.errors import InputError
 from phy124.schema.section import Section
 
 GROUPS = ("materials", "forces", "boundaries", "generators", "formats", "sinks")
-"""Entry points are phy124.materials, phy124.forces and so on; the bridge reads phy124.sinks."""
+"""Entry-point groups, without the prefix `phy124.`; only the bridge reads phy124.sinks."""
 
 
 @cache
 def entry_points_of(group: str) -> dict[str, EntryPoint]:
     """Return name -> entry point for one of the `GROUPS`.
 
-    Cached: reading packages' metadata takes milliseconds, and a scene may name thousands of kinds.
+    Cached, because reading the metadata of packages takes milliseconds, and a scene may name
+    thousands of kinds.
     """
     points = entry_points(group=f"phy124.{group}")
     return {point.name: point for point in reversed(list(points))}
 
 
 def load_plugin(group: str, name: str) -> Any:
-    """Load the class or function that a package has registered; None if there is none.
+    """Load the class or function that a package registers under a name; None if there is none.
 
     Args:
         group: One of the `GROUPS`.
         name: Name of the entry point.
 
     Raises:
-        InputError: It cannot be loaded.
+        InputError: The class or function cannot be loaded.
     """
     point = entry_points_of(group).get(name)
     if point is None:
@@ -53,12 +54,12 @@ def load_plugin(group: str, name: str) -> Any:
 
 
 def list_plugins(group: str) -> list[str]:
-    """Return the names that packages have registered in a group, in alphabetical order."""
+    """Return the names that packages register in a group, in alphabetical order."""
     return sorted(entry_points_of(group))
 
 
 def load_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
-    """Load all classes that packages have registered; classes that cannot be loaded are left out.
+    """Load all classes that packages register; classes that cannot be loaded are left out.
 
     A scene that names such a class is refused; other scenes are not affected.
     """
@@ -75,23 +76,24 @@ def load_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
 
 @dataclass(frozen=True)
 class Kinds:
-    """The kinds of section that a field of a scene accepts: phy124's own and registered ones.
+    """The kinds of section that a field of a scene accepts: phy124's own and registered kinds.
 
-    As an annotation of the field, it validates registered kinds and adds them to the JSON schema.
+    As the annotation of a field, it makes pydantic validate registered kinds and include them in
+    the JSON schema.
     """
 
     base: type[Section]
     """Base class of all kinds."""
     tag: str
-    """The field that names the kind, "law" or "kind"."""
+    """Name of the field that states the kind, "law" or "kind"."""
     group: str
-    """The entry points that register kinds, one of the `GROUPS`."""
+    """Entry-point group that registers kinds, one of the `GROUPS`."""
     union: Any
     """Union of phy124's own kinds, which a plugin cannot replace."""
 
     @cached_property
     def by_name(self) -> dict[str, type[Any]]:
-        """Name -> class of phy124's own kinds, in the order of the union."""
+        """Name -> class, for phy124's own kinds in the order of the union."""
         return {kind.model_fields[self.tag].default: kind for kind in get_args(self.union)}
 
     def is_foreign(self, section: Section) -> bool:
@@ -105,7 +107,7 @@ class Kinds:
         return kind is not None and data.keys() <= kind.model_fields.keys()
 
     def has_name(self, section: Section) -> bool:
-        """Return whether a file can name the kind of a section."""
+        """Return whether the kind of a section has a name in files."""
         if not self.is_foreign(section):
             return True
         return load_plugin(self.group, getattr(section, self.tag, "")) is type(section)
@@ -117,7 +119,7 @@ class Kinds:
         schema = handler(core)
         for name, kind in load_kinds(self.group, self.base).items():
             if name not in self.by_name:
-                # As an item of a list, a class gets an entry under "$defs" and a reference to it.
+                # As an item of a list, the class gets an entry under "$defs" with a reference.
                 items = core_schema.list_schema(kind.__pydantic_core_schema__)
                 item = handler(items)["items"]
                 schema["oneOf"].append(item)

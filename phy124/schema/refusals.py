@@ -1,4 +1,4 @@
-"""Turns pydantic's validation errors into single sentences, using the section's declaration."""
+"""Turn validation errors of pydantic into single sentences, with the section's declaration."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from phy124.schema.declaration import Declaration, Node, format_number, read_dec
 from phy124.schema.section import Section
 
 LONGEST = 60
-"""Longest part of a value that a message repeats, in characters."""
+"""Largest number of characters of a value that a message repeats."""
 
 
 def explain(error: ValidationError, source: str, root: type[BaseModel]) -> InputError:
-    """Return the most deeply nested validation error as one sentence with a remedy.
+    """Return the most deeply nested validation error as a sentence with a remedy.
 
     Args:
         error: The error that pydantic raised.
-        source: Name of the data, for errors that concern no single field.
-        root: The section that was validated.
+        source: Name of the data, used if the error is not about a single field.
+        root: The class of the section that was validated.
     """
     details: dict[str, Any] = {**max(error.errors(), key=lambda detail: len(detail["loc"]))}
     if details["type"] == "missing" and isinstance(details["loc"][-1], int):
@@ -42,7 +42,7 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
 
 def explain_options(error: ValidationError) -> InputError:
-    """Return the error of a section of options, whose class pydantic names."""
+    """Return the error of a section of options, found by the class name in pydantic's error."""
     kinds, sections = [Section], {}
     while kinds:
         kind = kinds.pop()
@@ -52,25 +52,25 @@ def explain_options(error: ValidationError) -> InputError:
 
 
 def shorten(value: Any) -> str:
-    """Return a value as text for a message, at most `LONGEST` characters of it."""
+    """Return a value as text for a message, shortened to `LONGEST` characters."""
     try:
         text = str(value)
-    except ValueError:  # Python writes no integers of more than 4300 digits
+    except ValueError:  # Python refuses to print integers of more than 4300 digits
         text = "a number of thousands of digits"
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
 
 class _Place(NamedTuple):
-    """The field of the scene that an error is about."""
+    """The field of the scene that an error concerns."""
 
     keys: list[int | str]
-    """Its path as a user would write it, without the names of kinds."""
+    """Path of the field as a user writes it, without the names of kinds."""
     node: Node
-    """The schema of the field, or of its section if the field does not exist."""
+    """Schema of the field, or of its section if the field does not exist."""
     around: Node
-    """The schema of its section."""
+    """Schema of its section."""
     description: str
-    """The description of the nearest field that has one."""
+    """Description of the field, or of the nearest enclosing field that has one."""
 
 
 def _find_place(declared: Declaration, location: tuple[int | str, ...]) -> _Place:
@@ -84,7 +84,7 @@ def _find_place(declared: Declaration, location: tuple[int | str, ...]) -> _Plac
             continue
         inner = _find_inner(declared, node, part)
         if inner is None:
-            continue  # the name of a choice
+            continue  # the part names an alternative of a union, not a field
         around = declared.resolve(node) if isinstance(part, str) else around
         node = inner
         keys.append(part)
@@ -93,7 +93,7 @@ def _find_place(declared: Declaration, location: tuple[int | str, ...]) -> _Plac
 
 
 def _find_inner(declared: Declaration, node: Node, part: int | str) -> Node | None:
-    """Return the schema under a key: {} if the key does not exist, None if it is not a key."""
+    """Return the schema under a key: {} if no such key exists, None if it names an alternative."""
     choices = declared.choices(node)
     if isinstance(part, int):
         for choice in choices:
@@ -133,7 +133,7 @@ def _limit_and_remedy(declared: Declaration, place: _Place, details: Any) -> tup
 
 
 def _suggest(declared: Declaration, node: Node, value: Any) -> str:
-    """Suggest a legal value; empty if there is no obvious one."""
+    """Suggest a valid value; empty if there is no obvious one."""
     known = [str(name) for choice in declared.choices(node) for name in choice.get("enum", [])]
     if known:
         return did_you_mean(str(value), known)
@@ -167,7 +167,7 @@ def _explain_unknown_key(declared: Declaration, place: _Place) -> tuple[str, str
 
 
 def _list_sections_with(declared: Declaration, key: str) -> list[str]:
-    """Return the paths of a key in all sections that have it, such as "view.size"."""
+    """Return the paths of a key in all sections that have this key, such as "view.size"."""
     paths = []
     for name, node in declared.schema["properties"].items():
         inner = [*declared.choices(node), *map(declared.resolve, declared.kinds(node).values())]

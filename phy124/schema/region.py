@@ -13,7 +13,7 @@ from phy124.schema.section import Section
 
 Vector = tuple[float, float, float]
 EVERYWHERE = 1e9
-"""A coordinate outside any scene [m]; finite, so that scenes can be written as JSON."""
+"""Coordinate outside any scene [m]; finite, so that scenes can be written as JSON."""
 _Side = Annotated[float, Field(ge=-EVERYWHERE, le=EVERYWHERE)]
 _Fraction = Annotated[float, Field(ge=-1, le=1)]
 _Corner = tuple[_Side, _Side, _Side]
@@ -21,7 +21,7 @@ AxisName = Literal["x", "y", "z"]
 
 
 class Region(Section):
-    """An axis-aligned box [m], or the cylinder inscribed in it; sides left out are open."""
+    """An axis-aligned box [m] or its inscribed cylinder; a side without a value is open."""
 
     lower: _Corner = Field(
         default=(-EVERYWHERE, -EVERYWHERE, -EVERYWHERE), description="Lowest corner [m]."
@@ -51,7 +51,7 @@ class Region(Section):
         return self
 
     def contains(self, x: NDArray) -> NDArray[np.bool_]:
-        """Return a mask [N] of the points x [N,3] inside."""
+        """Return a mask [N] of the points x [N,3], m, that lie inside."""
         inside: NDArray[np.bool_] = np.all((x >= self.lower) & (x <= self.upper), axis=1)
         if self.cylinder:
             axis, middle, radius = cylinder(self.lower, self.upper, self.cylinder)
@@ -63,7 +63,8 @@ class Region(Section):
 def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector, float]:
     """Return axis, centre [m] and radius [m] of the cylinder inscribed in a box.
 
-    Its diameter is the shorter side. Along an open axis the centre has no meaning.
+    The diameter is the shorter of the two sides across the axis. If the box is open along the axis,
+    the centre's coordinate along it has no meaning.
     """
     axis = "xyz".index(along)
     x, y, z = ((low + high) / 2 for low, high in zip(lower, upper, strict=True))
@@ -72,7 +73,7 @@ def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector
 
 
 class PartRegion(Region):
-    """A region that selects a part of the object, rotated or in the units of its file."""
+    """A region that selects a part of the object; it may be rotated, or in the units of a file."""
 
     units: Literal["metres", "file"] = Field(
         default="metres",
@@ -95,5 +96,5 @@ class PartRegion(Region):
         return self
 
     def contains(self, x: NDArray) -> NDArray[np.bool_]:
-        """Return a mask [N] of the points x [N,3], m, inside."""
+        """Return a mask [N] of the points x [N,3], m, that lie inside."""
         return super().contains(x @ rotation_matrices(np.array([self.turn]))[0])

@@ -1,4 +1,4 @@
-"""Base class of all declared options: of a scene, of the page and of the bridge."""
+"""Base class of all declared options: those of scenes, of the page and of the bridge."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     AS_TEXT: ClassVar[bool] = False
-    """Whether values are text, so that "yes" is a boolean."""
+    """Whether values are text, in which case "yes" is accepted as a boolean."""
 
-    # Not a validator per field: pydantic allows none for discriminators.
+    # Not a validator per field, because pydantic allows none for discriminators.
     @model_validator(mode="before")
     @classmethod
     def _check_types(cls, data: Any) -> Any:
-        """Refuse values that pydantic would convert: True as a number, "yes" or 1 as a boolean."""
+        """Refuse values that pydantic would convert: True to a number, "yes" or 1 to a boolean."""
         if cls.AS_TEXT or not isinstance(data, dict):
             return data
         wrong = [
@@ -49,7 +49,7 @@ def _list_types(section: type[Section], field: str) -> frozenset[Any]:
 
 
 def _is_other(value: Any, types: frozenset[Any]) -> bool:
-    """Return whether a plain value is of none of these types."""
+    """Return whether a plain value has none of these types."""
     if not types:
         return False
     if bool not in types:
