@@ -1,1 +1,1 @@
-"""Pictures: opened within limits, their object cut out, values painted on them."""
+"""Opens images within limits, segments their object, and samples images painted over the object."""

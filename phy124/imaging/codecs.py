@@ -1,4 +1,4 @@
-"""Opens PNG, TIFF and HEIC without the metadata around the pixels, whose damage would stop Pillow.
+"""Opens PNG, TIFF and HEIC without their metadata, in which any damage would make Pillow fail.
 
 HEIC, the format of many phones, is decoded by libheif (package pi-heif).
 """
@@ -17,25 +17,25 @@ from PIL.TiffImagePlugin import TiffImageFile
 TIFF_BEGINNINGS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 """First bytes of a TIFF."""
 PNG_START = 8
-"""Bytes of a PNG before its first chunk."""
+"""Number of bytes of a PNG before its first chunk."""
 CHUNK_FRAME = 12
-"""Bytes of a PNG chunk besides its content: length, kind and checksum."""
+"""Number of bytes of a PNG chunk in addition to its content: length, kind and checksum."""
 TRANSPARENCY = b"tRNS"
-"""The one chunk that readers may skip and that changes the pixels."""
+"""The only optional chunk that changes the pixels."""
 USEFUL = (b"iCCP", b"eXIf", b"acTL", b"fcTL")
-"""Chunks that readers may skip and that are read here; their checksum is corrected."""
+"""Optional chunks that phy124 uses; their checksums are corrected."""
 
 
 def strip_png(data: bytes) -> bytes:
-    """Return the same PNG with only the chunks of its pixels and those that are read.
+    """Return a PNG reduced to the chunks of its pixels and those in `USEFUL`.
 
-    Pillow checks every chunk, and refuses a picture if one that it does not need is damaged.
+    Pillow checks every chunk and refuses an image if any chunk is damaged, even an unused one.
     """
     kept, place = [data[:PNG_START]], PNG_START
     while place < len(data):
         end = place + CHUNK_FRAME + int.from_bytes(data[place : place + 4], "big")
         kind, chunk = data[place + 4 : place + 8], data[place:end]
-        if kind == TRANSPARENCY or not kind[:1].islower():  # No reader may skip capital letters.
+        if kind == TRANSPARENCY or not kind[:1].islower():  # kinds with a capital are mandatory
             kept.append(chunk)
         elif kind in USEFUL:
             kept += [chunk[:-4], struct.pack(">I", zlib.crc32(chunk[4:-4]))]
@@ -44,30 +44,30 @@ def strip_png(data: bytes) -> bytes:
 
 
 class PlainTiff(TiffImageFile):
-    """A TIFF as stored: Pillow would turn it, and read EXIF for that, which may be damaged."""
+    """A TIFF in its stored orientation; Pillow would rotate it and fail if its EXIF is damaged."""
 
     def load_end(self) -> None:
-        """Do nothing after decoding."""
+        """Do nothing after decoding, in place of Pillow's rotation."""
 
 
 def open_tiff(data: bytes) -> TiffImageFile:
-    """Open the first picture of a TIFF; it is not decoded yet."""
+    """Open the first image of a TIFF without decoding it."""
     picture = PlainTiff(io.BytesIO(data))
-    with suppress(Exception):  # Damaged EXIF raises many types.
-        picture.getexif()  # Pillow keeps it; after decoding the file is closed.
+    with suppress(Exception):  # damaged EXIF raises exceptions of many types
+        picture.getexif()  # Pillow caches EXIF now, since the file is closed after decoding
     return picture
 
 
 def can_read_heic() -> bool:
-    """Return whether the package that reads HEIC is installed."""
+    """Whether the package that reads HEIC is installed."""
     return find_spec("pi_heif") is not None
 
 
 def open_heic(data: bytes) -> Image.Image:
-    """Open a HEIC picture, turned as the file's header states; libheif ignores EXIF for that.
+    """Open a HEIC image in the orientation of its container; libheif ignores that of EXIF.
 
     Raises:
-        Exception: Of any type, if the file is damaged.
+        Exception: An exception of any type, if the file is damaged.
     """
     import pi_heif
 

@@ -1,4 +1,4 @@
-"""Cuts the object out of a picture and warns if the result looks wrong."""
+"""Segments the object of an image, and warns if the result is implausible."""
 
 from __future__ import annotations
 
@@ -33,19 +33,21 @@ from phy124.runtime import isolated
 
 Alpha = NDArray[np.uint8]
 MINIMUM, MAXIMUM = 0.003, 0.97
-"""Smallest and largest fraction of the picture that an object may cover."""
+"""Smallest and largest fraction of the image that an object may cover."""
 TINY, MUCH = 0.02, 0.85
-"""Coverages below and above which the search probably missed the object."""
+"""Fractions of the image below and above which the segmentation probably missed the object."""
 SIDES = 3
-"""Suspicious number of touched picture edges: a table in the foreground touches three."""
+"""Number of touched image edges that is suspicious: a table in the foreground touches three."""
 PIECES = 4
-"""Suspicious number of separate pieces."""
+"""Number of separate pieces that is suspicious."""
 UNSEEN = 0.12
-"""Suspicious fraction of outline without an edge in the picture; correct cut-outs have 0.05."""
+"""Fraction of the outline without an image edge that is suspicious; correct cut-outs have 0.05."""
 ALIKE = 0.1
-"""Suspicious fraction of surroundings in the object's colours; correct cut-outs have 0.09."""
+"""Fraction of the surroundings in the object's colours that is suspicious; correct cut-outs have
+0.09."""
 UNDECIDED = 0.02
-"""Suspicious part of a network's cut-out that is half transparent away from its outline."""
+"""Half-transparent area away from the outline, relative to the object, that is suspicious for a
+network."""
 FAINT = "Nothing in the picture is opaque; its most opaque part counts as solid."
 REMEDY = (
     "Use a picture with one object on a plain background, all of it visible, give a mask (white "
@@ -54,46 +56,46 @@ REMEDY = (
 
 
 class Method(NamedTuple):
-    """A way to find the object in a picture."""
+    """A segmentation method."""
 
     applies: Callable[[Image.Image], bool]
-    """True if "auto" may choose this method for a picture."""
+    """Whether "auto" may choose this method for an image."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
     """Computes the alpha [H,W]; third-party native code runs in `phy124.runtime.isolated`."""
     title: str = ""
-    """Name in sentences."""
+    """Name of the method in sentences."""
 
 
 @dataclass(frozen=True)
 class Cutout:
-    """A picture whose alpha channel is its object, with measures of how plausible it is."""
+    """An image whose alpha channel segments the object, with measures of its plausibility."""
 
     picture: Image.Image
-    """RGBA, not premultiplied."""
+    """The image, RGBA with straight (not premultiplied) alpha."""
     method: str
-    """Key of `METHODS`, or "mask", or "brush" if a person corrected it."""
+    """Key of `METHODS`; "mask" if a mask was used; "brush" if a person corrected the result."""
     coverage: float
-    """Fraction of the picture that is object."""
+    """Fraction of the image that the object covers."""
     pieces: int
     """Number of connected pieces of the object."""
     touches: tuple[str, ...]
-    """Picture edges that the object nearly reaches: left, top, right, bottom."""
+    """Image edges that the object reaches or nearly reaches: left, top, right, bottom."""
     unseen: float
-    """Fraction of the outline where the picture shows no edge."""
+    """Fraction of the outline at which the image has no edge."""
     alike: float
-    """Fraction of the surroundings whose colours are more common in the object than around it."""
+    """Fraction of the surroundings in colours that are more common in the object than around it."""
     undecided: float = 0.0
-    """Half transparent area away from the outline, relative to the object."""
+    """Half-transparent area away from the outline, relative to the object's area."""
     frames: int = 1
-    """Number of frames if the file is an animation; only the first was used."""
+    """Number of frames if the file is an animation; only the first frame was used."""
     objects: int = 1
-    """Number of separate objects in the picture; the largest is cut out."""
+    """Number of separate objects in the image; only the largest is segmented."""
     touching: bool = False
-    """True if it looks like two touching objects, both of which are cut out."""
+    """Whether the cut-out seems to contain two objects that touch."""
     file: Path | None = None
-    """File of the picture, if there is one."""
+    """File of the image, if there is one."""
     notes: tuple[str, ...] = ()
-    """Sentences: what was ignored or assumed in the file."""
+    """Sentences about what was ignored or assumed in the file."""
 
     @property
     def title(self) -> str:
@@ -102,11 +104,11 @@ class Cutout:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences: reasons to doubt that this is the intended object."""
+        """Sentences with reasons to doubt that the cut-out is the intended object."""
         return (*self._doubt_choice(), *self._doubt_size(), *self._doubt_outline())
 
     def _doubt_choice(self) -> Iterator[str]:
-        """Yield warnings that another object may be meant."""
+        """Yield warnings that a different object may be intended."""
         if self.frames > 1:
             yield f"The picture is an animation of {self.frames} frames; the first is used."
         if self.objects > 1:
@@ -117,8 +119,8 @@ class Cutout:
             yield f"The cut-out is in {self.pieces} pieces."
 
     def _doubt_size(self) -> Iterator[str]:
-        """Yield warnings of an implausible size or place."""
-        # People are often cropped, and networks do not take a table for the object.
+        """Yield warnings of an implausible size or position."""
+        # Persons are often cropped, and networks rarely confuse a table with the object.
         if len(self.touches) >= SIDES and self.method not in ("alpha", *NETWORKS):
             yield (
                 f"The cut-out touches {len(self.touches)} edges of the picture "
@@ -130,7 +132,7 @@ class Cutout:
             yield f"The cut-out is nearly all of the picture ({self.coverage:.0%})."
 
     def _doubt_outline(self) -> Iterator[str]:
-        """Yield warnings of an outline that the search probably missed."""
+        """Yield warnings of an outline that probably misses the object's edge."""
         if self.method in ("alpha", "mask", "brush"):
             return
         if self.unseen > UNSEEN:
@@ -149,17 +151,17 @@ class Cutout:
             )
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the picture as PNG or WebP without loss."""
+        """Write the image as lossless PNG or WebP."""
         self.picture.save(path, compress_level=1, lossless=True, exact=True)
 
     def png(self) -> bytes:
-        """Return the picture as a PNG file."""
+        """Return the image as the bytes of a PNG file."""
         written = io.BytesIO()
         self.picture.save(written, "PNG", compress_level=1)
         return written.getvalue()
 
     def data(self) -> dict[str, Any]:
-        """Return all fields except the pixels as plain data."""
+        """Return all fields except the pixels and the file as plain data."""
         return {
             "method": self.method,
             "coverage": round(self.coverage, 4),
@@ -185,15 +187,15 @@ def cut_out(
     field: str = "image",
     deadline: isolated.Deadline = isolated.PATIENT,
 ) -> Cutout:
-    """Open a picture file and cut its object out.
+    """Open an image file and segment its object.
 
     Args:
-        picture: Path of the picture.
+        picture: Path of the image.
         method: Key of `METHODS`, or "auto" for the first that applies.
-        mask: Path of a mask to use instead of a method; see `foreground`.
-        pick: A place on the object that is meant, if there are several; see `foreground`.
-        field: Name of the picture in error messages.
-        deadline: Time limit of the search, and how to cancel it.
+        mask: Path of a mask that replaces the method; see `foreground`.
+        pick: A point on the intended object, if there are several; see `foreground`.
+        field: Name of the image in error messages.
+        deadline: Time limit of the segmentation, and how to cancel it.
 
     Raises:
         InputError: If a file cannot be used, or as `foreground` does.
@@ -212,21 +214,21 @@ def foreground(
     pick: Point | None = None,
     deadline: isolated.Deadline = isolated.PATIENT,
 ) -> Cutout:
-    """Cut the object out of an opened picture; its soft edge shows nothing of the background.
+    """Segment the object of an opened image, and remove background colours from its soft edge.
 
     Args:
-        image: A picture in any mode.
+        image: An image in any mode.
         method: Key of `METHODS`, or "auto" for the first that applies.
-        mask: A picture of the same size to use instead of a method: white where the object is or,
-            if it has transparency, opaque where the object is.
-        pick: A place on the object that is meant: right and down, as fractions of the picture's
-            width and height. Without it the largest of what a search found is taken.
-        deadline: Time limit of the search, and how to cancel it.
+        mask: A mask of the same size that replaces the method: white on the object or, if it has
+            transparency, opaque on the object.
+        pick: A point on the intended object: right and down, as fractions of the image's width and
+            height. None: the largest object.
+        deadline: Time limit of the segmentation, and how to cancel it.
 
     Raises:
-        InputError: If the method is unknown, finds no object or nothing but object, or runs out of
-            time; if there is no object at the place picked; if the mask has another size, or both
-            a mask and a method are given.
+        InputError: If the method is unknown, exceeds its time, or selects nothing or nearly
+            everything; if there is no object at `pick`; if the mask has a different size; or if
+            both a mask and a method are set.
     """
     _check_point(pick)
     frames, notes = image.info.get("frames", 1), image.info.get("notes", ())
@@ -253,26 +255,26 @@ def foreground(
 
 
 def clean_edge(image: Image.Image, alpha: Alpha) -> Image.Image:
-    """Apply an alpha [H,W] and remove the background's colours from the soft edge; returns RGBA."""
+    """Apply an alpha [H,W] and remove background colours from the soft edge; return RGBA."""
     cut = Image.fromarray(decontaminate(np.asarray(image.convert("RGB")), alpha))
     cut.putalpha(Image.fromarray(alpha))
     return cut
 
 
 def title_of(method: str) -> str:
-    """Return the name in sentences of a method, "mask" or "brush"."""
+    """Return the name, in sentences, of a method, of "mask" or of "brush"."""
     known = METHODS[method].title if method in METHODS else PAINTED.get(method)
     return known or method
 
 
 def examine(picture: Image.Image, method: str, frames: int = 1, objects: int = 1) -> Cutout:
-    """Measure how plausible a cut-out picture is.
+    """Measure how plausible a cut-out is.
 
     Args:
-        picture: RGBA, its alpha the object's.
-        method: How the alpha was made.
-        frames: Number of frames if the file is an animation.
-        objects: Number of separate objects in the picture.
+        picture: RGBA image whose alpha segments the object.
+        method: Method that computed the alpha.
+        frames: Number of frames, if the file is an animation.
+        objects: Number of separate objects in the image.
     """
     rgb, alpha = np.split(np.asarray(picture), (3,), axis=2)
     solid = alpha[..., 0] > 127
@@ -291,7 +293,7 @@ def examine(picture: Image.Image, method: str, frames: int = 1, objects: int = 1
 
 
 def _search(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alpha:
-    """Find the alpha [H,W] by a method; transparent pixels stay transparent."""
+    """Compute the alpha [H,W] by a method; transparent pixels of the image stay transparent."""
     try:
         alpha = METHODS[method].find(_flatten(image, method), deadline)
     except isolated.Unfinished as error:
@@ -303,7 +305,7 @@ def _search(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alp
 def _pick_object(
     image: Image.Image, alpha: Alpha, method: str, pick: Point, deadline: isolated.Deadline
 ) -> Alpha:
-    """Select the object at a place, or search for one around it."""
+    """Select the object at a point; if there is none, segment a region around the point."""
     picked = select_object(alpha, pick)
     if picked is None and method not in TAKEN_WHOLE:
         picked = search_around(image, pick, lambda part: _search(part, method, deadline))
@@ -332,14 +334,14 @@ def _choose_method(image: Image.Image, method: str) -> str:
 
 
 def _flatten(image: Image.Image, method: str) -> Image.Image:
-    """Put the picture on white, except for the method "alpha"; hidden colours would mislead it."""
+    """Composite the image over white, except for the method "alpha"."""
     if method == "alpha":
         return image
     return Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
 
 
 def _apply_mask(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
-    """Return the alpha [H,W] of a mask; transparent pixels of the picture stay transparent."""
+    """Return the alpha [H,W] of a mask; transparent pixels of the image stay transparent."""
     if method not in ("auto", "mask"):
         limit = "A mask already shows where the object is."
         raise InputError("foreground", method, limit, "Give one of the two.")
@@ -391,10 +393,10 @@ METHODS: dict[str, Method] = {
     "u2netp": Method(_applies_always, u2net.find_alpha_small, "the small U2-Net"),
     "grabcut": Method(_applies_always, _grabcut, "GrabCut"),
 }
-"""Ways to find the object, best first."""
+"""Segmentation methods by name, best first."""
 NETWORKS = ("u2net", "u2netp")
-"""Methods that are networks."""
+"""Methods that are neural networks."""
 TAKEN_WHOLE = ("alpha", "mask")
-"""Methods whose result may have several pieces, since a person made it."""
+"""Methods whose result is kept in all its pieces, since a person made it."""
 PAINTED = {"mask": "the mask", "brush": "brush strokes"}
-"""Names in sentences of what a person paints."""
+"""Names, in sentences, of the inputs that a person paints."""

@@ -1,4 +1,4 @@
-"""How the object is cut out of its picture: the choices, declared once."""
+"""Declares the options for segmenting the object of an image."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from phy124.schema.section import Section
 
 
 class Cutting(Section):
-    """How the object is cut out of its picture."""
+    """Options for segmenting the object of an image."""
 
     foreground: str = Field(
         default="auto",
@@ -33,10 +33,10 @@ class Cutting(Section):
 
     @property
     def point(self) -> Point | None:
-        """Place that is picked.
+        """The picked point, as fractions of width and height; None if nothing is picked.
 
         Raises:
-            InputError: It is not two numbers.
+            InputError: If `pick` is not two numbers.
         """
         if self.pick is None:
             return None
@@ -51,5 +51,5 @@ class Cutting(Section):
         return x, y
 
     def arguments(self) -> dict[str, Any]:
-        """Return the choices as keyword arguments of `phy124.pipeline.make_gaussians`."""
+        """Return the options as keyword arguments of `phy124.pipeline.make_gaussians`."""
         return {"method": self.foreground, "mask": self.mask, "pick": self.point}

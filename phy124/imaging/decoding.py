@@ -1,8 +1,8 @@
-"""Decodes the bytes of a picture, in a separate process (`image.py` starts it).
+"""Decodes the bytes of an image; `image.py` runs this module in a separate process.
 
-Pillow and libheif are native code that reads untrusted data: a crash, an endless loop or a large
-allocation must cost no more than this picture. Of the metadata only the orientation and the colour
-profile are read; damage in the rest changes nothing.
+Pillow and libheif are native code that reads untrusted data. A crash, an endless loop or a large
+allocation must affect only the image that is being decoded. Of the metadata, only the orientation
+and the colour profile are read; damage in other metadata has no effect.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from phy124.imaging.header import KINDS, SEGMENT, Size, read_kind, read_size
 from phy124.imaging.profile import convert_to_srgb
 
 MAX_PIXELS = 50_000_000
-"""Largest number of pixels that is decoded; checked against the header before decoding."""
+"""Largest number of pixels; it is checked in the header, before decoding."""
 ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
-"""Formats whose further pictures are frames of an animation, not thumbnails or pages."""
+"""Formats in which further images are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
-"""Largest number of scans of a JPEG: usual files have 1 to 10; 8 MB can hold 190,000, which take
-18 ms each."""
+"""Largest number of scans in a JPEG. Usual files have 1 to 10; a file of 8 MB can have 190,000,
+each of which takes 18 ms to decode."""
 SCAN, END = b"\xda", b"\xd9"
 SIXTEEN = ("I;16", "I;16B", "I;16L", "I;16N", "I")
-"""Modes of 16-bit grey pictures, which Pillow would clip instead of scaling."""
+"""Modes of 16-bit grey images, which Pillow would clip and not scale."""
 ORIENTATION = 0x0112
 TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
@@ -38,12 +38,12 @@ TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""EXIF orientation -> the transposition that turns the picture upright."""
+"""By EXIF orientation: the transposition that makes the image upright."""
 TEXT = 64 << 20
-"""Largest decompressed text or profile of a PNG, bytes."""
+"""Largest size of a text or profile in a PNG after decompression [bytes]."""
 COPY = "Copy or export it again."
 BAD_PROFILE = "The picture's colour profile cannot be used; its colours may be slightly wrong."
-"""Note on a profile that cannot be used."""
+"""Note about an unusable profile."""
 TOO_LARGE = (
     f"It has more than {MAX_PIXELS / 1e6:.0f} million pixels.",
     "Reduce it, for example to 2000 pixels on its longer side.",
@@ -51,45 +51,45 @@ TOO_LARGE = (
 
 
 class Unusable(Exception):
-    """A picture cannot be used; the arguments are the limit and the remedy, as in `InputError`."""
+    """Raised for an unusable image; its arguments are limit and remedy, as in `InputError`."""
 
 
 class Purpose(NamedTuple):
-    """What a picture is read for."""
+    """Requirements on an image that depend on its use."""
 
     formats: tuple[str, ...]
-    """Pillow's names of the accepted formats; HEIC is always accepted."""
+    """Accepted formats, by Pillow's names; HEIC is always accepted."""
     minimum: int
-    """Smallest allowed side, pixels."""
+    """Smallest allowed width and height [pixels]."""
     colours: bool = True
-    """True if its numbers are colours, which a colour profile defines."""
+    """Whether its values are colours, to which the colour profile applies."""
     deep: bool = False
-    """True to keep all grey levels: the result is in mode F or L, not RGBA."""
+    """Whether all grey levels are kept; the result then has mode F or L, not RGBA."""
 
 
 class Decoded(NamedTuple):
-    """A picture, upright and reduced."""
+    """A decoded image, upright and reduced in size."""
 
     picture: Image.Image
     size: Size
-    """Width and height of the upright picture before it was reduced."""
+    """Width and height of the upright image before it was reduced [pixels]."""
     frames: int = 1
-    """Number of frames if it is an animation; only the first was decoded."""
+    """Number of frames if it is an animation; only the first frame was decoded."""
     notes: tuple[str, ...] = ()
-    """Sentences on what was ignored."""
+    """Sentences about what was ignored."""
 
 
 def decode(data: bytes, purpose: Purpose, longest: int) -> Decoded:
-    """Decode the first picture of a file.
+    """Decode the first image of a file.
 
     Args:
         data: The file's bytes.
-        purpose: What the picture is read for.
-        longest: Longest side of the result; larger pictures are reduced, pixels.
+        purpose: Requirements on the image.
+        longest: Longest side of the result [pixels]; larger images are reduced.
 
     Raises:
-        Unusable: The picture cannot be decoded, or is too large or too small.
-        MemoryError: Decoding exceeds the memory limit of this process.
+        Unusable: If the image cannot be decoded, or is too large or too small.
+        MemoryError: If decoding exceeds the memory limit of this process.
     """
     _prepare_pillow()
     try:
@@ -101,16 +101,16 @@ def decode(data: bytes, purpose: Purpose, longest: int) -> Decoded:
         raise
     except UnidentifiedImageError:
         raise explain_unidentified(data, purpose.formats) from None
-    except Exception as error:  # Pillow and its libraries raise many types.
+    except Exception as error:  # Pillow and its libraries raise exceptions of many types
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise Unusable(f"It is broken or cut short ({reason}).", COPY) from None
 
 
 def check_size(size: Size, minimum: int) -> None:
-    """Check a picture's width and height.
+    """Check the width and height of an image.
 
     Raises:
-        Unusable: It is too large or too small.
+        Unusable: If the image is too large or too small.
     """
     width, height = size
     if width * height > MAX_PIXELS:
@@ -121,7 +121,7 @@ def check_size(size: Size, minimum: int) -> None:
 
 
 def explain_unidentified(data: bytes, formats: tuple[str, ...]) -> Unusable:
-    """Explain why no picture of these formats was recognised in the data."""
+    """Return an error that explains why the data is no image in one of the formats."""
     if read_kind(data) in (*formats, "HEIC"):
         return Unusable("It is broken or cut short.", COPY)
     return Unusable(
@@ -130,19 +130,19 @@ def explain_unidentified(data: bytes, formats: tuple[str, ...]) -> Unusable:
 
 
 def _join_names(formats: tuple[str, ...]) -> str:
-    """Return the formats as words: "PNG, JPEG or HEIC"."""
+    """Return the formats as text: "PNG, JPEG or HEIC"."""
     names = [name.replace("WEBP", "WebP") for name in (*formats, "HEIC")]
     return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def turn_upright(opened: Image.Image) -> Image.Image:
-    """Turn a loaded picture upright as its EXIF states."""
+    """Make a decoded image upright, according to its EXIF orientation."""
     turn = TURNS.get(_read_orientation(opened))
     return opened if turn is None else opened.transpose(turn)
 
 
 def _prepare_pillow() -> None:
-    """Replace Pillow's limits in this process by those of this module, which are stricter."""
+    """Replace Pillow's limits in this process by the stricter limits of this module."""
     from PIL import PngImagePlugin
 
     Image.MAX_IMAGE_PIXELS = None
@@ -151,21 +151,21 @@ def _prepare_pillow() -> None:
 
 
 def _orientation_alone(self: Image.Exif, offset: int = 8) -> bytes:
-    """Return EXIF that holds the orientation and nothing else.
+    """Return EXIF that contains only the orientation.
 
-    Pillow's AVIF reader writes EXIF again, which fails for tags of an unusual type.
+    Pillow's AVIF reader serialises EXIF, which fails for tags of an unusual type.
     """
     entry = struct.pack("<HHHII", 1, ORIENTATION, 3, 1, _orientation_of(self))
     return b"Exif\0\0II*\0" + struct.pack("<I", offset) + entry + bytes(4)
 
 
 def _open(data: bytes, formats: tuple[str, ...]) -> Image.Image:
-    """Open the picture; only HEIC is decoded already."""
+    """Open the image; decoding follows later, except for HEIC."""
     kind = read_kind(data)
     if kind == "HEIC":
         return _open_heic(data)
     if kind == "JPEG":
-        # Image.open would also read the additional pictures that phones append.
+        # Image.open would also read the additional images that phones append to a JPEG.
         _check_scans(data)
         return JpegImageFile(io.BytesIO(data))
     if kind == "PNG":
@@ -208,10 +208,10 @@ def _finish(opened: Image.Image, purpose: Purpose, longest: int) -> Decoded:
 
 
 def _read_orientation(opened: Image.Image) -> int:
-    """Return the EXIF orientation, 1 to 8; 1 (as stored) if EXIF is damaged or absent."""
+    """Return the EXIF orientation, 1 to 8; 1 (as stored) if it is damaged or absent."""
     try:
         return _orientation_of(opened.getexif())
-    except Exception:  # Damage has many types, and the pixels are whole.
+    except Exception:  # damaged EXIF raises exceptions of many types, but the pixels are intact
         return 1
 
 
@@ -225,7 +225,7 @@ def _orientation_of(exif: Image.Exif) -> int:
 
 
 def _to_8_bits(picture: Image.Image) -> Image.Image:
-    """Convert a picture to 8 bits, in one of the modes RGBA, LA, L and CMYK."""
+    """Convert an image to 8 bits per channel, in mode RGBA, LA, L or CMYK."""
     if picture.mode in SIXTEEN:
         return _scale_16_bits(picture)
     if picture.mode == "F":
@@ -238,7 +238,7 @@ def _to_8_bits(picture: Image.Image) -> Image.Image:
 
 
 def _scale_16_bits(picture: Image.Image) -> Image.Image:
-    """Convert a 16-bit grey picture to 8 bits; a transparent grey level stays transparent."""
+    """Convert a 16-bit grey image to 8 bits; a grey level marked transparent stays transparent."""
     import numpy as np
 
     deep, clear = np.asarray(picture), picture.info.get("transparency")
@@ -249,7 +249,7 @@ def _scale_16_bits(picture: Image.Image) -> Image.Image:
 
 
 def _scale_floats(picture: Image.Image) -> Image.Image:
-    """Convert floating-point grey levels, 0 to 1, to 8 bits."""
+    """Convert floating-point grey levels in 0..1 to 8 bits."""
     import numpy as np
 
     levels = np.asarray(picture)
@@ -260,7 +260,7 @@ def _scale_floats(picture: Image.Image) -> Image.Image:
 
 
 def _grey_levels(picture: Image.Image) -> Image.Image:
-    """Return all grey levels: mode F if there are more than 256, else L."""
+    """Return an image with all grey levels: mode F for 16-bit and float images, else L."""
     import numpy as np
 
     if picture.mode in (*SIXTEEN, "F"):
@@ -276,7 +276,7 @@ def _read_profile(opened: Image.Image) -> bytes | None:
 def _convert_colours(
     picture: Image.Image, profile: bytes | None
 ) -> tuple[Image.Image, tuple[str, ...]]:
-    """Return the picture in sRGB, mode RGBA, and notes on its profile."""
+    """Convert an image to sRGB, mode RGBA; also return notes about its profile."""
     notes = ()
     if profile is not None:
         try:

@@ -1,6 +1,6 @@
-"""Reads the kind and the size of a picture from its first bytes; nothing is decoded.
+"""Reads the format and the size of an image from its header, without decoding it.
 
-It is plain Python with bounded loops, so it is safe for untrusted files in any process.
+This is plain Python with bounded loops and is therefore safe for untrusted files in any process.
 """
 
 from __future__ import annotations
@@ -9,31 +9,31 @@ import re
 import struct
 
 KINDS = ("PNG", "JPEG", "WEBP", "AVIF", "HEIC")
-"""Recognised kinds, by Pillow's names except HEIC."""
+"""Recognised formats, by Pillow's names except HEIC."""
 HEVC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
-"""Brands of HEIC, the format of many phones."""
+"""File-type brands of HEIC, the format of many phones."""
 AV1 = (b"avif", b"avis")
-"""Brands of AVIF."""
+"""File-type brands of AVIF."""
 GENERAL = (b"mif1", b"msf1")
-"""Brands of both; the brands that follow decide."""
+"""Brands that both HEIC and AVIF use; the compatible brands that follow decide."""
 MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
-"""Bytes from which the kind is known."""
+"""Number of leading bytes that suffice to recognise the format."""
 MOST_SEGMENTS = 100_000
-"""Largest number of JPEG segments before the size; photographs have up to some hundreds."""
+"""Largest number of JPEG segments before the size; photographs have up to a few hundred."""
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
-"""Start of a JPEG segment; 00 and D0 to D7 belong to the image data. More FF may come before, which
-a pattern such as FF+ would try again from each of them."""
+"""Start of a JPEG segment; 00 and D0 to D7 belong to the image data. Further FF bytes may precede
+it, but the pattern must not include them: FF+ would be matched again from each FF."""
 SIZES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
-"""JPEG segments that state the size."""
+"""Markers of the JPEG segments that contain the size."""
 EXTENT = re.compile(rb"ispe\0{4}(.{8})", re.DOTALL)
-"""Width and height of a picture in HEIC and AVIF."""
+"""Width and height of an image in HEIC and AVIF."""
 Size = tuple[int, int]
-"""Width and height, pixels."""
+"""Width and height [pixels]."""
 
 
 def read_kind(data: bytes) -> str | None:
-    """Return the kind of a picture, one of `KINDS`, or None."""
+    """Return the format of an image, one of `KINDS`, or None."""
     if data[:8] == b"\x89PNG\r\n\x1a\n":
         return "PNG"
     if data[:3] == b"\xff\xd8\xff":
@@ -44,7 +44,7 @@ def read_kind(data: bytes) -> str | None:
 
 
 def _read_brand(data: bytes) -> str | None:
-    """Return HEIC or AVIF by the brands at the start; None for videos, which begin alike."""
+    """Return HEIC or AVIF, according to the file-type brands; None for videos."""
     major, end = data[8:12], min(int.from_bytes(data[:4], "big"), HEAD)
     others = [data[place : place + 4] for place in range(16, end, 4)]
     if major in AV1 or (major in GENERAL and any(brand in AV1 for brand in others)):
@@ -53,10 +53,10 @@ def _read_brand(data: bytes) -> str | None:
 
 
 def read_size(data: bytes) -> Size:
-    """Return width and height from the header; the largest if there are several pictures.
+    """Return width and height from the header; those of the largest if there are several images.
 
     Raises:
-        ValueError: The kind is unknown, or the header states no size.
+        ValueError: If the format is unknown, or the header contains no size.
     """
     readers = {"PNG": _png, "JPEG": _jpeg, "WEBP": _webp, "HEIC": _largest, "AVIF": _largest}
     try:

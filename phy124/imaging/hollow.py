@@ -1,8 +1,9 @@
-"""Finds signs that an object is hollow: a rim seen from above, or a gap as inside a handle.
+"""Detects signs that an object is hollow: a rim seen from above, or a gap as inside a handle.
 
-A cup, bowl or pot from slightly above shows its rim as an ellipse: the back half is the top of the
-outline, the front half an edge inside it. Of 8 pictures of solid things none has either sign; of
-150 renderings of 15 objects 4 have, 3 of them a hammer's head (falsely) and one a teapot's handle.
+A cup, bowl or pot seen slightly from above shows its rim as an ellipse. The back half of the
+ellipse is the top of the outline; the front half is an edge inside the outline. In a test with 8
+images of solid objects, none showed either sign. Of 150 renderings of 15 objects, 4 did: 3 of a
+hammer's head (false detections) and one of a teapot's handle.
 """
 
 from __future__ import annotations
@@ -18,29 +19,31 @@ from phy124.imaging.lab import to_lab
 
 Solid = NDArray[np.bool_]
 GAP = 0.03
-"""Smallest gap in the outline that is reported, as a fraction of the object."""
+"""Smallest gap in the outline that is reported, as a fraction of the object's area."""
 SIDE, MARGIN = 200, 3
-"""Longest side at which a rim is looked for, and the margin around it [pixels]."""
+"""Longest side of the reduced object in which a rim is searched, and the margin around it
+[pixels]."""
 UPPER = 0.5
-"""Part of the height, from the top, in which the rim's centre may be."""
+"""Fraction of the height, from the top, in which the rim's centre may lie."""
 WIDE = 0.2
 """Smallest width of a rim, in longest sides."""
 ASPECTS = (0.08, 0.6)
-"""Ratios of a rim's height to its width, between those from the side and from above."""
+"""Smallest and largest ratio of a rim's height to its width: 0 from the side, 1 from above."""
 FIT = 0.025
 """Largest mean distance of the outline from the back of the rim, in half widths."""
 FRONT = 0.95
-"""Smallest fraction of the front of the rim at which the picture shows an edge."""
+"""Smallest fraction of the rim's front half at which the image has an edge."""
 EDGE = 2.0
-"""Smallest change of colour at an edge, in units of CIE Lab per pixel."""
+"""Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 ACROSS = np.linspace(-0.85, 0.85, 41)
-"""Places along a rim, in half widths, without its tips."""
+"""Sample positions across a rim, in half widths, without its tips."""
 NEARER = (0.9, 1.0, 1.1, 1.2)
-"""Heights of the front half relative to the back half: it is nearer, so it looks larger."""
+"""Ratios of the front half's height to the back half's that are compared; perspective enlarges the
+front half."""
 
 
 def find_hollow(rgb: NDArray[np.uint8], solid: Solid) -> Iterator[str]:
-    """Yield notes on signs that the object of a picture [H,W,3] is hollow or has a handle."""
+    """Yield notes about signs that the object of an image [H,W,3] is hollow or has a handle."""
     guess = "one picture does not show the inside, so the object is filled."
     if has_rim(rgb, solid):
         yield f"This may be a hollow object, as its rim is seen from above: {guess}"
@@ -49,7 +52,7 @@ def find_hollow(rgb: NDArray[np.uint8], solid: Solid) -> Iterator[str]:
 
 
 def has_gap(solid: Solid) -> bool:
-    """Return whether the object encloses a part of the background."""
+    """Whether the object encloses a part of the background."""
     _, _, stats, _ = cv2.connectedComponentsWithStats((~solid).astype(np.uint8), connectivity=4)
     left, top, width, height, area = stats[1:].T
     inner = (left > 0) & (top > 0)
@@ -58,7 +61,7 @@ def has_gap(solid: Solid) -> bool:
 
 
 def has_rim(rgb: NDArray[np.uint8], solid: Solid) -> bool:
-    """Return whether an elliptical rim at the top of the object is seen from above."""
+    """Whether an elliptical rim, seen from above, is at the top of the object."""
     edges, mask = _find_edges(rgb, solid)
     top, arc = mask.argmax(axis=0), np.sqrt(1 - ACROSS**2)
     for centre in range(MARGIN + 1, int(UPPER * len(mask))):
@@ -81,7 +84,7 @@ def has_rim(rgb: NDArray[np.uint8], solid: Solid) -> bool:
 
 
 def _find_edges(rgb: NDArray[np.uint8], solid: Solid) -> tuple[Solid, Solid]:
-    """Return the edges well inside the object, and the object, both reduced to `SIDE` pixels."""
+    """Return masks of edges well inside the object and of the object, reduced to `SIDE` pixels."""
     ys, xs = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
     box = np.s_[ys[0] : ys[-1] + 1, xs[0] : xs[-1] + 1]
     rgb, solid = np.ascontiguousarray(rgb[box]), solid[box]

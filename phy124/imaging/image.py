@@ -1,7 +1,7 @@
-"""Opens pictures upright and within limits, and recentres them for the networks.
+"""Opens images upright and within limits, and recentres them for the networks.
 
-Everything after this module receives straight (not premultiplied) RGBA, 8 bits per channel, sRGB.
-Files are read here and decoded in a separate process (`decoding.py`).
+All later steps receive straight (not premultiplied) RGBA in sRGB with 8 bits per channel. This
+module reads the files; a separate process decodes them (`decoding.py`).
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
 
 MAX_BYTES = 50_000_000
-"""Size of the largest picture file that is opened, bytes."""
+"""Largest size of an image file [bytes]."""
 MIN_SIDE = 8
-"""Smallest side of a usable picture, pixels."""
+"""Smallest width and height of an image [pixels]."""
 LOOK_SIDE = 320
-"""Longest side at which a picture is searched for an object, pixels."""
+"""Longest side at which an image is segmented without a network [pixels]."""
 FAINT = 3
-"""Range of levels below which a picture counts as blank."""
+"""Range of levels below which an image counts as blank."""
 WORK_SIDE = 2048
-"""Larger pictures are reduced to this side, pixels; no generator uses more detail."""
+"""Longest side to which images are reduced [pixels]; no generator uses more detail."""
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF")
-"""Formats accepted for photographs; HEIC is, too."""
+"""Formats accepted for photographs, in addition to HEIC."""
 ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
-"""Formats accepted for masks and maps, which other programs write."""
+"""Formats accepted for masks and maps, in addition to HEIC."""
 PHOTOGRAPH = Purpose(FORMATS, MIN_SIDE)
 MEMORY = 2 << 30
-"""Memory that decoding one picture may take, bytes."""
+"""Memory limit for decoding one image [bytes]."""
 DEADLINE = isolated.Deadline(30.0)
-"""Time limit of decoding; a photograph of 12 million pixels takes one second."""
+"""Time limit for decoding; a photograph of 12 million pixels takes one second."""
 
 
 def open_image(
@@ -59,17 +59,17 @@ def open_image(
 ) -> Image.Image:
     """Open a photograph as upright RGBA in sRGB with sides of at most `WORK_SIDE` pixels.
 
-    Of an animation only the first frame is used. The `info` of the result holds the number of
-    `frames`, the `size` of the upright picture before it was reduced, and `notes`: sentences on
+    Only the first frame of an animation is used. The result's `info` contains the number of
+    `frames`, the `size` of the upright image before it was reduced, and `notes`: sentences about
     what was ignored.
 
     Args:
         path: The file, or a pipe.
-        field: Name of the picture in error messages.
-        deadline: Time limit of decoding, at most that of `DEADLINE`, and how to cancel it.
+        field: Name of the image in error messages.
+        deadline: Time limit of decoding, capped at that of `DEADLINE`, and how to cancel it.
 
     Raises:
-        InputError: If the file is missing, too large, of another format, or broken.
+        InputError: If the file is missing, too large, of an unsupported format, or damaged.
     """
     return _open(path, field, PHOTOGRAPH, deadline)
 
@@ -80,36 +80,37 @@ def open_mask(
     field: str = "mask",
     minimum: int = MIN_SIDE,
 ) -> Image.Image:
-    """Open a mask or map that belongs to a picture, like `open_image`.
+    """Open a mask or map that belongs to an image, as `open_image` does.
 
-    More formats are accepted, and the colour profile is ignored, since the values are no colours.
+    More formats are accepted. The colour profile is ignored, since the values are not colours.
 
     Args:
         path: The file, or a pipe.
-        field: Name of the picture in error messages.
-        minimum: Smallest allowed side, pixels.
+        field: Name of the mask in error messages.
+        minimum: Smallest allowed width and height, pixels.
 
     Raises:
-        InputError: If the file is missing, too large, of another format, or broken.
+        InputError: If the file is missing, too large, of an unsupported format, or damaged.
     """
     return _open(path, field, Purpose(ANY_FORMAT, minimum, colours=False), DEADLINE)
 
 
 def open_levels(path: str | os.PathLike[str], *, field: str) -> NDArray[np.float32 | np.uint8]:
-    """Open a picture with all its grey levels [H,W]; upright, sides of at most `WORK_SIDE` pixels.
+    """Open an image upright with all its grey levels [H,W], reduced to `WORK_SIDE` pixels.
 
     Raises:
-        InputError: If the file is missing, too large, of another format, or broken.
+        InputError: If the file is missing, too large, of an unsupported format, or damaged.
     """
     purpose = Purpose(ANY_FORMAT, MIN_SIDE, colours=False, deep=True)
     return np.asarray(_open(path, field, purpose, DEADLINE))
 
 
 def read_picture_size(path: str | os.PathLike[str], *, field: str = "image") -> Size:
-    """Return width and height from the header of a photograph; nothing is decoded.
+    """Return the width and height of a photograph from its header, without decoding it.
 
     Raises:
-        InputError: If the file is missing, too large, of another format, or its header is broken.
+        InputError: If the file is missing, too large, of an unsupported format, or has a damaged
+            header.
     """
     try:
         return _read_stated_size(_read(Path(path)), FORMATS)
@@ -118,12 +119,12 @@ def read_picture_size(path: str | os.PathLike[str], *, field: str = "image") -> 
 
 
 def original_size(image: Image.Image) -> tuple[int, int]:
-    """Return width and height of an opened picture before it was reduced."""
+    """Return the width and height that an opened image had before it was reduced."""
     return image.info.get("size", image.size)
 
 
 def shrink(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Shrink a picture [H,W,3] to a longest side of at most `LOOK_SIDE` pixels."""
+    """Reduce an image [H,W,3] to a longest side of at most `LOOK_SIDE` pixels."""
     import cv2
 
     height, width = rgb.shape[:2]
@@ -133,24 +134,24 @@ def shrink(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def is_blank(rgb: NDArray[np.uint8]) -> bool:
-    """Return whether a picture [H,W,3] has a single colour."""
+    """Whether all pixels of an image [H,W,3] have nearly the same colour."""
     return int(np.ptp(shrink(rgb), axis=(0, 1)).max()) < FAINT
 
 
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:
-    """Put the masked part in the middle of a square, leaving `border_ratio` of its side free.
+    """Centre the masked part in a square, leaving a fraction `border_ratio` of its side free.
 
-    Equals LGM's preparation pixel for pixel (Tang et al. 2024, kiui `recenter`), including its
-    bounding box that omits the last row and column, and its truncation to integers.
+    The result equals LGM's preparation pixel for pixel (Tang et al. 2024, kiui `recenter`). This
+    includes a bounding box without the last row and column, and truncation to integers.
 
     Args:
-        image: [H,W,3] or [H,W,4], uint8 or float in 0..1.
-        mask: [H,W]; every value other than zero counts.
+        image: Image [H,W,3] or [H,W,4], uint8 or float in 0..1.
+        mask: Mask [H,W]; all nonzero values belong to the object.
         border_ratio: Fraction of the side that stays free.
 
     Returns:
-        [S,S,C] of the same type, S = max(H, W); around the object it is white (C = 3) or
-            transparent black (C = 4).
+        Image [S,S,C] of the same type, S = max(H, W); the free part is white (C = 3) or transparent
+            black (C = 4).
 
     Raises:
         InputError: If the mask covers less than two pixels along an axis.
@@ -182,7 +183,7 @@ def _open(
     try:
         data = _read(path)
         if purpose is PHOTOGRAPH or read_kind(data):
-            # Refuse before a process starts; the decoder checks the other formats.
+            # Refuse early, before a process starts; the decoder checks the other formats.
             check_size(_read_stated_size(data, purpose.formats), purpose.minimum)
         limit = deadline._replace(seconds=min(deadline.seconds, DEADLINE.seconds))
         made = isolated.run(decode, data, purpose, WORK_SIDE, deadline=limit, memory=MEMORY)
@@ -199,14 +200,14 @@ def _open(
 
 
 def _read(path: Path) -> bytes:
-    """Read a file or a pipe."""
+    """Read the bytes of a file or pipe."""
     try:
         with open(path, "rb") as file:
             status = os.fstat(file.fileno())
             if S_ISREG(status.st_mode):
                 _check_bytes(status.st_size)
             data = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:  # a path may have a zero byte
+    except (OSError, ValueError) as error:  # ValueError: NUL byte in the path
         words = obstacle(path) or (f"it cannot be read ({error}).", "Copy it again.")
         raise _refusal(*words) from None
     _check_bytes(len(data))
@@ -216,7 +217,7 @@ def _read(path: Path) -> bytes:
 
 
 def _refusal(limit: str, remedy: str) -> Unusable:
-    """Make an `Unusable` of a limit that starts with a lower-case letter."""
+    """Return an `Unusable` error for a limit that starts with a lower-case letter."""
     return Unusable(limit[0].upper() + limit[1:], remedy)
 
 
@@ -229,7 +230,7 @@ def _check_bytes(size: int) -> None:
 
 
 def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
-    """Return width and height from the header; refuse kinds that cannot be read here."""
+    """Return width and height from the header; refuse formats that cannot be read here."""
     kind = read_kind(data)
     if kind is None:
         raise explain_unidentified(data, formats)
@@ -246,7 +247,7 @@ def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
 
 
 def can_read_avif() -> bool:
-    """Return whether Pillow reads AVIF."""
+    """Whether this Pillow reads AVIF."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Before 11.3 it does not know the name.
+        warnings.simplefilter("ignore")  # Pillow before 11.3 warns that it does not know the name
         return bool(features.check("avif"))

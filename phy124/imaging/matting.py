@@ -1,4 +1,4 @@
-"""The edge of a cut-out: where it runs exactly, and its colours without the background's."""
+"""Refines the edge of a cut-out, and removes the background's colours from it."""
 
 from __future__ import annotations
 
@@ -8,28 +8,29 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float32]
 SIDE = 640
-"""Longest side at which edges are fitted, pixels; the fit holds at every resolution."""
+"""Longest side at which edges are fitted [pixels]; the fit is applied at full resolution."""
 REACH = 5
-"""Half the window within which the edge follows the picture's colours, in pixels of `SIDE`."""
+"""Radius of the window in which alpha is fitted to the colours, in pixels at `SIDE`."""
 SMOOTH = 1e-4
-"""Variance of colours (0..1) below which there is no edge."""
+"""Regularisation: variance of colours (0..1) below which an edge is ignored."""
 DECIDED, SHARP = 2.0, 1.5
-"""Contrast added to the coarse mask, and to the fitted one, around one half."""
+"""Factors that raise the contrast around 1/2, of the coarse mask and of the fitted alpha."""
 OPAQUE = 243
-"""Alpha from which a pixel shows nothing of the background, 0..255."""
+"""Alpha, 0..255, from which a pixel counts as free of background colour."""
 INSET = 1.0
-"""Distance from all others at which an opaque pixel's colour is trusted, pixels per `SIDE`."""
+"""Smallest distance of an opaque pixel from all others at which its colour is trusted [pixels at
+`SIDE`]."""
 
 
 def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
-    """Fit a coarse mask to the edges of a picture: alpha [H,W].
+    """Fit a coarse mask to the edges of an image; return the alpha [H,W].
 
-    A guided filter: within each window alpha is a linear function of the colours (He, Sun, Tang
-    2013), whose coefficients are computed on the reduced picture (He, Sun 2015).
+    This is a guided filter: within each window, alpha is a linear function of the colours (He, Sun,
+    Tang 2013). The coefficients are computed on the reduced image (He, Sun 2015).
 
     Args:
-        rgb: The picture [H,W,3].
-        coarse: Probability [h,w], 0..1, that each part is the object, at any resolution.
+        rgb: The image [H,W,3].
+        coarse: Probability of the object [h,w], 0..1, at any resolution.
     """
     height, width = rgb.shape[:2]
     scale = min(1.0, SIDE / max(height, width))
@@ -71,13 +72,13 @@ def _raise_contrast(values: Field, factor: float) -> Field:
 
 
 def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Replace the background's part in the colours of a soft edge: colours [H,W,3].
+    """Remove the background's contribution from the colours of a soft edge; return [H,W,3].
 
-    Half-transparent pixels take the colour of the nearest opaque pixel a little inside the object;
-    parts too thin to have such pixels keep the colours of their middle.
+    Half-transparent pixels get the colour of the nearest opaque pixel slightly inside the object.
+    Where the object is too thin for such pixels, the colours on its centre line are used.
 
     Args:
-        rgb: The picture [H,W,3].
+        rgb: The image [H,W,3].
         alpha: Its alpha [H,W].
     """
     soft = (alpha > 0) & (alpha < OPAQUE)
@@ -94,7 +95,7 @@ def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[n
 
 
 def _find_trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return where the colours belong to the object alone [H,W]."""
+    """Return the mask [H,W] of pixels whose colours belong to the object alone."""
     inset = max(INSET, INSET * max(alpha.shape) / SIDE)
     core = _depth(alpha >= OPAQUE) > inset
     depth = _depth(alpha > 127)
@@ -103,7 +104,7 @@ def _find_trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _depth(inside: NDArray[np.bool_]) -> Field:
-    """Distance to the nearest pixel outside [H,W]."""
+    """Return the distance from each pixel to the nearest pixel outside [H,W]."""
     return np.asarray(cv2.distanceTransform(_mask(inside), cv2.DIST_L2, 5), np.float32)
 
 

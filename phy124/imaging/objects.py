@@ -1,4 +1,4 @@
-"""Selects one of several objects in a picture: the largest, or the object at a point."""
+"""Selects one of several objects in an image: the largest, or the object at a point."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from phy124.imaging.silhouette import find_touched_edges
 
 Alpha = NDArray[np.uint8]
 Point = tuple[float, float]
-"""A place in a picture: right and down, as fractions of its width and its height."""
+"""A point in an image: right and down, as fractions of its width and height."""
 Box = tuple[int, int, int, int]
-"""Left, top, right, bottom, pixels."""
+"""Left, top, right and bottom of a box [pixels]."""
 GAP = 0.01
-"""Largest gap between parts of one object, in longest sides of the picture."""
+"""Largest gap between pieces of the same object, in longest sides of the image."""
 COUNTED = 0.05
-"""Smallest object that counts, relative to the largest."""
+"""Smallest area of an object that is counted, relative to the largest object."""
 NEAR = 0.02
-"""Largest distance between a point and its object, in longest sides."""
+"""Largest distance between a point and the object that it selects, in longest sides."""
 WINDOWS = (0.7, 0.45, 0.3)
-"""Sides of the windows around a point that are searched, in longest sides."""
+"""Sides of the windows around a point that are segmented, in longest sides."""
 MINIMUM = 0.02
-"""Smallest fraction of a window that an object in it covers."""
+"""Smallest fraction of a window that an object must cover."""
 
 
 class Objects(NamedTuple):
-    """The objects of an alpha, numbered from 1."""
+    """The objects of an alpha channel, numbered from 1."""
 
     nearest: NDArray[np.int32]
-    """Number of the object nearest to each pixel [H,W]."""
+    """Number of the object that is nearest to each pixel [H,W]."""
     areas: NDArray[np.int_]
-    """Pixels of each object; there is no object 0."""
+    """Area of each object [pixels]; index 0 is unused."""
 
     @classmethod
     def of(cls, alpha: Alpha) -> Objects:
-        """Find the objects of an alpha [H,W] that is opaque somewhere."""
+        """Separate the objects of an alpha [H,W] that is opaque somewhere."""
         solid = alpha > 127
         reach = 2 * max(1, round(GAP * max(alpha.shape) / 2)) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
@@ -52,7 +52,7 @@ class Objects(NamedTuple):
 
     @property
     def number(self) -> int:
-        """Number of objects, ignoring those below `COUNTED`."""
+        """Number of objects with at least the fraction `COUNTED` of the largest area."""
         return int((self.areas >= COUNTED * self.areas.max()).sum())
 
 
@@ -78,14 +78,15 @@ def select_object(alpha: Alpha, point: Point) -> Alpha | None:
 def search_around(
     image: Image.Image, point: Point, find: Callable[[Image.Image], Alpha]
 ) -> Alpha | None:
-    """Search for an object that does not stand out in the whole picture: its alpha [H,W] or None.
+    """Segment an object that the segmentation of the whole image misses; return its alpha or None.
 
-    Windows around the point are searched; the object that touches the fewest window edges is taken.
+    Windows around the point are segmented. The result is the object that touches the fewest edges
+    of its window, as an alpha [H,W] of the whole image.
 
     Args:
-        image: The picture.
-        point: A place on the object.
-        find: Finds the object that stands out in a picture.
+        image: The image.
+        point: A point on the object.
+        find: Function that segments the salient object of an image.
     """
     best, fewest = None, 5
     for box in _windows_around(image.size, point):
@@ -115,6 +116,6 @@ def _windows_around(size: tuple[int, int], point: Point) -> Iterator[Box]:
 
 
 def pixel_at(point: Point, size: tuple[int, int]) -> tuple[int, int]:
-    """Return row and column of a point in a picture of this width and height."""
+    """Return the row and column of a point in an image of this width and height."""
     column, row = (min(int(f * n), n - 1) for f, n in zip(point, size, strict=True))
     return row, column

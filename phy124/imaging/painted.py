@@ -1,4 +1,4 @@
-"""Samples a grey picture, painted over the object, at points of the object."""
+"""Samples a grey image, which is painted over the object's image, at points of the object."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from phy124.imaging.image import open_mask
 
 Crop = tuple[float, float, float, float]
 WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
-"""Left, top, right, bottom of the object in the picture, as fractions of its width and height."""
+"""Left, top, right and bottom of the object in its image, as fractions of width and height."""
 
 
 def sample_brightness(
     x: NDArray, path: Path, crop: Crop = WHOLE, *, field: str
 ) -> NDArray[np.float64]:
-    """Return the brightness [P] of a picture at each point seen from the front: 0 black, 1 white.
+    """Return the brightness [P] of an image at points seen from the front: 0 black, 1 white.
 
     Args:
         x: Points at rest [P,3], m; the object is upright and faces +x.
-        path: The picture; colours count as their grey value.
-        crop: Where the object is in the picture.
-        field: Name of the picture in error messages.
+        path: The image; colours are converted to grey.
+        crop: Position of the object in the image.
+        field: Name of the image in error messages.
 
     Raises:
-        InputError: If the picture cannot be read.
+        InputError: If the image cannot be read.
     """
     opened = open_mask(path, field=field, minimum=1)
     grey = np.asarray(opened.convert("L"), dtype=np.float64) / 255
@@ -42,7 +42,7 @@ def sample_brightness(
 
 
 def crop_of(cutout: Image.Image) -> Crop:
-    """Return where the object is in its picture, an RGBA cut-out."""
+    """Return the position of the object in its image, an RGBA cut-out."""
     opaque = np.asarray(cutout.getchannel("A")) > 127
     rows, columns = np.flatnonzero(opaque.any(axis=1)), np.flatnonzero(opaque.any(axis=0))
     if not len(rows):

@@ -1,6 +1,6 @@
-"""Converts pictures to sRGB by their colour profiles (ICC).
+"""Converts images to sRGB by their ICC colour profiles.
 
-Phones write Display P3, cameras Adobe RGB, print shops CMYK and grey with dot gain.
+Phones write Display P3, cameras Adobe RGB, and print shops CMYK, or grey with dot gain.
 """
 
 from __future__ import annotations
@@ -11,23 +11,23 @@ from typing import Any
 from PIL import Image
 
 DESCRIBED = {"RGB ": ("RGBA", "L", "LA"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""Colour space of a profile -> modes of the pictures it describes."""
+"""By a profile's colour space: modes of the images to which it applies."""
 READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
-"""Colour space of a profile -> mode in which the picture is converted, without its alpha."""
+"""By a profile's colour space: mode in which the image is converted, without its alpha."""
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:
-    """Convert a picture to sRGB, mode RGBA; its alpha stays.
+    """Convert an image to sRGB, mode RGBA; its alpha is unchanged.
 
     Args:
-        picture: The picture, in mode RGBA, LA, L or CMYK.
+        picture: The image, in mode RGBA, LA, L or CMYK.
         profile: The bytes of its ICC profile.
 
     Raises:
-        ValueError: The profile is damaged, or describes pictures of another kind.
+        ValueError: If the profile is damaged, or does not apply to the image's mode.
     """
     try:
-        from PIL import ImageCms  # Some builds of Pillow lack it.
+        from PIL import ImageCms  # missing in some builds of Pillow
 
         source: Any = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         space = source.profile.xcolor_space
@@ -37,7 +37,7 @@ def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:
         transform = ImageCms.buildTransform(source, srgb, mode, "RGB")
         result = ImageCms.applyTransform(picture.convert(mode), transform)
         assert result is not None
-    except Exception as error:  # The library raises many types.
+    except Exception as error:  # the library raises exceptions of many types
         raise ValueError(f"the profile cannot be used ({error})") from error
     result.info = {}
     if "A" in picture.getbands():

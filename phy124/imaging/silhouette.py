@@ -1,4 +1,4 @@
-"""Measures of a mask's plausibility: pieces, touched edges, its outline, shared colours."""
+"""Measures the plausibility of a mask: pieces, touched edges, outline, shared colours."""
 
 from __future__ import annotations
 
@@ -12,37 +12,38 @@ from phy124.imaging.lab import to_lab
 
 Solid = NDArray[np.bool_]
 SMALLEST_PIECE = 0.01
-"""Smallest piece that counts, as a fraction of the object."""
+"""Smallest area of a piece that is counted, as a fraction of the object."""
 NEAR = 0.035
 """Distance at which an edge counts as touched, in shorter sides; GrabCut keeps 0.03 clear."""
 REACH = 0.02
-"""Fraction of an edge that must be near the object."""
+"""Smallest fraction of an edge that is near the object if the edge counts as touched."""
 SIDE = 320
-"""Longest side at which the outline is examined, pixels."""
+"""Longest side at which the outline is examined [pixels]."""
 FAINT = 2.0
-"""Change of colour too small to be seen as an edge, in units of CIE Lab."""
+"""Smallest colour gradient that counts as an edge, in CIE Lab units per pixel."""
 WIDE, FITTED = 2.0, 640
-"""Half the width of a soft edge, pixels, in a picture of this longest side; it grows with that."""
+"""Half the width of a soft edge [pixels] in an image whose longest side is `FITTED`; in larger
+images, the width grows in proportion."""
 HALF = 25
-"""Alpha from which a pixel is neither clear nor, counted from 255, opaque."""
+"""Smallest difference of a half-transparent pixel's alpha from both 0 and 255."""
 AROUND = 0.125
-"""How far the surroundings of an object extend, in longest sides."""
+"""Width of the surroundings of an object, in longest sides."""
 BINS = (12, 24, 24)
-"""Histogram bins of L, a and b."""
+"""Numbers of histogram bins for L, a and b."""
 SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)
-"""Kernel that spreads a histogram along an axis, and the one that leaves the other axis."""
+"""Kernel that smooths a histogram along one axis, and the kernel that has no effect."""
 MINIMUM, EXTENT = np.array([0, -100, -100]), np.array([100, 200, 200])
-"""Lowest values of L, a and b, and the ranges that the bins cover."""
+"""Smallest values of L, a and b, and the ranges that the bins cover."""
 
 
 def count_pieces(solid: Solid) -> int:
-    """Count connected pieces, ignoring those below `SMALLEST_PIECE`."""
+    """Count the connected pieces with at least the fraction `SMALLEST_PIECE` of the area."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(solid.astype(np.uint8), connectivity=8)
     return int((stats[1:, cv2.CC_STAT_AREA] >= SMALLEST_PIECE * solid.sum()).sum())
 
 
 def find_touched_edges(solid: Solid) -> tuple[str, ...]:
-    """Return the names of the picture edges that the object reaches or nearly reaches."""
+    """Return the names of the image edges that the object reaches or nearly reaches."""
     near = 1 + int(NEAR * min(solid.shape))
     edges = {
         "left": solid[:, :near].any(axis=1),
@@ -54,7 +55,7 @@ def find_touched_edges(solid: Solid) -> tuple[str, ...]:
 
 
 def measure_unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Return the fraction of the outline at which the picture [H,W,3] shows no edge."""
+    """Return the fraction of the outline at which the image [H,W,3] has no edge."""
     lab, inside = _reduce(rgb, solid)
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
     change = np.sqrt((across**2 + down**2).sum(axis=2))
@@ -65,7 +66,7 @@ def measure_unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
 
 
 def measure_alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Return the fraction of the surroundings whose colours are commoner in the object."""
+    """Return the fraction of the surroundings in colours that are more common in the object."""
     lab, inside = _reduce(rgb, solid)
     away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
     around = ~inside & (away <= AROUND * max(inside.shape))
@@ -78,9 +79,10 @@ def measure_alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
 
 
 def measure_undecided(alpha: NDArray[np.uint8]) -> float:
-    """Return the half transparent area away from the outline of an alpha [H,W], per area inside.
+    """Return the half-transparent area away from the outline, divided by the object's area.
 
-    An edge is soft for a few pixels; half transparency farther away shows indecision.
+    Half transparency is usual within a few pixels of the outline of an alpha [H,W]. Farther away,
+    it shows that the network did not decide.
     """
     inside = (alpha > 127).astype(np.uint8)
     reach = WIDE * max(1.0, max(alpha.shape) / FITTED)
@@ -90,10 +92,10 @@ def measure_undecided(alpha: NDArray[np.uint8]) -> float:
 
 
 def _colour_fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
-    """Return the smoothed histogram of the pixels' colour bins, which sums to one."""
+    """Return the smoothed histogram of the pixels' colour bins, whose sum is 1."""
     common = np.bincount(kinds, minlength=math.prod(BINS)) / len(kinds)
     for bins in BINS:
-        # Along one axis, which then becomes the last.
+        # Smooth along the first axis, which then becomes the last.
         rows = np.ascontiguousarray(common.reshape(bins, -1).T)
         smooth = cv2.sepFilter2D(rows, -1, SIMILAR, ONE, borderType=cv2.BORDER_CONSTANT)
         common = np.asarray(smooth, np.float64).ravel()
@@ -101,7 +103,7 @@ def _colour_fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
 
 
 def _reduce(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], Solid]:
-    """Return smoothed colours in CIE Lab [h,w,3] and the object [h,w], at reduced size."""
+    """Return smoothed CIE Lab colours [h,w,3] and the object's mask [h,w], at reduced size."""
     scale = min(1.0, SIDE / max(solid.shape))
     size = max(3, round(solid.shape[1] * scale)), max(3, round(solid.shape[0] * scale))
     small = cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA)

@@ -1,7 +1,7 @@
-"""Splits two objects that touch where the silhouette has a neck and the colours change.
+"""Splits two objects that touch, where the silhouette has a neck and the colours change.
 
-A neck alone is no evidence (a head on shoulders), nor are colours alone (trousers and shirt): both
-are required, and each part must be large. A sail still looks like a separate object; error rates
+A neck alone is no evidence (a head on shoulders), nor are colours alone (trousers and shirt). Both
+are required, and each part must be large. A sail is still taken for a separate object; error rates
 are in docs/lab/cutouts.md.
 """
 
@@ -18,34 +18,34 @@ from phy124.imaging.lab import to_lab
 Alpha = NDArray[np.uint8]
 Solid = NDArray[np.bool_]
 SIDE = 200
-"""Longest side of the silhouette while it is examined, pixels."""
+"""Longest side to which the image is reduced for the examination [pixels]."""
 NECK = 0.4
-"""Largest width of the neck, relative to the thinner part."""
+"""Largest width of a neck, relative to the thinner part."""
 UNLIKE = 0.8
-"""Smallest fraction of the colours that the parts do not share."""
+"""Smallest fraction of the colour histograms that the parts do not share."""
 MOST = 4
-"""Largest number of objects in a row that are split."""
+"""Largest number of objects into which a cut-out is split."""
 SMALLEST = 0.25
 """Smallest area of the smaller part, as a fraction of both."""
 BINS = np.array([6, 16, 16])
-"""Number of bins of L, a and b."""
+"""Numbers of histogram bins for L, a and b."""
 LOW, RANGE = np.array([0, -100, -100]), np.array([100, 200, 200])
-"""Lowest values of L, a and b, and the ranges that the bins cover."""
+"""Smallest values of L, a and b, and the ranges that the bins cover."""
 
 
 class Neck(NamedTuple):
-    """Where a silhouette is narrowest between two parts."""
+    """The narrowest place of a silhouette between two parts."""
 
     width: float
-    """Relative to the thinner part."""
+    """Width relative to the thinner part."""
     first: Solid
-    """Core of the first part [h,w]; the neck lies between the cores."""
+    """Mask of the first part's core [h,w]; the neck lies between the cores."""
     second: Solid
-    """Core of the second part [h,w]."""
+    """Mask of the second part's core [h,w]."""
 
 
 def select_part(rgb: NDArray[np.uint8], alpha: Alpha, place: tuple[int, int]) -> Alpha:
-    """Return the alpha [H,W] of the object at a row and column, without those that touch it."""
+    """Return the alpha [H,W] of the object at a row and column, without objects that touch it."""
     for _ in range(MOST - 1):
         parts = split_touching(rgb, alpha)
         if parts is None:
@@ -55,11 +55,11 @@ def select_part(rgb: NDArray[np.uint8], alpha: Alpha, place: tuple[int, int]) ->
 
 
 def split_touching(rgb: NDArray[np.uint8], alpha: Alpha) -> tuple[Solid, Solid] | None:
-    """Split touching objects: masks [H,W] of two parts, or None for a single object.
+    """Split touching objects: return masks [H,W] of two parts, or None for a single object.
 
     Args:
-        rgb: The picture [H,W,3].
-        alpha: Of one connected object [H,W].
+        rgb: The image [H,W,3].
+        alpha: Alpha of one connected cut-out [H,W].
     """
     rows, columns = np.nonzero(alpha > 127)
     if not len(rows):
@@ -82,7 +82,7 @@ def split_touching(rgb: NDArray[np.uint8], alpha: Alpha) -> tuple[Solid, Solid] 
 
 
 def _find_neck(solid: Solid) -> Neck | None:
-    """Find the narrowest neck of a silhouette [h,w] with a large part on either side."""
+    """Return the narrowest neck of a silhouette [h,w] with a large part on either side, or None."""
     depth = cv2.distanceTransform(np.pad(solid, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
     best = None
     for level in np.arange(1.0, float(depth.max())):
@@ -103,7 +103,7 @@ def _distance_to(core: Solid) -> NDArray[np.float32]:
 
 
 def _colour_difference(rgb: NDArray[np.uint8], first: Solid, second: Solid) -> float:
-    """Return the fraction of the colours that two parts do not share."""
+    """Return the fraction of the colour histograms that two parts do not share."""
     lab = to_lab(rgb)
     bins = np.clip(((lab - LOW) / RANGE * BINS).astype(int), 0, BINS - 1)
     kinds = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(bins, 2, 0)), tuple(BINS)))

@@ -1,4 +1,4 @@
-"""Examines the transparency of a picture: an object cut out already, or half transparent."""
+"""Examines an image's transparency: it may segment an object, or be too faint to do so."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import numpy as np
 from PIL import Image
 
 REAL = 0.005
-"""Smallest fraction of opaque and of transparent pixels of a meaningful alpha."""
+"""Smallest fraction of opaque pixels, and of transparent pixels, in a meaningful alpha."""
 FAINTEST = 8
-"""Smallest alpha, of 255, of an object that is half transparent throughout."""
+"""Smallest maximum of alpha, of 255, in an image whose object is half transparent throughout."""
 
 
 def has_alpha(image: Image.Image) -> bool:
-    """Return whether the alpha channel separates an object from a transparent background."""
+    """Whether the alpha channel separates an object from a transparent background."""
     solid = float(np.mean(np.asarray(image.convert("RGBA").getchannel("A")) > 127))
     return REAL <= solid <= 1 - REAL
 
 
 def is_faint(image: Image.Image) -> bool:
-    """Return whether the picture shows something of which nothing is opaque."""
+    """Whether the image shows something, but no pixel is opaque."""
     return FAINTEST <= _most_opaque(image) < 128
 
 
 def make_solid(image: Image.Image) -> Image.Image:
-    """Convert to RGBA; the most opaque part of a faint picture becomes opaque."""
+    """Convert an image to RGBA, and scale a faint alpha so that its largest value is opaque."""
     solid = image.convert("RGBA")
     if is_faint(solid):
         most = _most_opaque(solid)
@@ -32,6 +32,6 @@ def make_solid(image: Image.Image) -> Image.Image:
 
 
 def _most_opaque(image: Image.Image) -> int:
-    """Return the largest alpha, 0..255, ignoring parts smaller than `REAL`."""
+    """Return the largest alpha, 0..255, ignoring areas smaller than the fraction `REAL`."""
     alpha = np.asarray(image.convert("RGBA").getchannel("A"))
     return int(np.quantile(alpha, 1 - REAL, method="lower"))

@@ -1,11 +1,13 @@
 """Turns Gaussians into material particles: cleaning, size, interior, volume, mass.
 
-There are two ways to bind them. With `lattice` a regular lattice through the solid carries the
-physics, and the Gaussians are interpolated from it (`phy124.simulation.deform`), so that their
-number hardly affects the simulation; where the object is thin, there are particles at its
-Gaussians, too, half as far apart. `particles` is the paper's form (Phy124, arXiv 2409.07179): every
-Gaussian is an MPM particle, and the closed interior is filled with more (as PhysGaussian, arXiv
-2311.12198, does).
+There are two bindings of Gaussians to particles:
+
+- `lattice`: a regular lattice of particles fills the solid, and the Gaussians are interpolated from
+  it (`phy124.simulation.deform`). The number of Gaussians therefore hardly affects the simulation.
+  Thin parts additionally have particles at their Gaussians, at half the spacing.
+- `particles`, the method of the paper (Phy124, arXiv 2409.07179): every Gaussian is an MPM
+  particle, and the closed interior is filled with further particles, as in PhysGaussian (arXiv
+  2311.12198).
 """
 
 from phy124.particles.cleaning import (

@@ -1,18 +1,18 @@
-"""Drops or repairs Gaussians that the physics cannot use.
+"""Drops or repairs Gaussians that the simulation cannot use.
 
-Every rule is relative to the object itself, so that a micrometre and a kilometre are treated alike.
-The rules, in this order:
+Every threshold is relative to the object: a micrometre and a kilometre are treated alike. The rules
+apply in this order:
 
-1. not finite (NaN or inf in any field): dropped;
-2. repaired: a negative scale becomes positive (Sigma is the same), a zero scale becomes
-   `THINNEST` of the Gaussian's longest axis, a zero quaternion becomes the identity, an opacity
-   above 1 becomes 1, any other quaternion is normalised;
-3. invisible (opacity under one step of an 8-bit picture, or no extent at all): dropped;
-4. gigantic (longest axis over `GIGANTIC` of the object's longest side *and* 20 times the median
-   longest axis): dropped;
-5. stray (in a group separated from the rest by more than about `GAP` of the longest side, or the
-   usual distance of neighbours if that is larger, that contains under `STRAY` of all, or of what is
-   seen, as `visible_area` weighs it): dropped.
+1. Not finite (NaN or infinity in any field): dropped.
+2. Repaired: a negative scale becomes positive (the covariance is the same), a zero scale becomes
+   `THINNEST` times the Gaussian's longest axis, a zero quaternion becomes the identity, an opacity
+   above 1 becomes 1, and any other quaternion is normalised.
+3. Invisible (opacity below one step of an 8-bit image, or no extent): dropped.
+4. Gigantic (longest axis above `GIGANTIC` times the object's longest side *and* above 20 times the
+   median longest axis): dropped.
+5. Stray: dropped. A group of Gaussians is stray if it is separated from the rest by more than about
+   `GAP` times the longest side (or the usual distance of neighbours, if that is larger), and if it
+   contains less than the fraction `STRAY` of all Gaussians or of their `visible_area`.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ GIGANTIC = 0.5
 STRAY = 1e-3
 GAP = 0.05
 WIDE = 16.0
-"""Area at which the weight of a large Gaussian is cut off, in median areas."""
+"""Area at which the visible area of a large Gaussian is capped, in median areas."""
 VISIBLE = 0.1
-"""Opacity from which a Gaussian counts as part of the surface."""
+"""Smallest opacity of a Gaussian that belongs to the surface."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Cleaning:
     repaired_quats: int = 0
     repaired_opacities: int = 0
     survivors: NDArray[np.bool_] | None = field(default=None, compare=False, repr=False)
-    """Mask of the Gaussians that were kept."""
+    """Mask of the Gaussians that were kept; its length is `total`."""
 
     @property
     def dropped(self) -> int:
-        """Number of dropped Gaussians."""
+        """Number of Gaussians that were dropped."""
         return self.not_finite + self.invisible + self.gigantic + self.stray
 
     @property
@@ -79,12 +79,12 @@ class Cleaning:
 
 
 def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
-    """Return the Gaussians fit for physics and rendering, and numbers of what was changed.
+    """Return the Gaussians that are fit for simulation and rendering, and the counts of changes.
 
-    The order stays; coincident Gaussians are fine.
+    The order of the Gaussians is kept; coincident Gaussians are allowed.
 
     Raises:
-        InputError: If nothing visible is left.
+        InputError: If no visible Gaussian is left.
     """
     total = len(gaussians)
     finite = _are_finite(gaussians)
@@ -116,19 +116,19 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
 
 
 def visible_area(gaussians: Gaussians) -> NDArray[np.float32]:
-    """Return the visible area of each Gaussian [N], m^2: opacity times area, with a cut-off.
+    """Return the visible area of each Gaussian [N], m^2: opacity times area, with a cap.
 
-    Without the cut-off a background of large Gaussians, such as a sky, would outweigh the object.
+    Without the cap, a background of large Gaussians, such as a sky, would outweigh the object.
     """
     cover = gaussians.cover
     return np.minimum(cover, WIDE * np.median(cover))
 
 
 def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the low and high corner [3] m of the object: one standard deviation around centres.
+    """Return the lower and upper corner [3] of the object, m, including one standard deviation.
 
-    The outermost 0.1 % of the opacity on either side is left out, so that a few faint Gaussians do
-    not decide the size. Over 200,000 Gaussians, an even subset is used.
+    The outermost 0.1 % of the opacity is excluded at each end of each axis; a few faint Gaussians
+    therefore do not affect the size. Of more than 200,000 Gaussians, an even subset is used.
     """
     every = 1 + len(gaussians) // 200_000
     some = gaussians.select(np.arange(len(gaussians)) % every == 0)
@@ -139,17 +139,17 @@ def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def scale_to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussians:
-    """Scale the object to metres, by `size_transform`."""
+    """Scale the object to a longest side of `size` metres with `size_transform`."""
     return gaussians.transform(*size_transform(gaussians, size, ground=ground))
 
 
 def size_transform(
     gaussians: Gaussians, size: float, *, ground: bool = True
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return scale and offset [3] that make the longest side `size` m, centred in x and y.
+    """Return the scale and offset [3] that make the longest side `size` m, centred in x and y.
 
-    With `ground` its lowest visible point (one standard deviation below a centre of opacity 0.1 or
-    more) is at z = 0, otherwise it is centred in z too.
+    With `ground`, the lowest visible point is at z = 0: the lowest point one standard deviation
+    around centres with an opacity of at least 0.1. Otherwise the object is centred in z, too.
 
     Raises:
         InputError: If the size is not positive.
@@ -203,7 +203,7 @@ def _are_gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Find Gaussians in separate groups of cells that hold or show almost nothing."""
+    """Return the mask of Gaussians in separate groups with almost no members or visible area."""
     if len(gaussians) * STRAY < 1:
         return np.zeros(len(gaussians), bool)
     means = gaussians.means.astype(np.float64)
@@ -212,9 +212,10 @@ def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     side = (high - low).max()
     if side == 0:
         return np.zeros(len(gaussians), bool)
-    # N points on a surface are about side / sqrt(N) apart; random gaps are a few times wider.
+    # N points on a surface are about side / sqrt(N) apart; gaps between random points reach a few
+    # times this distance.
     cell = max(GAP / 2, 4 / np.sqrt(len(means)))
-    # Gaussians farther out than half the object go to the outermost cells.
+    # Gaussians farther out than half the object are assigned to the outermost cells.
     cells = np.clip((means - low) / side, -0.5, (high - low) / side + 0.5) / cell
     index = np.floor(cells - cells.min(axis=0)).astype(np.int64)
     shape = tuple(index.max(axis=0) + 1)
@@ -236,9 +237,9 @@ def _quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.
 
 
 def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction: float) -> float:
-    """Return the smallest value up to which the weight exceeds `below`."""
+    """Return the smallest value at which the cumulative weight exceeds `below`."""
     values = np.ascontiguousarray(values, np.float64)
-    # Sort only the lowest values; mostly they weigh enough.
+    # Sort only the lowest values first; their weight is usually sufficient.
     count = min(len(values), 8 + int(4 * fraction * len(values)))
     for lowest in (np.argpartition(values, count - 1)[:count], np.arange(len(values))):
         order = lowest[np.argsort(values[lowest])]
@@ -249,11 +250,11 @@ def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction
 
 
 def _lowest_height(gaussians: Gaussians) -> float:
-    """Return the height of the lowest visible point."""
+    """Return the height of the lowest visible point, one standard deviation below centres."""
     visible = gaussians.opacities >= VISIBLE
     some = gaussians.select(visible) if visible.any() else gaussians
     z = some.means[:, 2].astype(np.float64)
-    # Only Gaussians whose longest axis reaches below the lowest centre can be the lowest.
+    # Only Gaussians whose longest axis reaches down to the lowest centre can contain this point.
     near = z - some.longest <= z.min()
     axes = rotation_matrices(some.quats[near])[:, 2] * some.scales[near]
     return float((z[near] - np.linalg.norm(axes, axis=1)).min())

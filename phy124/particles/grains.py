@@ -1,8 +1,8 @@
 """Adds grains: small round Gaussians inside materials that fall apart.
 
-The Gaussians of a generator lie on the surface. Where sand, snow or foam falls apart, the
-background would show between them. So the particles inside get round Gaussians in the colours of
-the surface above them. The motion does not change.
+The Gaussians of a generator lie on the surface. If sand, snow or foam falls apart, the background
+would be visible between them. To prevent this, inner particles get round Gaussians in the colours
+of the surface above them. Grains do not change the motion.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from phy124.materials import AnyMaterial
 from phy124.particles.seeding import Particles
 
 SIZE = 0.55
-"""Standard deviation of a grain, in distances of particles: a lattice of such is opaque."""
+"""Standard deviation of a grain, in particle spacings; a lattice of such grains is opaque."""
 CLEARANCE = 2.5
-"""Smallest depth of a grain below the surface at rest, in its standard deviations."""
+"""Smallest depth of a grain below the surface at rest, in the grain's standard deviations."""
 NEAREST = 0.5
-"""Smallest distance of a grain from a Gaussian, in distances of particles."""
+"""Smallest distance between a grain and a Gaussian, in particle spacings."""
 OPACITY = 0.95
 LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Weights of red, green and blue in the brightness (Rec. 709)."""
+"""Weights of red, green and blue in the luminance (Rec. 709)."""
 IDENTITY = (1, 0, 0, 0)
 
 
@@ -37,17 +37,17 @@ def add_grains(
     materials: Sequence[AnyMaterial],
     spacing: float,
 ) -> tuple[Gaussians, Particles]:
-    """Add a Gaussian for each inner particle of a material that falls apart, at the end.
+    """Append a Gaussian for each inner particle of a material that falls apart.
 
     Args:
         gaussians: The object at rest, N Gaussians, m.
-        particles: The particles that move; those without a Gaussian may get one.
-        moves: Mask of the moving Gaussians [N]; particles index their Gaussian among these.
-        materials: Materials of the particles; those with `grains` get grains.
+        particles: The simulated particles; those without a Gaussian may get one.
+        moves: Mask of the moving Gaussians [N]; `particles.gaussian` counts only these.
+        materials: Materials of the particles; grains are added to those with `grains` set.
         spacing: Distance of neighbouring particles, m.
 
     Returns:
-        N + G Gaussians, and the particles with the G new indices.
+        N + G Gaussians, and the particles with the indices of the G new Gaussians.
     """
     loose = np.array([section.grains for section in materials])[particles.material]
     inside = np.flatnonzero(loose & (particles.gaussian < 0))
@@ -65,15 +65,16 @@ def add_grains(
 def make_grains(
     gaussians: Gaussians, x: NDArray, spacing: float
 ) -> tuple[Gaussians, NDArray[np.int64], NDArray[np.bool_]]:
-    """Make grains at those places [P,3] that are not inside a Gaussian.
+    """Make grains at those points [P,3] that are far enough from all Gaussians.
 
     Args:
         gaussians: The object at rest.
-        x: Places of particles inside, m.
+        x: Positions of inner particles [P,3], m.
         spacing: Distance of neighbouring particles, m.
 
     Returns:
-        G grains, the index of the Gaussian above each [G], and the mask of places with a grain [P].
+        G grains, the index of the Gaussian nearest to each [G], and the mask of points with a grain
+            [P].
     """
     depth, above = map(np.asarray, scipy.spatial.KDTree(gaussians.means).query(x, workers=-1))
     clear = depth >= NEAREST * spacing
@@ -82,12 +83,12 @@ def make_grains(
 
 
 def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
-    """Make each Gaussian brighter or darker at random.
+    """Make each Gaussian randomly brighter or darker.
 
     Args:
         gaussians: N Gaussians.
-        amounts: Standard deviation of each one's brightness, as a fraction of it [N].
-        seed: The same gives the same shades.
+        amounts: Standard deviation of each Gaussian's brightness, relative to it [N].
+        seed: Seed of the random numbers.
     """
     noise = np.random.default_rng(seed).standard_normal(len(gaussians))
     brighter = (1 + amounts * noise.clip(-2, 2))[:, None]
@@ -99,13 +100,13 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
 def tint(
     gaussians: Gaussians, chosen: NDArray, colour: Sequence[float], shading: float
 ) -> Gaussians:
-    """Give Gaussians the colour of their substance, with some of the picture's light and shade.
+    """Give Gaussians the colour of their material, with some of the image's light and shade.
 
     Args:
         gaussians: N Gaussians.
-        chosen: Which of them are tinted [N] (mask).
-        colour: Red, green and blue, 0 to 1.
-        shading: Fraction of the contrast in brightness that they keep.
+        chosen: Mask of the Gaussians to tint [N].
+        colour: Red, green and blue, 0..1.
+        shading: Fraction of the contrast in brightness that is kept.
     """
     rgb = gaussians.rgb[chosen]
     brightness = rgb @ LUMINANCE
@@ -120,8 +121,9 @@ def tint(
 def _round_gaussians(
     gaussians: Gaussians, x: NDArray, above: NDArray, depth: NDArray, spacing: float
 ) -> Gaussians:
-    """Round Gaussians at x [G,3] in the colours of the Gaussians above them [G], seen from all
-    sides alike.
+    """Return spheres at x [G,3] with the colours of the Gaussians `above` [G].
+
+    Their colours do not depend on the view direction.
     """
     sh = np.zeros((len(x), *gaussians.sh.shape[1:]), gaussians.sh.dtype)
     sh[:, 0] = gaussians.sh[above, 0]

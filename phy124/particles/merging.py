@@ -1,8 +1,8 @@
-"""Merges neighbouring Gaussians, for files that must be small.
+"""Merges neighbouring Gaussians, to make files small.
 
-Two Gaussians become one with the mean and the covariance of both, each weighted by its mass
-(opacity times volume), and with the mean of their colours. Its opacity is what the mass needs;
-where that is more than `OPAQUE`, it becomes larger instead.
+Two Gaussians are replaced by one with their joint mean, covariance and colour, weighted by mass
+(opacity times volume). The opacity of the new Gaussian preserves the mass. If this opacity would
+exceed `OPAQUE`, the Gaussian is enlarged instead.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from phy124.gaussians import Gaussians, quaternions
 from phy124.io.clip import Clip
 
 COLOUR = 0.1
-"""Distance that a unit difference of colour counts as, in object sizes."""
+"""Distance that corresponds to a colour difference of 1, in object sizes."""
 NEIGHBOURS = 6
-"""Number of nearest neighbours that are searched for a partner."""
+"""Number of nearest neighbours among which a partner is searched."""
 OPAQUE = 0.99
-"""Largest opacity."""
+"""Largest opacity of a merged Gaussian."""
 SAMPLES = 5
-"""Number of frames that decide which Gaussians of a clip stay together."""
+"""Number of frames of a clip that are compared to group its Gaussians."""
 
 
 def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
-    """Assign each point to one of `count` groups [N], by joining neighbours in pairs.
+    """Assign each point to one of `count` groups [N] by merging pairs of neighbours.
 
     Args:
-        places: Points in any number of dimensions [N,D].
-        count: How many groups are wanted; at least 1.
+        places: Points [N,D] in any number D of dimensions.
+        count: Desired number of groups, at least 1.
     """
     label = np.arange(len(places))
     while len(places) > count:
@@ -66,13 +66,13 @@ def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
 def merge_groups(
     gaussians: Gaussians, group: NDArray[np.int64], opacities: NDArray | None = None
 ) -> Gaussians:
-    """Merge each of G groups into a Gaussian with their mass, mean and colour.
+    """Merge each of G groups into one Gaussian with the group's mass, mean and colour.
 
     Args:
         gaussians: N Gaussians.
-        group: Which group each belongs to [N].
-        opacities: Opacities that they are to have [G], and the size that the mass then needs;
-            None: those that leave the covariance as it is, where that can be.
+        group: Index of the group of each Gaussian [N].
+        opacities: Prescribed opacities [G]; the sizes are then adapted to preserve the mass. None:
+            the opacities that preserve mass and covariance, as far as they do not exceed `OPAQUE`.
     """
     volume = gaussians.scales.astype(np.float64).prod(axis=1)
     mass = np.maximum(gaussians.opacities * volume, 1e-300)
@@ -103,14 +103,14 @@ def merge_groups(
 
 
 def merge_to(gaussians: Gaussians, count: int) -> Gaussians:
-    """Merge Gaussians until there are at most `count`.
+    """Merge Gaussians until at most `count` are left.
 
     Args:
         gaussians: The Gaussians.
-        count: Largest number that may remain.
+        count: Largest number of Gaussians in the result.
 
     Raises:
-        InputError: There would be none.
+        InputError: If `count` is below 1.
     """
     check_not_empty(count)
     if len(gaussians) <= count:
@@ -121,14 +121,14 @@ def merge_to(gaussians: Gaussians, count: int) -> Gaussians:
 
 
 def merge_clip_to(clip: Clip, count: int) -> Clip:
-    """Merge Gaussians of a clip that stay together; their colours become plain.
+    """Merge Gaussians of a clip that stay together; only colours of degree 0 are kept.
 
     Args:
         clip: The clip.
-        count: How many Gaussians there may be.
+        count: Largest number of Gaussians in the result.
 
     Raises:
-        InputError: There would be none.
+        InputError: If `count` is below 1.
     """
     check_not_empty(count)
     if clip.means.shape[1] <= count:
@@ -148,16 +148,16 @@ def merge_clip_to(clip: Clip, count: int) -> Clip:
 
 
 def check_not_empty(count: int) -> None:
-    """Refuse a number of Gaussians below one.
+    """Check that a number of Gaussians is at least 1.
 
     Raises:
-        InputError: Nothing would be.
+        InputError: If it is below 1.
     """
     if count < 1:
         raise InputError("merge", count, "nothing would be left.", "Give 1 or more.")
 
 
 def _feature_points(means: list[NDArray], rgb: NDArray) -> NDArray:
-    """Points in which Gaussians are near that are so in all frames, and in colour [N,3T+3]."""
+    """Return points [N,3T+3] that are near if Gaussians are near in T frames and in colour."""
     size = max(float(np.ptp(means[0], axis=0).max()), 1e-12)
     return np.concatenate([*(x / size / len(means) ** 0.5 for x in means), COLOUR * rgb], axis=1)

@@ -17,7 +17,7 @@ from phy124.mpm.tracks import Track
 IDENTITY = np.array([1, 0, 0, 0], np.float32)
 """The identity rotation, wxyz."""
 INSTANT = 1e-6
-"""Time over which the velocity of a shifted object is taken [s]."""
+"""Time step of the difference quotient for the velocity of an object on a track [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +25,11 @@ class Scenery:
     """Completes a frame of the moving Gaussians to a frame of all Gaussians."""
 
     gaussians: Gaussians
-    """All Gaussians at rest, N."""
+    """All N Gaussians at rest."""
     moves: NDArray[np.bool_]
     """Mask of the Gaussians that the solver moves [N]."""
     tracks: tuple[tuple[int, Track], ...] = ()
-    """Indices of the objects that follow a track -> their displacement over time [m]."""
+    """For each object that follows a track: its index, and its displacement over time [m]."""
     free: tuple[int, ...] = ()
     """Indices of the objects that are rigid solids."""
 
@@ -40,19 +40,22 @@ class Scenery:
 
     @property
     def moving(self) -> Gaussians:
-        """The moving Gaussians at rest, in order."""
+        """The Gaussians at rest that the solver moves, in order."""
         return self.gaussians.select(self.moves) if self.count else self.gaussians
 
     def whole(
         self, frame: Frame, poses: Sequence[NDArray] = (), motions: NDArray | None = None
     ) -> Frame:
-        """A frame of the moving Gaussians with the static ones added, unchanged bit for bit, and
-        the shifted ones where they are then.
+        """Add the other Gaussians to a frame of the moving Gaussians.
+
+        Static Gaussians are unchanged bit for bit. Those of tracks and rigid solids are at their
+        position at the frame's time.
 
         Args:
-            frame: That of those which move in the solver.
-            poses: Centre [m] and turn (wxyz) of each rigid solid [F,7], frame by frame.
-            motions: Their velocities [m/s] and angular velocities [rad/s] now [F,6].
+            frame: Frame of the Gaussians that the solver moves.
+            poses: Centre [m] and rotation (wxyz) of each rigid solid [F,7], for each frame so far.
+            motions: Velocities [m/s] and angular velocities [rad/s] of the rigid solids at the
+                frame's time [F,6].
         """
         if not self.count:
             return frame
@@ -83,7 +86,7 @@ class Scenery:
         return replace(frame, gaussians=gaussians, velocities=velocities, contacts=contacts)
 
     def turns(self, rotations: Array) -> Array:
-        """Return rotations of all Gaussians [N,4] from those of the moving ones."""
+        """Return rotations of all Gaussians [N,4] from those of the moving Gaussians."""
         if not self.count:
             return rotations
         return self._insert(np.tile(IDENTITY, (len(self.moves), 1)), rotations)
@@ -95,7 +98,7 @@ class Scenery:
 
 
 def _multiply(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    """Return the rotation by b, then by a, of quaternions wxyz [4] and [..., 4]."""
+    """Multiply quaternions wxyz a [4] and b [..., 4]; the product rotates by b, then by a."""
     w, v = b[..., :1], b[..., 1:]
     first = a[0] * w - (v @ a[1:])[..., None]
     return np.concatenate([first, a[0] * v + w * a[1:] + np.cross(a[1:], v)], axis=-1)

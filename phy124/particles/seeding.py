@@ -1,9 +1,9 @@
-"""Places the particles and computes the volume that each represents.
+"""Places the particles, and computes the volume that each represents.
 
-The solid's volume in each lattice cell is shared evenly by the particles in it; cells without
-particles give theirs to the nearest one. The sum is the volume of the solid. A particle among 500
-surface Gaussians gets little, yet the MPM stays stable: its limit depends on stiffness and density,
-not on the volume.
+The solid's volume in each lattice cell is shared evenly among the particles in the cell. The volume
+of a cell without particles is added to the nearest particle. The sum is the volume of the solid. A
+particle among 500 surface Gaussians gets a small volume. This does not affect the stability of the
+MPM: its time-step limit depends on stiffness and density, not on the volume.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from phy124.particles.solid import Solid, find_solid
 BINDINGS = ("lattice", "particles")
 MAX_PARTICLES = 8_000_000
 THIN = 4
-"""Width of a thin part, in distances of particles."""
+"""Largest width of a part that counts as thin, in particle spacings."""
 SMALLEST = 0.01
-"""Smallest volume of a particle, relative to the mean."""
+"""Smallest volume of a particle, relative to the mean volume."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +39,11 @@ class Particles:
     density: NDArray[np.float64]
     """Densities [P], kg/m^3."""
     material: NDArray[np.int32]
-    """Index of each particle's material [P]."""
+    """Index of the material of each particle [P]."""
     gaussian: NDArray[np.int32]
-    """Index of the Gaussian at which the particle is [P]; -1 for fillers and lattice particles."""
+    """Index of the Gaussian at the particle's position [P]; -1 if there is none."""
     body: NDArray[np.int32] | None = None
-    """Index of each particle's object in the scene [P]; None: there is a single object."""
+    """Index of the scene's object to which each particle belongs [P]; None for a single object."""
 
     def __len__(self) -> int:
         return len(self.x)
@@ -62,19 +62,19 @@ def make_particles(
     binding: str = "lattice",
     material: int = 0,
 ) -> Particles:
-    """Make particles for clean Gaussians in metres (see `clean`, `to_size`).
+    """Make particles for clean Gaussians in metres (see `clean`, `scale_to_size`).
 
     Args:
         gaussians: The object, N Gaussians.
         density: Mass density, kg/m^3.
         spacing: Distance of neighbouring particles, m: grid spacing / particles per cell and axis.
-        binding: `lattice` for a lattice, denser where the object is thin; `particles` for each
-            Gaussian and the fillers.
-        material: Index given to all particles.
+        binding: `lattice`: a lattice, denser where the object is thin; `particles`: one particle
+            per Gaussian, and a lattice in the interior.
+        material: Material index of all particles.
 
     Raises:
-        InputError: If a number is not positive, the binding is unknown, or the spacing is so fine
-            that the object would need more than `MAX_PARTICLES` particles.
+        InputError: If a number is not positive, the binding is unknown, or the spacing is so small
+            that the object could need more than `MAX_PARTICLES` particles.
     """
     _check(density, spacing, binding)
     shape = find_solid(gaussians, spacing)
@@ -102,7 +102,7 @@ def make_particles(
 def by_object(
     gaussians: Gaussians, particles: Particles
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Yield the indices of the Gaussians and of the particles of each object."""
+    """Yield the indices of the Gaussians and those of the particles of each object."""
     if particles.body is None or gaussians.object_id is None:
         yield np.arange(len(gaussians)), np.arange(len(particles.x))
         return
@@ -111,14 +111,14 @@ def by_object(
 
 
 def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:
-    """Return the points [M,3] m of the lattice (i + 1/2) * spacing inside a closed shape."""
+    """Return the lattice points (i + 1/2) * spacing inside a closed shape [M,3], m."""
     _check(1.0, spacing, BINDINGS[0])
     shape = find_solid(gaussians, spacing)
     return _lattice(shape, _room_per_cell(shape, spacing), spacing)
 
 
 def is_in_box(x: NDArray, low: NDArray, high: NDArray) -> NDArray[np.bool_]:
-    """Return which points [P,3] m are in a closed box from `low` [3] to `high` [3]."""
+    """Return the mask of points [P,3], m, in a closed box from `low` [3] to `high` [3]."""
     inside: NDArray[np.bool_] = (x >= np.asarray(low)) & (x <= np.asarray(high))
     return np.logical_and.reduce(inside, axis=1)
 
@@ -134,7 +134,7 @@ def _check(density: float, spacing: float, binding: str) -> None:
 
 
 def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
-    """Return the points (i + 1/2) * spacing inside the solid, cell by cell."""
+    """Return the lattice points (i + 1/2) * spacing inside the solid, cell by cell."""
     cells, n = room.cells, round(room.side / spacing)
     if len(cells) * n**3 > MAX_PARTICLES:
         raise InputError(
@@ -154,10 +154,10 @@ def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
 
 
 def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
-    """Return the points that have none of the others within `distance`."""
+    """Return the points that are farther than `distance` from all points of `others`."""
     if len(points) == 0:
         return points
-    tree = scipy.spatial.KDTree(others, balanced_tree=False)  # half the time to build
+    tree = scipy.spatial.KDTree(others, balanced_tree=False)  # halves the build time
     nearest, _ = tree.query(points, distance_upper_bound=distance, workers=-1)
     return points[np.isinf(nearest)]
 
@@ -165,9 +165,9 @@ def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
 def _lattice_with_gaussians(
     gaussians: Gaussians, lattice: NDArray, shape: Solid, spacing: float
 ) -> NDArray[np.float64]:
-    """Return lattice points, and the Gaussians that the lattice misses or where it is thin.
+    """Return lattice points, and Gaussians in thin parts or where the lattice has no points.
 
-    Thin parts stretch most, and tear where particles come to lie a cell apart.
+    Thin parts stretch most, and would tear if their particles were a grid cell apart.
     """
     means = gaussians.means.astype(np.float64)
     thin = shape.thin(means, THIN * spacing)
@@ -178,7 +178,7 @@ def _lattice_with_gaussians(
 
 
 def _cell_means(points: NDArray, side: float) -> NDArray[np.float64]:
-    """Return the mean of the points in each cell of a side."""
+    """Return the mean of the points in each occupied cell of a grid; `side` is the cell's side."""
     cells = np.floor(points / side).astype(np.int64)
     _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     which = which.reshape(-1)
@@ -187,7 +187,7 @@ def _cell_means(points: NDArray, side: float) -> NDArray[np.float64]:
 
 
 def _order_by_cell(x: NDArray, side: float) -> NDArray[np.int64]:
-    """Order particles by cells; x varies slowest."""
+    """Return the order of particles by cells; x varies slowest."""
     cells = np.floor((x - x.min(axis=0)) / side).astype(np.int64)
     return np.lexsort(cells.T[::-1])
 
@@ -215,12 +215,12 @@ def _share_volume(x: NDArray[np.float32], shape: Solid, room: _Room) -> NDArray[
 
 
 class _Room(NamedTuple):
-    """Volume of the solid in the cells of a lattice."""
+    """Volume of the solid in each cell of a lattice."""
 
     side: float
-    """Side of a cell, m."""
+    """Side of a cell [m]."""
     cells: NDArray[np.int64]
-    """Cells [L,3] that hold part of the solid."""
+    """Indices [L,3] of the cells that contain part of the solid."""
     volume: NDArray[np.float64]
     """Volume of the solid in each cell [L], m^3."""
 

@@ -1,21 +1,22 @@
-"""The solid that a set of Gaussians outlines: what is inside, and how much of each voxel.
+"""Finds the solid that Gaussians outline: the interior, as the filled fraction of each voxel.
 
-The Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or all of them.
-How the inside is found:
+The Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or a mixture. The
+interior is found in four steps:
 
 1. Each Gaussian is sampled within one standard deviation, finely enough for the voxels.
-2. What a flood from outside does not reach is inside. The flood is tried against the samples
-   thickened by r = 1, 2, ... voxels, so gaps up to 2 r are sealed; wide openings are not.
-   Wider seals act only where they enclose a new cavity, so narrow slots stay open elsewhere.
-3. If no seal encloses anything, the shell is open (a missing back or bottom): a voxel is inside
-   if axis-parallel rays meet the shell in five of the six directions.
-4. A voxel at the surface counts only by the part below the local surface: the plane at the
-   samples' upper edge along the outward normal. This makes volumes accurate far below the voxel.
+2. The grid is flooded from outside; voxels that the flood does not reach are inside. The flood is
+   repeated with the samples dilated by increasing radii r (in voxels), which seals gaps up to 2 r.
+   Larger radii are used only where they enclose a new cavity; other narrow slots stay open. Wide
+   openings are never sealed.
+3. If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
+   inside if axis-parallel rays from it meet the shell in at least five of the six directions.
+4. A surface voxel counts only by its part below the local surface: the plane through the upper
+   limit of its samples along the outward normal. This makes volumes accurate below the voxel size.
 
-The voxels depend on the Gaussians alone, so that the object is the same on every grid; the result
-is resampled to voxels that are the particle spacing times or divided by a whole number, aligned
-with the particle lattice (i + 1/2) * spacing. Time and memory are bounded by `MAX_VOXELS` and
-`MAX_SAMPLES`.
+The voxels depend on the Gaussians alone; the solid is therefore the same for every simulation grid.
+The result is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing:
+their side is the particle spacing multiplied or divided by a whole number. `MAX_VOXELS` and
+`MAX_SAMPLES` limit time and memory.
 """
 
 from __future__ import annotations
@@ -35,49 +36,49 @@ Mask = NDArray[np.bool_]
 MAX_VOXELS = 4_000_000
 MAX_SAMPLES = 6_000_000
 ACROSS = 64
-"""Voxels along the longest side, if the Gaussians are dense enough."""
+"""Number of voxels along the longest side, if the Gaussians are dense enough."""
 COARSER = 1.2
-"""Ratio of one size of voxels to the next that is tried."""
+"""Factor on the voxel size from each attempt to the next."""
 SEAL = 0.065
 """Half the widest gap that is sealed, as a fraction of the longest side."""
 CONNECTED = 6
-"""Smallest mean number of occupied neighbours, of 26, in a surface or a cloud."""
+"""Smallest mean number of occupied neighbours, of 26, of voxels in a connected surface or cloud."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The space inside an object, as fractions of voxels."""
+    """The interior of an object, as the filled fractions of voxels."""
 
     first: NDArray[np.int64]
-    """Index [3] of the first voxel: its low corner is at first * voxel."""
+    """Index [3] of the first voxel; its lower corner is at first * voxel."""
     voxel: float
-    """Side of a voxel, m."""
+    """Side of a voxel [m]."""
     fraction: NDArray[np.float32]
-    """Fraction of each voxel that is inside [X,Y,Z], 0..1."""
+    """Fraction of each voxel that is inside the object [X,Y,Z], 0..1."""
 
     @property
     def volume(self) -> float:
-        """Volume, m^3."""
+        """Volume of the solid [m^3]."""
         return float(self.fraction.sum(dtype=np.float64)) * self.voxel**3
 
     def contains(self, points: NDArray) -> Mask:
-        """Return whether points [M,3] m are inside (interpolated fraction over one half)."""
+        """Return the mask of points [M,3], m, at which the interpolated fraction exceeds 1/2."""
         at = np.asarray(points, dtype=np.float64) / self.voxel - self.first - 0.5
         return scipy.ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
     def thin(self, points: NDArray, width: float) -> Mask:
-        """Return which points [M,3] m are outside or in parts thinner than a width [m]."""
+        """Return the mask of points [M,3], m, outside or in parts thinner than `width` [m]."""
         radius = max(1, round(0.5 * (width / self.voxel - 1)))
         if 2 * radius >= min(self.fraction.shape):
             return np.ones(len(points), bool)
         core = ~_dilate(self.fraction <= 0.5, radius)
-        # More than they were, since cubes do not reach into the roundings of what is thick.
+        # Dilate by more than the erosion radius: cubes do not reach into rounded thick parts.
         thick = _dilate(core, radius + max(1, radius // 2))
         at = np.floor(np.asarray(points) / self.voxel).astype(np.int64) - self.first
         return ~thick[tuple(np.clip(at, 0, np.array(thick.shape) - 1).T)]
 
     def resample(self, spacing: float) -> Solid:
-        """Resample to voxels of about the same size that fit a lattice of a spacing."""
+        """Resample to voxels of about the same size that are aligned with a particle lattice."""
         ratio = spacing / self.voxel
         step = spacing / round(ratio) if ratio > 1 else spacing * round(1 / ratio)
         fraction, first = self.fraction.astype(np.float64), []
@@ -96,7 +97,7 @@ class Solid:
 
 
 def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
-    """Find the solid outlined by clean Gaussians, for particles `spacing` m apart."""
+    """Find the solid outlined by clean Gaussians, for particles that are `spacing` m apart."""
     opaque = gaussians.opacities >= VISIBLE
     some = gaussians.select(opaque) if opaque.any() else gaussians
     grid = _voxelise(some)
@@ -114,14 +115,14 @@ class _Voxels:
     voxel: float
     across: float
     points: NDArray[np.float32]
-    """Samples [S,3] in voxels from the low corner of the grid."""
+    """Samples [S,3], in voxels from the lower corner of the grid."""
     thickness: NDArray[np.float32]
-    """Twice the thinnest axis of each sample's Gaussian [S], in voxels."""
+    """Twice the shortest standard deviation of each sample's Gaussian [S], in voxels."""
     occupied: Mask
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest grid on which the samples are connected, else the finest grid."""
+    """Return the finest grid on which the samples are connected, or else the finest grid."""
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:
@@ -151,7 +152,7 @@ def _admissible(gaussians: Gaussians, voxel: float, extent: NDArray) -> bool:
 
 
 def _samples_per_axis(gaussians: Gaussians, voxel: float) -> NDArray[np.float64]:
-    """Odd numbers [N,3]: one for an axis that cannot leave the voxel, else one per voxel."""
+    """Return odd numbers [N,3]: 1 for an axis that stays in the voxel, else about 1 per voxel."""
     sigma = gaussians.scales.astype(np.float64) / voxel
     return np.where(sigma > 0.25, 2 * np.ceil(sigma) + 1, 1)
 
@@ -170,7 +171,7 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
 
 
 def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return points [S,3] in voxels within one standard deviation, and their Gaussians [S]."""
+    """Return sample points [S,3], in voxels, and the index of the Gaussian of each [S]."""
     counts = _samples_per_axis(gaussians, voxel).astype(np.int64)
     key = counts @ np.array([1, 10**5, 10**10])
     points, owners = [], []
@@ -188,7 +189,7 @@ def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], ND
 
 
 def _unit_ball(counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Lattice [U,3] with `counts` points per axis over [-1, 1], within the unit ball."""
+    """Return lattice points [U,3] in the unit ball, with `counts` points per axis over [-1, 1]."""
     axes = [np.linspace(-1, 1, n) if n > 1 else np.zeros(1) for n in counts]
     unit = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return unit[(unit**2).sum(axis=1) <= 1 + 1e-9]
@@ -201,7 +202,7 @@ def _mean_neighbours(occupied: Mask) -> float:
 
 
 def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
-    """Return the voxels inside and the voxels outside, its complement."""
+    """Return the mask of the voxels inside, and the mask of all others."""
     widest = max(1, int(SEAL * across))
     region, enclosed = occupied.copy(), False
     for r in sorted({1, 2, 3, widest // 2, widest}):
@@ -221,13 +222,13 @@ def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
 
 
 def _flood_outside(free: Mask) -> Mask:
-    """Return the free voxels connected by faces with the free corner of the grid."""
+    """Return the free voxels that are connected by faces to the grid's first corner."""
     labels, _ = scipy.ndimage.label(free)  # pyright: ignore
     return labels == labels[0, 0, 0]
 
 
 def _find_enclosed(occupied: Mask) -> Mask:
-    """Return the voxels from which five of six axis directions meet an occupied voxel."""
+    """Return the voxels from which at least five of six axis directions meet occupied voxels."""
     hits = np.zeros(occupied.shape, np.uint8)
     for axis in range(3):
         hits += np.logical_or.accumulate(occupied, axis=axis)
@@ -237,8 +238,8 @@ def _find_enclosed(occupied: Mask) -> Mask:
 
 
 def _dilate(mask: Mask, radius: int) -> Mask:
-    """Grow by a cube of 2 radius + 1 voxels."""
-    # As a picture with a channel per voxel of the last axis: many times faster than SciPy.
+    """Dilate a mask by a cube of 2 radius + 1 voxels."""
+    # OpenCV treats the last axis as image channels, which is many times faster than SciPy.
     side, shape = 2 * radius + 1, mask.shape
     grown = cv2.dilate(np.ascontiguousarray(mask).view(np.uint8), np.ones((side, side), np.uint8))
     grown = cv2.dilate(grown.reshape(-1, shape[2]), np.ones((1, side), np.uint8))
@@ -248,7 +249,7 @@ def _dilate(mask: Mask, radius: int) -> Mask:
 def _trim_surface(
     fraction: NDArray[np.float32], region: Mask, outside: Mask, grid: _Voxels
 ) -> None:
-    """Set the fractions of the surface voxels that hold samples."""
+    """Set the fractions of the surface voxels that contain samples, in place."""
     surface = region & _dilate(outside, 1)
     at = grid.points.astype(np.int32)
     here = surface[tuple(at.T)]
@@ -263,7 +264,8 @@ def _trim_surface(
     count = np.bincount(which)
     mean = np.bincount(which, height) / count
     spread = np.sqrt(np.maximum(np.bincount(which, height**2) / count - mean**2, 0))
-    # Samples spread evenly from a to b have mean (a + b) / 2 and deviation (b - a) / sqrt(12).
+    # Samples spread evenly from a to b have mean (a + b) / 2 and standard deviation
+    # (b - a) / sqrt(12).
     top = mean + np.sqrt(3) * spread
     part = np.clip(0.5 + top / np.abs(normal).sum(axis=1).clip(1), 0.01, 1)
     thickness = np.bincount(which, grid.thickness[here]) / count

@@ -1,8 +1,8 @@
-"""The local thickness of an object: how many cells of a grid lie across its thin parts.
+"""Computes the local thickness of an object, which shows how many grid cells span its thin parts.
 
-The local thickness at a point is the diameter of the largest ball inside the object that contains
-the point (Hildebrand and Ruegsegger 1997, J. Microscopy 185). An opening by balls of some diameter
-removes all that is thinner.
+The local thickness at a point is the diameter of the largest ball that contains the point and lies
+inside the object (Hildebrand and Ruegsegger 1997, J. Microscopy 185). A morphological opening by
+balls of a certain diameter removes exactly the parts thinner than this diameter.
 """
 
 from __future__ import annotations
@@ -14,30 +14,30 @@ from phy124.gaussians import Gaussians
 from phy124.particles.solid import ACROSS, Solid, find_solid
 
 FRACTION = 0.25
-"""Fraction of the volume whose thickness counts.
+"""Fraction of the volume that may be thinner than the reported thickness.
 
-The value for a tenth of the volume depends on the voxels, since a part of any corner is thin.
+A tenth of the volume would be too sensitive to the voxel size, since every corner is partly thin.
 """
 
 
 def relative_thickness(gaussians: Gaussians, size: float) -> float:
-    """Return the local thickness of an object as a fraction of its size.
+    """Return the local thickness of an object as a fraction of its longest side.
 
     Args:
-        gaussians: The clean object.
-        size: Its longest side [m].
+        gaussians: The cleaned object.
+        size: Longest side of the object [m].
     """
     return local_thickness(find_solid(gaussians, size / ACROSS)) / size
 
 
 def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
-    """Return the largest thickness that a fraction of the volume does not exceed [m].
+    """Return the largest thickness [m] for which at most `fraction` of the volume is thinner.
 
     Parts thinner than a voxel count as one voxel thick.
 
     Args:
         shape: The object.
-        fraction: Fraction of the volume.
+        fraction: Fraction of the volume that may be thinner.
     """
     inside = np.pad(shape.fraction > 0.5 * min(1.0, shape.fraction.max()), 1)
     depth = scipy.ndimage.distance_transform_edt(inside)
@@ -49,5 +49,5 @@ def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
         opened = scipy.ndimage.distance_transform_edt(~core) < radii[middle]
         removed = 1 - np.count_nonzero(opened & inside) / np.count_nonzero(inside)
         fits, too_large = (middle, too_large) if removed <= fraction else (fits, middle)
-    # The centres of the outermost voxels of a ball are half a voxel inside it.
+    # The centres of a ball's outermost voxels are half a voxel inside the ball.
     return float((2 * radii[fits] - 1) * shape.voxel)

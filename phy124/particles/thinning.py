@@ -1,4 +1,4 @@
-"""Reduces the number of Gaussians and enlarges the rest, so that they cover the same area."""
+"""Reduces the number of Gaussians, and enlarges the remaining ones to cover the same area."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from phy124.gaussians import Gaussians
 
 FEWEST, MOST = 100, 5_000_000
 GIANT = 1e4
-"""Area, in median areas, beyond which a Gaussian is a background or an error."""
+"""Largest area, in median areas, of a Gaussian that is neither a background nor an error."""
 BITS = 16
 """Bits per coordinate along the space-filling curve."""
 
@@ -24,7 +24,7 @@ def check_count(count: int | None) -> None:
     """Check a requested number of Gaussians.
 
     Raises:
-        InputError: If it is not a positive number.
+        InputError: If it is outside the range from `FEWEST` to `MOST`.
     """
     if count is not None and not FEWEST <= count <= MOST:
         limit = f"it must be from {FEWEST} to {MOST:,}."
@@ -32,7 +32,7 @@ def check_count(count: int | None) -> None:
 
 
 def with_count(make: Any, count: int | None) -> Any:
-    """Set a generator's option for about `count` Gaussians, if it has such an option."""
+    """Bind `count` to a generator if it has an option for the number of Gaussians."""
     check_count(count)
     if count is None or "count" not in inspect.signature(make).parameters:
         return make
@@ -40,11 +40,11 @@ def with_count(make: Any, count: int | None) -> Any:
 
 
 def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians:
-    """Keep at most `count` Gaussians, enlarged so that they cover the same area.
+    """Keep at most `count` Gaussians, enlarged to cover the same area.
 
-    They are spread evenly: every n-th along a space-filling curve, large and opaque ones more
-    often; giants beyond `GIANT` count no more and do not enlarge the others. Equal seeds keep the
-    same Gaussians.
+    The kept Gaussians are evenly spaced along a space-filling curve; large and opaque Gaussians are
+    kept more often. The weight of giants is capped at the area `GIANT`, and their area does not
+    enlarge the other Gaussians. Equal seeds keep the same Gaussians.
     """
     if count is None or len(gaussians) <= count:
         return gaussians
@@ -63,7 +63,7 @@ def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians
 
 
 def _morton_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return positions [N] along the Morton curve, which keeps neighbours in space together."""
+    """Return codes [N] along the Morton curve, on which neighbours in space are close."""
     low, size = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
     cells = ((points - low) / size * (2**BITS - 1)).astype(np.int64)
     code = np.zeros(len(points), np.int64)
@@ -74,5 +74,5 @@ def _morton_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def _compute_areas(gaussians: Gaussians) -> NDArray[np.float64]:
-    """Return the product of the two larger standard deviations [N], m^2."""
+    """Return the product of the two larger standard deviations of each Gaussian [N], m^2."""
     return np.sort(gaussians.scales, axis=1)[:, 1:].prod(axis=1, dtype=np.float64)

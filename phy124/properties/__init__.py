@@ -1,9 +1,8 @@
-"""Material properties from a file: E, nu, density, damping and law of each point or voxel, or a
-fraction of the material's E.
+"""Reads material properties from a file, as values per point, voxel or Gaussian.
 
-Networks that predict materials write such files: VoMP (arXiv 2510.22975) voxels as .npz, Pixie
-(arXiv 2508.17437) points as .ply. Properties that the file does not have are those of the scene's
-material.
+Properties are E, nu, density, damping and law, or a fraction of the material's E. Networks that
+predict materials write such files: VoMP (arXiv 2510.22975) writes voxels as .npz, Pixie (arXiv
+2508.17437) points as .ply. Properties that are not in the file are those of the scene's material.
 """
 
 from phy124.properties.declaration import Properties

@@ -1,4 +1,4 @@
-"""The section `[properties]` of a scene, and its values at the particles."""
+"""Declares the section `[properties]` of a scene, and evaluates it at the particles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from phy124.schema.section import Section
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 ALIKE = 0.2
-"""Largest difference between sides of the points' and the object's box, relative to the longest."""
+"""Largest difference between the sides of the points' and the object's bounding boxes, relative to
+the longest side."""
 
 
 class Properties(Section):
@@ -42,18 +43,18 @@ class Properties(Section):
         survivors: NDArray[np.bool_] | None,
         is_object: NDArray[np.bool_] | None = None,
     ) -> dict[str, NDArray[Any]]:
-        """Return the file's values for each particle [P], by column of `phy124.properties.EVERY`.
+        """Return the values of the file's columns (names in `EVERY`) at each particle [P].
 
         Args:
             x: Particles at rest [P,3], m.
-            means: All Gaussians at rest [N,3], m.
-            survivors: Which of the Gaussians that were given are among them; None: all.
-            is_object: Which of them are not its surroundings [N]; None: all.
+            means: Centres of all Gaussians at rest [N,3], m.
+            survivors: Mask of the Gaussians that cleaning kept, of those before it; None: all.
+            is_object: Mask of the Gaussians that are not surroundings [N]; None: all.
 
         Raises:
             InputError: If the file cannot be read or does not fit the object.
         """
-        # Not with the module: SciPy takes longer to import than most scenes to read.
+        # Imported late: importing SciPy takes longer than reading most scenes.
         from phy124.properties.sampling import nearest, trilinear
 
         table = read_table(self.file)
@@ -72,7 +73,7 @@ class Properties(Section):
         return trilinear(x, points, table.columns)
 
     def _fit_points(self, table: Table, means: NDArray) -> NDArray[np.float64]:
-        """Return the file's points [K,3], m, fitted to the box of the object."""
+        """Return the file's points [K,3], m, fitted to the object's bounding box."""
         if table.points is None:
             raise InputError(
                 "properties.file",

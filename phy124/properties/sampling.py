@@ -1,4 +1,4 @@
-"""Values between points: those of the nearest point, or trilinear between voxels."""
+"""Samples values at positions: from the nearest point, or trilinearly between voxels."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ FINEST = 512
 def nearest(
     x: NDArray, points: NDArray, columns: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """The values of the nearest points.
+    """Return the values of the nearest point at each position.
 
     Args:
         x: Positions [P,3].
         points: Points [K,3].
-        columns: Name -> value of each point [K].
+        columns: Value of each point [K], by column name.
 
     Returns:
-        Name -> value at each position [P].
+        Value at each position [P], by column name.
     """
     at = scipy.spatial.KDTree(points).query(x)[1]
     return {name: column[at] for name, column in columns.items()}
@@ -36,21 +36,21 @@ def nearest(
 def trilinear(
     x: NDArray, points: NDArray, columns: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """Values interpolated between the centres of voxels.
+    """Interpolate values trilinearly between the centres of voxels.
 
-    Empty voxels are ignored. A position with no full voxel next to it gets the value of the nearest
-    one, and so does every name of a law.
+    Empty voxels are ignored. A position without an adjacent full voxel gets the value of the
+    nearest full voxel. Names of laws are not interpolated: they are those of the nearest voxel.
 
     Args:
         x: Positions [P,3].
         points: Centres of the voxels [K,3].
-        columns: Name -> value of each voxel [K].
+        columns: Value of each voxel [K], by column name.
 
     Returns:
-        Name -> value at each position [P].
+        Value at each position [P], by column name.
 
     Raises:
-        InputError: The points are not on a regular grid.
+        InputError: If the points do not form a regular grid.
     """
     index, spacing, low = _lattice(points)
     shape = tuple(index.max(axis=0) + 1)
@@ -61,7 +61,7 @@ def trilinear(
     for name, column in columns.items():
         if name != "law":
             total = _between(column - column.min(), index, shape, at)
-            # Counted from the smallest value, so that equal values are reproduced exactly.
+            # Differences from the smallest value reproduce equal values exactly.
             values[name] = np.where(
                 near, column.min() + total / np.maximum(weight, 1e-6), values[name]
             )
@@ -75,7 +75,7 @@ def _between(values: NDArray, index: NDArray, shape: tuple[int, ...], at: NDArra
 
 
 def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], NDArray[np.float64]]:
-    """Index of each point [K,3], spacing [3] and first centre [3] of the grid they are on."""
+    """Return the grid index of each point [K,3], the spacing [3] and the first centre [3]."""
     low = points.min(axis=0)
     spacing = np.array([_step(points[:, axis]) for axis in range(3)])
     index = np.rint((points - low) / spacing).astype(int)
@@ -90,7 +90,7 @@ def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], ND
 
 
 def _step(along: NDArray) -> float:
-    """The usual distance between neighbouring centres along an axis."""
+    """Return the median distance between neighbouring centres along an axis."""
     apart = np.diff(np.unique(along))
     apart = apart[apart > 1e-4 * max(np.ptp(along), 1e-12)]
     return float(np.median(apart)) if len(apart) else 1.0

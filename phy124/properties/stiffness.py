@@ -1,9 +1,9 @@
-"""Stiffness: Young's modulus that varies continuously inside one object.
+"""Stiffness fields: a Young's modulus that varies continuously inside one object.
 
-Every law's first parameters are proportional to E, so a field of factors multiplies them particle
-by particle: E(x) = share(x) E, with E the material's. Kernels then read a row of parameters per
-particle; a scene without such a field has one row for all. A fraction per Gaussian is a column of a
-file of properties (phy124/properties).
+The first parameters of every law are proportional to E. A field multiplies them by a factor at each
+particle: E(x) = fraction(x) E, where E is the material's Young's modulus. Kernels then read a row
+of parameters per particle; in a scene without such a field, all particles share a row. A fraction
+per Gaussian can also be a column of a file of properties (phy124/properties).
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from phy124.schema.bounds import FileName
 from phy124.schema.section import Section
 
 MINIMUM = 1e-4
-"""Smallest factor; waves are then a hundred times slower."""
+"""Smallest factor on E; it makes waves a hundred times slower."""
 Fraction = Annotated[float, Field(ge=MINIMUM, le=1)]
 
 
 class _Field(Section):
-    """Base class of all fields of stiffness."""
+    """Base class of all stiffness fields."""
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
-        """Fraction of E at each particle [P].
+        """Return the fraction of E at each particle [P].
 
         Args:
             x: Particles at rest [P,3], m.
-            means: The object's Gaussians [N,3], m.
-            crop: Where the object is in the picture it was made from.
+            means: Centres of the object's Gaussians [N,3], m.
+            crop: Position of the object in the image from which it was made.
 
         Raises:
-            InputError: a file cannot be used.
+            InputError: If a file cannot be used.
         """
         raise NotImplementedError
 
 
 class Gradient(_Field):
-    """Linear from one end of the object to the other: grown wood, a tail, a root."""
+    """Fraction that is linear from one end of the object to the other: a plant, a tail, a root."""
 
     kind: Literal["gradient"] = "gradient"
     axis: Literal["x", "y", "z"] = Field(default="z", description="Direction in which it varies.")
@@ -50,13 +50,13 @@ class Gradient(_Field):
     last: Fraction = Field(default=0.1, description="Fraction of E at the highest end of the axis.")
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
-        """Linear between the object's ends."""
+        """Return fractions [P], linear between the object's ends."""
         along = np.asarray(x, dtype=np.float64)[:, "xyz".index(self.axis)]
         return np.interp(along, [along.min(), along.max()], [self.first, self.last])
 
 
 class Picture(_Field):
-    """Given by a grey picture painted over the object's picture: white is stiff, black is soft."""
+    """Fraction from a grey image painted over the object's image: white is stiff, black is soft."""
 
     kind: Literal["picture"] = "picture"
     file: FileName = Field(
@@ -67,21 +67,21 @@ class Picture(_Field):
     white: Fraction = Field(default=1.0, description="Fraction of E where it is white.")
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
-        """Linear in the grey value."""
+        """Return fractions [P], linear in the grey value."""
         grey = sample_brightness(x, self.file, crop, field="stiffness.file")
         return self.black + grey * (self.white - self.black)
 
 
 AnyStiffness = Annotated[Gradient | Picture, Field(discriminator="kind")]
 SOFTEST, STIFFEST = 0.01, 100.0
-"""Factors on E over time."""
+"""Smallest and largest factor on E in a profile over time."""
 
 
 def check_profile(profile: Table) -> None:
-    """Check that all factors of a profile over time can be used.
+    """Check that all factors of a profile over time are between `SOFTEST` and `STIFFEST`.
 
     Raises:
-        ValueError: One is too small or too large.
+        ValueError: If a factor is outside this range.
     """
     factors = profile.table()[1]
     if not (factors.min() >= SOFTEST and factors.max() <= STIFFEST):

@@ -1,4 +1,4 @@
-"""Reads a file of material properties into columns of one value per point."""
+"""Reads a file of material properties into columns with one value per point."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from phy124.io.ply import read_rows
 from phy124.properties.stiffness import MINIMUM
 
 COLUMNS = ("E", "nu", "density", "damping")
-"""Columns that a file may have besides the law: fields of a material [Pa, 1, kg/m^3, Pa s]."""
+"""Numeric columns, which are fields of a material [Pa, 1, kg/m^3, Pa s]."""
 FRACTION = "fraction"
-"""A column that multiplies E, whoever gives that; the only one of an .npy file."""
+"""Column with a factor on E, whether E is in the file or not; an .npy file has only this column."""
 EVERY = (*COLUMNS, FRACTION, "law")
 """All columns."""
 NAMES = {
@@ -29,7 +29,7 @@ NAMES = {
     "voxel_coords_world": "points",
     "query_coords_world": "points",
 }
-"""Name in files of VoMP, Pixie and others -> column."""
+"""Our column names by the names in files of VoMP, Pixie and others."""
 LAWS = {
     0: "neo_hookean",
     1: "metal",
@@ -39,19 +39,19 @@ LAWS = {
     5: "snow",
     6: "rigid",
 }
-"""Number of a law in PhysGaussian and Pixie -> its name; 6 is immovable there and rigid here."""
+"""Laws by their numbers in PhysGaussian and Pixie; 6 is immovable in those, but rigid in phy124."""
 MAX_POINTS = 5_000_000
 FORMS = "Give .ply with columns, or .npz with arrays of E, nu, density, damping, law or fraction."
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """K points, or voxels that are not empty, and their properties."""
+    """Properties of K points, or of K voxels that are not empty."""
 
     columns: dict[str, NDArray[Any]]
-    """Of `EVERY`, as far as the file has them: numbers, float64, and names of laws [K]."""
+    """Columns [K] in the file, by names in `EVERY`: numbers as float64, laws as names."""
     points: NDArray[np.float64] | None
-    """Positions in the file's own axes and units [K,3]; None: in the order of the Gaussians."""
+    """Positions in the file's axes and unit [K,3]; None: values in the order of the Gaussians."""
     whole: bool = False
     """Whether positions are fractions of the object's box, as for voxels without bounds."""
 
@@ -60,10 +60,10 @@ class Table:
 
 
 def read_table(path: Path) -> Table:
-    """A file's points and their properties.
+    """Read the points of a file and their properties.
 
     Raises:
-        InputError: It cannot be read, has no property, or a value in it is not a finite number.
+        InputError: If the file cannot be read, has no property, or a value is not finite.
     """
     raw = _rename(_columns_of(path))
     points, whole = _places(path, raw), False
@@ -110,7 +110,7 @@ def _rename(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 
 def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
-    """Positions of the points [K,3], from columns x, y, z or from one array."""
+    """Return positions of the points [K,3], from columns x, y, z or from one array; or None."""
     if "points" in columns:
         points = columns["points"]
     elif {"x", "y", "z"} <= columns.keys():
@@ -123,9 +123,10 @@ def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64]
 
 
 def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
-    """Columns and centres of the voxels of dense arrays [X,Y,Z]; empty voxels are NaN.
+    """Return columns and centres of the voxels of dense arrays [X,Y,Z]; NaN marks empty voxels.
 
-    Without `lower` and `upper`, the first and last centre, the voxels fill a box of side 1.
+    `lower` and `upper` are the centres of the first and last voxel. Without them, the voxels fill a
+    box of side 1.
     """
     dense = {name: columns[name] for name in EVERY if name in columns}
     shape = next(iter(dense.values())).shape
@@ -146,12 +147,12 @@ def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArra
 
 
 def _first(points: NDArray | None) -> list[NDArray]:
-    """The points' first coordinates, if there are points."""
+    """Return the points' first coordinates in a list; an empty list if there are no points."""
     return [] if points is None else [points[:, 0]]
 
 
 def _bounds(path: Path, *ends: Any) -> list[NDArray[np.float64]]:
-    """First and last centre of the voxels [3]."""
+    """Return the centres of the first and the last voxel [3], [3]."""
     if any(np.shape(end) != (3,) for end in ends):
         raise _refusal(path, "lower and upper are not points.", "Give three numbers each.")
     return [_numbers(path, "bounds", end) for end in ends]
@@ -169,10 +170,10 @@ def _numbers(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]
 
 
 def _check_fractions(path: Path, fractions: NDArray[np.float64]) -> None:
-    """Check that no fraction raises E or lowers it below `MINIMUM`.
+    """Check that all fractions are in the range from `MINIMUM` to 1.
 
     Raises:
-        InputError: It is.
+        InputError: If a fraction is outside this range.
     """
     if not ((fractions >= MINIMUM) & (fractions <= 1)).all():
         remedy = "Divide by the largest value and give that to the material's E."
@@ -180,7 +181,7 @@ def _check_fractions(path: Path, fractions: NDArray[np.float64]) -> None:
 
 
 def _laws(path: Path, values: NDArray[Any]) -> NDArray[np.str_]:
-    """Names of laws, given as such or by number."""
+    """Return the names of laws, which the file states as names or as numbers."""
     if values.dtype.kind in "US":
         return values.astype(str)
     numbers = np.unique(values)

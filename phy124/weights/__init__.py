@@ -1,1 +1,1 @@
-"""Trained weights: where they are, whether they are intact, how networks are filled."""
+"""Trained weights: locates, checks and downloads files, and loads them into networks."""

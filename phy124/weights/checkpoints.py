@@ -1,6 +1,6 @@
-"""Reads network weights safely and fills networks with them, every tensor or none.
+"""Reads network weights safely, and loads them strictly: missing or extra tensors are an error.
 
-Only safetensors and `torch.load(weights_only=True)` are used: neither runs code from the file.
+Only safetensors and `torch.load(weights_only=True)` are used; neither executes code from the file.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 StateDict = Mapping[str, "Tensor"]
 SHOWN = 3
-"""Number of differing tensors that an error message names."""
+"""Largest number of differing tensors that an error message names."""
 
 
 def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
-    """Read all tensors of a .safetensors, .pth, .pt, .ckpt or .bin file, on the CPU.
+    """Read all tensors of a .safetensors, .pth, .pt, .ckpt or .bin file to the CPU.
 
     Raises:
-        InputError: If there is no such file, or it is cut short, or of another kind.
+        InputError: If the file is missing, cut short, or not a file of tensors.
     """
     path = Path(path)
     if hindrance := obstacle(path):
@@ -75,21 +75,21 @@ def _refusal(path: Path, error: Exception) -> InputError:
 
 
 def strip_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
-    """Return the tensors whose name starts with `prefix`, without it; all if none does."""
+    """Return the tensors whose names start with `prefix`, without it; if there are none, all."""
     found = {k[len(prefix) :]: v for k, v in tensors.items() if k.startswith(prefix)}
     return found or dict(tensors)
 
 
 def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
-    """Fill `module`, which may be on the meta device, with exactly these tensors.
+    """Load tensors into `module`, which may be on the meta device; names and shapes must agree.
 
     Args:
         module: The network.
-        tensors: Values by the names of the network's state dict.
-        name: What the network is called in messages.
+        tensors: Tensors by the names of the network's state dict.
+        name: Name of the network in messages.
 
     Raises:
-        InputError: If tensors are missing, left over, or of another shape; it names them.
+        InputError: If tensors are missing, unknown or of a wrong shape; the message names some.
     """
     wanted = {k: tuple(v.shape) for k, v in module.state_dict().items()}
     shapes_in_file = {k: tuple(v.shape) for k, v in tensors.items()}

@@ -1,8 +1,8 @@
-"""Finds, checks and fetches files of trained weights.
+"""Locates, checks and downloads files of trained weights.
 
-Nothing is downloaded unless `fetch` is called. Files are searched for in a folder the user names
-(`--weights`), then in the folder PHY124_WEIGHTS, then in the Hugging Face cache, then, if it is
-shipped, in this package.
+Nothing is downloaded unless `fetch` is called. Files are searched in this order: in the folder that
+the user states (`--weights`), in the folder PHY124_WEIGHTS, in the Hugging Face cache, and in this
+package, if it contains the file.
 """
 
 from __future__ import annotations
@@ -22,50 +22,50 @@ from phy124.progress import Progress, silent
 from phy124.runtime.installation import install_command
 
 Verdict = Literal["match", "differs", "unknown", "unchecked", "missing"]
-"""Result of checking a file's size and sha256; "unknown" if there is nothing to compare with."""
+"""Result of checking a file's size and sha256; "unknown" if no sha256 is published."""
 BLOCK = 1 << 22
 """Number of bytes hashed at a time."""
 
 
 @dataclass(frozen=True)
 class WeightFile:
-    """A public file of a repository on huggingface.co."""
+    """A public file in a repository on huggingface.co."""
 
     repo: str
     path: str
-    """Name inside the repository."""
+    """Path inside the repository."""
     licence: str
     size: int | None = None
-    """Size in bytes; None if it is not known."""
+    """Size in bytes; None if it is unknown."""
     sha256: str | None = None
-    """Checksum; if None, `fetch` compares with the one the server states."""
+    """Checksum; None: `fetch` compares with the checksum that the server states."""
     shipped: bool = False
-    """True if this package contains the file."""
+    """Whether this package contains the file."""
 
     @property
     def command(self) -> str:
-        """The shell command that fetches the file into the Hugging Face cache."""
+        """The shell command that downloads the file to the Hugging Face cache."""
         return f"hf download {self.repo} {self.path}"
 
     @property
     def expected(self) -> str:
-        """Size and checksum in words."""
+        """Expected size and checksum, as text."""
         size = "size not known" if self.size is None else f"{self.size:,} bytes"
         return f"{size}, sha256 {self.sha256 or 'not known'}"
 
 
 @dataclass(frozen=True)
 class WeightStatus:
-    """State of a file on this machine."""
+    """State of a weight file on this machine."""
 
     weights: str
-    """Name of the set, as `phy124 weights fetch` takes it."""
+    """Name of the set, as in `phy124 weights fetch NAME`."""
     file: WeightFile
     found: Path | None
     looked: tuple[Path, ...]
-    """Places that were searched, in order."""
+    """Paths that were searched, in order."""
     size: int | None
-    """Size on disk, bytes."""
+    """Size of the file on disk [bytes]."""
     verdict: Verdict
 
 
@@ -76,7 +76,7 @@ _MIRROR = "tomjackson2023/rembg"
 _IMAGEDREAM = "ashawkey/imagedream-ipmv-diffusers"
 _ZERO123_REPO = "bennyguo/zero123-xl-diffusers"
 KNOWN: dict[str, tuple[WeightFile, ...]] = {
-    # A mirror of the files at github.com/danielgatis/rembg/releases/tag/v0.0.0, byte for byte.
+    # A mirror with byte-identical files of github.com/danielgatis/rembg/releases/tag/v0.0.0.
     "u2net": (
         WeightFile(
             _MIRROR,
@@ -146,7 +146,7 @@ KNOWN: dict[str, tuple[WeightFile, ...]] = {
         for path in ("config.json", "model.safetensors")
     ),
 }
-"""Sets of files, by the name of the part that needs them."""
+"""Sets of files, by the name of the network that needs them."""
 
 
 _named: ContextVar[str | os.PathLike[str] | None] = ContextVar("_named", default=None)
@@ -154,7 +154,7 @@ _named: ContextVar[str | os.PathLike[str] | None] = ContextVar("_named", default
 
 @contextmanager
 def search_first(folder: str | os.PathLike[str] | None) -> Iterator[None]:
-    """Search `folder` (the user's `--weights`) first within this context."""
+    """Search `folder` (the user's `--weights`) before other places within this context."""
     token = _named.set(folder)
     try:
         yield
@@ -163,16 +163,16 @@ def search_first(folder: str | os.PathLike[str] | None) -> Iterator[None]:
 
 
 def hub_cache() -> Path:
-    """Return the folder of the Hugging Face cache, from its environment variables."""
+    """Return the folder of the Hugging Face cache, according to its environment variables."""
     home = os.environ.get("HF_HOME", "~/.cache/huggingface")
     return Path(os.path.expanduser(os.environ.get("HF_HUB_CACHE", os.path.join(home, "hub"))))
 
 
 def list_places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
-    """Yield the places where `file` may be, in order of preference.
+    """Yield the paths at which `file` may be, in order of preference.
 
-    In a plain folder both `NAME` and `REPOSITORY/PATH` are tried, so that one folder can hold
-    several repositories whose files have equal names.
+    In a plain folder, both `NAME` and `REPOSITORY/PATH` are searched: one folder can then hold
+    several repositories with equal file names.
     """
     for root in (folder or _named.get(), os.environ.get("PHY124_WEIGHTS")):
         if root:
@@ -188,12 +188,12 @@ def list_places(file: WeightFile, folder: str | os.PathLike[str] | None = None) 
 
 
 def find(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """Return the first place that holds `file`, or None."""
+    """Return the first path at which `file` exists, or None."""
     return next((p for p in list_places(file, folder) if p.is_file()), None)
 
 
 def is_complete(name: str, folder: str | os.PathLike[str] | None = None) -> bool:
-    """Return whether all files of a set are present."""
+    """Whether all files of a set are present."""
     return all(find(file, folder) for file in list_files(name))
 
 
@@ -214,8 +214,8 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
     """Return the paths of all files of a set, by their name in the repository.
 
     Raises:
-        InputError: If one is missing or does not have the published size. The message says what was
-            expected, how to fetch it, and which generator needs no weights.
+        InputError: If a file is missing or does not have the published size. The message states the
+            expected file, the command to fetch it, and a generator that needs no weights.
     """
     paths = {}
     for file in list_files(name):
@@ -245,7 +245,7 @@ def _wrong(name: str, path: Path, what: str, file: WeightFile) -> InputError:
 
 
 def compute_sha256(path: str | os.PathLike[str]) -> str:
-    """Compute the sha256 of a file, hexadecimal; that of nothing if it is missing."""
+    """Return the hexadecimal sha256 of a file; a missing file is treated as empty."""
     digest = hashlib.sha256()
     if Path(path).is_file():
         with open(path, "rb") as file:
@@ -259,7 +259,7 @@ def check_all(
 ) -> list[WeightStatus]:
     """Return the state of every known file, for `phy124 doctor`.
 
-    With `check` the checksum of each file found is computed (about a second per gigabyte).
+    With `check`, the checksum of each present file is computed (about 1 s per gigabyte).
     """
     return [
         _status(name, file, folder, check=check) for name, files in KNOWN.items() for file in files
@@ -294,17 +294,17 @@ def fetch(
     progress: Progress = silent,
     endpoint: str | None = None,
 ) -> list[Path]:
-    """Download a set through huggingface_hub and check it; interrupted downloads are resumed.
+    """Download a set with huggingface_hub, and check it; interrupted downloads are resumed.
 
     Args:
         name: Name of the set.
-        folder: Where the files go; None for PHY124_WEIGHTS or else the Hugging Face cache.
-        progress: Called as in `phy124.progress`; huggingface_hub also draws a bar per file.
-        endpoint: Address of the server, if not huggingface.co.
+        folder: Target folder; None: PHY124_WEIGHTS, or else the Hugging Face cache.
+        progress: Callback as described in `phy124.progress`; huggingface_hub also draws bars.
+        endpoint: Address of the server, if it is not huggingface.co.
 
     Raises:
-        InputError: If the name is unknown, the library is missing, the server cannot be reached, or
-            a file differs from the published one (it is then deleted).
+        InputError: If the name is unknown, huggingface_hub is missing, the server cannot be
+            reached, or a file differs from the published file (and is then deleted).
     """
     files = list_files(name)
     target = folder or _named.get() or os.environ.get("PHY124_WEIGHTS")
@@ -321,10 +321,10 @@ def fetch(
 
 
 def _refuse_unwritable(folder: Path) -> None:
-    """Check that files can be written there, before anything is downloaded.
+    """Check, before anything is downloaded, that files can be written to a folder.
 
     Raises:
-        InputError: If they cannot.
+        InputError: If they cannot be written.
     """
     if not writable(folder):
         limit = "files cannot be written to this folder."
@@ -336,7 +336,7 @@ def _fetch(name: str, file: WeightFile, folder: Path | None, endpoint: str | Non
     wanted, size = file.sha256 or stated, path.stat().st_size
     sha256 = compute_sha256(path)
     if (wanted is not None and sha256 != wanted) or file.size not in (None, size):
-        # In the cache the name is a link to the content: both must go.
+        # In the cache, the path is a link to the content: both must be deleted.
         path.resolve().unlink()
         path.unlink(missing_ok=True)
         raise _wrong(name, path, f"it has {size:,} bytes and sha256 {sha256}", file)
@@ -346,7 +346,7 @@ def _fetch(name: str, file: WeightFile, folder: Path | None, endpoint: str | Non
 def _download(
     file: WeightFile, folder: Path | None, endpoint: str | None
 ) -> tuple[Path, str | None]:
-    """Path of the downloaded file, and its sha256 as the server states it (large files only)."""
+    """Return the path of the downloaded file, and the sha256 that the server states, if any."""
     try:
         from huggingface_hub import get_hf_file_metadata, hf_hub_download, hf_hub_url
         from huggingface_hub.utils import HfHubHTTPError
@@ -358,7 +358,8 @@ def _download(
             f"Run `{install_command('lgm')}`.",
         ) from error
     target = None if folder is None else folder / file.repo.rpartition("/")[2]
-    # Its HTTP library changes from release to release; the bases name that library's error.
+    # The library's HTTP client depends on its release; the bases of HfHubHTTPError include the
+    # error type of this client.
     failures = cast("tuple[type[Exception], ...]", (OSError, *HfHubHTTPError.__bases__))
     try:
         url = hf_hub_url(file.repo, file.path, endpoint=endpoint)

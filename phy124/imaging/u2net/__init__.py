@@ -1,7 +1,8 @@
-"""Foreground by U2-Net: a mask of the salient object, computed as the original or rembg does.
+"""Segments the salient object by U2-Net, with the processing of the authors or of rembg.
 
-Qin et al. 2020. The small network is part of this package (phy124/weights/u2netp.onnx), the full
-one a file to be fetched: .onnx, run by OpenCV as the small one, or .pth, run by our torch module.
+Qin et al. 2020. The small network is part of this package (phy124/weights/u2netp.onnx). The full
+network is a file that must be downloaded: an .onnx file, which OpenCV runs like the small network,
+or a .pth file, which phy124's torch module runs.
 """
 
 from __future__ import annotations
@@ -25,23 +26,23 @@ from phy124.runtime.installation import install_command
 from phy124.weights.store import KNOWN, WeightFile, find, require
 
 SIZE = 320
-"""Side of the network's input, pixels."""
+"""Width and height of the network's input [pixels]."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
-"""Normalised picture [1,3,320,320] -> saliency [1,1,320,320] in 0..1."""
+"""Function from a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
 Style = Literal["rembg", "original"]
-"""Resampling of rembg (Lanczos, the default) or of the authors (bilinear)."""
+"""Resampling as in rembg (Lanczos, the default) or as by the authors (bilinear)."""
 
 
 def weights_file(folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """Return the file of the full network, .onnx before .pth, or None."""
+    """Return the file of the full network (.onnx is preferred to .pth), or None."""
     (onnx,) = KNOWN["u2net"]
     pth = WeightFile(onnx.repo, "u2net.pth", onnx.licence)
     return find(onnx, folder) or find(pth, folder)
 
 
 def is_available(image: Image.Image | None = None) -> bool:
-    """Return whether the full network and the package that runs it are installed."""
+    """Whether the full network and the package that runs it are installed."""
     del image
     path = weights_file()
     return path is not None and (path.suffix == ".onnx" or find_spec("torch") is not None)
@@ -50,19 +51,19 @@ def is_available(image: Image.Image | None = None) -> bool:
 def find_alpha(
     image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> NDArray[np.uint8]:
-    """Find the salient object of a picture by the full network: alpha [H,W].
+    """Segment the salient object of an image by the full network; return its alpha [H,W].
 
     Raises:
-        InputError: If its file is missing, or is a .pth file and torch is not installed.
+        InputError: If the weight file is missing, or is a .pth file and torch is not installed.
     """
-    # `require` says where it was looked for and how to get it.
+    # `require` raises an error with the searched places and the command to fetch the file.
     return _run_isolated(image, weights_file() or require("u2net")["u2net.onnx"], deadline)
 
 
 def find_alpha_small(
     image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> NDArray[np.uint8]:
-    """Find the salient object of a picture by the small network: alpha [H,W]."""
+    """Segment the salient object of an image by the small network; return its alpha [H,W]."""
     return _run_isolated(image, require("u2netp")["u2netp.onnx"], deadline)
 
 
@@ -74,13 +75,13 @@ def _run_isolated(
 
 def _find_alpha(rgb: NDArray[np.uint8], weights: Path) -> NDArray[np.uint8]:
     if is_blank(rgb):
-        # The network finds something in everything.
+        # The network would report an object even in a blank image.
         return np.zeros(rgb.shape[:2], np.uint8)
     return fit_edge(rgb, saliency(rgb, load(weights)))
 
 
 def saliency(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.float32]:
-    """Return the probability [320,320] that each part of a picture [H,W,3] is the object."""
+    """Return the probability of the object [320,320] in an image [H,W,3]."""
     return network(prepare_rembg(rgb))[0, 0]
 
 
@@ -88,7 +89,7 @@ def load(path: str | os.PathLike[str]) -> Network:
     """Load a network from a .onnx, .pth or .safetensors file.
 
     Raises:
-        InputError: If the file is unreadable or not a U2-Net, or it needs torch, which is missing.
+        InputError: If the file is unreadable, is not a U2-Net, or needs torch, which is missing.
     """
     path = Path(path)
     try:
@@ -111,15 +112,15 @@ def foreground(
 
 
 def prepare_rembg(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Prepare `rgb [H,W,3]` as rembg does: [1,3,320,320], Lanczos, normalised by the maximum."""
+    """Resample `rgb [H,W,3]` as rembg does: [1,3,320,320], Lanczos, normalised by the maximum."""
     small = Image.fromarray(rgb).resize((SIZE, SIZE), Image.Resampling.LANCZOS)
     return _normalise(np.asarray(small, dtype=np.float64))
 
 
 def prepare_original(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Prepare a picture as the authors do: [1,3,320,320], bilinear, blurred before shrinking.
+    """Resample an image as the authors do: [1,3,320,320], blurred, then bilinear.
 
-    Everything outside the picture is black, which darkens the pixels at its edges a little.
+    Values outside the image are taken as black, which slightly darkens the pixels at its edges.
     """
     from scipy.ndimage import gaussian_filter, zoom
 
@@ -142,7 +143,7 @@ def finish_rembg(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.u
 
 
 def finish_original(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """As `finish_rembg` with the authors' bilinear enlargement."""
+    """Return the mask [H,W] as `finish_rembg` does, with the authors' bilinear resampling."""
     return _stretch_mask(d0, size, Image.Resampling.BILINEAR)
 
 
@@ -151,7 +152,7 @@ def _stretch_mask(
 ) -> NDArray[np.uint8]:
     d0 = d0[0, 0]
     low, high = float(d0.min()), float(d0.max())
-    # A constant answer says nothing stands out; the originals divide by zero here.
+    # A constant output means that nothing is salient; the original programs divide by zero.
     unit = (d0 - low) / (high - low) if high > low else np.zeros_like(d0)
     small = Image.fromarray((np.clip(unit, 0, 1) * 255).astype(np.uint8))
     return np.asarray(small.resize(size, resampling))
@@ -164,7 +165,7 @@ STYLES = {
 
 
 def smooth_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Remove specks from a hard mask, 0 or 255: rembg's `post_process_mask`."""
+    """Remove specks from a binary mask (0 or 255), as rembg's `post_process_mask` does."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
     opened = cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc)
     blurred = cv2.GaussianBlur(opened, (7, 7), 2)
@@ -172,9 +173,10 @@ def smooth_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Multiply all channels of `image [H,W,3 or 4]` by the mask, as rembg does: [H,W,4].
+    """Multiply all channels of `image [H,W,3 or 4]` by the mask, as rembg does; return [H,W,4].
 
-    LGM was used with such pictures and multiplies again, which darkens soft edges.
+    LGM's program receives such images and multiplies colours by alpha again, which darkens soft
+    edges.
     """
     picture = Image.fromarray(image).convert("RGBA")
     clear = Image.new("RGBA", picture.size, 0)
@@ -183,7 +185,7 @@ def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[
 
 def _load_onnx(path: Path) -> Network:
     try:
-        # By its content: OpenCV does not open every name that a system allows.
+        # Passed as bytes: OpenCV cannot open every file name that the system allows.
         network = cv2.dnn.readNetFromONNX(np.frombuffer(path.read_bytes(), np.uint8))
         first = network.getUnconnectedOutLayersNames()[0]
     except (cv2.error, OSError, IndexError) as error:
@@ -196,7 +198,7 @@ def _load_onnx(path: Path) -> Network:
 
     def run(x: NDArray[np.float32]) -> NDArray[np.float32]:
         network.setInput(x)
-        # Without a name OpenCV 4 answers with the last of the seven outputs, not the first.
+        # Without a name, OpenCV 4 returns the last of the seven outputs, not the first.
         return np.asarray(network.forward(first), np.float32)
 
     return run

@@ -1,7 +1,7 @@
-"""U2-Net: a U-Net whose every stage is itself a small U-Net, for salient objects.
+"""U2-Net: a U-Net for salient objects in which every stage is itself a small U-Net.
 
 Qin et al. 2020, "U^2-Net: Going Deeper with Nested U-Structure for Salient Object Detection".
-Submodules are named as in the public .pth files.
+Submodules have the names of the public .pth files.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ SIDES = 6
 
 
 class ConvBnRelu(nn.Module):
-    """3x3 convolution, batch normalisation, ReLU; the size is kept."""
+    """3x3 convolution, batch normalisation and ReLU, at constant resolution."""
 
     def __init__(self, inputs: int, outputs: int, dilation: int = 1) -> None:
         super().__init__()
@@ -26,7 +26,7 @@ class ConvBnRelu(nn.Module):
         self.bn_s1 = nn.BatchNorm2d(outputs)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[B,inputs,H,W] -> [B,outputs,H,W]."""
+        """Map [B,inputs,H,W] to [B,outputs,H,W]."""
         return F.relu(self.bn_s1(self.conv_s1(x)))
 
 
@@ -39,10 +39,10 @@ def _resize_like(x: Tensor, like: Tensor) -> Tensor:
 
 
 class ResidualU(nn.Module):
-    """RSU-L: `levels` convolutions down, one fewer up, added to the convolution of the input.
+    """Residual U-block RSU-L: `levels` convolutions down and one fewer up, plus a shortcut.
 
-    With `dilated` the size is kept, and dilations 1, 2, 4, 8 widen the receptive field instead
-    (RSU-4F).
+    With `dilated` (RSU-4F), the resolution stays constant; dilations 1, 2, 4, 8 widen the receptive
+    field in place of pooling.
     """
 
     def __init__(
@@ -61,11 +61,11 @@ class ResidualU(nn.Module):
             self.add_module(f"rebnconv{i}d", layer)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[B,inputs,H,W] -> [B,outputs,H,W]."""
+        """Map [B,inputs,H,W] to [B,outputs,H,W]."""
         whole = self.rebnconvin(x)
         x, skips = whole, []
         for i in range(1, self.levels + 1):
-            # The last level works at the resolution of the one before it.
+            # The last level has the resolution of the level before it.
             pooled = not self.dilated and 1 < i < self.levels
             x = self.get_submodule(f"rebnconv{i}")(_pool(x) if pooled else x)
             skips.append(x)
@@ -79,12 +79,12 @@ class ResidualU(nn.Module):
 
 @dataclass(frozen=True)
 class Widths:
-    """Channels (inputs, middle, outputs) of each stage."""
+    """Numbers of channels (inputs, middle, outputs) of each stage."""
 
     down: tuple[tuple[int, int, int], ...]
-    """Stages 1 to 6."""
+    """Channels of stages 1 to 6."""
     up: tuple[tuple[int, int, int], ...]
-    """Stages 5d to 1d."""
+    """Channels of stages 5d to 1d."""
 
 
 WIDTHS = {
@@ -102,13 +102,13 @@ WIDTHS = {
     "u2netp": Widths(((3, 16, 64), *[(64, 16, 64)] * 5), ((128, 16, 64),) * 5),
 }
 LEVELS = (7, 6, 5, 4, 4, 4)
-"""Depth of stages 1 to 6; the last two are dilated."""
+"""Number of levels of stages 1 to 6; the last two stages are dilated."""
 
 
 class U2Net(nn.Module):
-    """Normalised pictures [B,3,H,W] -> saliency maps (d0, ..., d6), each [B,1,H,W] in 0..1.
+    """Maps normalised images [B,3,H,W] to saliency maps (d0, ..., d6), each [B,1,H,W] in 0..1.
 
-    d0 is the result; the others are the side outputs it is fused from.
+    d0 is the result; d1 to d6 are the side outputs, which are fused to d0.
     """
 
     def __init__(self, widths: Widths) -> None:
@@ -123,7 +123,7 @@ class U2Net(nn.Module):
         self.outconv = nn.Conv2d(SIDES, 1, 1)
 
     def forward(self, x: Tensor) -> tuple[Tensor, ...]:
-        """Height and width may be odd."""
+        """Return (d0, ..., d6); height and width may be odd."""
         skips = []
         for i in range(1, 7):
             x = self.get_submodule(f"stage{i}")(x if i == 1 else _pool(x))
@@ -143,10 +143,12 @@ class U2Net(nn.Module):
 
 
 def load(tensors: StateDict) -> U2Net:
-    """The network these tensors belong to, filled strictly: U2-Net or the small U2-NetP.
+    """Build the network to which the tensors belong (U2-Net or U2-NetP), and load them strictly.
+
+    Missing or extra tensors are an error.
 
     Raises:
-        InputError: If they belong to neither.
+        InputError: If the tensors fit neither network.
     """
     middle = tensors.get("stage1.rebnconv1.conv_s1.weight")
     small = middle is not None and middle.shape[0] == WIDTHS["u2netp"].down[0][1]
