@@ -1,1 +1,1 @@
-"""Whether the solver is right: experiments, hard cases and known solutions."""
+"""Tests the solver: comparisons with experiments and known solutions, and difficult cases."""

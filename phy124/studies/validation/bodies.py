@@ -1,4 +1,4 @@
-"""Bodies of problems with known answers: particles, walls of symmetry, solver and averages."""
+"""Builds the bodies of validation problems: particles, symmetry planes, solvers and averages."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ MODEL_OPTIONS = frozenset(signature(Model.of).parameters)
 
 
 def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return particles [P,3], m, in the middles of cubes that fill a box.
+    """Return the positions of particles [P,3], m, at the centres of cubes that fill a box.
 
     Args:
-        counts: Particles along each axis [3].
+        counts: Number of particles along each axis [3].
         spacing: Edge of the cubes [m].
         corner: Lowest corner of the box [m].
     """
@@ -33,22 +33,24 @@ def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0,
 
 
 def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return particles [P,3], m, of a cube.
+    """Return the positions of particles [P,3], m, that fill a cube.
 
     Args:
         per_axis: Number of particles along each axis.
-        size: Side of the cube [m].
+        size: Edge of the cube [m].
         middle: Centre of the cube [m].
     """
     return lattice((per_axis,) * 3, size / per_axis, [at - size / 2 for at in middle])
 
 
 def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
-    """Return particles [P,3], m, of a ball in shells, so that its surface is smooth, and volumes.
+    """Return the positions [P,3], m, and volumes [P], m^3, of particles that fill a ball.
+
+    The particles lie on concentric shells, which makes the ball's surface smooth.
 
     Args:
         radius: Radius of the ball [m].
-        spacing: Approximate distance of neighbours [m].
+        spacing: Approximate distance between neighbouring particles [m].
     """
     count, rng = round(radius / spacing), np.random.default_rng(0)
     step, x, volume = radius / count, [], []
@@ -63,7 +65,7 @@ def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
 
 
 def surface_of_ball(count: int = 300, radius: float = 0.5) -> Gaussians:
-    """Return flat Gaussians on a sphere, coloured by direction.
+    """Return flat Gaussians on a sphere, with a colour that depends on the direction.
 
     Args:
         count: Number of Gaussians.
@@ -91,12 +93,12 @@ def make_solver(
     C: NDArray[Any] | None = None,
     **options: Any,
 ) -> Solver:
-    """Return a solver of particles.
+    """Create a solver for particles.
 
     Args:
         x: Positions [P,3], m.
         volume: Volumes [P], m^3.
-        materials: The materials they are made of.
+        materials: Materials of the particles.
         v: Initial velocities [P,3], m/s.
         C: Initial velocity gradients [P,3,3], 1/s.
         **options: Options of `Model.of` and of `Solver`.
@@ -107,40 +109,52 @@ def make_solver(
 
 
 FAR = 1e3
-"""Position of a plane so far away that all nodes are inside the wall [m]."""
+"""Position of a distant plane [m]; all grid nodes are inside the wall behind it."""
 
 
 def sheet(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return particles [P,3], m, of one layer of a lattice, in the plane y = corner.
+    """Return the positions [P,3], m, of a single layer of particles normal to y.
 
     Args:
-        counts: Particles along x and z [2].
-        spacing: Their distance [m].
-        corner: Lowest corner of the sheet [m].
+        counts: Number of particles along x and z [2].
+        spacing: Distance between neighbouring particles [m].
+        corner: Lowest corner of the sheet [m]; the sheet lies in the plane y = corner[1].
     """
     x = lattice((counts[0], 1, counts[1]), spacing) * [1.0, 0.0, 1.0]
     return np.asarray(x + np.asarray(corner), float)
 
 
 def plane() -> HalfSpace:
-    """Return a wall that contains everything: nothing moves along y, so a sheet is a whole body."""
+    """Return a wall that contains all nodes and prevents motion along y (plane strain).
+
+    A sheet of particles then represents a body of any width along y.
+    """
     return HalfSpace(point=(0, FAR, 0), normal=(0, 1.0, 0), contact="slip")
 
 
 def mirrors(*axes: int) -> list[HalfSpace]:
-    """Return planes of symmetry through the origin, normal to the axes, for a body beyond them."""
+    """Return symmetry planes through the origin, each normal to one of the axes.
+
+    The body must lie on the positive side of the planes.
+    """
     return [HalfSpace(normal=tuple(np.eye(3)[axis].tolist()), contact="slip") for axis in axes]
 
 
 def connected_end(solver: Solver) -> float:
-    """Return the end of the body along x [m]: the first gap wider than a cell."""
+    """Return the position x of the body's end [m], which is the first gap wider than a cell."""
     x = np.sort(solver.state.x.numpy()[:, 0].astype(float))
     gaps = np.flatnonzero(np.diff(x) > solver.model.dx)
     return float(x[gaps[0]] if len(gaps) else x[-1])
 
 
 def mean_along(solver: Solver, of: str, axis: Sequence[float]) -> float:
-    """Return the mass average of a vector of the state, `x` or `v`, along an axis."""
+    """Return the mass-weighted mean of the component of `x` or `v` along an axis.
+
+    Args:
+        solver: The solver.
+        of: Name of the vector in the state, "x" or "v".
+        axis: Direction of the component [3].
+    """
     mass = solver.model.mass.numpy().astype(float)
     values = getattr(solver.state, of).numpy().astype(float) @ np.array(axis, float)
     return float(mass @ values / mass.sum())

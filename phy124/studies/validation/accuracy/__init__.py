@@ -1,1 +1,1 @@
-"""Known solutions, and one scene on a series of grids."""
+"""Compares the solver with known solutions, and a scene's motion on several grids."""

@@ -1,7 +1,7 @@
-"""Pareto plots of error over time, as a picture and as a web page.
+"""Plots error over time with the Pareto front, as a PNG and as a web page.
 
-A setting is dominated if another one is both faster and more accurate; such settings are grey. The
-page needs no network: it contains its figures, and a few lines of script draw them.
+A setting is dominated if another setting is both faster and more accurate. Dominated settings are
+grey. The page works offline, since it contains its data and the script that draws the plot.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BLUE, GREY, ORANGE = "#2563a8", "#9aa3ad", "#c2571a"
 
 
 def find_dominated(rows: Sequence[Row]) -> set[str]:
-    """Return the settings that another setting beats in both time and error, by name."""
+    """Return the names of all settings to which another setting is superior in time and error."""
     known = [row for row in rows if _error(row) is not None]
     return {
         row.name
@@ -39,7 +39,7 @@ def find_dominated(rows: Sequence[Row]) -> set[str]:
 
 
 def save_picture(report: Report, path: PathLike, *, title: str = "") -> None:
-    """Draw error over time and PSNR over time into one PNG.
+    """Draw error over time and PSNR over time in one PNG.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -85,7 +85,7 @@ def _draw_psnr(axes: Any, report: Report) -> None:
 
 
 def _mark(axes: Any, row: Row, value: float, colour: str, report: Report) -> None:
-    """Draw a point with its name on the side where there is room."""
+    """Draw a point, with its name on the side that has more space."""
     times = [math.log(other.seconds) for other in report.rows]
     late = math.log(row.seconds) > (min(times) + max(times)) / 2
     axes.plot(row.seconds, value, "o" if row.level else "s", color=colour)
@@ -113,7 +113,7 @@ def _label_axes(axes: Any, what: str) -> None:
 
 
 def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time") -> None:
-    """Write the plot of errors as a web page that needs no network."""
+    """Write the plot of error over time as a web page that works offline."""
     worse = find_dominated(report.rows)
     points = [
         {
@@ -129,7 +129,7 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
         }
         for row in report.rows
     ]
-    # "</" would end the script element early.
+    # A "</" in the data could end the script element.
     data = json.dumps(points).replace("</", "<\\/")
     sentences = [*report.sentences, *(f"{n}: {s}" for n, s in report.promises.items())]
     page = PAGE.format(
@@ -142,7 +142,7 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
 
 
 def _label(row: Row) -> str:
-    """Return the name of a setting, with the name of its preset if there is one."""
+    """Return the name of a setting, with the preset that has the same number of cells, if any."""
     preset = {accuracy.cells: name for name, accuracy in PRESETS.items()}.get(row.cells)
     return f"{row.name} ({preset})" if row.level and preset else row.name
 

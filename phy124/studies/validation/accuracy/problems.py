@@ -1,8 +1,8 @@
-"""Problems with known solutions, each solved by the solver that makes the clips.
+"""Problems with known solutions, for the same solver that makes clips.
 
-Every function runs one problem at one grid spacing and returns the error of the result. Bars and
-columns are one particle thick: with nu = 0, or with both sides held, nothing varies across them, so
-a row of particles represents the whole body.
+Each problem runs at one grid spacing, and yields the error of its result. Bars and columns are one
+particle thick. With nu = 0, or with both sides held, no quantity varies across them, so one row of
+particles represents the whole body.
 """
 
 from __future__ import annotations
@@ -32,11 +32,14 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 GRAVITY = 9.81
 FLOOR_NODE = 0.75
-"""Depth of the lowest plane of nodes below a floor [cells], as in every simulation."""
+"""Depth of the lowest nodes below the floor [cells], as in all simulations."""
 
 
 def angular_momentum(solver: Solver) -> Array:
-    """Sum of m (x cross v + dx^2/4 axial(C)) [3], kg m^2/s, which APIC conserves exactly."""
+    """Return the angular momentum [3], kg m^2/s, that APIC conserves exactly.
+
+    It is the sum of m (x cross v + dx^2/4 axial(C)) over all particles.
+    """
     m, x = solver.model.mass.numpy().astype(float)[:, None], solver.state.x.numpy().astype(float)
     v, C = solver.state.v.numpy().astype(float), solver.state.C.numpy().astype(float)
     axial = np.stack(
@@ -49,12 +52,16 @@ def angular_momentum(solver: Solver) -> Array:
 
 
 def fall(position: Array, velocity: Array, time: float) -> Array:
-    """Exact solution: x + v t - g t^2 / 2 along z."""
+    """Return the exact positions in free fall: x + v t, minus g t^2 / 2 along z."""
     return position + velocity * time - np.array([0, 0, GRAVITY * time**2 / 2])
 
 
 def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
-    """A thrown body: largest error of any particle, relative to its displacement."""
+    """Simulate a thrown body.
+
+    Returns:
+        The largest position error of any particle, divided by the largest displacement.
+    """
     x, v = block(8, 0.4) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
     volume = np.full(len(x), (0.1 / 2) ** 3)
     model = Model.of(x, volume, [NeoHookean(E=1e4)], dx=0.1, precision=precision)
@@ -69,14 +76,20 @@ def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
 
 @dataclass(frozen=True)
 class Spin:
-    """Relative changes of conserved quantities after some turns."""
+    """Absolute relative changes of conserved quantities after some rotations."""
 
     angular_momentum: float
     energy: float
 
 
 def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spin:
-    """A stiff cube rotating freely: |change| of angular momentum and of kinetic energy."""
+    """Simulate a stiff cube that rotates freely, and measure the changes of conserved quantities.
+
+    Args:
+        turns: Number of rotations.
+        precision: float32 or float64.
+        omega: Angular velocity [rad/s].
+    """
     dx = 0.1
     x = block(8, 4 * dx)
     gradient = np.array([[0, -omega, 0], [omega, 0, 0], [0, 0, 0]])
@@ -92,7 +105,7 @@ def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spi
 
 
 def _kinetic(solver: Solver) -> float:
-    """Kinetic energy [J], including the part that APIC stores in C."""
+    """Return the kinetic energy [J], including the part that APIC stores in C."""
     m, v = solver.model.mass.numpy().astype(float), solver.state.v.numpy().astype(float)
     C = solver.state.C.numpy().astype(float)
     return float((m * ((v**2).sum(1) + solver.model.dx**2 / 4 * (C**2).sum((1, 2)))).sum() / 2)
@@ -102,12 +115,21 @@ def _kinetic(solver: Solver) -> float:
 
 
 def bar_frequency(E: float, density: float, length: float) -> float:
-    """Exact: omega = pi c / L [rad/s] of the first mode of a free bar, with c^2 = E / rho."""
+    """Return the exact frequency of a free bar's first mode, pi c / L [rad/s], c^2 = E / rho."""
     return math.pi / length * math.sqrt(E / density)
 
 
 def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> float:
-    """A free bar of `cells` cells over one period: relative error of its frequency, signed."""
+    """Simulate about one period of a free bar's first longitudinal mode.
+
+    Args:
+        cells: Cells along the bar.
+        strain: Amplitude of the strain.
+        per_axis: Particles per cell along the bar.
+
+    Returns:
+        The signed relative error of the frequency.
+    """
     E, density, length = 1e4, 1000.0, 1.0
     dx = length / cells
     z = (np.arange(cells * per_axis) + 0.5) * dx / per_axis
@@ -132,12 +154,12 @@ def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> flo
 
 
 def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float) -> float:
-    """The time near `near` at which a smooth signal rises through zero [s]."""
+    """Return the time [s] closest to `near` at which a smooth signal crosses zero upwards."""
     t, y = np.array(times), np.array(values)
     rising = np.flatnonzero((y[1:] > 0) & (y[:-1] <= 0) & (t[1:] > near / 2))
     at = int(rising[np.abs(t[rising] - near).argmin()])
     span = slice(max(at - 1, 0), at + 3)
-    # Time as a cubic of the signal is far more exact than a straight line between two substeps.
+    # A cubic fit of time over signal is far more precise than linear interpolation.
     return float(np.polyval(np.polyfit(y[span] / np.abs(y).max(), t[span], 3), 0.0))
 
 
@@ -146,7 +168,11 @@ def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float)
 
 @dataclass(frozen=True)
 class Vortex:
-    """A ring whose radii rotate to and fro for one second (Kamojjala et al. 2015)."""
+    """A ring with a manufactured motion (Kamojjala et al. 2015).
+
+    Each circle in the ring rotates forth and back in one second, by an angle that depends on its
+    radius.
+    """
 
     amplitude: float = 0.1
     inner: float = 0.75
@@ -154,20 +180,25 @@ class Vortex:
     material: NeoHookean = NeoHookean(E=1000.0, nu=0.3, density=1000.0)  # noqa: RUF009
 
     def angle(self, radius: Array, time: float) -> Array:
-        """Exact: the angle by which a radius has rotated [rad]."""
+        """Return the exact angle by which the circle of a radius has rotated [rad].
+
+        Args:
+            radius: Radii [m].
+            time: Time [s].
+        """
         s = (radius - (self.inner + self.outer) / 2) / (self.outer - self.inner)
         rise = self.amplitude * (1 - math.cos(2 * math.pi * time)) / 2
         return (1 - 8 * s**2 + 16 * s**4) * rise
 
     def position(self, x: Array, time: float) -> Array:
-        """Exact: the positions of the points x [P,3] at a time [s]."""
+        """Return the exact positions [P,3], at a time [s], of points that start at x [P,3]."""
         turn = self.angle(np.hypot(x[:, 0], x[:, 1]), time)
         cosine, sine = np.cos(turn), np.sin(turn)
         columns = (cosine * x[:, 0] - sine * x[:, 1], sine * x[:, 0] + cosine * x[:, 1], x[:, 2])
         return np.stack(columns, axis=1)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """The body force that makes this motion an exact solution."""
+        """Return the stage that applies the body force for which this motion is exact."""
         stiffness = self.material.lame[0] / self.material.density
         middle, width = (self.inner + self.outer) / 2, self.outer - self.inner
         ring = types(model.real).vec4(middle, width, self.amplitude, stiffness)
@@ -184,13 +215,13 @@ class Vortex:
 def vortex(
     cells: int, *, time: float = 0.5, per_axis: int = 4, problem: Vortex | None = None
 ) -> float:
-    """The ring with `cells` cells across: RMS error of position / RMS displacement.
+    """Simulate the ring, and return the RMS position error divided by the RMS displacement.
 
     Args:
-        cells: Cells across the ring.
-        time: Time of the comparison [s].
+        cells: Cells across the ring's outer diameter.
+        time: Time at which positions are compared [s].
         per_axis: Particles per cell and axis.
-        problem: The ring; None: the default one.
+        problem: The ring; None: the default ring.
     """
     problem = problem or Vortex()
     dx = 2 * problem.outer / cells
@@ -215,24 +246,32 @@ def _rms(vectors: Array) -> float:
 
 
 def column_pressure(depth: Array, density: float) -> Array:
-    """Exact: the pressure rho g h [Pa] at depths h [m] of material at rest."""
+    """Return the exact pressure rho g h [Pa] at depths h [m] in a column at rest."""
     return density * GRAVITY * depth
 
 
 @dataclass(frozen=True)
 class Column:
-    """Errors of the pressure in a settled column, relative to rho g h at its foot."""
+    """Errors of the pressure in a column at rest, relative to rho g h at its base."""
 
     mean: float
-    """Error of the mean pressure; it comes from the cells at the floor, so it scales with dx."""
+    """Absolute error of the mean pressure.
+
+    It arises in the cells at the floor, so it is proportional to dx.
+    """
     inside: float
     """RMS error of the pressure more than three cells above the floor."""
 
 
 def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
-    """Liquid at rest between held sides, on a floor that cuts the kernels of the lowest particles.
+    """Simulate a column of liquid until it is at rest, and measure the errors of its pressure.
 
-    It settles by kinetic damping: whenever its motion is fastest, it is stopped.
+    The sides of the column are held. The floor lies between two planes of nodes, so it cuts the
+    kernels of the lowest particles. Kinetic damping brings the column to rest.
+
+    Args:
+        cells: Cells along the column's height.
+        per_axis: Particles per cell along the height.
     """
     height, material = 1.0, Fluid()
     dx = height / cells
@@ -254,7 +293,10 @@ def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
 
 
 def _settle(solver: Solver, crossing: float) -> None:
-    """Stop the motion whenever it is fastest, twelve times."""
+    """Apply kinetic damping: set velocities to zero at twelve maxima of the kinetic energy.
+
+    `crossing` is the time in which a wave crosses the column [s].
+    """
     stops, last = 0, 0.0
     while stops < 12:
         solver.advance(solver.clock.time + crossing / 20)
@@ -271,7 +313,10 @@ def _settle(solver: Solver, crossing: float) -> None:
 
 @dataclass(frozen=True)
 class Bounce:
-    """A soft ball dropped on a smooth floor: no exact solution, but a series of finer grids."""
+    """A soft ball that falls on a smooth floor.
+
+    The exact solution is unknown, so the results on several grids are compared.
+    """
 
     diameter: float = 0.4
     drop: float = 0.2
@@ -280,7 +325,7 @@ class Bounce:
     frames: int = 20
 
     def particles(self, spacing: float) -> Array:
-        """A lattice of positions [P,3], m, in the ball at its initial height."""
+        """Return the initial positions [P,3], m, of a lattice of particles in the ball."""
         n = round(self.diameter / spacing)
         line = (np.arange(n) + 0.5) * spacing - self.diameter / 2
         cube = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -288,7 +333,12 @@ class Bounce:
         return np.asarray(cube[inside] + [[0, 0, self.drop + self.diameter / 2]], float)
 
     def run(self, cells: int, spacing: float) -> Array:
-        """Positions [T,P,3], m, of the same particles with a grid spacing of diameter / cells."""
+        """Simulate the ball, and return the positions of its particles [T,P,3], m.
+
+        Args:
+            cells: Cells across the diameter.
+            spacing: Distance between neighbouring particles [m]; equal on all grids.
+        """
         x, dx = self.particles(spacing), self.diameter / cells
         volume, origin = np.full(len(x), spacing**3), (0, 0, -FLOOR_NODE * dx)
         model = Model.of(x, volume, [self.material], dx=dx, origin=origin)
@@ -301,7 +351,14 @@ class Bounce:
 
 
 def bouncing_ball(cells: Sequence[int], problem: Bounce | None = None) -> list[Array]:
-    """Positions of the same particles (two per cell and axis on the finest grid) on each grid."""
+    """Simulate the ball on several grids, and return the positions [T,P,3], m, on each grid.
+
+    All grids have the same particles, which are two per cell and axis on the finest grid.
+
+    Args:
+        cells: Cells across the diameter on each grid.
+        problem: The ball; None: the default ball.
+    """
     problem = problem or Bounce()
     spacing = problem.diameter / (2 * max(cells))
     return [problem.run(each, spacing) for each in cells]

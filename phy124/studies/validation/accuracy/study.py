@@ -1,9 +1,11 @@
-"""The study: one scene at several grid spacings, with the time and the error of each.
+"""Runs one scene with several settings, and measures the time and the error of each setting.
 
-The error of a setting is its distance from the extrapolation of all levels, by Richardson with the
-observed order, plus the uncertainty of that (`convergence`). If the levels part at some instant,
-errors are those of the motion up to it. If finer grids never come closer to each other, there is no
-error, only the distance between the two finest.
+A level is a setting that differs from the scene only in its grid spacing. All levels are
+extrapolated to zero spacing (Richardson) with the observed order. The error of a setting is its
+distance from this extrapolation, plus the uncertainty of the extrapolation (`convergence`). If the
+motions on the levels separate at some time, the errors describe only the motion up to that time. If
+the levels do not converge at all, there are no errors, only the distance between the two finest
+levels.
 """
 
 from __future__ import annotations
@@ -34,26 +36,26 @@ from phy124.scene import PRESETS, Accuracy, Scene
 from phy124.simulation import Simulation, Stopped, prepare
 
 LEVELS = (16, 24, 32, 48)
-"""Cells across the object, from coarse to fine; draft, standard and fine among them."""
+"""Cells across the object on each level, from coarse to fine, including those of all presets."""
 MIN_PARTICLES_PER_AXIS = 1.5
 """Particles per cell and axis below which finer grids are not more accurate."""
 COARSEST = 8
-"""Cells across the object of the coarsest level that is recommended."""
+"""Minimum number of cells across the object of a level that is recommended."""
 KNOWN = 0.5
-"""Fraction of the motion whose errors must be known before a level is recommended."""
+"""Minimum fraction of the frames whose errors must be known to recommend a level."""
 MOVING = 2
-"""Number of frames after the first whose errors must be known for that."""
+"""Minimum number of frames after the first whose errors must be known to recommend a level."""
 VARIED = 24
-"""The level at which the other settings are varied, one at a time."""
+"""Cells across the object of the level at which other options are varied, one at a time."""
 GOOD = 0.04
-"""Largest error, as a fraction of the size, with which a setting is recommended."""
+"""Maximum error of a recommended setting, as a fraction of the object's size."""
 SIZE = 256
-"""Largest width and height of the compared videos [pixels]."""
+"""Maximum width and height of the compared videos [pixels]."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One setting, its time and its error."""
+    """The time and the error of one setting."""
 
     name: str
     cells: int
@@ -62,32 +64,32 @@ class Row:
     binding: str
     particles: int
     particles_per_axis: float
-    """Median number of particles per axis in the cells that hold any."""
+    """Median number of particles per axis, over all cells that contain particles."""
     substeps: int
     predicted: float | None
     """Predicted time of simulation and shapes [s]; None without a forecast."""
     seconds: float
-    """Measured time of simulation and shapes, without splitting the energy lost [s]."""
+    """Measured time of simulation and shapes [s], without the time to split the energy loss."""
     limiters: dict[str, float]
-    """Limit of the substep -> fraction of the substeps."""
+    """Name of a limit of the substep -> fraction of the substeps that it determines."""
     energy_lost: float
-    """Energy lost in addition to the work of forces and walls, as a fraction of that supplied."""
+    """Energy that was lost, as a fraction of the energy supplied."""
     lost_to: dict[str, float] | None
-    """The loss by cause (material, contact, numerical); None if it cannot be split."""
+    """The energy loss by cause (material, contact, numerical); None if it cannot be split."""
     angular_momentum_lost: float | None
-    """Relative change; None if forces or walls change it."""
+    """Relative change of the angular momentum; None if forces or walls may change it."""
     from_finest: Difference | None = None
-    """Distance to the finest level; None for that level."""
+    """Difference from the finest level; None for the finest level itself."""
     error: float | None = None
     """Estimated error as a fraction of the object's size; None if the levels do not converge."""
     pixels: float | None = None
-    """The same error in the video [pixels]."""
+    """Estimated error in the video [pixels]; None without an error."""
     torn: str = ""
-    """Why the grid may have torn the material; such a row has no error."""
+    """Reason why the grid may have torn the material; a torn setting has no error."""
 
     @property
     def level(self) -> bool:
-        """Whether it is one of the levels, not a variation."""
+        """Whether the setting is a level, not a variation of another option."""
         return self.name.startswith("D/")
 
 
@@ -97,29 +99,30 @@ class Report:
 
     rows: tuple[Row, ...]
     skipped: tuple[str, ...]
-    """Sentences that say which levels were left out or torn, and why."""
+    """Sentences about settings that were left out or are torn, with the reasons."""
     convergence: Convergence
     object_size: float
-    """Longest side at rest [m]."""
+    """Longest side of the object at rest [m]."""
     recommendation: str
     promises: dict[str, str]
-    """Preset -> a sentence that says whether its promise holds in this scene."""
+    """Name of a preset -> a sentence about whether its error bound holds in this scene."""
     until: float | None = None
-    """Time up to which the errors hold [s], if the levels part later; None: the whole motion."""
+    """Time up to which the errors hold [s], if the motions separate later; None: always."""
     closest: float | None = None
-    """Distance between the two finest levels, relative to the size; None with fewer levels."""
+    """Distance between the two finest levels, relative to the object's size; None with one level.
+    """
     interrupted: bool = False
-    """Whether Ctrl-C or an error ended it before all settings had been run."""
+    """Whether a cancellation or an error ended the study before all settings had been run."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences about the result, without repetition."""
+        """Sentences about the result, without duplicates."""
         sentences = (*self.skipped, self._extent, self.convergence.why_not, self.recommendation)
         return tuple(sentence for sentence in dict.fromkeys(sentences) if sentence)
 
     @property
     def _extent(self) -> str:
-        """What part of the motion the errors describe, or how far the finest levels are apart."""
+        """A sentence about the limits of the errors; empty if they hold for the whole motion."""
         if self.until is not None:
             return (
                 f"The levels part after {self.until:.3g} s, where their motions take different "
@@ -133,29 +136,37 @@ class Report:
         return ""
 
     def data(self) -> dict[str, Any]:
-        """Return plain data for accuracy.json; infinities become None."""
+        """Return plain data for accuracy.json; infinity and NaN become None."""
         return _plain(asdict(self))
 
 
 @dataclass
 class Study:
-    """Runs one scene at several settings; the Gaussians are the same in all of them."""
+    """Runs one scene with several settings, all with the same Gaussians."""
 
     gaussians: Gaussians
     scene: Scene
     context: RunContext = field(default_factory=RunContext)
-    """Device, threads, and progress, which is called with ("study", setting, settings), also in the
-    middle of a setting. It may raise Cancelled, or Stopped, which leaves this setting out."""
+    """Device, threads and progress.
+
+    Progress is called with ("study", index of the setting, number of settings), also during a
+    setting. It may raise Cancelled, which ends the study, or Stopped, which leaves this setting
+    out.
+    """
     levels: tuple[int, ...] = LEVELS
     crop: Crop = WHOLE
     thorough: bool = True
-    """Also vary the other settings, forecast each and compare videos: about three times as long."""
+    """Whether to vary other options, forecast each setting and compare videos, too.
+
+    A thorough study takes about three times as long.
+    """
     on_row: Callable[[Row], None] = lambda row: None
     """Called with the row of each finished setting, before errors are known."""
     keep: bool = False
-    """Whether finished settings are evaluated when `progress` cancels or a later one fails."""
+    """Whether the finished settings are evaluated if `progress` cancels or a later setting fails.
+    """
     ended: Exception | None = field(default=None, init=False)
-    """The exception that ended the study early, if `keep` has kept the finished settings."""
+    """The exception that ended the study early while `keep` was true; otherwise None."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
     _forecaster: Forecaster = field(init=False, repr=False)
 
@@ -168,8 +179,8 @@ class Study:
         """Run all settings.
 
         Raises:
-            InputError: The scene cannot be run, or asks for too few particles.
-            Cancelled: `progress` cancelled the study, and no finished setting is kept.
+            InputError: The scene cannot be run, or has too few particles per cell and axis.
+            Cancelled: `progress` raised it, and no finished setting is kept.
         """
         _require_particles(self.scene.resolution.particles_per_axis)
         rows, skipped = [], []
@@ -199,7 +210,10 @@ class Study:
         return replace(report, interrupted=self.ended is not None)
 
     def _conclude_or_keep(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
-        """Return the report of finished settings, without errors if they cannot be compared."""
+        """Return the report of the finished settings.
+
+        If comparing them fails and `keep` is true, the report has no errors.
+        """
         try:
             return self._conclude(rows, skipped)
         except Exception as problem:
@@ -212,13 +226,13 @@ class Study:
             )
 
     def _still(self, number: int, count: int, stage: str = "study", *steps: int) -> None:
-        """Report progress in the middle of a setting."""
+        """Report progress during a setting, and forward the progress of compilation."""
         if stage == "compile":
             self.context.progress(stage, *steps)
         self.context.progress("study", number, count)
 
     def _plan(self) -> Iterator[tuple[str, Scene]]:
-        """Yield every setting by name: the levels, then variations of a single option."""
+        """Yield the name and scene of each setting: the levels, then variations of one option."""
         base = self.scene.resolution
         for cells in self.levels:
             yield f"D/{cells}", self._with(base.model_copy(update={"cells": cells}))
@@ -237,13 +251,18 @@ class Study:
         yield f"binding {binding} {here}", bound
 
     def _with(self, accuracy: Accuracy) -> Scene:
-        """Return the scene at another accuracy, with the checks that measure the energy lost."""
+        """Return the scene with another accuracy, and with the checks of the energy balance."""
         update = {"balance": True, "energy": self._splits}
         checks = self.scene.checks.model_copy(update=update)
         return self.scene.model_copy(update={"accuracy": accuracy, "checks": checks})
 
     def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
-        """Run one setting; returns its row, and why there is none or why to doubt it."""
+        """Run one setting.
+
+        Returns:
+            The row, None if the run stopped early; and the reason why there is no row or why it is
+            torn, empty if neither.
+        """
         context = replace(self.context.aside(), progress=progress)
         simulation = Simulation(prepare(self.gaussians, scene, context, crop=self.crop))
         self._thickness = self._thickness or simulation.setup.thickness
@@ -279,7 +298,10 @@ class Study:
         ), f"{name}: {torn}" if torn else ""
 
     def _forecast(self, simulation: Simulation) -> float:
-        """Forecast the time of a user's run of the scene, which does not split the energy lost."""
+        """Forecast the time of simulation and shapes [s], without splitting the energy loss.
+
+        The energy loss is not split in a user's run of the scene.
+        """
         scene = simulation.scene
         if scene.checks.energy:
             checks = scene.checks.model_copy(update={"energy": False})
@@ -290,7 +312,7 @@ class Study:
         return forecast.stages["simulate"] + forecast.stages["deform"]
 
     def _conclude(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
-        """Add errors relative to the finest level and draw conclusions; torn levels are ignored."""
+        """Return the report with the error of each setting; torn levels are ignored."""
         levels = [row for row in rows if row.level and not row.torn]
         size = self.scene.object.size
         if not levels:
@@ -323,7 +345,7 @@ class Study:
     def _conclude_without_errors(
         self, rows: list[Row], skipped: tuple[str, ...], why: str
     ) -> Report:
-        """Return the report of rows without errors, and the reason."""
+        """Return the report without errors, with the reason."""
         none, size = Convergence(None, why_not=why), self.scene.object.size
         promises = kept_promises(self.scene, self._thickness, tuple(rows), none)
         return Report(tuple(rows), skipped, none, size, why, promises)
@@ -336,14 +358,14 @@ class Study:
         known: dict[str, float],
         frames: int,
     ) -> Row:
-        """Add the distance from the finest level and the error to a row that is not torn.
+        """Return a row with its difference from the finest level and its error; torn rows are kept.
 
         Args:
             row: The row.
             levels: Clips of the levels, from coarse to fine.
             convergence: Convergence of the levels.
-            known: Errors of the levels by name.
-            frames: Number of first frames that these errors hold for.
+            known: Name of a level -> its error.
+            frames: Number of initial frames for which these errors hold.
         """
         if row.torn:
             return row
@@ -365,7 +387,7 @@ class Study:
 
 
 def _can_split(scene: Scene) -> bool:
-    """Whether the energy that a scene loses can be split by cause."""
+    """Return whether the energy loss of a scene can be split by cause."""
     try:
         scene.replaced({"checks.balance": True, "checks.energy": True})
     except InputError:
@@ -374,14 +396,14 @@ def _can_split(scene: Scene) -> bool:
 
 
 def _lost_to(energy: dict[str, float] | None) -> dict[str, float] | None:
-    """Convert a report's losses from joules to fractions of the energy supplied."""
+    """Convert the energy losses in a report from joules to fractions of the energy supplied."""
     if energy is None or not energy["turnover"] > 0:
         return None
     return {name: float(energy[name] / energy["turnover"]) for name in Loss._fields}
 
 
 def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
-    """Add the torn levels to the reason why there are no errors, if there is one."""
+    """If there are no errors, add the names of torn levels to the reason."""
     torn = ", ".join(row.name for row in rows if row.level and row.torn)
     if not torn or not convergence.why_not:
         return convergence
@@ -391,16 +413,16 @@ def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
 
 
 def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
-    """Return the error on a grid from the errors of a study's levels.
+    """Return the error on any grid, from the errors of a study's levels.
 
-    Between two levels, it is the error of the coarser level. Beyond the finest level, it decreases
-    with the observed order (clamped to `TRUSTED`), or is constant if no order was observed. Grids
-    coarser than all levels have no error (None).
+    On a grid between two levels, it is the error of the coarser level. On grids finer than all
+    levels, it decreases with the observed order (clamped to `TRUSTED`), or is constant if no order
+    was observed. On grids coarser than all levels, the error is unknown (None).
 
     Args:
-        cells: Cells of the grid.
-        errors: Cells of each level -> its error.
-        order: The observed order, if any.
+        cells: Cells across the object on the grid.
+        errors: Cells across the object on a level -> the level's error.
+        order: The observed order; None if no order was observed.
     """
     within = [level for level in errors if level <= cells]
     if not within:
@@ -412,12 +434,13 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
 
 
 def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int, int]) -> str:
-    """Recommend a level in a sentence, and compare it with the next finer one.
+    """Recommend a level in a sentence, and compare it with the next finer level.
 
     Args:
         rows: The settings that were run.
         convergence: The convergence of the levels.
-        known: Number of frames after the first whose errors are known, and of all such frames.
+        known: Number of frames after the first whose errors are known, and number of all frames
+            after the first.
     """
     levels = [row for row in rows if row.level and not row.torn and row.cells >= COARSEST]
     no = "No setting can be recommended by its error"
@@ -447,11 +470,11 @@ def kept_promises(
     convergence: Convergence,
     until: float | None = None,
 ) -> dict[str, str]:
-    """Say for each preset whether its promised error holds in this scene.
+    """Describe for each preset whether its error bound holds in this scene.
 
     Args:
         scene: The scene.
-        thickness: Local thickness of its object relative to its size.
+        thickness: Local thickness of the object relative to its size; None if unknown.
         rows: The settings that were run.
         convergence: The convergence of the levels.
         until: Time up to which the errors hold [s]; None: the whole motion.
@@ -472,7 +495,7 @@ def kept_promises(
 
 
 def _require_particles(per_axis: float | None) -> None:
-    """Refuse a scene that asks for so few particles that finer grids are not more accurate."""
+    """Refuse a scene with so few particles per cell that finer grids are not more accurate."""
     if per_axis is not None and per_axis < MIN_PARTICLES_PER_AXIS:
         limit = f"with fewer than {MIN_PARTICLES_PER_AXIS}, finer grids are not more accurate."
         remedy = f"Set {MIN_PARTICLES_PER_AXIS} or more, or leave it out."
@@ -480,14 +503,14 @@ def _require_particles(per_axis: float | None) -> None:
 
 
 def _particles_per_axis(simulation: Simulation) -> float:
-    """Median number of particles in the cells that hold any, per axis."""
+    """Return the median number of particles per axis, over all cells that contain particles."""
     cells = np.floor(simulation.setup.particles.x / simulation.solver.model.dx).astype(np.int64)
     _, counts = np.unique(cells, axis=0, return_counts=True)
     return float(np.median(counts) ** (1 / 3))
 
 
 def _momentum_lost(scene: Scene, before: Diagnostics, after: Diagnostics) -> float | None:
-    """Relative change of angular momentum, if neither forces nor walls may change it."""
+    """Return the relative change of angular momentum; None if forces or walls may change it."""
     start = float(np.linalg.norm(before.angular))
     if scene.acting or scene.boundaries or start == 0:
         return None
@@ -495,7 +518,7 @@ def _momentum_lost(scene: Scene, before: Diagnostics, after: Diagnostics) -> flo
 
 
 def _plain(value: Any) -> Any:
-    """A copy that can be written as JSON."""
+    """Return a copy of a value that can be written as JSON."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,8 +1,7 @@
-"""`phy124 accuracy --verify`: compares the solver with known solutions on this machine.
+"""Compares the solver with known solutions on this machine, for `phy124 accuracy --verify`.
 
-Each check gives an error, the order at which it falls with the grid spacing, and the range in which
-each must be. The same code runs on coarse grids in every test run, and on fine grids in the slow
-tests.
+Each check measures an error and its order of convergence, and states their permitted ranges. The
+tests run the same checks on coarse grids; slow tests run them on fine grids.
 """
 
 from __future__ import annotations
@@ -21,27 +20,27 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Verdict:
-    """The result of one problem."""
+    """The result of one check."""
 
     problem: str
     quantity: str
-    """Quantity that `value` measures."""
+    """Name of the quantity whose error is measured."""
     value: float
-    """Error at the finest or only level."""
+    """Error on the finest grid."""
     limit: float
-    """Largest value that passes."""
+    """Maximum permitted error."""
     levels: tuple[int, ...] = ()
-    """Cells across, from coarse to fine."""
+    """Cells across the body on each grid, from coarse to fine; empty for a single grid."""
     order: float | None = None
     """Observed order of convergence; None if the solution is exact or no order was observed."""
     expected_order: Range | None = None
-    """Range of valid orders; None if there is no order."""
+    """Permitted range of the order; None if the order is not checked."""
     seconds: float = 0.0
     """CPU time used [s]."""
 
     @property
     def passed(self) -> bool:
-        """Whether value and order are as expected."""
+        """Whether the error and the order are within their permitted ranges."""
         within = True
         if self.expected_order is not None:
             low, high = self.expected_order
@@ -50,7 +49,11 @@ class Verdict:
 
 
 def verify(*, fine: bool = True) -> Iterator[Verdict]:
-    """Run every check in turn; on fine grids they take about half a minute."""
+    """Run all checks, and yield their results.
+
+    Args:
+        fine: True for fine grids, on which the checks take about half a minute in total.
+    """
     for check in CHECKS:
         start = time.process_time()
         for verdict in check(fine):
@@ -59,7 +62,10 @@ def verify(*, fine: bool = True) -> Iterator[Verdict]:
 
 
 def free_fall(fine: bool) -> Iterator[Verdict]:
-    """Half a kick at the start makes the parabola exact, up to rounding."""
+    """Check that a thrown body follows the exact parabola up to rounding.
+
+    This requires that the first substep applies only half of the acceleration (leapfrog).
+    """
     time = 0.4 if fine else 0.2
     for precision, limit in (("float64", 1e-12), ("float32", 5e-5)):
         error = problems.free_fall(precision=precision, time=time)
@@ -67,7 +73,7 @@ def free_fall(fine: bool) -> Iterator[Verdict]:
 
 
 def rigid_spin(fine: bool) -> Iterator[Verdict]:
-    """APIC conserves angular momentum exactly and loses little energy."""
+    """Check that a rotating body conserves angular momentum and loses little energy."""
     turns = 8.0 if fine else 2.0
     for precision, limit in (("float64", 1e-12), ("float32", 1e-4)):
         kept = problems.spin(turns, precision=precision)
@@ -78,21 +84,24 @@ def rigid_spin(fine: bool) -> Iterator[Verdict]:
 
 
 def vibrating_bar(fine: bool) -> Iterator[Verdict]:
-    """Second order in the grid spacing: omega = pi c / L."""
+    """Check that the frequency of a bar converges to pi c / L with second order."""
     cells = (8, 16, 32, 64) if fine else (8, 16, 32)
     errors = [abs(problems.vibrating_bar(n)) for n in cells]
     yield _series("vibrating bar", "frequency error", cells, errors, 2e-3, (1.8, 2.2))
 
 
 def vortex(fine: bool) -> Iterator[Verdict]:
-    """Second order until the error of quadrature dominates (Steffen, Kirby, Berzins 2008)."""
+    """Check that the ring's motion converges with about second order.
+
+    On finer grids, the quadrature error would dominate (Steffen, Kirby, Berzins 2008).
+    """
     cells = (32, 64, 128) if fine else (16, 32, 64)
     errors = [problems.vortex(n) for n in cells]
     yield _series("generalised vortex", "position error", cells, errors, 0.01, (1.5, 3.1))
 
 
 def hydrostatic_column(fine: bool) -> Iterator[Verdict]:
-    """The floor carries the weight, so the pressure is right on any grid, on average and inside."""
+    """Check the hydrostatic pressure on each grid, its mean and its values away from the floor."""
     cells = (8, 16, 32) if fine else (6, 12, 24)
     columns = [problems.hydrostatic_column(n) for n in cells]
     for quantity, limit in (("mean", 1e-3), ("inside", 0.01)):
@@ -101,7 +110,10 @@ def hydrostatic_column(fine: bool) -> Iterator[Verdict]:
 
 
 def bouncing_ball(fine: bool) -> Iterator[Verdict]:
-    """Contact lowers the order to between 1 and 2, as the series of grids shows."""
+    """Check that a bouncing ball's motion converges with an order between 1 and 2.
+
+    Contact reduces the order below 2.
+    """
     cells = (12, 18, 27) if fine else (8, 12, 16)
     runs = problems.bouncing_ball(cells)
     size = problems.Bounce().diameter
@@ -127,7 +139,7 @@ CHECKS: tuple[Callable[[bool], Iterator[Verdict]], ...] = (
     hydrostatic_column,
     bouncing_ball,
 )
-"""All checks, in the order in which they are shown."""
+"""All checks, in display order."""
 
 
 def _series(

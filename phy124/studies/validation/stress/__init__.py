@@ -1,7 +1,7 @@
-"""The hard cases: anything that a user may type, upload or draw, with bounds that must hold.
+"""Stress tests: extreme inputs and motions that users may request, with bounds that must hold.
 
-`phy124 stress` runs it on this machine's devices; the tests run the same cases. The bounds and the
-reasons for them are in docs/lab/stability.md.
+`phy124 stress` runs all cases on this machine's devices, and the tests run the same cases.
+docs/lab/stability.md lists the bounds with their reasons.
 """
 
 from collections.abc import Iterator
@@ -54,13 +54,17 @@ CASES = (
     Case(33, "tips, edges, legs and hairs", tips.tips),
     Case(34, "tips, edges and hairs on another body", tips.tips_on_body),
 )
-"""All cases in order."""
+"""All cases, by number."""
 
 __all__ = ["CASES", "Case", "Check", "Row", "Setting", "examine", "run", "settings"]
 
 
 def settings(*, long: bool = False) -> list[Setting]:
-    """Return both precisions on each device of this machine; `long` runs at full length."""
+    """Return a setting for each device of this machine and each precision.
+
+    Args:
+        long: True for cases at full length.
+    """
     import warp as wp
 
     devices = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
@@ -68,7 +72,11 @@ def settings(*, long: bool = False) -> list[Setting]:
 
 
 def run(*, long: bool = False) -> Iterator[Row]:
-    """Run all cases and yield the rows of the table; `long` runs at full length."""
+    """Run all cases, and yield the rows of the table.
+
+    Args:
+        long: True for cases at full length.
+    """
     for case in CASES:
         for setting in settings(long=long):
             yield examine(case, setting)[0]

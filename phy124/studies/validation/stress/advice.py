@@ -1,4 +1,4 @@
-"""Case 30: the remedies of an error message help."""
+"""Case 30: checks that the remedies in error messages help."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ REFUSED: dict[str, dict[str, Any]] = {
     "ceiling": {"time": {**LONG, "substep": 1e-8}},
     "rigid": {"material": {"law": "rigid", "speed": 1000.0, "strain": 1e-4}, "time": LONG},
 }
-"""Scenes that would take longer than their time budget."""
+"""Scenes that are refused because they would take longer than their time budget."""
 TOO_LONG = 2.5
-"""Multiple of the stable substep with which a run explodes; scenes cannot set it."""
+"""Multiple of the stable substep at which a run becomes unstable; users cannot set it."""
 
 
 def advice(setting: Setting) -> list[Check]:
-    """Apply every remedy of every stop and refusal by itself."""
+    """Check each remedy of refused and stopped runs, one at a time."""
     checks = []
     for name, changes in REFUSED.items():
         scene = Scene.from_data({**SMALL, **changes})
@@ -42,7 +42,7 @@ def advice(setting: Setting) -> list[Check]:
 
 
 def _check_accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that scenes with a refusal's remedy are accepted."""
+    """Check that a scene is refused, and is accepted with each of the remedies."""
     try:
         _run(scene, setting)
     except InputError as refusal:
@@ -62,7 +62,7 @@ def _is_accepted(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
 
 
 def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that scenes with a stop's remedy run to the end, or at least further."""
+    """Check that a run stops early, and makes more frames with each of the remedies."""
     stopped = _run(scene, setting)
     stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
@@ -75,7 +75,10 @@ def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
 
 
 def _check_budget(scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that a remedy for a run over budget saves substeps, or lets it finish."""
+    """Check that a run exceeds its time budget, and that each remedy helps.
+
+    A remedy must reduce the number of substeps, or raise the budget enough for the run to finish.
+    """
     name, stopped = "outruns its time budget", _run(scene, setting)
     stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
@@ -110,7 +113,10 @@ def _make_exploding(setting: Setting) -> Scene:
 
 
 def _make_violent(setting: Setting) -> Scene:
-    """Return a scene whose speed limits the substep, while its forecast assumes its stiffness."""
+    """Return a scene that takes much longer than estimated.
+
+    The object's speed limits its substep, but the estimate considers only its stiffness.
+    """
     accuracy = {**SMALL["accuracy"], "precision": setting.precision}
     scene = {
         "accuracy": accuracy,

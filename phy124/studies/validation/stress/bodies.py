@@ -1,4 +1,4 @@
-"""Bodies of the hard cases, and measurements of them."""
+"""Builds the bodies of the stress tests, and measures their state."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 Array = NDArray[np.float64]
 REORDERED = {"float32": 1e-5, "float64": 1e-12}
-"""Largest relative difference by another order of summation in these short runs."""
+"""Largest relative difference due to another order of summation, in short runs."""
 DX = 0.125
-"""Grid spacing of the bodies [m], a power of two."""
+"""Grid spacing of the bodies [m]; a power of two."""
 JELLY = NeoHookean(E=1e4, nu=0.3)
 
 
 def body(
     x: Array, setting: Setting, material: Material = JELLY, *, size: float = 0.375, **options: Any
 ) -> Solver:
-    """Return a solver whose particles divide the volume of a cube evenly.
+    """Create a solver for particles that have equal shares of a cube's volume.
 
     Args:
         x: Positions [P,3], m.
         setting: Device and precision.
         material: Material of all particles.
-        size: Side of the cube [m].
+        size: Edge of the cube [m].
         **options: Options of `make_solver`.
     """
     volume = options.pop("volume", np.full(len(x), size**3 / len(x)))
@@ -42,45 +42,52 @@ def body(
 
 
 def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
-    """Return v [P,3] and C [P,3,3] of a rotation about the centre with `omega` [3], rad/s."""
+    """Return v [P,3] and C [P,3,3] of a rotation about the body's centre.
+
+    Args:
+        x: Positions [P,3], m.
+        omega: Angular velocity [3], rad/s.
+    """
     wx, wy, wz = omega
     C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]], float)
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
 
 
 def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
-    """Return v [P,3] and C [P,3,3] of a uniform stretching along x at `strain_rate` [1/s].
+    """Return v [P,3] and C [P,3,3] of a uniform, volume-preserving extension along x.
 
-    The body contracts in y and z.
+    Args:
+        x: Positions [P,3], m.
+        strain_rate: Strain rate along x [1/s].
     """
     C = strain_rate * np.diag([1.0, -0.5, -0.5])
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
 
 
 def host(array: wp.array) -> Array:
-    """Copy an array to the host in float64."""
+    """Copy an array to the host as float64."""
     return array.numpy().astype(np.float64)
 
 
 def finite(solver: Solver) -> bool:
-    """Whether the whole state is finite."""
+    """Return whether all values of the state are finite."""
     return all(bool(np.isfinite(a.numpy()).all()) for a in solver.state.arrays().values())
 
 
 def volume_ratios(solver: Solver) -> Array:
-    """Return det F [P] in double precision."""
+    """Return det F of each particle [P], in double precision."""
     return np.linalg.det(host(solver.state.F))
 
 
 def deform(solver: Solver, F: Array) -> None:
-    """Set deformation gradients [P,3,3] or [3,3]."""
+    """Set the deformation gradients of all particles to F [P,3,3] or [3,3]."""
     whole = np.broadcast_to(F, (len(solver.model.rest), 3, 3))
     t = types(solver.model.real)
     solver.state.F.assign(wp.array(whole.astype(_scalar(solver)), dtype=t.mat33, device="cpu"))
 
 
 def assign(solver: Solver, name: str, values: Array) -> None:
-    """Overwrite one array of the state."""
+    """Overwrite the array `name` of the state."""
     array = getattr(solver.state, name)
     array.assign(wp.array(values.astype(_scalar(solver)), dtype=array.dtype, device="cpu"))
 
@@ -91,12 +98,14 @@ def stable_dt(solver: Solver) -> float:
 
 
 def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None = None) -> None:
-    """Take substeps of fixed length, the first with half a kick.
+    """Take substeps of fixed length.
+
+    The first substep of a run updates velocities by half a substep only (leapfrog).
 
     Args:
         solver: The solver to advance.
         count: Number of substeps.
-        dt: Their length [s].
+        dt: Length of a substep [s].
         each: Called after each substep.
     """
     for k in range(count):
@@ -107,12 +116,15 @@ def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None
 
 
 def relative(value: Array, reference: Array) -> float:
-    """Return the largest difference relative to the reference's largest entry."""
+    """Return the largest absolute difference, divided by the reference's largest absolute value."""
     return float(np.abs(value - reference).max() / max(np.abs(reference).max(), math.ulp(0.0)))
 
 
 def alike(what: str, value: Array, reference: Array, setting: Setting) -> Check:
-    """Check for equal bits on a CPU, and for rounding on a GPU, whose order of sums varies.
+    """Check that two results are equal.
+
+    On a CPU, they must be bitwise equal. On a GPU, whose order of summation varies, they must be
+    equal up to rounding.
 
     Args:
         what: Name of the quantity.
@@ -131,10 +143,10 @@ def _scalar(solver: Solver) -> type:
 
 
 class Meter:
-    """Reads energy and momenta of a run at intervals.
+    """Measures the energy and the momenta of a run at intervals.
 
-    Positions are half a substep ahead of velocities, so the kinetic energy at the time of the
-    elastic energy is the mean of the values before and after it.
+    Positions are half a substep ahead of velocities. The kinetic energy at the time of the
+    positions is therefore the mean of the kinetic energies half a substep before and after.
     """
 
     def __init__(self, solver: Solver) -> None:
@@ -147,7 +159,11 @@ class Meter:
         self.moved = float((mass * np.abs(host(solver.state.v))).sum())
 
     def read(self, dt: float) -> float:
-        """Take a substep of length `dt` [s]; return the energy before it over the first energy."""
+        """Take a substep of length `dt` [s], and measure the energy at its start.
+
+        Returns:
+            The energy divided by the initial energy.
+        """
         before = diagnose(self.solver)
         steps(self.solver, 1, dt)
         after = diagnose(self.solver)
@@ -160,11 +176,11 @@ class Meter:
 
     @property
     def momentum_drift(self) -> float:
-        """Spurious momentum, relative to the sum of all momenta."""
+        """Change of the total momentum, relative to the sum of the particles' initial |momenta|."""
         return float(np.linalg.norm(self.end.momentum - self.start.momentum) / self.moved)
 
     @property
     def angular_drift(self) -> float:
-        """Spurious angular momentum, relative to the sum of all angular momenta."""
+        """Change of the total angular momentum, relative to its initial value."""
         change = np.linalg.norm(self.end.angular - self.start.angular)
         return float(change / np.linalg.norm(self.start.angular))

@@ -1,4 +1,4 @@
-"""A hard case: its setting, its measurement, and the bounds that must hold."""
+"""Defines a case of the stress tests: its setting, its measurement and its bounds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Setting(NamedTuple):
     device: str = "cpu"
     precision: str = "float32"
     long: bool = False
-    """Whether a case runs at full length: minutes instead of seconds."""
+    """Whether a case runs at full length, which takes minutes instead of seconds."""
 
     @property
     def double(self) -> bool:
@@ -33,7 +33,7 @@ class Setting(NamedTuple):
 
 
 class Check(NamedTuple):
-    """A bound and the measured value."""
+    """A measured value and its bound."""
 
     what: str
     measured: float
@@ -43,27 +43,27 @@ class Check(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the bound holds; it never does for NaN."""
+        """Whether the bound holds; False for NaN."""
         return self.measured >= self.limit if self.at_least else self.measured <= self.limit
 
     @property
     def bound(self) -> str:
-        """The bound in words."""
+        """The bound as text, such as "energy drift <= 0.01"."""
         return f"{self.what} {'>=' if self.at_least else '<='} {self.limit:.4g}"
 
 
 class Case(NamedTuple):
-    """A hard case; `measure` runs it."""
+    """A case of the stress tests; `measure` runs the case and returns its checks."""
 
     number: int
     name: str
     measure: Callable[[Setting], list[Check]]
     precise: bool = True
-    """Whether precision and device matter; otherwise the case runs once."""
+    """Whether the name of the case in the table includes precision and device."""
 
 
 class Row(NamedTuple):
-    """A row of the table."""
+    """A row of the table: a case, its bounds, the measured values and the verdict."""
 
     case: str
     bound: str
@@ -72,7 +72,10 @@ class Row(NamedTuple):
 
 
 def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
-    """Run a case; an exception counts as a failure of the case and does not end the suite."""
+    """Run a case, and return its row and its checks.
+
+    An exception counts as a failure of the case, so the other cases still run.
+    """
     name = f"{case.number:>2} {case.name}"
     if case.precise:
         name += f" ({setting})"

@@ -1,4 +1,4 @@
-"""Cases 1 to 5 and 23 to 25: conserved quantities, and shapes, over a long motion."""
+"""Cases 1 to 5 and 23 to 25: conserved quantities and the Gaussians' shapes in long motions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_least, at_m
 
 
 def rest(setting: Setting) -> list[Check]:
-    """A body without forces does not move by a single bit."""
+    """Check that a body at rest without forces keeps bitwise equal positions."""
     checks = []
     for law in (NeoHookean, FixedCorotated):
         s = body(block(), setting, law(E=1e4))
@@ -39,7 +39,10 @@ def rest(setting: Setting) -> list[Check]:
 
 
 def units(setting: Setting) -> list[Check]:
-    """The motion is equal in units that differ by powers of two: no threshold is absolute."""
+    """Check that the motion does not depend on the units, which here differ by powers of two.
+
+    An absolute threshold in the solver would change the motion.
+    """
     paths = []
     for L, M, T in ((1.0, 1.0, 1.0), (2.0**-17, 2.0**-60, 2.0**-8)):
         x = block(middle=(0, 0, 0.25)) * L
@@ -65,7 +68,10 @@ def units(setting: Setting) -> list[Check]:
 
 
 def free_fall(setting: Setting) -> list[Check]:
-    """Half a kick at the start makes the parabola exact."""
+    """Check that a falling body follows the exact parabola up to rounding.
+
+    This requires that the first substep applies only half of the acceleration (leapfrog).
+    """
     x = block()
     s = body(x, setting, forces=[Gravity()])
     for until in (0.1, 0.23, 0.5):
@@ -76,7 +82,7 @@ def free_fall(setting: Setting) -> list[Check]:
 
 
 def spin(setting: Setting) -> list[Check]:
-    """A body rotates rigidly through eight turns."""
+    """Check that a body conserves angular momentum and energy in eight rotations."""
     x = block()
     s = body(x, setting, NeoHookean(E=1e5), **turning(x, (0, 0, 2 * np.pi)))
     start = diagnose(s)
@@ -90,7 +96,10 @@ def spin(setting: Setting) -> list[Check]:
 
 
 def endurance(setting: Setting) -> list[Check]:
-    """In many substeps near the limit, energy never grows and momenta are conserved."""
+    """Check that energy does not grow and momenta are conserved over many long substeps.
+
+    The substeps are 0.5 and 0.9 of the stability limit.
+    """
     count = 100_000 if setting.long else 2000
     checks = []
     for fraction in (0.5, 0.9):
@@ -125,7 +134,7 @@ def _endure(setting: Setting, fraction: float, count: int) -> Meter:
 
 
 def slow_drift(setting: Setting) -> list[Check]:
-    """A body drifts so slowly that rounding of float32 positions could stop it."""
+    """Check that a body keeps a speed so low that rounding of float32 positions could stop it."""
     x = block(2, 0.125, middle=(0.7, 0.7, 0.7))
     s = body(x, setting, size=0.125, v=np.tile([1e-3, 0, 0], (8, 1)))
     count = 100_000 if setting.long else 10_000
@@ -136,13 +145,13 @@ def slow_drift(setting: Setting) -> list[Check]:
 
 
 FLAT = (0.01, 0.01, 1e-4)
-"""Scales of a flat Gaussian, 100:1 [m]."""
+"""Scales of a flat Gaussian with an aspect ratio of 100 [m]."""
 APART = 0.05
-"""Relative difference of axes above which their directions are well defined."""
+"""Relative difference between the lengths of axes above which their directions are well defined."""
 
 
 def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver, Gaussians]:
-    """Return a body that spins and vibrates, and a Gaussian on each of its particles."""
+    """Return a body that rotates and vibrates, and Gaussians, one on each particle."""
     x = block(4, 0.25)
     spin, stretch = turning(x, (0.5, 1.0, 3.0)), vibrating(x, 1.0)
     s = body(x, setting, size=0.25, **{name: spin[name] + stretch[name] for name in spin})
@@ -155,7 +164,10 @@ def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver
 
 
 def covariances(setting: Setting) -> list[Check]:
-    """Sigma of flat Gaussians equals F Sigma0 F^T in double precision after a long motion."""
+    """Check that covariances equal F Sigma0 F^T in double precision after a long motion.
+
+    The Gaussians are flat.
+    """
     s, flat = _whirl(setting, FLAT)
     carry = Deformer(flat, device=setting.device)
     dt, error, minimum = 0.6 * stable_dt(s), 0.0, np.inf
@@ -174,7 +186,7 @@ def covariances(setting: Setting) -> list[Check]:
 
 
 def continuity(setting: Setting) -> list[Check]:
-    """Quaternions are continuous from frame to frame."""
+    """Check that the Gaussians' quaternions are continuous from frame to frame."""
     s, gaussians = _whirl(setting, (0.01, 0.007, 0.003))
     carry = Deformer(gaussians, device=setting.device)
     last, minimum, jump = gaussians, 1.0, 0.0
@@ -199,7 +211,7 @@ def _distinct(gaussians: Gaussians) -> np.ndarray:
 
 
 def _turn(first: Gaussians, other: Gaussians) -> Array:
-    """Return the angles between orientations [N], degrees."""
+    """Return the angle between the two orientations of each Gaussian [N], degrees."""
     a, b = rotation_matrices(first.quats), rotation_matrices(other.quats)
     trace = np.einsum("nij,nij->n", a, b)
     return np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1)))

@@ -1,4 +1,4 @@
-"""Cases 11, 13, 20 and 32: impacts, release from a large strain, a huge push, free solids."""
+"""Cases 11, 13, 20 and 32: impacts, release from a large strain, a huge force, free solids."""
 
 from __future__ import annotations
 
@@ -28,18 +28,24 @@ from phy124.studies.validation.stress.case import Check, Setting, at_least, at_m
 
 
 class Impact(NamedTuple):
-    """Extremes of a cube that hit the floor, and its state afterwards."""
+    """Measurements of a cube's impact on the floor."""
 
     min_J: float
     max_energy: float
     rebound: float
-    """Kinetic energy at the end, relative to the start."""
+    """Final kinetic energy divided by the initial kinetic energy."""
     substeps: int
     limiters: dict[str, int]
 
 
 def throw_at_floor(mach: float, material: Elastic, setting: Setting) -> Impact:
-    """Throw a cube flat onto a slippery floor at `mach` times its speed of sound."""
+    """Throw a cube face-on at a frictionless floor.
+
+    Args:
+        mach: Speed of the cube divided by its speed of sound.
+        material: Material of the cube.
+        setting: Device and precision.
+    """
     mu, lam = material.lame
     sound = math.sqrt((lam + 2 * mu) / material.density)
     x = block(middle=(0, 0, 0.21))
@@ -58,7 +64,7 @@ def throw_at_floor(mach: float, material: Elastic, setting: Setting) -> Impact:
     def watch() -> None:
         nonlocal min_J, max_energy, before
         after = diagnose(s)
-        # Both energies at the same instant, as in `Meter`.
+        # Elastic and kinetic energy at the same time, as in `Meter`.
         energy = before.elastic + (before.kinetic + after.kinetic) / 2
         max_energy = max(max_energy, energy / first if math.isfinite(energy) else math.inf)
         min_J, before = min(min_J, after.min_J), after
@@ -70,7 +76,7 @@ def throw_at_floor(mach: float, material: Elastic, setting: Setting) -> Impact:
 
 
 def check_impacts(setting: Setting) -> list[Check]:
-    """A cube at up to five times the speed of sound rebounds and is never inverted."""
+    """Check that a cube rebounds at up to Mach 5, without inverted particles."""
     checks = []
     for mach in (0.5, 1.0, 2.0, 5.0):
         for nu in (0.3, 0.45) if setting.long else (0.3,):
@@ -85,7 +91,7 @@ def check_impacts(setting: Setting) -> list[Check]:
 
 
 def release(setting: Setting) -> list[Check]:
-    """A body recovers its shape after a stretch by four or a compression to a twentieth."""
+    """Check that a body recovers its shape from 4 times and from a twentieth of its height."""
     checks = []
     for name, F in (("stretch 4", np.diag([1, 1, 4.0])), ("squeeze 0.05", np.diag([1, 1, 0.05]))):
         rest = block(8, 0.25)
@@ -96,7 +102,7 @@ def release(setting: Setting) -> list[Check]:
         for k in range(1, 241):
             s.advance(0.01 * k)
             min_J = min(min_J, float(volume_ratios(s).min()))
-            # Setting the velocities to zero repeatedly brings it to rest.
+            # Repeatedly setting the velocities to zero brings the body to rest.
             s.state.v.zero_()
             s.state.C.zero_()
         size = np.ptp(host(s.state.x), axis=0) / np.ptp(rest, axis=0)
@@ -109,14 +115,17 @@ def release(setting: Setting) -> list[Check]:
 
 
 def push_hard(setting: Setting) -> list[Check]:
-    """A particle is pushed with a million times its weight: momentum equals the impulse."""
+    """Check that the momentum equals the impulse of a force of 1e6 times a particle's weight.
+
+    The force acts on one particle of a body.
+    """
     x = block()
     chosen = x[100]
     weight = 1000 * 0.375**3 / len(x) * 9.81
     region = Region(lower=tuple(chosen - 1e-3), upper=tuple(chosen + 1e-3))
     s = body(x, setting, forces=[ParticleForce(f=(1e6 * weight, 0, 0), region=region)])
     s.advance(1e-3)
-    # Velocities are half a substep behind positions, so they have the impulse up to that time.
+    # Velocities are half a substep behind positions, so they contain the impulse only up to then.
     impulse = 1e6 * weight * (s.clock.time - s.clock.last_dt / 2)
     momentum = diagnose(s).momentum
     return [
@@ -133,12 +142,15 @@ def _count_limited(limiters: dict[str, int]) -> int:
 
 
 LOST = {"float32": 1e-5, "float64": 1e-11}
-"""Largest relative change of momentum and angular momentum by rounding in this short run."""
+"""Largest relative change of momentum and angular momentum due to rounding in a short run."""
 SHAPES = {"sphere": (0.2, 0.2, 0.2), "box": (0.25, 0.2, 0.15), "capsule": (0.15, 0.3, 0.15)}
 
 
 def free(setting: Setting) -> list[Check]:
-    """A spinning solid hits a block off its centre: momentum and angular momentum are conserved."""
+    """Check conservation when a spinning free solid hits a block off-centre.
+
+    Momentum and angular momentum must be conserved, and the energy must not grow.
+    """
     checks = []
     for shape, half in SHAPES.items():
         for ratio in (1e-2, 1.0, 1e2):
@@ -168,7 +180,7 @@ def free(setting: Setting) -> list[Check]:
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums over a solid and the block that it hits."""
+    """Total momentum, angular momentum and energy of a solid and the block that it hits."""
 
     momentum: Array
     angular: Array

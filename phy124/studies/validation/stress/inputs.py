@@ -1,4 +1,4 @@
-"""Cases 14 and 16 to 18: unusual contents of files, and positions below zero."""
+"""Cases 14 and 16 to 18: unusual contents of files, and negative positions."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
 
 def quick(setting: Setting, **changes: object) -> Scene:
-    """Return a small scene of two frames."""
+    """Return a scene with a coarse grid and two frames."""
     resolution = {"cells": 8, "precision": setting.precision}
     return Scene().replaced({"accuracy": resolution, "time.frames": 2, **changes})
 
 
 def broken_numbers(setting: Setting) -> list[Check]:
-    """NaN, infinity and huge numbers in each value of a PLY file are dropped and counted."""
+    """Check that Gaussians with NaN, infinite or huge values in a file are dropped and counted."""
     table = raw_table(surface_of_ball())
     names = [name for name in table.dtype.names or () if not name.startswith("n")]
     poisons = [(name, value) for name in names for value in (math.nan, math.inf, -math.inf, 1e38)]
@@ -50,7 +50,10 @@ def broken_numbers(setting: Setting) -> list[Check]:
 
 
 def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[Gaussians, int]:
-    """Read a file with bad values in some rows; return its Gaussians and the number dropped."""
+    """Read a file with invalid values in some rows; return its Gaussians and the number dropped.
+
+    `poisons` maps a row to the name of a column and the value for it.
+    """
     table = table.copy()
     for row, (name, value) in poisons.items():
         table[name][row] = value
@@ -69,7 +72,10 @@ def _sound(gaussians: Gaussians) -> bool:
 
 
 def below_zero(setting: Setting) -> list[Check]:
-    """A body across the grid's origin moves like a body far from it: floor, not truncation."""
+    """Check that a body moves alike at the grid's origin, at negative and at positive coordinates.
+
+    Cell indices must be rounded down, not towards zero.
+    """
 
     def run(cells: int) -> Array:
         x = block(middle=(cells * DX - 0.05, cells * DX, cells * DX))
@@ -87,7 +93,10 @@ def below_zero(setting: Setting) -> list[Check]:
 
 
 def sizes(setting: Setting) -> list[Check]:
-    """Gaussians of a nanometre, a kilometre, needles of 1:10,000 and flat ones keep their size."""
+    """Check that Gaussians keep their scales without deformation.
+
+    They are 1 nm to 1 km large, and include needles with an aspect ratio of 10,000 and flat shapes.
+    """
     rng = np.random.default_rng(0)
     shapes = np.array([[1, 1, 1], [1, 1e-4, 1e-4], [1, 1, 1e-2], [1, 0.3, 1e-3]])
     error, minimum, finite = 0.0, math.inf, True
@@ -112,7 +121,10 @@ def sizes(setting: Setting) -> list[Check]:
 
 
 def odd_gaussians(setting: Setting) -> list[Check]:
-    """The mass is right for opacities 0 and 1, Gaussians in a single point, and one Gaussian."""
+    """Check the particles' mass for unusual Gaussians.
+
+    They are Gaussians with opacities 0 and 1, Gaussians at a single point, and one Gaussian.
+    """
     whole = surface_of_ball()
     opacities = whole.opacities.copy()
     opacities[:50], opacities[50:100] = 0, 1

@@ -1,6 +1,6 @@
-"""Cases 12, 21 and 22: the laws under deformations that no real material reaches; sand heaps.
+"""Cases 12, 21 and 22: material laws under unphysical deformations, and heaps of sand.
 
-Case 12 also covers the watchdog, which resets an impossible particle.
+Case 12 also tests the watchdog, which resets particles with an unphysical deformation.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from phy124.studies.validation.stress.bodies import Array, assign, body, finite,
 from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
 
 MATERIALS: list[Material] = [kind() for kind in LAWS.by_name.values() if kind is not Rigid]
-"""A material of each law; rigid solids are omitted, since they are stiff neo-Hookean solids."""
+"""A material of each law, except rigid solids, which are stiff neo-Hookean solids."""
 IMPOSSIBLE = {
     "inverted": np.diag([1, 1, -0.5]),
     "flat": np.diag([1, 1, 0.0]),
@@ -40,7 +40,7 @@ IMPOSSIBLE = {
 
 
 def probe(material: Material, F: Array, setting: Setting) -> tuple[Array, Array, Array]:
-    """Evaluate stress, modulus and projected F of a law for deformation gradients F [N,3,3].
+    """Return the stress [N,3,3], the modulus [N] and the projected F [N,3,3] of a material.
 
     Args:
         material: The material.
@@ -66,7 +66,7 @@ def probe(material: Material, F: Array, setting: Setting) -> tuple[Array, Array,
 
 
 def every_deformation(setting: Setting) -> list[Check]:
-    """Every law has a finite stress and modulus for every F."""
+    """Check that the results of each law are finite for all deformation gradients."""
     rng = np.random.default_rng(0)
     wild = rng.normal(size=(200, 3, 3)) * 10.0 ** rng.uniform(-3, 3, (200, 1, 1))
     F = np.concatenate([np.stack(list(IMPOSSIBLE.values())), wild])
@@ -79,12 +79,12 @@ def every_deformation(setting: Setting) -> list[Check]:
 
 
 def sand(setting: Setting) -> list[Check]:
-    """Sand behaves in the air, in a heap and under pressure."""
+    """Check sand in the air, in a heap and under pressure."""
     return [*thrown_sand(setting), *heap(setting), *friction_angle(setting)]
 
 
 def thrown_sand(setting: Setting) -> list[Check]:
-    """Sand that flies apart carries no stress: every grain follows its own parabola."""
+    """Check that expanding sand is free of stress, so each particle follows its own parabola."""
     x = block(middle=(0, 0, 1))
     spread = 0.1 * np.diag([1.0, 0.8, 1.2])
     v = (x - [0, 0, 1]) @ spread.T + [0.5, 0, 3.0]
@@ -108,12 +108,16 @@ HEAP = 0.4
 
 
 def heap(setting: Setting) -> list[Check]:
-    """Cones five degrees steeper than the angle of friction stand, or slump until they stand.
+    """Check that heaps of sand come to rest with a slope close to the angle of friction.
 
-    They may be steeper than that angle: with the Drucker-Prager cone, fitted to triaxial
-    compression, an infinite slope is stable up to tan = M / sqrt(3), M = 6 sin phi / (3 - sin phi),
-    which is 29.6 degrees for phi = 25 and 39.3 for 35. A heap that is 20 degrees too steep
-    collapses and, by inertia, becomes flatter; it would be stable with 1.4 times the friction.
+    The initial cones are five degrees steeper than the angle of friction. Their final slope may
+    exceed the angle of friction phi, because the Drucker-Prager cone is fitted to triaxial
+    compression. An infinite slope of angle alpha is then stable for tan alpha <= M / sqrt(3) with
+    M = 6 sin phi / (3 - sin phi). The largest alpha is 29.6 degrees for phi = 25 degrees and 39.3
+    degrees for phi = 35 degrees.
+
+    A cone that is 20 degrees too steep must collapse below this limit, since it becomes flatter by
+    inertia. With 1.4 times the friction, this cone would be stable.
     """
     checks, cells = [], 20 if setting.long else 12
     for angle in (20.0, 25.0, 35.0) if setting.long else (25.0, 35.0):
@@ -121,7 +125,8 @@ def heap(setting: Setting) -> list[Check]:
         s.advance(0.8)
         earlier = host(s.state.x)
         s.advance(1.0)
-        # Positions, not speeds: an elastic heap vibrates long after it has stopped flowing.
+        # Compare positions instead of speeds, since an elastic heap vibrates long after it stops
+        # flowing.
         moved = float(np.quantile(np.linalg.norm(host(s.state.x) - earlier, axis=1), 0.99))
         result = slope(s)
         checks += [
@@ -135,13 +140,17 @@ def heap(setting: Setting) -> list[Check]:
 
 
 def endless(angle: float) -> float:
-    """Return the angle of the steepest stable infinite slope for an angle of friction [degrees]."""
+    """Return the largest stable angle of an infinite slope [degrees].
+
+    Args:
+        angle: Angle of friction [degrees].
+    """
     sine = math.sin(math.radians(angle))
     return math.degrees(math.atan(6 * sine / (3 - sine) / math.sqrt(3)))
 
 
 def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver:
-    """Return a quarter of a cone of sand on a rough floor, between two smooth walls.
+    """Create a quarter of a cone of sand on a rough floor, between two smooth walls.
 
     Args:
         angle: Angle of friction [degrees].
@@ -162,9 +171,10 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
 
 
 def slope(heap: Solver) -> float:
-    """Measure the angle of the flank [degrees] of a cone with initial radius `HEAP`.
+    """Measure the slope of a heap [degrees] that was a cone of radius `HEAP`.
 
-    The surface is the mean of the three highest particles of each ring, without top and toe.
+    The height of the surface in each ring around the axis is the mean of the three highest
+    particles. The top and the foot of the heap are excluded.
     """
     x = host(heap.state.x)
     r = np.hypot(x[:, 0], x[:, 1])
@@ -174,13 +184,13 @@ def slope(heap: Solver) -> float:
 
 
 def friction_angle(setting: Setting) -> list[Check]:
-    """The stresses in sand that yields under pressure match the angle of friction."""
+    """Check that the stresses in yielding sand under pressure match the angle of friction."""
     checks = []
     for angle in (20.0, 35.0, 50.0):
         sand = Sand(friction_angle=angle)
         F = np.eye(3)[None].copy()
         for _ in range(400):
-            # Compressed along z at constant volume, in addition to an isotropic pressure.
+            # Compress along z at constant volume, in addition to the initial isotropic pressure.
             F = np.diag([1.0002, 1.0002, 1 / 1.0002**2]) @ F
             trial = F if _ else 0.99 * F
             _, _, F = probe(sand, trial, setting)
@@ -192,7 +202,10 @@ def friction_angle(setting: Setting) -> list[Check]:
 
 
 def series_strain(setting: Setting) -> list[Check]:
-    """Hencky stress without an SVD equals that by NumPy's SVD, for strains up to 20 %."""
+    """Check Hencky stress, which is computed without an SVD, against the exact stress.
+
+    The principal strains are at most 20 %.
+    """
     rng = np.random.default_rng(0)
     material, n = Hencky(E=1.0, nu=0.2), 2000
     U, V = (np.linalg.qr(rng.normal(size=(n, 3, 3)))[0] for _ in range(2))
@@ -209,11 +222,15 @@ def series_strain(setting: Setting) -> list[Check]:
 
 
 FRAMES = (NeoHookean(E=1e4), Hencky(E=1e4), Metal(E=1e4), Sand(), Fluid(bulk_modulus=1e4))
-"""Materials of the bodies that contain an impossible particle."""
+"""Materials of the bodies that contain a particle with an unphysical deformation."""
 
 
 def impossible(setting: Setting) -> list[Check]:
-    """Every law has a finite stress for every F; an impossible particle is reset and counted."""
+    """Check unphysical deformations.
+
+    The stress of each law must be finite for all of them. A body that contains one such particle
+    must stay finite and keep its balance, and the particle's neighbours must hardly move.
+    """
     checks = every_deformation(setting)
     for material in FRAMES:
         min_J, moved, sound = np.inf, 0.0, True
@@ -233,7 +250,12 @@ def impossible(setting: Setting) -> list[Check]:
 def _reset_particle(
     material: Material, F: np.ndarray, setting: Setting
 ) -> tuple[float, float, bool]:
-    """Return smallest J, largest displacement / size, and soundness of a body after a frame."""
+    """Simulate one frame of a body in which one particle has the deformation gradient F.
+
+    Returns:
+        The smallest J, the largest displacement divided by the body's size, and whether the state
+        is finite and the watchdog found no problem.
+    """
     x = block(4, 0.25)
     external = ExternalWork()
     s = body(x, setting, material, size=0.25, accumulators=[external])

@@ -1,4 +1,4 @@
-"""Cases 6 to 10 and 19: the stability limit is neither too high nor too low for any parameters."""
+"""Cases 6 to 10 and 19: checks of the stability limit for a wide range of parameters."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ POISSON = (0.0, 0.3, 0.45, 0.49)
 
 
 def check_isolated(setting: Setting) -> list[Check]:
-    """A single particle is stable at 0.95 dx / sqrt(A / rho), and soon NaN at 1.10 times that."""
+    """Check the limit dx / sqrt(A / rho) for a single particle.
+
+    The particle must be stable with 0.95 of the limit, and become unstable soon with 1.10 of it.
+    """
     checks = []
     for nu in POISSON:
         points = np.array([[0.013, 0.021, 0.017]])
@@ -42,7 +45,7 @@ def check_isolated(setting: Setting) -> list[Check]:
 
 
 def check_coincident(setting: Setting) -> list[Check]:
-    """A hundred particles in one point are stable at the limit, and not beyond."""
+    """Check the limit, as for a single particle, for a hundred particles at one point."""
     points = np.tile([[0.013, 0.021, 0.017]], (100, 1))
     return _around_the_limit("100 in one point", points, 0.3, setting)
 
@@ -60,10 +63,9 @@ def _around_the_limit(name: str, x: Array, nu: float, setting: Setting) -> list[
 def disturb(
     x: Array, nu: float, fraction: float, setting: Setting, count: int
 ) -> tuple[int, float]:
-    """Return the substeps for which a disturbed body stays finite, and the growth of its strain.
+    """Disturb a body at rest, and measure whether its strain grows.
 
-    All modes are excited, most of all the volumetric mode, which is the stiffest. The growth is
-    the ratio of the largest strains in the second and first half of the substeps.
+    The disturbance excites all modes, and most strongly the volumetric mode, which is the stiffest.
 
     Args:
         x: Positions [P,3], m.
@@ -71,6 +73,10 @@ def disturb(
         fraction: The substep as a fraction of the limit of an isolated particle.
         setting: Device and precision.
         count: Number of substeps.
+
+    Returns:
+        The number of substeps for which the body stays finite; and the ratio of the largest strain
+        in the second half of the substeps to that in the first half, infinite if unstable.
     """
     material = NeoHookean(E=1e4, nu=nu)
     dt = fraction * DX * math.sqrt(material.density) / _stiffness(material)
@@ -92,14 +98,14 @@ def disturb(
 
 
 def _stiffness(material: NeoHookean) -> float:
-    """Return sqrt(A) at rest, sqrt(2 mu + 3 lambda), independently of the solver's code."""
+    """Return sqrt(A) = sqrt(2 mu + 3 lambda) at rest, computed independently of the solver."""
     mu = material.E / (2 * (1 + material.nu))
     lam = material.E * material.nu / ((1 + material.nu) * (1 - 2 * material.nu))
     return math.sqrt(2 * mu + 3 * lam)
 
 
 def stiff(setting: Setting) -> list[Check]:
-    """For E from 1e2 to 1e13, the number of substeps follows the formula, and values are finite."""
+    """Check the number of substeps and that values are finite, for E from 1e2 to 1e13 Pa."""
     checks = []
     for E in (1e2, 1e7, 1e9, 1e12, 1e13):
         x = block(4, 0.25)
@@ -116,7 +122,7 @@ def stiff(setting: Setting) -> list[Check]:
 
 
 def poisson(setting: Setting) -> list[Check]:
-    """Nearly incompressible bodies run; impossible ratios are rejected with an error message."""
+    """Check that nearly incompressible bodies are stable, and invalid ratios are refused."""
     checks = []
     for nu in (0.0, 0.3, 0.49, 0.4999):
         x = block(4, 0.25)
@@ -143,7 +149,7 @@ def _is_refused(nu: float) -> bool:
 
 
 def user_substep(setting: Setting) -> list[Check]:
-    """A user's substep beyond the limit is split; the result equals that of automatic substeps."""
+    """Check that a user's maximum substep above the stability limit has no effect."""
 
     def run(ceiling: float) -> tuple[Array, dict[str, int]]:
         x = block(middle=(0, 0, 0.2))
@@ -166,7 +172,7 @@ def user_substep(setting: Setting) -> list[Check]:
 
 
 class Stack(NamedTuple):
-    """Extremes of two blocks, one on top of the other."""
+    """Smallest and largest J, and number of substeps, of a block on another block."""
 
     min_J: float
     max_J: float
@@ -174,7 +180,13 @@ class Stack(NamedTuple):
 
 
 def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
-    """Simulate a block on another that is `ratio` times lighter, until a time [s]."""
+    """Simulate a block that rests on a lighter block.
+
+    Args:
+        ratio: Ratio of the upper block's mass to the lower block's mass.
+        setting: Device and precision.
+        until: Duration [s].
+    """
     low, high = block(4, 0.25, (0, 0, 0.125)), block(4, 0.25, (0, 0, 0.375))
     x = np.concatenate([low, high])
     materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]
@@ -198,7 +210,7 @@ def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
 
 
 def mass_ratio(setting: Setting) -> list[Check]:
-    """A body rests on another that is 1, 100 and 10,000 times lighter."""
+    """Check that a block can rest on another block that is 1, 100 and 10,000 times lighter."""
     checks = []
     for ratio in (1.0, 1e2, 1e4):
         stack = heavy_on_light(ratio, setting, 0.4 if setting.long else 0.02)

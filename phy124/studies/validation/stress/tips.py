@@ -17,41 +17,43 @@ from phy124.studies.validation.stress.bodies import Array, host
 from phy124.studies.validation.stress.case import Check, Setting, at_most
 
 DEEPEST = 0.3
-"""Largest depth of a Gaussian below the floor [cells]."""
+"""Maximum permitted depth of a Gaussian below the floor [cells]."""
 PIERCED = 2.5
-"""Largest depth of a Gaussian inside another body [cells]: a limit of the method, see
-docs/lab/stability.md."""
+"""Maximum permitted depth of a Gaussian inside another body [cells].
+
+The method cannot prevent such penetration; see docs/lab/stability.md.
+"""
 CUSHION = (1.0, 1.0, 0.4)
-"""Sides of the other body [m]."""
+"""Sides of the other body, a box [m]."""
 COUNT, SIZE = 12_000, 0.008
-"""Largest number of Gaussians of a shape, and their standard deviation [m]."""
+"""Maximum number of Gaussians in a shape, and the Gaussians' standard deviation [m]."""
 Inside = Callable[[Array], NDArray[np.bool_]]
 
 
 def cone(x: Array) -> NDArray[np.bool_]:
-    """Whether points are in a cone of 25 degrees on its tip."""
+    """Return whether points are in a cone that stands on its tip (half-angle 25 degrees)."""
     return np.hypot(x[:, 0], x[:, 1]) < x[:, 2] * np.tan(np.radians(25))
 
 
 def needle(x: Array) -> NDArray[np.bool_]:
-    """Whether points are in a cone of 10 degrees on its tip."""
+    """Return whether points are in a cone that stands on its tip (half-angle 10 degrees)."""
     return np.hypot(x[:, 0], x[:, 1]) < x[:, 2] * np.tan(np.radians(10))
 
 
 def edge(x: Array) -> NDArray[np.bool_]:
-    """Whether points are in a roof of 45 degrees on its ridge."""
+    """Return whether points are in a wedge that stands on its edge (half-angle 45 degrees)."""
     return (np.abs(x[:, 0]) < x[:, 2]) & (x[:, 2] < 0.5) & (np.abs(x[:, 1]) < 0.4)
 
 
 def table(x: Array) -> NDArray[np.bool_]:
-    """Whether points are in a board on four legs, each a cell thick on 16 cells."""
+    """Return whether points are in a table whose four legs are one cell thick on 16 cells."""
     across = np.abs(x[:, :2])
     leg = (np.abs(across - 0.33).max(axis=1) < 0.03) & (x[:, 2] < 0.6)
     return leg | ((across.max(axis=1) < 0.4) & (np.abs(x[:, 2] - 0.57) < 0.07))
 
 
 def hairs(x: Array) -> NDArray[np.bool_]:
-    """Whether points are in a ball with 61 hairs, each 0.64 cells thick on 16 cells."""
+    """Return whether points are in a ball with 61 hairs, which are 0.64 cells thick on 16 cells."""
     ways = np.random.default_rng(1).normal(size=(60, 3))
     ways = np.vstack([(0, 0, -1), ways / np.linalg.norm(ways, axis=1, keepdims=True)])
     from_middle = x - (0, 0, 0.5)
@@ -76,7 +78,7 @@ def cloud(inside: Inside) -> Gaussians:
 
 
 def drop(inside: Inside, setting: Setting, options: dict[str, Any]) -> Simulation:
-    """Return a run of twelve frames in which a shape falls.
+    """Prepare a simulation of twelve frames in which a shape falls.
 
     Args:
         inside: Returns the mask of the points [N,3] inside the shape.
@@ -94,8 +96,8 @@ def depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> float
 
     Args:
         inside: Returns the mask of the points [N,3] inside the shape.
-        lift: Height from which it is dropped [m].
-        accuracy: Name of the scene's accuracy.
+        lift: Height from which the shape is dropped [m].
+        accuracy: Name of the accuracy preset.
         setting: Device and precision.
     """
     run = drop(inside, setting, {"object.lift": lift, "accuracy": accuracy})
@@ -105,7 +107,13 @@ def depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> float
 def depth_in_body(inside: Inside, accuracy: str, setting: Setting) -> float:
     """Return the largest depth of a shape's Gaussians in a cushion of the same material [cells].
 
-    The depth is that of the place in the cushion at rest, so that a dent does not count.
+    Each Gaussian's position is mapped to the undeformed cushion, and its depth is measured there. A
+    dent in the cushion therefore does not count as penetration.
+
+    Args:
+        inside: Returns the mask of the points [N,3] inside the shape.
+        accuracy: Name of the accuracy preset.
+        setting: Device and precision.
     """
     material = Scene.named("drop").material
     cushion = {"name": "cushion", "shape": "box", "sides": CUSHION, "material": material}
@@ -127,7 +135,7 @@ def depth_in_body(inside: Inside, accuracy: str, setting: Setting) -> float:
 
 
 def tips(setting: Setting) -> list[Check]:
-    """Tips, edges, legs and hairs of a soft body that stands or lands stay above the floor."""
+    """Check that tips, edges, legs and hairs of a soft body do not penetrate the floor."""
     lifts = (0.0, 0.1, 0.3) if setting.long else (0.1, 0.3)
     return [
         at_most(
@@ -142,7 +150,7 @@ def tips(setting: Setting) -> list[Check]:
 
 
 def tips_on_body(setting: Setting) -> list[Check]:
-    """Tips, edges and hairs on another body do not get deeper into it than is known."""
+    """Check that tips, edges and hairs penetrate another body at most by the known depth."""
     return [
         at_most(
             f"{inside.__name__} at {accuracy} in a cushion [cells]",

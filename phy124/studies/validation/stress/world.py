@@ -1,4 +1,4 @@
-"""Cases 15, 26 to 29 and 31: the grid and its window, order, orientation, threads, and walls."""
+"""Cases 15, 26 to 29 and 31: the grid's window, particle order, orientation, threads and walls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 
 def far_away(setting: Setting) -> list[Check]:
-    """Particles a thousand kilometres away, or very fast ones, fly freely and are counted."""
+    """Check that distant and very fast particles move freely, and are counted as outliers.
+
+    The distant particles are about a thousand kilometres away.
+    """
     x = block()
     far = np.array([[1e6, 0, 0], [0, -1e6, 0], [3e5, 2e5, 1e6]])
     x, v = np.concatenate([x, far]), np.zeros((len(x) + 3, 3))
@@ -39,7 +42,7 @@ def far_away(setting: Setting) -> list[Check]:
 
 
 def permute(setting: Setting) -> list[Check]:
-    """The order of the particles and the scene's orientation do not matter."""
+    """Check that the motion depends neither on the particles' order nor on the orientation."""
     x = block(middle=(0, 0, 0.3))
     v = np.tile([0.5, 0.2, -2.0], (len(x), 1))
     order = np.random.default_rng(0).permutation(len(x))
@@ -61,7 +64,7 @@ def permute(setting: Setting) -> list[Check]:
 
 
 def window(setting: Setting) -> list[Check]:
-    """A window that follows the particles gives the result of a fixed grid around everything."""
+    """Check that a window that follows the particles gives the same result as one large grid."""
     x = block()
     C = 1.0 * np.eye(3) + np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 0]])
     motion: dict[str, Any] = {
@@ -87,7 +90,7 @@ def window(setting: Setting) -> list[Check]:
 
 
 def repeats(setting: Setting) -> list[Check]:
-    """Repeated runs are equal for each number of threads, and agree between numbers of threads."""
+    """Check that repeated runs are equal, and that the number of threads hardly matters."""
     x = block(8, 0.5, middle=(0, 0, 0.4))
     v = np.random.default_rng(0).normal(size=x.shape)
 
@@ -110,7 +113,7 @@ def repeats(setting: Setting) -> list[Check]:
 
 
 def floor(setting: Setting) -> list[Check]:
-    """A body rests on its floor, does not penetrate it on landing, and slides without friction."""
+    """Check that a body rests on the floor, does not penetrate it, and slides without friction."""
     origin = (0, 0, -0.75 * DX)
     world: dict[str, Any] = {"forces": [Gravity()], "boundaries": [Ground()], "origin": origin}
     x = block(8, 0.5, (0, 0, 0.29))
@@ -138,13 +141,16 @@ def floor(setting: Setting) -> list[Check]:
 
 
 SIZE = 0.5
-"""Side of the cube that collapses [m]."""
+"""Edge of the collapsing cube [m]."""
 BALL = Sphere(centre=(0.0, 0.0, 0.25), radius=0.25)
 PRESS = Press(depth=0.6, down=0.2)
 
 
 def flow(setting: Setting) -> list[Check]:
-    """Heaps, puddles and pressed material neither sink into a wall nor float above it."""
+    """Check that heaps, puddles and pressed material do not penetrate walls.
+
+    Sand in a bin must also keep its volume.
+    """
     checks = []
     for material in (Sand(E=2e5), Snow(), Fluid()):
         heap = host(_drop(setting, material, 0.1, [Ground()]).state.x)[:, 2]
@@ -164,7 +170,7 @@ def flow(setting: Setting) -> list[Check]:
 def _drop(
     setting: Setting, material: Material, lift: float, walls: list[Boundary], time: float = 0.8
 ) -> Solver:
-    """Release a cube of a material at the height `lift` [m], and advance by `time` [s]."""
+    """Release a cube of a material at the height `lift` [m], and simulate `time` seconds."""
     x = block(8, SIZE, (0.0, 0.0, SIZE / 2 + lift))
     origin = (0.0, 0.0, -0.75 * DX)
     s = body(x, setting, material, size=SIZE, forces=[Gravity()], boundaries=walls, origin=origin)
@@ -173,7 +179,7 @@ def _drop(
 
 
 def _pack(setting: Setting) -> list[Check]:
-    """Check that sand that falls into a bin of its width keeps its volume."""
+    """Check that a cube of sand keeps its volume when it falls into a bin of the same width."""
     side = Region(lower=(-SIZE / 2, -SIZE / 2, 0.0), upper=(SIZE / 2, SIZE / 2, 1e9))
     stiff = Sand(E=1e7)
     s = _drop(setting, stiff, 0.1, [Container(inside=side, friction=0.0)])
