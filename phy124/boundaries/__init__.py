@@ -1,6 +1,8 @@
-"""Boundaries a scene can name: shapes that change the grid velocities they meet.
+"""Boundaries of a scene: shapes that change the grid velocities at the nodes inside or near them.
 
-A boundary is its own section of the scene file. It becomes one stage of the substep (a container
+Each boundary is a section of the scene file. A boundary becomes one stage of the substep (a
+container becomes one stage per wall, a gripper two stages), launched only over the nodes that its
+shape can reach.
 becomes one per wall, a gripper two), launched over the nodes its shape can reach and no others.
 """
 
@@ -16,7 +18,7 @@ from phy124.boundaries.solids import Box, Capsule, Gripper, Sphere
 from phy124.schema.plugins import Kinds
 
 Kind = Ground | HalfSpace | Press | Container | Box | Sphere | Capsule | Gripper | Held | Foot
-"""The one list of phy124's boundaries, from which all others are derived."""
+"""The list of phy124's boundaries, from which all other lists are derived."""
 BOUNDARIES = Kinds(Boundary, "kind", "boundaries", Kind)
 """`BOUNDARIES.by_name` maps the name of a boundary to its class."""
 AnyBoundary = SerializeAsAny[Annotated[Kind, Field(discriminator="kind"), BOUNDARIES]]

@@ -1,4 +1,4 @@
-"""What all boundaries have in common: a shape, and a response to what touches it."""
+"""Base class of boundaries: a shape, and a response to material that touches the shape."""
 
 from __future__ import annotations
 
@@ -25,19 +25,21 @@ from phy124.schema.section import Section
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""Signed distance [cells] below which a node that responds to a wall by itself does so.
+"""Signed distance [cells] below which a node responds to a wall individually.
 
-A solid rests 0.6 to 0.9 cells above the last plane of nodes that moves freely. On average, the
-plane that stops it must therefore lie about 0.65 cells inside the wall for the body to touch it.
-Flowing material keeps no such distance and sinks to that plane, so this applies only to nodes that
-belong to no column.
+A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. On average,
+this plane must therefore lie about 0.65 cells inside the wall for the body to touch the wall.
+Plastic and fluid material keeps no such distance and sinks to this plane, so `REACH` applies only
+to nodes that belong to no column.
 """
 MARGIN = 2.0
-"""How far in front of a wall [cells] nodes may respond to it."""
+"""Distance in front of a wall [cells] up to which nodes may respond to the wall."""
 SWEEPS = 2
-"""How often columns that cross respond in a substep: each sees the others' changes in the next."""
+"""Number of responses per substep of columns that cross: each response sees the changes that other
+columns made in the previous one.
+"""
 THINNEST = 1.0
-"""Smallest half thickness of a solid [cells]: nodes must lie inside it to stop anything."""
+"""Smallest half thickness of a solid [cells]: nodes must lie inside the solid to stop material."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 Recorder = Callable[[Grid], "wp.Launch | None"]
 
@@ -51,31 +53,31 @@ class Rest(Protocol):
         ...
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Positions at rest of the object of a name; None: of all."""
+        """Return positions at rest of a named object [Q,3], m; of all objects if None."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class AtRest:
-    """An object at rest without a model of it."""
+    """An object at rest, without its model."""
 
     rest: NDArray[np.float64]
     """Positions at rest [P,3], m."""
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return all positions, since objects are not known here."""
+        """Return all positions, since objects are not distinguished here."""
         return self.rest
 
 
 class Boundary(Section):
-    """Base class of all boundaries: how they respond to material that touches them."""
+    """Base class of all boundaries: their response to material that touches them."""
 
     shape: ClassVar[str]
     thing: ClassVar[str] = "it"
-    """What messages call the part that may be too thin."""
+    """Name, in messages, of the part that may be too thin."""
 
     holds: ClassVar[bool] = False
-    """Whether it holds material in place instead of standing in its way."""
+    """Whether the boundary holds material in place, instead of blocking it."""
 
     contact: Contact = Field(
         default="separate", description="sticky, slip, or separate (may leave, with friction)."
@@ -89,62 +91,65 @@ class Boundary(Section):
     )
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Three vectors that the shape's distance function reads [m]."""
+        """Return the three vectors that the shape's distance function reads [m]."""
         raise NotImplementedError
 
     def extent(self, model: Model) -> Corners:
-        """Corners of a box that contains the shape at rest [m]."""
+        """Return the corners of a box that contains the shape at rest [m]."""
         return np.full(3, -np.inf), np.full(3, np.inf)
 
     def bounds(self, model: Model) -> Corners:
-        """Corners of a box that contains every node that may respond to the shape at rest [m]."""
+        """Return the corners of a box around every node that may respond to the shape at rest.
+
+        The corners are in metres.
+        """
         low, high = self.extent(model)
         margin = MARGIN * model.dx if self.at_surface(model.dx) else 0.0
         return low - margin, high + margin
 
     def at_surface(self, dx: float) -> bool:
-        """Return whether contact is at the surface, between the nodes, and not node by node."""
+        """Return whether contact is enforced at the surface, between nodes, not node by node."""
         return self.reach(dx) is None
 
     def columns_overlap(self, dx: float) -> bool:
-        """Return whether columns of nodes overlap, so that some nodes are in several."""
+        """Return whether columns of nodes overlap, so that a node may be in several columns."""
         return self.at_surface(dx) and self.outline() not in FLAT
 
     @property
     def moves(self) -> bool:
-        """Whether it ever moves."""
+        """Whether the boundary ever moves."""
         return False
 
     @property
     def tracked(self) -> bool:
-        """Whether it has a track: it moves, or it ends."""
+        """Whether the boundary has a track, because it moves or ends."""
         return self.moves
 
     def kernels(self, real: Any, dx: float) -> list[Any]:
-        """The kernels of its walls on a grid of spacing `dx` [m]."""
+        """Return the kernels of the boundary's walls on a grid of spacing `dx` [m]."""
         overlap = any(part.columns_overlap(dx) for part in self.parts())
         settle = [make_settle(real)] if overlap else []
         return [part.kernel(real, dx, moving=part.tracked) for part in self.parts()] + settle
 
     def kernel(self, real: Any, dx: float, *, moving: bool) -> Any:
-        """The kernel of a simple wall."""
+        """Return the kernel of a simple wall."""
         make = make_contact if self.at_surface(dx) else make_collider
         return make(self.outline(), self.response(), moving, real)
 
     def gentler(self) -> dict[str, Any]:
-        """Return its fields with values for half the strength."""
+        """Return the fields that halve the boundary's strength, with their new values."""
         return {}
 
     def parts(self) -> list[Any]:
-        """The simple walls that it consists of."""
+        """Return the simple walls of which the boundary consists."""
         return [self]
 
     def part_names(self) -> list[str]:
-        """Return a name for each of its simple walls, in their order."""
+        """Return a name for each of the simple walls, in order."""
         return [str(number) for number in range(1, len(self.parts()) + 1)]
 
     def outline(self) -> str:
-        """Name of its distance function."""
+        """Return the name of the shape's distance function."""
         return self.shape
 
     def response(self) -> str:
@@ -152,20 +157,21 @@ class Boundary(Section):
         return self.contact
 
     def track(self, model: Rest) -> Track | None:
-        """Displacement over time [m]; None if it never moves."""
+        """Return the displacement over time [m], or None if the boundary never moves."""
         return None
 
     def thickness(self) -> float:
-        """Half thickness of the solid [m]."""
+        """Return half the thickness of the solid [m]."""
         return np.inf
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Its collider; if columns cross, then what settles how their nodes change.
+        """Return the stages of the boundary: its collider, and settling of nodes in crossing
+        columns.
 
         Args:
-            model: What stays the same during the run.
-            state: Not used here.
-            tracks: Where its displacement over time is registered.
+            model: The constants of the run.
+            state: Not used.
+            tracks: The tracks to which the boundary's displacement is added.
 
         Raises:
             InputError: The solid is too thin for the grid.
@@ -180,24 +186,24 @@ class Boundary(Section):
         return [Stage(name, recorder, alone=alone) for recorder in recorders]
 
     def _of_object(self, model: Model, recorder: Recorder) -> Recorder:
-        """Return a recorder that records nothing for objects that do not meet the wall."""
+        """Return a recorder that records nothing for objects that the wall does not affect."""
         if self.object is None:
             return recorder
         particles = model.named(self.object)
         return lambda grid: recorder(grid) if grid.particles == particles else None
 
     def spans(self, model: Model) -> bool:
-        """Return whether its columns may cross layers of nodes along x."""
+        """Return whether columns may cross the layers of nodes along x."""
         if not self.at_surface(model.dx):
             return False
         _, normal, _ = self.geometry(model)
         return self.outline() not in FLAT or abs(normal[0]) > 0.999 * max(map(abs, normal[1:]))
 
     def refuse_thin(self, model: Model) -> None:
-        """Make sure that nothing passes through the solid.
+        """Check that the solid is thick enough that nothing can pass through it.
 
         Raises:
-            InputError: It is thinner than two cells.
+            InputError: The solid is thinner than two cells.
         """
         if self.thickness() < THINNEST * model.dx:
             raise InputError(
@@ -209,11 +215,15 @@ class Boundary(Section):
             )
 
     def reach(self, dx: float) -> float | None:
-        """Signed distance below which a node responds [m]; None: depends on the material."""
+        """Return the signed distance below which nodes respond [m]; None for contact at the
+        surface.
+        """
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return the recorder that settles the nodes of its columns, two cells past it."""
+        """Return the recorder that settles the nodes of columns, up to two cells outside the
+        bounds.
+        """
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -224,7 +234,7 @@ class Boundary(Section):
         return record
 
     def _swept_bounds(self, model: Model) -> Corners:
-        """Corners of a box that contains every node that may ever respond to it [m]."""
+        """Return the corners of a box around every node that may ever respond [m]."""
         bounds, track = self.bounds(model), self.track(model)
         return bounds if track is None else swept(bounds, track)
 
@@ -264,31 +274,30 @@ class Movable(Boundary):
 
     @property
     def moves(self) -> bool:
-        """Whether it has a motion."""
+        """Whether the boundary has a motion."""
         return self.motion is not None
 
     def track(self, model: Rest) -> Track | None:
-        """Displacement over time [m]; None if it never moves."""
+        """Return the displacement over time [m], or None if the boundary never moves."""
         return None if self.motion is None else self.motion.track()
 
 
 def lightest(model: Model) -> float:
-    """Mass of a node inside the lightest material [kg]; infinite if all is one solid.
+    """Return the mass of a node inside the lightest material [kg]; infinite for a single solid.
 
-    A solid needs no such bound: a cell that is heavier than at rest is one that is compressed. The
-    particles of a material that yields crowd in places, up to 1.6 times as many in a cell, without
-    being compressed.
+    A solid needs no such bound: a cell heavier than at rest is compressed. Particles of a material
+    that yields crowd in places, up to 1.6 times as many in a cell, without being compressed.
     """
     densities = {section.density for section in model.materials}
     return min(densities) * model.dx**3 if yields(model) or len(densities) > 1 else math.inf
 
 
 def contact_mass_fraction(model: Model) -> float:
-    """Return the fraction of the expected mass at a wall above which a body touches it.
+    """Return the fraction of the expected mass at a wall above which a body touches the wall.
 
-    0.9 for solids, which meet it 0.07 cells early: less makes them stiff where they begin to touch,
-    more lets columns with few particles sink in. 0.8, or 0.15 cells, for what yields, whose
-    particles are less regular.
+    The fraction is 0.9 for solids, which then touch the wall 0.07 cells early: a smaller fraction
+    makes solids too stiff at first contact, and a larger one lets columns with few particles sink
+    in. It is 0.8 (0.15 cells early) for materials that yield, whose particles are less regular.
     """
     return 0.8 if yields(model) else 0.9
 
@@ -296,15 +305,16 @@ def contact_mass_fraction(model: Model) -> float:
 def seep_distance(model: Model) -> float:
     """Return the distance [m] below which nodes respond singly to a wall that does not push.
 
-    What comes apart into drops and grains seeps through a wall otherwise: those that got behind it
-    go on while the rest moves away. What holds together would feel the wall before it is there.
+    Otherwise material that separates into drops and grains seeps through a wall: drops and grains
+    behind the wall move on while the rest moves away. Cohesive material has no such distance,
+    because it would feel the wall before touching it.
     """
     apart = any(section.rounds for section in model.materials)
     return REACH * model.dx if apart else -math.inf
 
 
 def yields(model: Model) -> bool:
-    """Whether any of the materials yields: a solid at its yield stress, sand, snow, a liquid."""
+    """Return whether any material yields: a solid at its yield stress, sand, snow, a liquid."""
     return any(section.device_law.project is not None for section in model.materials)
 
 
@@ -321,7 +331,7 @@ def swept(corners: Corners, track: Track) -> Corners:
 
 
 def half_bounds(point: Vector, normal: Vector) -> Corners:
-    """Corners around the solid side of a plane [m], if its normal is an axis; else all of space."""
+    """Return corners around a plane's solid side [m] if its normal is an axis, else all space."""
     lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
     across = np.flatnonzero(np.abs(normal) > 1e-9)
     if len(across) == 1:
@@ -331,6 +341,6 @@ def half_bounds(point: Vector, normal: Vector) -> Corners:
 
 
 def box_of(lower: Vector, upper: Vector) -> tuple[Vector, Vector, Vector]:
-    """Centre and half sizes of the box [m], and a third vector that is not used."""
+    """Return centre and half sizes of a box [m], and an unused third vector."""
     low, high = np.array(lower), np.array(upper)
     return vector((low + high) / 2), vector((high - low) / 2), (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Regions in which the material is held; their surface may lie between the nodes."""
+"""Regions in which material is held; their surface may lie between the nodes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from phy124.schema.region import AxisName, Vector, cylinder
 
 
 class Clamp(Movable):
-    """Holds material, for good or until it lets go."""
+    """Holds material, permanently or until a given time."""
 
     holds: ClassVar[bool] = True
 
@@ -29,7 +29,7 @@ class Clamp(Movable):
     )
 
     def track(self, model: Rest) -> Track | None:
-        """Displacement over time [m], active until it lets go; None if it never moves or ends."""
+        """Return the displacement [m], active until release; None without motion or release."""
         track = super().track(model)
         if self.end is None:
             return track
@@ -39,19 +39,19 @@ class Clamp(Movable):
 
     @property
     def tracked(self) -> bool:
-        """Whether it moves or lets go."""
+        """Whether the clamp moves or releases its material."""
         return self.moves or self.end is not None
 
     def at_surface(self, dx: float) -> bool:
-        """True for sticky clamps, which end at the surface of their region; others act by node."""
+        """Return True for sticky clamps, which end at their surface; other clamps act per node."""
         return self.contact == "sticky"
 
     def response(self) -> str:
-        """Material is held up to the surface of the region."""
+        """Return "held", up to the surface of the region, for sticky clamps; else the contact."""
         return "held" if self.contact == "sticky" else self.contact
 
     def reach(self, dx: float) -> float | None:
-        """Zero: all nodes inside respond."""
+        """Return zero: all nodes inside the region respond."""
         return 0.0
 
 
@@ -74,11 +74,11 @@ class Held(Clamp):
         return self
 
     def outline(self) -> str:
-        """Name of the distance function of a box or a cylinder."""
+        """Return the name of the distance function of a box or a cylinder."""
         return "cylinder" if self.cylinder else "box"
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Centre and half sizes [m]; for a cylinder centre, axis, and (radius, half length)."""
+        """Return centre and half sizes [m]; for a cylinder centre, axis, (radius, half length)."""
         if self.cylinder is None:
             return box_of(self.lower, self.upper)
         axis, middle, radius = cylinder(self.lower, self.upper, self.cylinder)
@@ -86,24 +86,24 @@ class Held(Clamp):
         return middle, vector(np.eye(3)[axis]), (radius, half, 0.0)
 
     def extent(self, model: Model) -> Corners:
-        """Corners of the box [m]."""
+        """Return the corners of the box [m]."""
         return np.array(self.lower), np.array(self.upper)
 
 
 class Foot(Clamp):
-    """The lowest part of the object is held in place, as a plant is by its pot."""
+    """Holds the lowest part of the object in place, like a plant in its pot."""
 
     shape: ClassVar[str] = "half_space"
     kind: Literal["foot"] = "foot"
     fraction: float = Field(default=0.15, ge=1e-6, le=1, description="Held fraction of its height.")
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Point [m] and normal of the plane below which material is held."""
+        """Return a point [m] and the normal of the plane below which material is held."""
         z = model.rest_of(self.object)[:, 2]
         top = float(z.min() + self.fraction * np.ptp(z))
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
-        """Corners around everything below the plane [m]."""
+        """Return the corners around everything below the plane [m]."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)

@@ -1,4 +1,4 @@
-"""How a boundary moves: along a path, or to and fro. It never rotates. Or a solid moves freely."""
+"""Motion of boundaries: along a path, or oscillating, without rotation; or free rigid motion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from phy124.schema.bounds import LONGEST, Instant, Position
 from phy124.schema.section import Section
 
 EASE = 16
-"""Number of straight pieces for each leg of a smooth path."""
+"""Number of straight segments for each leg of a smooth path."""
 
 
 class Motion(Section):
@@ -23,7 +23,7 @@ class Motion(Section):
     start: float = Field(default=0.0, ge=0, le=LONGEST, description="Begins to move [s].")
 
     def track(self) -> Track:
-        """Displacement [m]; the rate of the track is the velocity of the wall."""
+        """Return the displacement [m]; the rate of the track is the velocity of the wall."""
         raise NotImplementedError
 
 
@@ -48,7 +48,7 @@ class Path(Motion):
         return self
 
     def track(self) -> Track:
-        """The points, with a cosine between them if the path is smooth."""
+        """Return the track through the points, with cosine easing if the path is smooth."""
         times, points = np.array(self.times), np.array(self.points)
         if self.smooth:
             times, points = ease(times, points)
@@ -64,7 +64,7 @@ class Swing(Motion):
     frequency: float = Field(default=2.0, ge=1e-5, le=1e4, description="Swings per second [Hz].")
 
     def track(self) -> Track:
-        """One period, repeated; it begins in the middle, at its largest speed."""
+        """Return one period, repeated; it begins at zero displacement and largest speed."""
         sine = Sine(frequency=self.frequency)
         times, factors = sine.table()
         return Track(
@@ -73,7 +73,7 @@ class Swing(Motion):
 
 
 class Free(Section):
-    """No path: a rigid solid that gravity pulls, that pushes others and is pushed back."""
+    """Free motion of a rigid solid, under gravity and in contact with other bodies."""
 
     kind: Literal["free"] = "free"
     density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
@@ -81,7 +81,7 @@ class Free(Section):
 
 AnyMotion = Annotated[Path | Swing, Field(discriminator="kind")]
 OwnMotion = Annotated[Path | Swing | Free, Field(discriminator="kind")]
-"""That of a shape among the objects."""
+"""The motions that a shape among the objects may have."""
 
 
 def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
@@ -92,7 +92,7 @@ def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
 
 
 def ease(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and points with each leg divided into `EASE` pieces, at rest at its ends."""
+    """Return times and points with each leg divided into `EASE` pieces, at rest at both ends."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

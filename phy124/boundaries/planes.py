@@ -22,13 +22,13 @@ class Plane(Boundary):
     shape: ClassVar[str] = "half_space"
 
     def extent(self, model: Model) -> Corners:
-        """Corners of half of space if the normal is an axis, otherwise of all of it [m]."""
+        """Return the corners of a half space if the normal is an axis, else of all space [m]."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)
 
 
 class HalfSpace(Plane, Movable):
-    """Everything behind a plane is solid."""
+    """A solid that fills everything behind a plane."""
 
     kind: Literal["half_space"] = "half_space"
     point: Position = Field(default=(0.0, 0.0, 0.0), description="A point on the plane [m].")
@@ -41,7 +41,7 @@ class HalfSpace(Plane, Movable):
         return self
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Point and unit normal."""
+        """Return a point of the plane and the unit normal."""
         length = math.hypot(*self.normal)
         x, y, z = (component / length for component in self.normal)
         return self.point, (x, y, z), (0.0, 0.0, 0.0)
@@ -56,7 +56,7 @@ class Ground(Plane, Movable):
     )
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Point and unit normal."""
+        """Return a point of the floor and the unit normal."""
         return (0.0, 0.0, self.height), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
 
@@ -81,28 +81,28 @@ class Press(Plane):
 
     @property
     def moves(self) -> bool:
-        """Always true."""
+        """Always True."""
         return True
 
     def gentler(self) -> dict[str, Any]:
-        """Twice the time to come down."""
+        """Return twice the time to come down."""
         return {"down": 2 * self.down}
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Point [m] and unit normal, before the displacement."""
+        """Return a point [m] and the unit normal of the plate, before the displacement."""
         height = model.rest_of(self.object)[:, 2].max() if self.top is None else self.top
         return (0.0, 0.0, float(height)), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
 
     def track(self, model: Rest) -> Track:
-        """Displacement [m]: smoothly down, a rest, and up again."""
+        """Return the displacement [m]: smoothly down, a rest, and up again."""
         low = (0.0, 0.0, -self.depth * float(np.ptp(model.rest_of(self.object)[:, 2])))
         return there_and_back(low, self.start, self.down, self.hold, self.up)
 
 
 class Container(Movable):
-    """A box that keeps things inside: the walls of a tank, of a tray, or of the whole domain.
+    """A box that keeps objects inside: the walls of a tank, of a tray, or of the whole domain.
 
-    Each closed side is one stage. Leave out the sides that are open.
+    Each closed side is one stage. Omit the open sides.
     """
 
     kind: Literal["container"] = "container"
@@ -118,11 +118,11 @@ class Container(Movable):
         return self
 
     def parts(self) -> list[HalfSpace]:
-        """Its walls."""
+        """Return the walls of the closed sides."""
         return self.sides()
 
     def part_names(self) -> list[str]:
-        """The axis across each wall, and whether it is at its low or high end: `z_low`, a floor."""
+        """Return the axis across each wall and its end, low or high: `z_low` is a floor."""
         normals = [side.normal for side in self.sides()]
         axes = [int(np.argmax(np.abs(normal))) for normal in normals]
         return [
@@ -131,7 +131,7 @@ class Container(Movable):
         ]
 
     def sides(self) -> list[HalfSpace]:
-        """Its walls; a side far beyond any scene counts as open."""
+        """Return the walls; a side far outside any scene counts as open."""
         walls = []
         for axis in range(3):
             for corner, sign in ((self.inside.lower, 1.0), (self.inside.upper, -1.0)):
@@ -150,7 +150,7 @@ class Container(Movable):
         return walls
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """One stage per wall."""
+        """Return one stage per wall."""
         return [
             stage._replace(name="container")
             for wall in self.sides()
@@ -159,17 +159,17 @@ class Container(Movable):
 
 
 def there_and_back(to: Vector, start: float, go: float, stay: float, back: float) -> Track:
-    """A smooth displacement to a point, a rest, and a smooth way back.
+    """Return a smooth displacement to a point, a rest, and a smooth return.
 
     Args:
         to: Displacement during the rest [m].
-        start: Time at which it sets out [s].
-        go: Duration of the way there [s].
+        start: Time at which the motion starts [s].
+        go: Duration of the displacement [s].
         stay: Duration of the rest [s].
-        back: Duration of the way back [s].
+        back: Duration of the return [s].
     """
     here = (0.0, 0.0, 0.0)
     times = [0.0, go, go + stay, go + stay + back] if stay > 0 else [0.0, go, go + back]
     points = (here, to, to, here) if stay > 0 else (here, to, here)
-    # Built without validation: each time is within the bounds, but their sum need not be.
+    # Built without validation: each time is within its bounds, but the sum may not be.
     return Path.model_construct(start=start, times=tuple(times), points=points).track()

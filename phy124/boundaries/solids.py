@@ -19,7 +19,7 @@ Axis = Literal["x", "y"]
 
 
 class Box(Movable):
-    """A box along the axes."""
+    """A box aligned with the axes."""
 
     shape: ClassVar[str] = "box"
     kind: Literal["box"] = "box"
@@ -33,15 +33,15 @@ class Box(Movable):
         return self
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Centre and half sizes [m]."""
+        """Return centre and half sizes [m]."""
         return box_of(self.lower, self.upper)
 
     def extent(self, model: Model) -> Corners:
-        """Corners of the box [m]."""
+        """Return the corners of the box [m]."""
         return np.array(self.lower), np.array(self.upper)
 
     def thickness(self) -> float:
-        """Half of the shortest side [m]."""
+        """Return half of the shortest side [m]."""
         return float(np.subtract(self.upper, self.lower).min()) / 2
 
 
@@ -54,15 +54,15 @@ class Sphere(Movable):
     radius: float = Field(default=0.2, ge=1e-9, le=1e5, description="Radius [m].")
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Centre and radius [m]."""
+        """Return centre and radius [m]."""
         return self.centre, (self.radius, 0.0, 0.0), (0.0, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
-        """The box around it."""
+        """Return the corners of the sphere's bounding box [m]."""
         return np.array(self.centre) - self.radius, np.array(self.centre) + self.radius
 
     def thickness(self) -> float:
-        """The radius [m]."""
+        """Return the radius [m]."""
         return self.radius
 
 
@@ -82,16 +82,16 @@ class Capsule(Movable):
         return self
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Both ends and the radius [m]."""
+        """Return both ends and the radius [m]."""
         return self.start, self.end, (self.radius, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
-        """The box around it."""
+        """Return the corners of the capsule's bounding box [m]."""
         ends = np.array([self.start, self.end])
         return ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius
 
     def thickness(self) -> float:
-        """The radius [m]."""
+        """Return the radius [m]."""
         return self.radius
 
 
@@ -122,23 +122,23 @@ class Gripper(Boundary):
 
     @property
     def moves(self) -> bool:
-        """Always true."""
+        """Always True."""
         return True
 
     def thickness(self) -> float:
-        """Half of the pads' shortest side [m]."""
+        """Return half of the pads' shortest side [m]."""
         return min(self.thick, self.width) / 2
 
     def parts(self) -> list[Box]:
-        """Its pads."""
+        """Return the two pads."""
         return self.pads()
 
     def part_names(self) -> list[str]:
-        """The axis in which it closes, and on which side the pad is: `y_low`, `y_high`."""
+        """Return the closing axis and the side of each pad: `y_low`, `y_high`."""
         return [f"{self.axis}_low", f"{self.axis}_high"]
 
     def pads(self) -> list[Box]:
-        """The two pads as moving boxes."""
+        """Return the two pads as moving boxes."""
         along = {"x": 0, "y": 1}[self.axis]
         half = np.full(3, self.width / 2)
         half[along] = self.thick / 2
@@ -157,7 +157,7 @@ class Gripper(Boundary):
         return pads
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """One stage per pad."""
+        """Return one stage per pad."""
         self.refuse_thin(model)
         return [
             stage._replace(name="gripper")

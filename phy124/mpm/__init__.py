@@ -2,7 +2,7 @@
 
 `Model` never changes, `State` changes every substep, `Clock` keeps the time, `Grid` is scratch
 memory, and `Solver` runs the phases of a substep in order: push, clear, p2g, update, collide, g2p.
-Stages that a scene does not need do not exist.
+Stages that a scene does not need are not created.
 """
 
 from phy124.mpm.clock import MEASURE_EVERY, Clock

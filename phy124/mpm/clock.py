@@ -1,4 +1,4 @@
-"""Clock: the time of a run, the length of the next substep, and what limits it."""
+"""Clock: the time of a run, the length of the next substep, and the limit that determined it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from phy124.mpm.timestep import MEASURE_EVERY, TRAVEL, Extremes, Substep, decay,
 
 
 class Clock:
-    """The time of one run, on the host and on its device."""
+    """The time of one run, on the host and on the device."""
 
     def __init__(
         self, model: Model, *, ceiling: float = math.inf, measure_every: int = MEASURE_EVERY
@@ -22,28 +22,32 @@ class Clock:
         self.cfl, self.ceiling = model.cfl, ceiling
         """Fraction of the elastic limit that is used, and the longest substep allowed [s]."""
         self.measure_every = measure_every
-        """Substeps between two measurements, as chosen by the user."""
+        """Number of substeps between two measurements, as chosen by the user."""
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
-        """Time [s], substeps taken, length of the last one [s]."""
+        """Time [s], number of substeps taken, length of the last substep [s]."""
         self.limiters: dict[str, int] = {}
         """Number of substeps that each limit determined."""
         self.needed: dict[str, float] = {}
-        """The same before rounding up to whole substeps in each frame: a substep counts as the
-        ratio of its length to the length that its limit allowed."""
+        """Substeps of each limit, before rounding up to whole substeps per frame: a substep counts
+        as the ratio of its length to the length that the limit allowed.
+        """
         self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
-        """The values that limit substeps, as last measured; and their maxima since the host last
-        read them, which is several substeps ago if the device takes substeps alone."""
+        """The values that limit substeps: as last measured, and their maxima since the host last
+        read them. If the device takes substeps alone, the host reads only every few substeps.
+        """
         self.strain_rate = 0.0
-        """Largest recent |C| [1/s]; at the turning point of a vibration |C| itself is zero."""
+        """Largest recent |C| [1/s]; |C| alone would be zero at the turning point of a vibration."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Present number of substeps between two measurements of speeds, and since the last one."""
+        """Current number of substeps between measurements of speeds; substeps since the last one.
+        """
         self.strain = self.travel = math.inf
         """Upper bounds of a particle's strain and of its displacement [m] since the last complete
-        measurement; infinite: the next measurement must be complete."""
+        measurement; if infinite, the next measurement must be complete.
+        """
         self._last_measured, self.since_complete = 0.0, 0
-        """The time of the last measurement [s], and substeps since the last complete one."""
+        """Time of the last measurement [s], and number of substeps since the last complete one."""
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
-        """On the device: kick and drift of the current substep, and the time before it [s]."""
+        """On the device: kick and drift of the current substep, and the time at its start [s]."""
         self._shared = self.values.numpy() if model.device == "cpu" else None
         self._limits: tuple[Any, Substep] | None = None
         """Inputs and result of the last computation of the longest stable substep."""
@@ -68,14 +72,14 @@ class Clock:
     def complete(self, calm_strain: float) -> bool:
         """Return whether the next measurement must include stiffness and positions.
 
-        It need not while no particle can have been strained by `calm_strain`, so that the stiffness
-        is still about as measured, or have left its margin of the window.
+        Speeds alone suffice while no particle can have strained by `calm_strain`, so that the
+        stiffness has hardly changed, and no particle can have left its margin of the window.
         """
         late = self.since_complete + MEASURE_EVERY > self.measure_every
         elapsed = self.time - self._last_measured
         strain = self.strain + elapsed * self.strain_rate
-        # Until the next measurement particles may move as far again, or, in a longer interval, by
-        # the fraction `calm_strain` of a cell.
+        # Until the next measurement particles may move by the same distance again, or, in a longer
+        # interval, by the fraction `calm_strain` of a cell.
         travel = elapsed * self.extremes.speed
         ahead = self.travel + travel + max(travel, calm_strain * self.dx)
         return late or strain > calm_strain or ahead > TRAVEL * self.dx
@@ -85,14 +89,14 @@ class Clock:
 
         Args:
             extremes: The largest values over all particles.
-            complete: Whether stiffness and positions were measured, too.
+            complete: Whether stiffness and positions were also measured.
             acceleration: Upper bound of the acceleration by forces since the last measurement
                 [m/s^2].
         """
         elapsed, before = self.time - self._last_measured, self.extremes
         rate = max(extremes.gradient, decay(self.strain_rate, self.since_measured))
         self.strain += elapsed * max(rate, self.strain_rate)
-        # Forces may have accelerated particles and slowed them down again in between.
+        # Forces may have accelerated particles and slowed them down again between measurements.
         gained = acceleration * elapsed / 2
         self.travel += elapsed * (max(extremes.speed, before.speed) + gained)
         self.strain_rate, self._last_measured, self.since_measured = rate, self.time, 0
@@ -104,8 +108,8 @@ class Clock:
         """Write the length of a substep to the device.
 
         Args:
-            kick: Length for velocities [s].
-            drift: Length for positions and F [s].
+            kick: Time step for velocities [s].
+            drift: Time step for positions and F [s].
         """
         values = (kick, drift, self.time)
         if self._shared is not None:
@@ -114,7 +118,7 @@ class Clock:
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a substep of length `drift` [s]; after a violent one the limits are remeasured."""
+        """Count a substep of length `drift` [s]; a violent substep requires a new measurement."""
         self.time += drift
         self.substeps += 1
         self.since_measured += 1
@@ -123,7 +127,7 @@ class Clock:
             self.expire()
 
     def count(self, limiter: str, substeps: int = 1, *, needed: float) -> None:
-        """Count substeps that a limit determined; `needed` is their sum before rounding up."""
+        """Count substeps that a limit determined; `needed` is their number before rounding up."""
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
         self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 

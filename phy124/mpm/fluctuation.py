@@ -1,7 +1,8 @@
-"""Fluctuation: the motion of particles that the grid does not carry, and that a scheme keeps.
+"""Fluctuation: the part of the particles' motion that the grid does not represent.
 
-APIC keeps none of it and has no such launches. The other schemes send (v, C) over the grid once or
-several times before a substep scatters, and restore the remaining part after it gathers.
+APIC discards the fluctuation and needs none of these launches. The other schemes send (v, C) over
+the grid once or several times before a substep scatters, and restore a part of the difference after
+the substep gathers.
 """
 
 from __future__ import annotations
@@ -21,28 +22,28 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.mpm.workers import Part
 
 STAGE = "fluctuation"
-"""Name of the stages."""
+"""Name of the stages in reports."""
 
 
 class Scheme(NamedTuple):
-    """The scheme by which velocities return from the grid."""
+    """The scheme of the grid-to-particle transfer."""
 
     passes: int = 0
-    """Round trips over the grid: 0 is APIC, 1 AFLIP, m from 2 on XPIC(m)."""
+    """Round trips over the grid: 0 for APIC, 1 for AFLIP, m >= 2 for XPIC(m)."""
     share: float = 1.0
-    """Fraction of the fluctuation that is kept, from 0 (APIC) to 1."""
+    """Fraction of the fluctuation that is restored, from 0 (APIC) to 1."""
     rpic: float = 0.0
-    """Rate at which the symmetric part of C dies away [1/s]."""
+    """Decay rate of the symmetric part of C [1/s]."""
 
 
 APIC = Scheme()
 
 
 def usable_rpic(scheme: Scheme, cfl: float) -> float:
-    """Return the rate of a scheme's damping of C [1/s].
+    """Return the rate at which a scheme damps C [1/s].
 
     Raises:
-        ValueError: Substeps of a fraction `cfl` of the elastic limit are too long for it.
+        ValueError: Substeps of the fraction `cfl` of the elastic limit are too long for damping.
     """
     if scheme.rpic > 0 and cfl > beside_rpic(1.0):
         raise ValueError(f"RPIC needs a model with cfl up to 0.707, and this one has {cfl:g}")
@@ -57,19 +58,19 @@ class Fluctuation:
     state: State
     scheme: Scheme
     v: wp.array
-    """Part of the velocities [P,3], m/s, that the grid did not carry in this substep."""
+    """Velocities [P,3], m/s, minus the part that the grid represents in this substep."""
     C: wp.array
-    """Part of the velocity gradients [P,3,3], 1/s, that it did not carry."""
+    """Velocity gradients [P,3,3], 1/s, minus the part that the grid represents."""
     v_noise: wp.array
-    """Part that none of several passes carried [P,3], m/s; zero with a single pass."""
+    """Part of the velocities left after all of several passes [P,3], m/s; zero for one pass."""
     C_noise: wp.array
-    """The same for the gradients [P,3,3], 1/s."""
+    """Part of the gradients left after all of several passes [P,3,3], 1/s; zero for one pass."""
     still: wp.array
-    """A clock that stands still, with which the grid update changes no velocity."""
+    """A clock with a time step of zero, for which the grid update changes no velocity."""
 
     @classmethod
     def of(cls, model: Model, state: State, scheme: Scheme) -> Fluctuation:
-        """Allocate arrays, which a substep fills before it reads them."""
+        """Allocate the arrays; a substep fills them before it reads them."""
         t, count = types(model.real), len(model)
         v, v_noise = (wp.zeros(count, dtype=t.vec3, device=model.device) for _ in range(2))
         C, C_noise = (wp.zeros(count, dtype=t.mat33, device=model.device) for _ in range(2))
@@ -77,7 +78,7 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record a pass to the grid: first of the particles' motion, then of its remainder."""
+        """Record a pass to the grid: of the particles' motion first, then of the remainder."""
         model, run = self.model, part.particles
         v, C = self._left(turn)
         inputs = [part.chosen, model.mass[run], part.nodes.lattice, part.nodes.window]
@@ -86,7 +87,7 @@ class Fluctuation:
         return STAGE, model.launch(kernel, part.count, inputs, [part.nodes.nodes])
 
     def remain(self, part: Part, grid: Grid, turn: int) -> Recorded:
-        """Record the computation of the part that a pass did not carry."""
+        """Record the computation of the remainder after a pass."""
         model, run = self.model, part.particles
         v, C = self._left(turn)
         inputs = [part.chosen, grid.lattice, grid.window, grid.nodes, self.state.x[run]]
@@ -110,7 +111,7 @@ class Fluctuation:
 
 
 def kernels(scheme: Scheme, real: Any, form: str) -> Iterator[Any]:
-    """Yield the kernels of a scheme besides the transfers."""
+    """Yield the kernels of a scheme, in addition to the transfers."""
     if scheme.rpic > 0:
         yield make_rpic(real)
     if scheme.passes:

@@ -1,7 +1,8 @@
-"""Free bodies: rigid solids without particles that push the material and are pushed back.
+"""Free bodies: rigid solids without particles that exchange momentum with the material.
 
-Their position, orientation and motion are on the device (phy124/kernels/free has the mechanics).
-They collide with each body of particles after the contact between bodies, and before walls act.
+Their position, orientation and motion are on the device (phy124/kernels/free has the mechanics). In
+a substep they collide with each particle body after the contact between bodies, and before walls
+act.
 """
 
 from __future__ import annotations
@@ -25,27 +26,28 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Track, Tracks
 
 STAGE = "free"
-"""Name of the stages of free bodies."""
+"""Name of the stages of free bodies in reports."""
 SOLUTIONS = 3
-"""Number of times that the six equations are solved in a substep. The first solution determines
-most approaching nodes, the second most friction; the next substep corrects the remaining error."""
+"""Number of solutions of the six equations per substep. The first solution determines most
+approaching nodes, the second most friction; the next substep corrects the remaining error.
+"""
 MARGIN = 1.5
-"""Largest distance from a solid at which nodes may touch it [cells]."""
+"""Largest distance [cells] from a solid at which nodes can be in contact with it."""
 POINTS = {"sphere": 1, "capsule": 2, "box": 8}
-"""Number of points of a shape on which a wall may act."""
+"""Number of points of a shape at which a wall may act."""
 Vector3 = NDArray[np.float64]
 
 
 class FreeBody(NamedTuple):
-    """A rigid solid at the start."""
+    """A rigid solid in its initial state."""
 
     name: str
     shape: str
     """sphere, box, or capsule."""
     half: tuple[float, float, float]
-    """Half its sides along its local axes [m]."""
+    """Half the solid's sides along its local axes [m]."""
     place: tuple[float, float, float]
-    """Its centre [m]."""
+    """Centre of the solid [m]."""
     turn: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     """Unit quaternion wxyz from local to world axes."""
     density: float = 1000.0
@@ -57,7 +59,7 @@ class FreeBody(NamedTuple):
     friction: float = 0.5
     """Coefficient of Coulomb friction with material."""
     sticky: bool = False
-    """Whether material sticks to it."""
+    """Whether material sticks to the solid."""
 
     @property
     def volume(self) -> float:
@@ -74,7 +76,7 @@ class FreeBody(NamedTuple):
 
     @property
     def moments(self) -> Vector3:
-        """Moments of inertia about its local axes [3], kg m^2."""
+        """Moments of inertia about the local axes [3], kg m^2."""
         half = np.array(self.half)
         if self.shape == "box":
             return self.mass / 3 * ((half**2).sum() - half**2)
@@ -82,7 +84,7 @@ class FreeBody(NamedTuple):
         rod = self.density * math.pi * radius**2 * 2 * length
         balls = self.density * 4 / 3 * math.pi * radius**3
         along = rod * radius**2 / 2 + balls * 2 / 5 * radius**2
-        # Of a half ball about its flat side, whose centre of mass is 3/8 of the radius away.
+        # For a half ball about its flat side, whose centre of mass is 3/8 of the radius away.
         across = rod * (radius**2 / 4 + length**2 / 3)
         across += balls * (2 / 5 * radius**2 + length**2 + 3 / 4 * length * radius)
         moments = np.full(3, across)
@@ -90,17 +92,17 @@ class FreeBody(NamedTuple):
         return moments
 
     def start(self) -> Vector3:
-        """Return the numbers of phy124/kernels/free/numbers.py at time 0."""
+        """Return the state at time 0, in the layout of phy124/kernels/free/numbers.py."""
         angular = self.axes * self.moments @ self.axes.T @ np.array(self.spin)
         return np.array([*self.place, *self.turn, *self.velocity, *angular, 0.0])
 
     @property
     def axes(self) -> NDArray[np.float64]:
-        """Its local axes as columns [3,3]."""
+        """Local axes as columns [3,3]."""
         return rotation_matrices(np.array([self.turn]))[0]
 
     def depth(self, x: NDArray) -> NDArray[np.float64]:
-        """Return the depth of points [P,3] inside it at the start [P], m; negative: outside."""
+        """Return the initial depth of points [P,3] inside the solid [P], m; negative outside."""
         local = np.abs((np.asarray(x, np.float64) - self.place) @ self.axes)
         if self.shape == "box":
             return np.min(self.half - local, axis=1, initial=np.inf)
@@ -109,7 +111,7 @@ class FreeBody(NamedTuple):
         return least - np.linalg.norm(core, axis=1)
 
     def geometry(self) -> Vector3:
-        """Return the three vectors that the distance function of its shape reads [3,3], m."""
+        """Return the three vectors that the shape's distance function reads [3,3], m."""
         half, least = np.array(self.half), min(self.half)
         if self.shape == "box":
             return np.stack([np.zeros(3), half, np.zeros(3)])
@@ -132,11 +134,11 @@ class Plane(Protocol):
         ...
 
     def geometry(self, model: Model) -> Any:
-        """A point [m] and the normal out of the wall."""
+        """Return a point of the wall [m] and the normal out of the wall."""
         ...
 
     def track(self, model: Model) -> Track | None:
-        """Displacement over time [m]; None if it never moves."""
+        """Return the displacement over time [m], or None if the wall never moves."""
         ...
 
 
@@ -144,7 +146,7 @@ class FreeBodies:
     """All free bodies of one run."""
 
     def __init__(self, model: Model, solids: Sequence[FreeBody]) -> None:
-        """Place the solids at their start.
+        """Place the solids in their initial states.
 
         Args:
             model: The particles.
@@ -175,16 +177,16 @@ class FreeBodies:
         return wp.zeros(size, dtype=wp.float64, device=self._model.device)
 
     def _reach(self, solid: FreeBody) -> int:
-        """Return how many nodes from its centre it may touch a node, in any orientation."""
+        """Return the largest distance from the centre [nodes] at which nodes can be in contact."""
         far = float(np.linalg.norm(solid.half)) if solid.shape == "box" else max(solid.half)
         return math.ceil(far / self._model.dx + MARGIN)
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Collide with these flat walls from now on.
+        """Let the solids collide with the given flat walls from now on.
 
         Args:
             planes: The walls.
-            tracks: Where their displacements are registered.
+            tracks: The tracks to which the walls' displacements are added.
         """
         if not self.all:
             return
@@ -206,7 +208,7 @@ class FreeBodies:
         ]
 
     def record(self, grid: Grid, body: int) -> list[Recorded]:
-        """Return the launches in which all solids touch a body of particles, in order."""
+        """Return the launches of the contact of all solids with a particle body, in order."""
         solids = range(len(self.all))
         launches = (launch for index in solids for launch in self._meet(index, grid, body))
         return [(STAGE, launch) for launch in launches]
@@ -237,11 +239,11 @@ class FreeBodies:
         )
 
     def drift(self) -> list[Recorded]:
-        """Return the launches that end a substep, in which all solids move."""
+        """Return the launches that end a substep, which move all solids."""
         return [(STAGE, self._walls_launch(index, drifts=True)) for index in range(len(self.all))]
 
     def _walls_launch(self, index: int, *, drifts: bool) -> wp.Launch | None:
-        """Record the launch in which walls act on a solid."""
+        """Record the launch of the walls' contact with a solid."""
         solid, tracks = self.all[index], self._tracks
         inputs = [solid.mass, wp.vec3d(*solid.moments), wp.vec3d(*solid.half), POINTS[solid.shape]]
         inputs += [*self._walls, tracks.clock, tracks.values, tracks.rates]
@@ -250,26 +252,26 @@ class FreeBodies:
         return self._model.launch(kernel, 1, inputs, [*outputs, self._bodies[index]])
 
     def begin(self) -> None:
-        """Start counting the impulses that solids exchange with particles."""
+        """Start summing the impulses between solids and particles."""
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Return the sums that each solid has given each body of particles [F,bodies,GIVEN]."""
+        """Return the sums that each solid has transferred to each body [F,bodies,GIVEN]."""
         rows = [[sums.numpy() for sums in of_one] for of_one in self._totals]
         return np.array(rows, float).reshape(len(self.all), self._model.bodies, kernels.GIVEN)
 
     def impulses(self) -> NDArray[np.float64]:
-        """Return the sums that all particles have received since the start, `GIVEN` numbers."""
+        """Return the sums that all particles have received since the start [GIVEN]."""
         return self._total().sum(axis=(0, 1))
 
     @property
     def _met(self) -> list[int]:
-        """The bodies of particles that they can touch."""
+        """Indices of the particle bodies that solids can touch."""
         return [body for body in range(self._model.bodies) if body not in self._model.held]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """A name for each pair of a body of particles and a solid; the former comes first."""
+        """Name of each pair of a particle body and a solid, with the particle body first."""
         called = self._model.names or tuple(map(str, range(self._model.bodies)))
         return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
 
@@ -302,7 +304,7 @@ class FreeBodies:
         return np.array([*numbers[kernels.VELOCITY : kernels.ANGULAR], *spin], np.float64)
 
     def fastest(self) -> float:
-        """Return the largest speed of any point of a solid [m/s]."""
+        """Return an upper bound of the speed of any point of a solid [m/s]."""
         pairs = zip(self.motions(), self.all, strict=True)
         speeds = [
             np.linalg.norm(m[:3]) + np.linalg.norm(m[3:]) * np.linalg.norm(solid.half)
@@ -333,14 +335,14 @@ class FreeBodies:
 
 
 _GRIP = {"sticky": 1e9, "slip": 0.0}
-"""Friction coefficient of each kind of contact; a solid may leave a sticky wall."""
+"""Friction coefficient of the kinds of contact that imply one; a solid may leave a sticky wall."""
 
 
 def refuse_thin(solid: FreeBody, dx: float) -> None:
-    """Refuse a solid through which material could pass.
+    """Check that a solid is thick enough that material cannot pass through it.
 
     Raises:
-        InputError: It is thinner than two cells.
+        InputError: The solid is thinner than two cells.
     """
     if min(solid.half) < dx:
         thickness = f"{2 * min(solid.half):g} m"
@@ -350,7 +352,7 @@ def refuse_thin(solid: FreeBody, dx: float) -> None:
 
 
 def kernels_of(shapes: Iterable[str], real: Any) -> list[Any]:
-    """Return the kernels of free bodies of these shapes."""
+    """Return the kernels for free bodies of the given shapes."""
     touch = [kernels.make_touch(shape, real) for shape in dict.fromkeys(shapes)]
     if not touch:
         return []

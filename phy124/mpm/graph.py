@@ -1,11 +1,11 @@
-"""Graph: all substeps of a frame as one graph on the device, without the host in between.
+"""Graph: all substeps of a frame as one graph on the device, without transfers to the host.
 
-On CUDA a launch from Python costs more than many of the kernels. Here one substep is captured as
-the body of a loop on the device. Its last kernel (phy124/kernels/timestep.py) chooses the next
-substep; it ends the loop when the frame is reached, when only the host can continue (because the
-window must follow the particles, or because the next substep may have to be rejected, see
-phy124/mpm/rejection.py), and after `MOST` substeps, so that a run can be stopped. The same graph
-runs on the CPU, where the tests compare it with the host's loop bit for bit.
+On CUDA a launch from Python takes longer than many of the kernels. Therefore one substep is
+captured as the body of a loop on the device. Its last kernel (phy124/kernels/timestep.py) chooses
+the next substep. It ends the loop when the frame's time is reached, when only the host can continue
+(because the window must follow the particles, or because the next substep may have to be rejected,
+see phy124/mpm/rejection.py), and after `MOST` substeps, so that a run can be stopped. The same
+graph also runs on the CPU, where the tests compare it with the host's loop bit for bit.
 """
 
 from __future__ import annotations
@@ -26,14 +26,16 @@ from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, Extremes, decay
 from phy124.mpm.workers import Worker, run_timed
 
 STAGE = "graph"
-"""Name of the graph in the list of stages."""
+"""Name of the graph among the stages in reports."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
 """The limits of a substep, in the order of phy124/kernels/timestep.py."""
 STRAIN = 1.0
-"""Sum of |C| dt after which control returns to the host, so that broken particles are repaired."""
+"""Sum of |C| dt after which control returns to the host, which then repairs broken particles."""
 MOST = 100
-"""Number of substeps after which control returns to the host, which may stop the run; to return
-costs about as much as one substep. A constant, so that the same run takes the same substeps."""
+"""Number of substeps after which control returns to the host, which may stop the run. Returning
+takes about as long as one substep. The number is constant, so that the same run always takes the
+same substeps.
+"""
 
 
 class Graph:
@@ -45,11 +47,11 @@ class Graph:
         """Bind to a run.
 
         Args:
-            model: What never changes.
+            model: The constants of the run.
             clock: The clock, updated after each run.
             grid: The grid whose window the particles may not leave.
-            worker: The only worker; its launches measure the limits.
-            stray: Number of particles that are no longer finite [1].
+            worker: The only worker, whose launches measure the limits.
+            stray: Number of particles that are not finite [1].
         """
         self._model, self._clock, self._grid = model, clock, grid
         self._worker, self._stray, device = worker, stray, model.device
@@ -73,13 +75,13 @@ class Graph:
         *,
         apart: bool = False,
     ) -> bool:
-        """Take substeps up to a time, as many as the device can take alone.
+        """Take substeps up to a time, unless the host has to take one earlier.
 
         Args:
             until: The time [s].
-            rejection: Decides which substeps may be violent.
-            launches: The launches of one substep, in order.
-            apart: Whether particles have left the grid, so that only the host can measure.
+            rejection: Decides whether a substep may be too long.
+            launches: Returns the launches of one substep, in order.
+            apart: Whether particles have left the grid, so that only the host can measure them.
 
         Returns:
             False if the host has to take the next substep.
@@ -96,7 +98,7 @@ class Graph:
         return self._reason != timestep.CAREFUL
 
     def _launch(self) -> None:
-        """Run the graph and wait for its end."""
+        """Run the graph and wait until it ends."""
         wp.capture_launch(self._captured)
         self._reason = self._download()
 
@@ -148,7 +150,7 @@ class Graph:
         self._needed.zero_()
 
     def _download(self) -> int:
-        """Update the clock from the device; returns the code of the reason to stop."""
+        """Update the clock from the device; return the code of the reason for the stop."""
         clock, state = self._clock, np.asarray(self._progress.numpy())[0]
         clock.time, clock.last_dt = float(state["time"]), float(state["last"])
         clock.substeps += int(state["taken"])
@@ -164,7 +166,7 @@ class Graph:
 
 
 def _row(array: wp.array, values: dict[str, Any]) -> NDArray[Any]:
-    """One structure of the array's type; fields that are not named are zero."""
+    """Return one structure of the array's type; fields that are not in `values` are zero."""
     row: NDArray[Any] = np.zeros(1, array.numpy().dtype)
     for name, value in values.items():
         row[name] = value
@@ -172,5 +174,5 @@ def _row(array: wp.array, values: dict[str, Any]) -> NDArray[Any]:
 
 
 def usable(device: str) -> bool:
-    """Whether frames run as graphs by default: on CUDA, if the driver supports loops."""
+    """Return whether frames run as graphs by default: on CUDA, if the driver supports loops."""
     return device != "cpu" and bool(wp.is_conditional_graph_supported())

@@ -1,7 +1,7 @@
-"""Grid: nodes in a window around the particles, which follows them.
+"""Grid: nodes in a window that follows the particles.
 
-Each body has a grid of its own, on one lattice: where two bodies share a node, each has a velocity
-there.
+Each body has its own grid on a common lattice: at a node that two bodies share, each body has its
+own velocity.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from phy124.mpm.timestep import TRAVEL
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest corner of a box [m]."""
 MARGIN = 2 * TRAVEL
-"""Margin of the window around the particles [cells]: more than they cross between measurements."""
+"""Margin of the window around the particles [cells]: twice their travel between measurements."""
 CROSSED = "particles crossed more cells than they may between two measurements"
 FARTHEST = 2**30
 """Distance from the origin [cells] within which the device can number nodes."""
@@ -51,13 +51,13 @@ class Grid:
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
         self._changes: wp.array | None = None
         self.particles = particles
-        """The particles of its body."""
+        """The span of the body's particles."""
         self.stale = True
-        """Whether the window may not fit the current positions of the particles."""
+        """Whether the window may no longer fit the positions of the particles."""
         self.layers: tuple[int, int] | None = None
-        """Layers first <= i < last that launches recorded now may touch; None: all."""
+        """Layers first <= i < last that launches recorded now may change; None for all layers."""
         self.worker, self.workers = 0, 1
-        """The worker of launches recorded now, and the number of workers."""
+        """Index of the worker whose launches are recorded now, and the number of workers."""
 
     @property
     def count(self) -> int:
@@ -68,10 +68,10 @@ class Grid:
     def only(
         self, layers: tuple[int, int] | None, worker: int = 0, workers: int = 1
     ) -> Iterator[None]:
-        """Within this context, launches are recorded for a single worker.
+        """Record launches for a single worker within this context.
 
         Args:
-            layers: Layers first <= i < last of the launches; None: all.
+            layers: Layers first <= i < last for the launches; None for all layers.
             worker: Index of the worker.
             workers: Number of workers.
         """
@@ -82,15 +82,15 @@ class Grid:
             self.layers, self.worker, self.workers = None, 0, 1
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
-        """Cover the particles with space to move; return whether the window changed.
+        """Cover the particles and a margin around them; return whether the window changed.
 
         Args:
             lower: Lowest corner of the particles [3], m.
             upper: Highest corner of the particles [3], m.
 
         Raises:
-            Unstable: They are already outside the window, so that the grid did not move them, or
-                too far away for nodes to be numbered.
+            Unstable: The particles are already outside the window, so that the grid did not move
+            them, or too far away for nodes to be numbered.
         """
         if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
             raise Unstable(f"particles flew {FARTHEST:.0e} cells far")
@@ -105,26 +105,26 @@ class Grid:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Cover `size` [3] nodes from the node `low` [3] on; all nodes are cleared."""
-        # One node more than the window, since the SIMD rows read four nodes at a time.
+        """Cover `size` [3] nodes from node `low` [3] on; all nodes are set to zero."""
+        # One node more than the window, since the SIMD rows read four nodes at once.
         count = int(np.prod(size)) + 1
         self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))
 
     def use(self, low: NDArray, size: NDArray, nodes: wp.array) -> None:
-        """Cover `size` [3] nodes from the node `low` [3] on with an array of one more node."""
+        """Cover `size` [3] nodes from node `low` [3] on, stored in an array with one extra node."""
         self.low, self.size, self.nodes, self.stale = low, size, nodes, False
         self._changes = None
         self.window.assign(np.stack([low, size]).astype(np.int32))
 
     @property
     def changes(self) -> wp.array:
-        """Change of each node by a wall, allocated when first needed; zero between two walls."""
+        """Change of each node by a wall, allocated on first use; zero between two walls."""
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)
         return self._changes
 
     def reach(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the first node and one past the last that particles in a box [m] touch."""
+        """Return the first node and one past the last node that particles in a box [m] touch."""
         low = np.floor((lower - self.origin) / self.dx - 0.5).astype(int)
         high = np.floor((upper - self.origin) / self.dx - 0.5).astype(int) + 3
         return low, high
@@ -150,7 +150,7 @@ class Grid:
 
 
 def grids_of(model: Model) -> list[Grid]:
-    """Return a grid for each body, on one lattice."""
+    """Return one grid for each body, all on one lattice."""
     real, device = model.real, model.device
     runs = [model.particles(body) for body in range(model.bodies)]
     return [Grid(model.origin, model.dx, real=real, device=device, particles=run) for run in runs]
@@ -161,8 +161,8 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
 
     Args:
         grids: Grid of each body.
-        corners: Corners around the particles of each; infinite where all are outliers.
-        returned: Whether an outlier has come back, which may be outside the window.
+        corners: Corners around the particles of each body; infinite if all are outliers.
+        returned: Whether an outlier has returned, possibly outside the window.
 
     Raises:
         Unstable: As in `Grid.fit`.
@@ -174,6 +174,6 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
         if present or not any(inside):
             changed |= grid.fit(*pair)
         else:
-            # When the body comes back, it needs a new window.
+            # When particles of the body return, the body needs a new window.
             grid.stale = True
     return changed

@@ -1,6 +1,6 @@
 """Model and State: the constants of a run, and the arrays that every substep changes.
 
-The model has the particles at rest, their materials and the grid's spacing.
+The model holds the particles at rest, their materials and the grid's spacing.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Consecutive particles of one law in one body."""
+    """Consecutive particles with one law in one body."""
 
     law: Law
     start: int
     stop: int
     theta: wp.array
-    """Parameters of the law: one row for all, or one row per particle."""
+    """Parameters of the law: one row for all particles, or one row per particle."""
     body: int = 0
-    """The body that they belong to."""
+    """Index of the body to which the particles belong."""
 
     def __len__(self) -> int:
-        """Number of its particles."""
+        """Return the number of particles in the group."""
         return self.stop - self.start
 
     @property
     def particles(self) -> slice:
-        """Its span among all particles."""
+        """Span of the group among all particles."""
         return slice(self.start, self.stop)
 
     def rows(self, part: slice) -> wp.array:
-        """Return the parameters of a span of its particles."""
+        """Return the parameters of a span of the group's particles."""
         if len(self.theta) == 1:
             return self.theta
         return cast("wp.array", self.theta[part.start - self.start : part.stop - self.start])
@@ -53,18 +53,18 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Particles, their materials and the grid's spacing; `Model.of` builds it."""
+    """Particles, their materials and the grid's spacing; built by `Model.of`."""
 
     rest: NDArray[np.float64]
     """Positions at rest [P,3], m."""
     mass: wp.array
-    """[P], kg."""
+    """Masses [P], kg."""
     volume: wp.array
-    """At rest [P], m^3."""
+    """Volumes at rest [P], m^3."""
     history: NDArray[np.float64]
-    """History variables of the laws at the start [P,2]."""
+    """Initial history variables of the laws [P,2]."""
     groups: tuple[Group, ...]
-    """The particles, body by body, and law by law in each."""
+    """Groups of particles, sorted by body, then by law."""
     materials: tuple[Material, ...]
     dx: float
     """Grid spacing [m]."""
@@ -77,13 +77,13 @@ class Model:
     device: str
     """Warp device, "cpu" or "cuda:0"."""
     form: str
-    """How transfers are written: "simd" rows for float32 on the CPU, otherwise "plain"."""
+    """Form of the transfers: "simd" (float32 on the CPU), "plain" or "spline"."""
     held: frozenset[int] = frozenset()
-    """Bodies that never move."""
+    """Indices of bodies that never move."""
     names: tuple[str, ...] = ()
-    """Names of the bodies, if they have any."""
+    """Names of the bodies; empty if they have none."""
     least_stiffness: float = 1.0
-    """Smallest factor on E of any particle."""
+    """Smallest factor on Young's modulus E of any particle."""
 
     @classmethod
     def of(
@@ -110,22 +110,22 @@ class Model:
         Args:
             x: Positions at rest [P,3], m.
             volume: Volumes at rest [P], m^3.
-            materials: The materials they are made of.
+            materials: The materials of the particles.
             dx: Grid spacing [m].
             material: Index into `materials` for each particle [P]; particles of one law must be
-                consecutive. None: all are of the first material.
-            stiffness: Factors on E [P]; None: 1.
-            body: Number of the body that each particle belongs to [P], from 0 on and in this order;
-                particles of one law must be consecutive in each. None: all are one body.
+            consecutive. None: all particles have the first material.
+            stiffness: Factors on Young's modulus E [P]; None: 1.
+            body: Index of each particle's body [P], counted from 0 and increasing; particles of one
+            law must be consecutive in each body. None: all particles are one body.
             held: Bodies that never move: other bodies collide with them as with a wall.
-            names: What the bodies are called, in their order.
+            names: Names of the bodies, in order of their indices.
             origin: Position of node (0, 0, 0) [m].
             cfl: Fraction of the elastic limit of the substep, in (0, 1).
             precision: "float32" or "float64".
             device: Warp device.
-            simd: Use SIMD rows where they exist.
-            gradient: Where stress and strain come from: "affine", the fit around each particle, or
-                "spline", the gradients of the weights.
+            simd: Whether to use SIMD rows if the device supports them.
+            gradient: Source of stress and strain: "affine", the fit around each particle, or
+            "spline", the gradients of the weights.
 
         Raises:
             ValueError: The particles are not sorted by body and law, or one has no volume.
@@ -165,7 +165,7 @@ class Model:
         )
 
     def __len__(self) -> int:
-        """Number of particles."""
+        """Return the number of particles."""
         return len(self.rest)
 
     @property
@@ -174,21 +174,21 @@ class Model:
         return 1 + max(group.body for group in self.groups)
 
     def particles(self, body: int) -> slice:
-        """Return the span of the particles of a body."""
+        """Return the span of a body's particles."""
         groups = [group for group in self.groups if group.body == body]
         return slice(groups[0].start, groups[-1].stop)
 
     def named(self, name: str | None) -> slice:
-        """Return the span of the particles of a named body; None: all."""
+        """Return the span of a named body's particles; of all particles if None."""
         return slice(0, len(self)) if name is None else self.particles(self.names.index(name))
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return positions at rest of a named body [Q,3], m; None: of all."""
+        """Return positions at rest of a named body [Q,3], m; of all particles if None."""
         return self.rest[self.named(name)]
 
     @property
     def moves(self) -> NDArray[np.bool_]:
-        """Which particles may move [P]: those of bodies that are not held."""
+        """Whether each particle may move [P]: True for bodies that are not held."""
         free = np.ones(len(self), bool)
         for body in self.held:
             free[self.particles(body)] = False
@@ -215,13 +215,13 @@ class Model:
         return _array(values, dtype, self.precision, self.device)
 
     def launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
-        """Record a launch on the model's device, to be repeated; None if it has nothing to do.
+        """Record a repeatable launch on the model's device; None if it would have no threads.
 
         Args:
             kernel: The Warp kernel.
-            dim: Number of threads, or several along axes.
-            inputs: Arguments that it reads.
-            outputs: Arguments that it writes, after the inputs.
+            dim: Number of threads, or of threads along each axis.
+            inputs: Arguments that the kernel reads.
+            outputs: Arguments that the kernel writes, passed after the inputs.
         """
         recorded = wp.launch(
             kernel, dim, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
@@ -236,7 +236,7 @@ class State:
     x: wp.array
     """Positions [P,3], m."""
     residue: wp.array
-    """Rounding errors of the positions [P,3], m, added again in the next substep."""
+    """Rounding errors of the positions [P,3], m, which the next substep adds to the positions."""
     v: wp.array
     """Velocities [P,3], m/s, half a substep behind the positions."""
     C: wp.array
@@ -244,9 +244,9 @@ class State:
     F: wp.array
     """Elastic deformation gradients [P,3,3]."""
     history: wp.array
-    """History variables of the law [P,2]; empty unless a law has some."""
+    """History variables of the laws [P,2]; empty if no law has any."""
     total: wp.array
-    """Total deformation gradients [P,3,3]; empty unless a law is plastic."""
+    """Total deformation gradients [P,3,3]; empty if no law is plastic."""
 
     @classmethod
     def of(cls, model: Model, v: NDArray | None = None, C: NDArray | None = None) -> State:
@@ -254,8 +254,8 @@ class State:
 
         Args:
             model: The particles.
-            v: Their velocities [P,3], m/s; None: at rest.
-            C: Their velocity gradients [P,3,3], 1/s; None: zero.
+            v: Velocities [P,3], m/s; None: at rest.
+            C: Velocity gradients [P,3,3], 1/s; None: zero.
         """
         t, count = types(model.real), len(model)
         plastic = any(group.law.project is not None for group in model.groups)
@@ -278,15 +278,15 @@ class State:
 
     @property
     def deformation(self) -> wp.array:
-        """The deformation gradients that the Gaussians follow: F, or F_total where it differs."""
+        """Deformation gradients that the Gaussians follow: F_total if a law is plastic, else F."""
         return self.total if len(self.total) else self.F
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a copy on the device, for `restore`."""
+        """Return a copy on the device, as input of `restore`."""
         return {name: wp.clone(array) for name, array in self.arrays().items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot, on the device or read from a file."""
+        """Return to a snapshot that is on the device or was read from a file."""
         for name, array in self.arrays().items():
             array.assign(snapshot[name])
 
@@ -297,7 +297,7 @@ def part_of(array: wp.array, part: slice) -> wp.array:
 
 
 def _zero_held(motion: NDArray, model: Model) -> NDArray:
-    """Return velocities or their gradients, zero for particles that never move."""
+    """Return velocities or their gradients, set to zero for particles that never move."""
     if not model.held:
         return motion
     moves: NDArray = model.moves.reshape(-1, *[1] * (motion.ndim - 1))
@@ -323,7 +323,7 @@ def parameters(
 
     Args:
         materials: All materials.
-        material: Indices into them [P].
+        material: Index into `materials` of each particle [P].
         stiffness: Factors on the parameters proportional to E [P], or None.
         dx: Grid spacing [m].
         cfl: Fraction of the elastic limit of the substep.
@@ -339,7 +339,7 @@ def parameters(
 
 
 def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
-    """Return the first particle of each law in each body, and one past the last.
+    """Return the index of the first particle of each law in each body, and one past the last.
 
     Raises:
         ValueError: Bodies or laws are mixed, or a body has no particle.

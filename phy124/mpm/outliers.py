@@ -1,9 +1,10 @@
-"""Outliers: particles far from all others, which follow parabolas without a grid.
+"""Outliers: particles far from all others, which move ballistically, without a grid.
 
-The window grows with the particles, but a single one that leaves at high speed must not make it
-grow without bound. Once the particles spread over more than `MAX_NODES` nodes, or over `GROWTH`
-times the first window, a box around their centre bounds the grid. Particles outside it are counted
-and subject only to the uniform acceleration; a particle that returns is part of the body again.
+The window grows with the particles, but a single particle that leaves at high speed must not make
+the window grow without bound. Once the particles spread over more than `MAX_NODES` nodes, or over
+`GROWTH` times the first window, a box around their centre bounds the grid. Particles outside the
+box are counted, and only the uniform acceleration acts on them; a particle that returns takes part
+in the transfers again.
 """
 
 from __future__ import annotations
@@ -27,15 +28,15 @@ from phy124.mpm.workers import Part
 MAX_NODES = 2**25
 """Largest number of nodes of a window."""
 MIN_NODES = 2**20
-"""Number of nodes that a window may always have."""
+"""Number of nodes that a window is always allowed to have."""
 GROWTH = 16
-"""Largest ratio of a window's nodes to those of the first window."""
+"""Largest ratio of a window's nodes to the nodes of the first window."""
 EVERYWHERE = 1e30
-"""Beyond any position [m], yet finite in float32."""
+"""A coordinate larger than any position [m], but finite in float32."""
 
 
 class Outliers:
-    """The box that bounds the grid; it is infinite while the particles stay together."""
+    """The box that bounds the grid; the box is infinite while the particles stay together."""
 
     def __init__(self, model: Model, state: State) -> None:
         self._model, self._state, self._half = model, state, np.zeros(3)
@@ -44,17 +45,17 @@ class Outliers:
         """Lowest and highest corner on the device [m]."""
         self.bounded = False
         self.indices = wp.zeros(0, dtype=int, device=model.device)
-        """Indices of the particles that are outside now."""
-        # The extent of the bulk at rest, without single particles far away.
+        """Indices of the particles that are outside the box now."""
+        # The extent of the bulk at rest, without single distant particles.
         runs = [model.rest[model.particles(body)] for body in range(model.bodies)]
         first = sum(self._nodes(*np.quantile(rest, (0.05, 0.95), axis=0)) for rest in runs)
         self._allowed = min(MAX_NODES, max(MIN_NODES, GROWTH * min(first, MAX_NODES)))
         self.most, self.changed = 0, False
-        """Largest number of outliers so far, and whether the last measurement changed the list."""
+        """Largest number of outliers so far; whether the last measurement changed the indices."""
 
     @property
     def count(self) -> int:
-        """Number of particles that are outside now."""
+        """Number of particles that are outside the box now."""
         return len(self.indices)
 
     def snapshot(self) -> dict[str, Any]:
@@ -63,7 +64,7 @@ class Outliers:
         return {"corners": self.corners.numpy().tolist(), "half": half, "most": self.most}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; the particles must have been restored before."""
+        """Return to a snapshot; the particles must be restored first."""
         self.corners.assign(np.array(snapshot["corners"], self.corners.numpy().dtype))
         self.bounded, self.most, self.changed = (
             snapshot["half"] is not None,
@@ -93,18 +94,18 @@ class Outliers:
         x = self._state.x.numpy().astype(np.float64)
         side = self._model.dx * (self._allowed ** (1 / 3) - 3 * MARGIN)
         self._half, self.bounded = np.full(3, side / 2), True
-        # The box is centred on a particle, so that at least one is inside.
+        # The box is centred on a particle, so that at least one particle is inside.
         self._centre(x[np.abs(x - np.median(x, axis=0)).max(axis=1).argmin()])
         return True
 
     def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
-        """Return the gather of a part; if it has outliers, with launches that move those.
+        """Return the gather of a part, surrounded by launches that move its outliers, if any.
 
         Args:
             part: Some of the particles.
-            gather: Their recorded gather.
-            grid: The grid that it gathers from.
-            tracks: Has the uniform acceleration.
+            gather: The recorded gather of these particles.
+            grid: The grid from which the particles gather.
+            tracks: Holds the uniform acceleration.
         """
         mine = part.among(np.asarray(self.indices.numpy(), np.int32))
         model, state, count = self._model, self._state, len(mine)
@@ -129,11 +130,11 @@ class Outliers:
         self.most = max(self.most, len(out))
 
     def _beyond(self) -> NDArray[np.int32]:
-        """Return the indices of particles outside, compared exactly as on the device."""
+        """Return the indices of particles outside the box, with the device's comparisons."""
         (low, high), x = self.corners.numpy(), self._state.x.numpy()
         return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 
     def _nodes(self, lower: NDArray, upper: NDArray) -> float:
-        """Return the number of nodes of a window over a box, as a float that cannot overflow."""
+        """Return the number of nodes of a window over a box, as a float, which cannot overflow."""
         cells = ((upper - lower) / self._model.dx).tolist()
         return math.prod(extent + 3 + 2 * MARGIN for extent in cells)

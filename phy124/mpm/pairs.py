@@ -1,7 +1,7 @@
 """Pairs: contact between bodies, and the impulses that they exchange.
 
 Any two bodies may touch. Only pairs whose windows overlap have a launch, so bodies that are apart
-cost nothing.
+cause no cost.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ from phy124.mpm.stage import Recorded
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
 ROOM = 16
-"""Numbers reserved for the sums of a pair and worker, so that workers share no cache line."""
+"""Numbers reserved for the sums of each pair and worker, so that no two workers write to the same
+cache line.
+"""
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 class Pair(NamedTuple):
-    """Contact of two bodies; pairs that are not listed have these defaults."""
+    """Contact of two bodies; pairs that are not listed have the default friction."""
 
     first: int
     """Index of a body."""
@@ -39,14 +41,14 @@ class Pair(NamedTuple):
     friction: float = 0.5
     """Coefficient of Coulomb friction."""
     sticky: bool = False
-    """Whether they share their velocity wherever both have mass at a node, like a single body."""
+    """Whether both bodies have one velocity at every node where both have mass."""
 
 
 class Pairs:
     """All pairs of the bodies of one run."""
 
     def __init__(self, model: Model, listed: Sequence[Pair], workers: int) -> None:
-        """Prepare the sums.
+        """Allocate the sums of impulses.
 
         Args:
             model: The bodies.
@@ -64,7 +66,7 @@ class Pairs:
             )
         pairs = [chosen.get(number, Pair(*number)) for number in numbers]
         self.all = [pair for pair in pairs if not {pair.first, pair.second} <= model.held]
-        """All pairs except those of two held bodies, which cannot act on each other."""
+        """All pairs except pairs of two held bodies, which cannot act on each other."""
         self._model = model
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
@@ -72,23 +74,23 @@ class Pairs:
         self._fill = fill_of(model)
 
     def begin(self) -> None:
-        """Start counting the impulses that bodies exchange."""
+        """Start summing the impulses that bodies exchange."""
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Return the impulse and its moment that the first body has given the second [pairs,6]."""
+        """Return the impulse of the first body on the second, and its moment [pairs,6]."""
         return np.asarray(self._sums.numpy()).sum(axis=0)[:, :SUMS]
 
     def impulse(self) -> NDArray[np.float64]:
-        """Return the impulse of held bodies on all others since the start [3], N s."""
+        """Return the impulse of held bodies on all other bodies since the start [3], N s."""
         held = self._model.held
         signs = [(pair.first in held) - (pair.second in held) for pair in self.all]
         return np.array(signs, float) @ self._total()[:, :MOMENT]
 
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
-        """Return the mean wrench of the first body of each pair on the second, about the origin.
+        """Return each pair's mean wrench of the first body on the second, about the origin.
 
-        The wrench of the second on the first is the opposite.
+        The wrench of the second body on the first is the opposite.
 
         Args:
             seconds: Time since `begin` [s].
@@ -100,11 +102,11 @@ class Pairs:
         }
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the present sums."""
+        """Return the current sums."""
         return {"sums": wp.clone(self._sums), "begun": self._begun}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums; with another number of workers, only their total is the same."""
+        """Restore the sums; if the number of workers differs, only their total is restored."""
         kept = snapshot["sums"]
         sums = np.asarray(kept.numpy() if isinstance(kept, wp.array) else kept)
         if sums.shape != self._sums.shape:
@@ -115,9 +117,11 @@ class Pairs:
         self._begun = np.asarray(snapshot["begun"])
 
     def record(self, grids: Sequence[Grid], worker: int, workers: int) -> list[Recorded]:
-        """Record a worker's launches: all pairs within reach, in its layers of the lattice.
+        """Record a worker's launches: all pairs within reach, in the worker's layers of the
+        lattice.
 
-        Every node is in the layers of a single worker, which processes all its pairs in order.
+        Every node is in the layers of exactly one worker, which processes all pairs at this node in
+        order.
         """
         boxes = [_overlap(grids[pair.first], grids[pair.second]) for pair in self.all]
         near = [(low[0], high[0]) for low, high in boxes if np.all(high > low)]
@@ -134,7 +138,7 @@ class Pairs:
         return records
 
     def touching(self, grids: Sequence[Grid]) -> bool:
-        """Return whether any pair is within reach."""
+        """Return whether the windows of any pair overlap."""
         return bool(self.record(grids, 0, 1))
 
     def _launch(
@@ -151,7 +155,7 @@ class Pairs:
 
 
 def fill_of(model: Model) -> list[float]:
-    """Return the fraction of a node's volume that each body fills, per mass at the node [1/kg]."""
+    """Return the volume fraction that each body fills at a node, per mass at the node [1/kg]."""
     mass, volume = (a.numpy().astype(np.float64) for a in (model.mass, model.volume))
     runs = [model.particles(body) for body in range(model.bodies)]
     return [float(volume[run].sum() / mass[run].sum() / model.dx**3) for run in runs]
@@ -163,6 +167,6 @@ def kernels(real: Any) -> list[Any]:
 
 
 def _overlap(first: Grid, second: Grid) -> Box:
-    """Return the first node of the lattice in both windows, and one past the last."""
+    """Return the first lattice node in both windows, and one past the last."""
     low = np.maximum(first.low, second.low)
     return low, np.minimum(first.low + first.size, second.low + second.size)

@@ -1,9 +1,9 @@
-"""Step rejection: a substep that may be too long is tried first, and repeated shorter if it was.
+"""Step rejection: a substep that may be too long is run as a trial, and shortened if necessary.
 
-Before the gather nothing changes except the velocities of pushed particles, so a substep can be
-rejected after the grid update at the cost of one scatter. Only substeps in which something violent
-may happen are tried: near the limits of speed and gradient, under forces on particles, or under a
-huge acceleration.
+Before the gather, a substep changes only the velocities of pushed particles. It can therefore be
+rejected after the grid update at the cost of one scatter. Only substeps that may be too long are
+run as trials: near the limits of speed and gradient, under forces on particles, or under a very
+large acceleration.
 """
 
 from __future__ import annotations
@@ -24,17 +24,21 @@ from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, TRAVEL
 from phy124.mpm.tracks import Tracks
 
 TRIES = 100
-"""Largest number of tries; each is at most half as long as the one before."""
+"""Largest number of trials; each trial's substep is at most half as long as the one before."""
 FIRST = 4
-"""Number of substeps after which steady forces have shown their effect."""
+"""Number of first substeps that are run as trials under steady sudden forces."""
 PULL = 0.1
-"""Distance that forces move a particle from rest in a substep [cells], above which it is tried."""
+"""Distance [cells] that forces move a particle from rest in a substep, above which the substep is
+run as a trial.
+"""
 ROUNDED = 1 - 1e-6
-"""Frames before a frame that count: whole ones would hold, by rounding, what ended before them."""
+"""Fraction of the previous frame's duration that counts for the bounds: with 1, rounding could
+include forces that ended before that frame.
+"""
 
 
 class StepRejection:
-    """Decides which substeps are tried, and tries them."""
+    """Decides whether substeps are run as trials, and runs the trials."""
 
     def __init__(
         self,
@@ -48,7 +52,7 @@ class StepRejection:
 
         Args:
             model: The constants of the run.
-            state: Its v and C are restored after a rejected substep.
+            state: The state, whose v and C are restored after a rejected substep.
             tracks: Strengths of forces and speeds of walls over time.
             pushes: Stages of forces on particles.
             accumulators: Sums that are restored after a rejected substep.
@@ -64,30 +68,30 @@ class StepRejection:
         """Number of substeps that were rejected."""
 
     def begin(self, start: float, end: float) -> None:
-        """Bound what forces and walls do from `start` to `end` [s].
+        """Compute bounds of forces and walls from `start` to `end` [s].
 
-        Only that counts, so that a push does not shorten the substeps of another frame. Kicks
-        reach back by half a substep, so the time of a frame before it counts, too.
+        Only this interval counts, so that a push does not shorten the substeps of another frame.
+        Kicks reach back by half a substep, so one frame duration before `start` is also included.
         """
         before = start - ROUNDED * (end - start) if math.isfinite(start) else start
         self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
         """Upper bound of the acceleration of a particle by forces [m/s^2]."""
         tops = [stage.top_speed(before, end) for stage in self._pushes if stage.top_speed]
         self.wall = max(_max_rate(self._tracks, before, end), *tops, 0.0)
-        """Largest speed of a wall or a stream [m/s], which a particle may get in one substep."""
+        """Largest speed of a wall or a stream [m/s], which a particle may reach in one substep."""
         self._changing = any(track.changes(before, end) for track in self._tracks.tracks)
 
     def sudden(self, clock: Clock) -> bool:
-        """Whether a force may change velocities abruptly in the next substep."""
+        """Return whether a force may change velocities abruptly in the next substep."""
         return self._pushy and (self._changing or clock.substeps < FIRST)
 
     def must_try(self, clock: Clock, dt: float, *, flying: bool = False) -> bool:
-        """Whether a substep may move something by more than a cell, as far as was measured.
+        """Return whether a substep may move something too far, according to the last measurement.
 
         Args:
-            clock: What was measured last.
+            clock: Holds the last measurement.
             dt: Length of the substep [s].
-            flying: Whether nothing is within reach of the window, so that speed alone is no danger.
+            flying: Whether nothing is within reach of the window, so that a high speed is harmless.
         """
         extremes, dx = clock.extremes, self._model.dx
         fast = 2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * dx
@@ -99,17 +103,18 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Substeps until speeds must be measured: as chosen by the user, where that is safe.
+        """Return the number of substeps until speeds must be measured: the user's choice if safe.
 
         Args:
-            clock: What was measured last.
-            calm: Strain up to which no material becomes much stiffer.
+            clock: Holds the last measurement.
+            calm: Strain up to which no material stiffens much.
         """
         every, extremes, dx = clock.measure_every, clock.extremes, self._model.dx
         if every <= MEASURE_EVERY or not extremes.stiffness > 0:
             return min(every, MEASURE_EVERY)
         speed, pulled = max(extremes.speed, self.wall), math.sqrt(self.acceleration)
-        # A wall or another body strains the next cell by as much of a cell as it is met by.
+        # A wall or a body that moves into the next cell by a fraction of a cell strains it by this
+        # fraction.
         each = clock.stable().dt * max(
             speed / (calm * dx), clock.strain_rate / calm, pulled / math.sqrt(2 * calm * dx)
         )
@@ -118,8 +123,8 @@ class StepRejection:
     def room(self, clock: Clock) -> int:
         """Return the number of substeps in which no particle can leave the margin of its window.
 
-        In the k-th of them it moves by (v + k a dt) dt at most; where a dt^2 is more than `PULL`,
-        substeps are tried, and a violent one is followed by a measurement.
+        In substep k a particle moves by at most (v + k a dt) dt. If a dt^2 exceeds `PULL`, substeps
+        are run as trials, and a violent substep is followed by a measurement.
         """
         dx, dt = self._model.dx, clock.stable().dt
         if not math.isfinite(dt):
@@ -136,12 +141,13 @@ class StepRejection:
         """Scatter and update with ever shorter substeps until no node moves more than a cell.
 
         Args:
-            dt: The length to try first [s].
-            scatter: Pushes, scatters and updates the grid for a substep of the given length [s].
+            dt: Length of the first trial [s].
+            scatter: Pushes, scatters and updates the grid for a substep of a given length [s].
             grids: The grids whose largest nodal speed decides.
 
         Returns:
-            The length that was short enough [s], and whether the substep was violent.
+            The accepted length [s], and whether the substep was violent: a node moves by more than
+            half of the allowed `CELLS_PER_STEP`.
         """
         before = [wp.clone(array) for array in self._pushed]
         sums = [accumulator.snapshot() for accumulator in self._accumulators]
@@ -171,7 +177,7 @@ class StepRejection:
 def _max_acceleration(
     model: Model, tracks: Tracks, pushes: Sequence[Stage], start: float, end: float
 ) -> float:
-    """Return an upper bound of the acceleration of any particle by forces in that time [m/s^2]."""
+    """Return an upper bound of any particle's acceleration by forces in an interval [m/s^2]."""
     joined, alone = 0.0, 0.0
     for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
         value = 0.0 if flag & LIMITED else track.largest(start, end)
@@ -185,6 +191,6 @@ def _max_acceleration(
 
 
 def _max_rate(tracks: Tracks, start: float, end: float) -> float:
-    """Return the largest speed of a wall in that time [m/s]."""
+    """Return the largest speed of a wall in an interval [m/s]."""
     flagged = zip(tracks.tracks, tracks.flags, strict=True)
     return max((track.fastest(start, end) for track, flag in flagged if not flag), default=0.0)

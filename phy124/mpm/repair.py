@@ -1,7 +1,8 @@
 """Repair: particles whose deformation no law can handle are reset to their rest shape.
 
-A few particles at a corner may be inverted while the rest of a run is sound. They are reset to
-F = I and counted. The F_total of plastic and fluid material grows without bound, so it is limited.
+A few particles at a corner may be inverted while the rest of a run is sound. Such particles are
+reset to F = I and counted. The F_total of plastic and fluid material grows without bound, so its
+norm is limited.
 """
 
 from __future__ import annotations
@@ -17,21 +18,21 @@ from phy124.mpm.clock import Clock
 from phy124.mpm.model import Model, State
 
 SOUND_J = (1e-5, 1e6)
-"""Volume ratios that a law can handle; a particle beyond them is reset and counted."""
+"""Range of volume ratios that a law can handle; a particle outside it is reset and counted."""
 SOUND_F = 1e3
 """Largest norm of a sound deformation gradient."""
 NARROWEST = 1e-5
-"""Smallest ratio of the stretches, min / max; below it, rounding decides the sign of J."""
+"""Smallest ratio of the stretches, min / max; below it, rounding may change the sign of J."""
 MAX_TOTAL = 1e6
-"""Largest norm of F_total; the visible shape stops growing at 4."""
+"""Largest norm of F_total; the visible shape stops growing at a stretch of 4."""
 AFTER_STRAIN = 1.0
-"""Strain after which deformations are checked again: |C| dt, summed over the substeps."""
+"""Strain, as the sum of |C| dt over substeps, after which deformations are checked again."""
 NO_PARTICLE = 2**31 - 1
-"""Index larger than that of any particle."""
+"""An index larger than the index of any particle."""
 
 
 class Repair:
-    """Repairs the deformations of a run, from the first `begin` on.
+    """Repairs the deformations of a run, starting with the first `begin`.
 
     Call `begin` and `end` for each frame; the solver calls `substep`.
     """

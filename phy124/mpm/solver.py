@@ -1,8 +1,8 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
-The launches of a substep are recorded (phy124/mpm/substep.py) and repeated by one thread, by
-several with a part of the particles each (phy124/mpm/workers.py), or by a CUDA device alone
-(phy124/mpm/graph.py).
+The launches of a substep are recorded (phy124/mpm/substep.py). They are repeated by one thread, by
+several threads that each process a part of the particles (phy124/mpm/workers.py), or by a CUDA
+device alone (phy124/mpm/graph.py).
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ from phy124.mpm.workers import (
 )
 
 MEASURE, GLANCE = -2, -3
-"""Tasks of workers besides phases: measure all limits, or the speeds only."""
+"""Tasks of workers in addition to phases: measure all limits, or only the speeds."""
 CALM = 0.9
-"""Growth of the stiffness between two measurements, as a fraction of what stays stable."""
+"""Allowed growth of the stiffness between two measurements, as a fraction of the stable growth."""
 
 
 class Solver:
-    """Advances a state in time under forces and boundaries; puts the phases in order."""
+    """Advances a state in time under forces and boundaries by running the phases of substeps."""
 
     def __init__(
         self,
@@ -74,23 +74,25 @@ class Solver:
         scheme: Scheme = APIC,
         gathered: Sequence[Gathered] = (),
     ) -> None:
-        """Bind forces and boundaries to a model.
+        """Connect forces and boundaries to a model.
 
         Args:
-            model: What never changes.
+            model: The constants of the run.
             state: The initial state; None: undeformed and at rest.
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
-            accumulators: Sums that grow in every substep.
-            pairs: Contact of pairs of bodies that differ from the default.
+            accumulators: Sums that are updated in every substep.
+            pairs: Pairs of bodies whose contact differs from the default.
             free: Rigid solids that move freely.
-            planes: Flat walls that these collide with.
+            planes: Flat walls with which the free solids collide.
             ceiling: Longest substep allowed [s].
-            threads: CPU threads; None: as many as have a free core and enough particles.
-            graph: Run frames as one graph on the device; None: on CUDA, with one body only.
-            measure_every: Substeps between two measurements of the limits, where that is safe.
-            scheme: How velocities come back from the grid.
-            gathered: Read every part of the particles after each gather.
+            threads: Number of CPU threads; None: as many as there are free cores and enough
+            particles for.
+            graph: Whether to run frames as one graph on the device; None: on CUDA, with one body
+            only.
+            measure_every: Number of substeps between two measurements of the limits, where safe.
+            scheme: The grid-to-particle transfer scheme.
+            gathered: Readers of every part of the particles after each gather.
 
         Raises:
             InputError: The region of a force holds no particle, or a boundary is too thin for the
@@ -122,7 +124,7 @@ class Solver:
         self._moved = False
         """Whether a window has moved since the launches were recorded."""
         self.softened = 1.0
-        """Factor by which all stiffnesses are scaled now."""
+        """Factor by which all stiffnesses are currently scaled."""
         self.team = Team[int](count, self._run_member)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
         on_device = usable(model.device) if graph is None else graph
@@ -138,17 +140,17 @@ class Solver:
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Plane] = (),
     ) -> None:
-        """Replace what acts on the state, from the next substep on.
+        """Replace forces, boundaries and sums, from the next substep on.
 
         Args:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
-            accumulators: Sums that grow in every substep.
-            planes: Flat walls that free bodies collide with.
+            accumulators: Sums that are updated in every substep.
+            planes: Flat walls with which free bodies collide.
 
         Raises:
             InputError: The region of a force holds no particle, or a boundary is too thin for the
-                grid; nothing has changed then.
+            grid; in this case nothing has changed.
         """
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)
@@ -192,15 +194,15 @@ class Solver:
 
         Args:
             until: The time at which to stop [s].
-            after: Called after each substep, or after some of them where a graph takes them.
-            each: Whether it must be called after each: no graph is used.
+            after: Called after each substep; with a graph, only after several substeps.
+            each: Whether `after` must be called after each substep, so that no graph is used.
 
         Raises:
             Unstable: A particle left the grid's window or is no longer finite.
         """
         started, named = time.perf_counter(), self._seconds()
         self.rejection.begin(self.clock.time, until)
-        # The forces and walls of this frame may require more measurements than those of the last.
+        # The forces and walls of this frame may require more frequent measurements.
         if not self.clock.due:
             self.clock.interval = min(self.clock.interval, self._safe_interval())
         with self._threads():
@@ -217,11 +219,11 @@ class Solver:
         between[1] += 1
 
     def _seconds(self) -> float:
-        """Return the sum of all stages so far [s]."""
+        """Return the total time of all stages so far [s]."""
         return sum(seconds for seconds, _ in self.timings.values())
 
     def step(self, kick: float, drift: float) -> None:
-        """Take one substep: velocities change over `kick` s, positions and F over `drift` s."""
+        """Take one substep: velocities change over `kick` [s], positions and F over `drift` [s]."""
         self._measure_if_due()
         self._scatter(kick, drift)
         self._run(GATHER)
@@ -229,7 +231,7 @@ class Solver:
         self.clock.finish(drift)
 
     def snapshot(self) -> dict[str, Any]:
-        """The state that `restore` needs to continue bit for bit."""
+        """Return the state that `restore` needs to continue bit for bit."""
         return {
             "state": self.state.snapshot(),
             "clock": self.clock.snapshot(),
@@ -242,7 +244,7 @@ class Solver:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; with another number of threads, to within rounding."""
+        """Return to a snapshot; if the number of threads differs, only to within rounding."""
         self.state.restore(snapshot["state"])
         self.clock.restore(snapshot["clock"])
         self.outliers.restore(snapshot["outliers"])
@@ -286,7 +288,7 @@ class Solver:
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def _careful_step(self, dt: float) -> float:
-        """Take a substep of at most `dt` in which no node crosses a cell; return its length."""
+        """Take a substep of at most `dt` [s] in which no node crosses a cell; return its length."""
 
         def scatter(dt: float) -> None:
             self._scatter((self.clock.last_dt + dt) / 2, dt)
@@ -299,7 +301,7 @@ class Solver:
         return dt
 
     def _scatter(self, kick: float, drift: float) -> None:
-        """Run all but the gather: clock, tracks, forces, scatter, grid update, walls."""
+        """Run all phases but the gather: clock, tracks, forces, scatter, grid update, walls."""
         self.clock.begin(kick, drift)
         if self.tracks.vary:
             run_timed(self.timings, "tracks", self._sample.launch)
@@ -307,7 +309,7 @@ class Solver:
             self._run(phase)
 
     def _run(self, phase: int) -> None:
-        """Run a phase; threads wait for each other before it."""
+        """Run a phase; threads wait for each other before the phase."""
         if self.team.alive:
             run_timed(self.timings, "wait", lambda: self.team.put(phase))
             self.workers[0].run(phase)
@@ -316,7 +318,7 @@ class Solver:
                 worker.run(phase)
 
     def _join(self) -> None:
-        """Wait until the other threads have finished their parts."""
+        """Wait until the other threads have finished."""
         if self.team.alive:
             run_timed(self.timings, "wait", self.team.join)
 
@@ -332,17 +334,17 @@ class Solver:
 
     @contextmanager
     def _threads(self) -> Iterator[None]:
-        """Within this context, each worker runs on a thread of its own."""
+        """Run each worker on its own thread within this context."""
         if len(self.workers) == 1:
             yield
             return
-        # This loads every kernel.
+        # The measurement loads every kernel, which is not thread-safe later.
         self._measure_if_due()
         with self.team.running():
             yield
 
     def _run_graph(self, until: float) -> bool:
-        """Take substeps on the device alone; return False if the next is left to the host."""
+        """Take substeps on the device alone; return False if the host must take the next one."""
         alone = self.on_device and len(self.workers) == 1
         if not alone or self.rejection.sudden(self.clock):
             return False
@@ -363,7 +365,7 @@ class Solver:
             self._follow_window()
 
     def _measure_due(self) -> None:
-        """Measure the speeds, and all limits where they may have changed; raises Unstable."""
+        """Measure the speeds, and all limits if they may have changed; raises Unstable."""
         clock = self.clock
         calm = self._calm_strain()
         if self.on_device or self.outliers.bounded or clock.complete(calm):
@@ -389,7 +391,7 @@ class Solver:
         return min(m.calm_strain(growth, stiffness) for m in self.model.materials)
 
     def _measure(self) -> None:
-        """Read the stability limits and fit the windows to the particles; raises Unstable."""
+        """Measure the stability limits and fit the windows to the particles; raises Unstable."""
         corners = self._corners(rows := self._maxima())
         if self.outliers.confine(corners):
             corners = self._corners(rows := self._maxima())
@@ -404,7 +406,7 @@ class Solver:
         clock.interval = self._safe_interval()
 
     def _end_frame(self) -> None:
-        """Make sure that the grid has moved every particle; raises Unstable."""
+        """Check that every particle is still inside its window; raises Unstable."""
         if self.clock.since_measured == 0:
             return
         if self.outliers.bounded or self._missed.numpy().any():
@@ -413,7 +415,7 @@ class Solver:
             self._measure_due()
 
     def _corners(self, rows: NDArray[np.float64]) -> list[Corners]:
-        """Return the lowest and highest corner of each body from measurements [m]."""
+        """Return the lowest and highest corner of each body [m] from the measured maxima."""
         if len(self.grids) == 1:
             return [Maxima.of(rows.max(axis=0)).corners]
         parts = self.slabs.parts if self.slabs else ()
@@ -422,7 +424,7 @@ class Solver:
         return [Maxima.of(rows[body == number].max(axis=0)).corners for number in bodies]
 
     def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
-        """Fit private nodes to their particles, or make new slabs; return whether they changed."""
+        """Fit private nodes to their particles, or divide again; return whether slabs changed."""
         slabs = self.slabs
         if slabs is None or not slabs.fit(rows, force=force):
             return False
@@ -433,16 +435,16 @@ class Solver:
         return True
 
     def _record_measures(self) -> None:
-        """Record the launches that measure the particles of each worker."""
+        """Record the launches that measure each worker's particles."""
         for worker in self.workers:
             worker.measures = self._recorder.measures(worker, self._stray)
             worker.glances = self._recorder.speeds(worker, self._stray)
 
     def _maxima(self) -> NDArray[np.float64]:
-        """Measure; return a row for each part of each worker, or for each body.
+        """Measure; return a row of maxima for each part of each worker, or for each body.
 
         Raises:
-            Unstable: A particle is no longer finite.
+            Unstable: A particle is not finite.
         """
         self._each_worker(MEASURE)
         rows = [part.maxima for part in self.slabs.parts] if self.slabs else []
@@ -450,7 +452,7 @@ class Solver:
         return np.array([row.numpy() for row in rows], dtype=np.float64).reshape(-1, COUNT)
 
     def _each_worker(self, task: int) -> None:
-        """Let all workers measure; raises Unstable if a particle is no longer finite."""
+        """Let all workers measure; raises Unstable if a particle is not finite."""
         if self.team.alive:
             self.team.put(task)
         for worker in self.workers[:1] if self.team.alive else self.workers:

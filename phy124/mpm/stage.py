@@ -1,4 +1,4 @@
-"""Stage: a launch of a substep, recorded again whenever the grid's window has changed."""
+"""Stage: a launch of a substep, which is recorded again whenever the grid's window changes."""
 
 from __future__ import annotations
 
@@ -16,61 +16,61 @@ class Stage(NamedTuple):
     """A launch that a force, a boundary or an accumulator adds to a substep."""
 
     name: str
-    """The name under which reports list its time."""
+    """Name of the stage in reports, which list its time."""
     record: Callable[[Grid], wp.Launch | None]
-    """Records its launch for the grid's current window; None if nothing is within reach."""
+    """Records the launch for the grid's current window; None if nothing is within reach."""
     sudden: bool = False
-    """Whether it may change a velocity abruptly, whatever its strength."""
+    """Whether the stage may change a velocity abruptly, whatever its strength."""
     in_newtons: bool = False
-    """Whether its track is a force on each particle [N] and not an acceleration [m/s^2]."""
+    """Whether the stage's track is a force on each particle [N], not an acceleration [m/s^2]."""
     keeps_C: bool = False
-    """Whether a force never changes C, so that summing its work need not read it."""
+    """Whether the stage never changes C, so that summing its work need not read C."""
     by_run: bool = False
-    """Whether a force is recorded for each worker, and pushes the particles of `Grid.run` only."""
+    """Whether the stage is recorded for each worker and pushes only the particles of `Grid.run`."""
     alone: bool = False
-    """Whether one worker launches it for all layers of the grid while the others wait."""
+    """Whether one worker launches the stage for all layers while the others wait."""
     limit: Callable[[float, float], float] | None = None
-    """Largest acceleration of a particle [m/s^2] between two times [s]; None: its track's."""
+    """Largest acceleration of a particle [m/s^2] between two times [s]; None: from the track."""
     top_speed: Callable[[float, float], float] | None = None
-    """Speed [m/s] above which it accelerates no particle between two times [s]; None: no limit."""
+    """Speed [m/s] up to which the stage accelerates particles between two times [s]; None: any."""
 
 
 class Attachable(Protocol):
     """A force or a boundary."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that it needs in each substep.
+        """Return the stages that the force or boundary adds to each substep.
 
         Args:
             model: The constants of the run.
-            state: The arrays that its launches read and change.
-            tracks: Registers quantities that change over time.
+            state: The arrays that the stages read and change.
+            tracks: The tracks to which quantities that change over time are added.
         """
         ...
 
 
 class Sums(Protocol):
-    """Sums that grow in every substep and are restored after a rejected one."""
+    """Sums that are updated in every substep and restored after a rejected substep."""
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the present sums."""
+        """Return the current sums."""
         ...
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the sums back to a snapshot."""
+        """Restore the sums from a snapshot."""
         ...
 
 
 class Accumulator(Attachable, Sums, Protocol):
-    """Sums whose stages come last in a substep, after the boundaries have acted."""
+    """Sums whose stages come last in a substep, after the boundaries."""
 
 
 Named = tuple[str, Callable[[], Any]]
-"""A name, and a launch to repeat."""
+"""A name, and a function that repeats a launch."""
 Recorded = tuple[str, wp.Launch | None]
-"""A name, and a recorded launch; None if there is nothing to do."""
+"""A name, and a recorded launch; None if there is nothing to launch."""
 
 
 def launches(records: list[Recorded]) -> list[Named]:
-    """Return a function to call for each recorded launch; empty launches are left out."""
+    """Return the named functions that repeat the recorded launches; empty launches are omitted."""
     return [(name, launch.launch) for name, launch in records if launch is not None]

@@ -38,7 +38,7 @@ class Transfers(NamedTuple):
 
     @classmethod
     def of(cls, law: Law, real: Any, form: str) -> Transfers:
-        """Return the transfers of a law in one precision and form."""
+        """Return the kernels of a law in one precision and form."""
         return cls(
             measure.make_measure(law, real),
             transfer.make_p2g(law, real, form),
@@ -47,7 +47,7 @@ class Transfers(NamedTuple):
 
 
 def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
-    """Yield the kernels that the substeps of one worker launch, besides forces and boundaries."""
+    """Yield the kernels that one worker's substeps launch, without forces and boundaries."""
     yield make_update(real)
     yield measure.make_measure_speeds(real)
     for law in laws:
@@ -55,7 +55,7 @@ def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
 
 
 class Gathered(Protocol):
-    """Reads every part of the particles after each gather, without changing them."""
+    """Reads every part of the particles after each gather, without changing the particles."""
 
     def allocate(self, model: Model, workers: int) -> None:
         """Allocate memory for a number of workers."""
@@ -67,11 +67,11 @@ class Gathered(Protocol):
         """Record the launch for a worker's part.
 
         Args:
-            part: Particles of one law that a worker steps.
-            worker: Number of the worker.
+            part: Particles of one law that a worker processes.
+            worker: Index of the worker.
             model: The particles' constants.
             state: The state after the gather.
-            tracks: Quantities that change with time.
+            tracks: Quantities that change over time.
         """
         ...
 
@@ -94,18 +94,18 @@ class Recorder:
     free: FreeBodies
     """Rigid solids among the particles."""
     missed: wp.array
-    """Whether g2p left out a particle that was outside the window, a row for each worker [W,1]."""
+    """1 if g2p skipped a particle outside the window, else 0; one row per worker [W,1]."""
     fluctuation: Fluctuation | None = None
-    """Keeps motion that the grid does not carry; None: nothing is kept, which is APIC."""
+    """Restores motion that the grid does not represent; None for APIC."""
     gathered: Sequence[Gathered] = ()
-    """Read a part right after it has gathered."""
+    """Readers of each part right after its gather."""
     rpic: float = 0.0
-    """Rate at which the symmetric part of C dies away [1/s]."""
+    """Decay rate of the symmetric part of C [1/s]."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
     ) -> None:
-        """Give every worker its phases.
+        """Record the phases of every worker.
 
         Args:
             pushes: Stages of forces on particles, before the scatter.
@@ -129,7 +129,7 @@ class Recorder:
         self.workers[0].phases[GATHER] += launches(last)
 
     def _passes(self, parts: Sequence[Part], worker: int) -> Iterator[list[Named]]:
-        """Yield a worker's phases of each pass over the grid before the substep scatters."""
+        """Yield a worker's phases of each pass over the grid before the substep's scatter."""
         kept = self.fluctuation
         for turn in range(kept.scheme.passes if kept else 0):
             assert kept is not None
@@ -158,11 +158,11 @@ class Recorder:
 
     @property
     def _grid(self) -> Grid:
-        """The grid for launches that do not use nodes."""
+        """Grid for launches that do not use nodes."""
         return self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return a worker's pushes; the first worker has them all unless all can be shared."""
+        """Return a worker's pushes; the first worker has all, unless all can be divided."""
         if all(stage.by_run for stage in stages):
             with self._grid.only(None, worker, len(self.workers)):
                 return launches([(stage.name, stage.record(self._grid)) for stage in stages])
@@ -173,7 +173,7 @@ class Recorder:
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
         """Return a worker's phases of update, contact between bodies, free bodies, and walls.
 
-        Walls come last, so that nothing is pushed through them.
+        Walls come last, so that no other stage can push material through them.
         """
         phases = [[record for body in self._moving for record in self._update(body, worker)]]
         if self.pairs.touching(self.grids):
@@ -191,14 +191,14 @@ class Recorder:
         return phases
 
     def _meet_free(self) -> list[Recorded]:
-        """Return the contact of free bodies with each body in turn; a single worker does it all."""
+        """Return the contact of free bodies with each body in turn, for a single worker."""
         records = (self.free.record(self.grids[body], body) for body in self._moving)
         return list(itertools.chain(*records))
 
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return a worker's part of a wall for a body; the first worker does some walls alone."""
+        """Return a worker's share of a wall for a body; the first worker does some walls alone."""
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
         bodies = len(self._moving)
@@ -207,7 +207,7 @@ class Recorder:
             return wall.name, wall.record(grid)
 
     def _layers(self, grid: Grid, worker: int) -> tuple[int, int] | None:
-        """Return the layers of a shared grid that a worker updates; None: all."""
+        """Return the layers of a shared grid that a worker updates; None for all layers."""
         if self.slabs is None:
             return None
         first, last = (
@@ -216,7 +216,7 @@ class Recorder:
         return first, last
 
     def _clear(self, index: int) -> Iterator[Named]:
-        """Yield the launches that clear the nodes that a worker scatters to."""
+        """Yield the launches that clear the nodes to which a worker scatters."""
         if self.slabs is not None:
             yield "clear", self.slabs.runs[index].zero_
             return
@@ -224,7 +224,7 @@ class Recorder:
             yield "clear", self.grids[body].nodes.zero_
 
     def measures(self, worker: Worker, stray: wp.array) -> list[wp.Launch]:
-        """Return the launches that measure the limits of the substep among a worker's particles."""
+        """Return the launches that measure the substep's limits over a worker's particles."""
         model, s, measures = self.model, self.state, []
         for part in worker.parts:
             group, run = part.group, part.particles
@@ -247,9 +247,9 @@ class Recorder:
         return [launch for launch in glances if launch is not None]
 
     def _scatter(self, part: Part) -> Iterator[Recorded]:
-        """Yield the scatter of a part, after RPIC if the scheme has it.
+        """Yield the scatter of a part, preceded by RPIC if the scheme has RPIC.
 
-        RPIC does not follow the gather, so that measurements see the strain of the substep.
+        RPIC does not directly follow the gather, so that measurements see the substep's strain.
         """
         if self.rpic > 0:
             inputs = [part.chosen, self.rpic, self.tracks.clock]
@@ -282,7 +282,9 @@ class Recorder:
         return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """Return a worker's part of the update of a body's grid, by the run's clock or another."""
+        """Return a worker's share of the update of a body's grid, with the given or the run's
+        clock.
+        """
         model, grid, slabs = self.model, self.grids[body], self.slabs
         clock = self.tracks.clock if clock is None else clock
         inputs, records = [clock, self.tracks.values], []

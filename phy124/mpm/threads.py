@@ -1,4 +1,4 @@
-"""A team of threads that do tasks together, one after another, and the barrier between tasks.
+"""A team of threads that run tasks together, one after another, and the barrier between tasks.
 
 Warp's CPU kernels release Python's global lock, so several threads can run kernels at the same
 time. The barrier spins inside a kernel, since putting a thread to sleep and waking it would take
@@ -21,18 +21,18 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS, NAP = 20, 5e-5
-"""Spins of a barrier that only yield the core, and sleep between further spins [s]."""
+"""Number of spins of a barrier that only yield the core; sleep between further spins [s]."""
 SPINS = 100_000
-"""Checks of the barrier per spin if every thread has a core; otherwise a single check."""
+"""Number of checks of the barrier per spin if every thread has a core; otherwise 1."""
 Task = TypeVar("Task")
 
 
 class Team(Generic[Task]):
     """Runs `work(member, task)` on every member's own thread; the caller's thread is member 0.
 
-    Member 0 is not called: it puts a task, does its own part, and puts the next one, which waits
-    for the others. Load every kernel that `work` launches before entering `running`, since loading
-    is not thread-safe.
+    `work` is not called for member 0: the caller puts a task, does its own share, and puts the next
+    task, which first waits for the other members. Load every kernel that `work` launches before
+    entering `running`, since loading is not thread-safe.
     """
 
     def __init__(self, size: int, work: Callable[[int, Task], None]) -> None:
@@ -42,17 +42,17 @@ class Team(Generic[Task]):
         self._errors: list[BaseException | None] = []
         """Exception of each member's last task."""
         self.seconds = [0.0] * size
-        """Processor time that each member but the first has used [s]."""
+        """CPU time that each member except the first has used [s]."""
 
     @property
     def alive(self) -> bool:
-        """Whether it runs."""
+        """Whether the threads are running."""
         return self._barrier is not None
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Within this context, tasks can be put."""
-        # Errors may be left from the last time, if another one was raised before.
+        """Start the threads, so that tasks can be put within this context."""
+        # Errors may remain from the previous context, if another error was raised first.
         self._barrier, self._queue = Barrier(self.size), []
         self._errors = [None] * self.size
         threads = [
@@ -64,7 +64,7 @@ class Team(Generic[Task]):
                 thread.start()
             yield
         finally:
-            # Ctrl-C may have ended the first thread anywhere, also between two barriers.
+            # Ctrl-C may have stopped the first thread anywhere, even between two barriers.
             self._barrier.abandoned = True
             for thread in threads:
                 if thread.ident is not None:
@@ -72,18 +72,18 @@ class Team(Generic[Task]):
             self._barrier = None
 
     def put(self, task: Task) -> None:
-        """Wait until all have finished their previous task, and start this task.
+        """Wait until all members have finished their previous task, and start this task.
 
-        Re-raises an exception of the previous task; of several, that of the lowest member.
+        An exception of the previous task is re-raised; of several, that of the lowest member.
         """
         self._hand_over(task)
 
     def join(self) -> None:
-        """Wait until all have finished their task; re-raises its exception."""
+        """Wait until all members have finished their task; re-raise any exception."""
         self._hand_over(None)
 
     def _hand_over(self, task: Task | None) -> None:
-        # A list, since the others may read it after the next task has been put.
+        # A list, since other threads may read the task after the next one has been put.
         self._queue.append(task)
         if self._barrier:
             self._barrier.wait(0)
@@ -117,14 +117,14 @@ class Barrier:
         spins = SPINS if parties <= cores() else 1
         self._launches = [self._record(ticket, parties, spins) for ticket in self._tickets]
         self.abandoned = False
-        """Whether threads need not wait any longer."""
+        """Whether threads should stop waiting."""
 
     def _record(self, ticket: wp.array, parties: int, spins: int) -> Any:
         inputs, outputs = [parties, spins], [self._counter, ticket]
         return wp.launch(meet, 1, inputs=inputs, outputs=outputs, device="cpu", record_cmd=True)
 
     def wait(self, party: int) -> bool:
-        """Wait until all have arrived; return False if the barrier was abandoned."""
+        """Wait until all threads have arrived; return False if the barrier was abandoned."""
         launch, view = self._launches[party], self._views[party]
         launch.launch()
         spun = 0

@@ -1,11 +1,12 @@
-"""The stable substep of explicit MLS-MPM, and which of its limits is in force.
+"""The stable substep of explicit MLS-MPM, and the limit that determines it.
 
-dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|): A the largest eigenvalue of
-d tau / d ln sigma (an isolated particle is a harmonic oscillator of omega^2 = 4 A / (rho0 dx^2)),
-|v| the largest speed, |C| the largest velocity gradient. See docs/design/physics.md.
+dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|), where A is the largest eigenvalue of d tau /
+d ln sigma (an isolated particle is a harmonic oscillator with omega^2 = 4 A / (rho0 dx^2)), |v| the
+largest speed, and |C| the largest velocity gradient. See docs/design/physics.md.
 
-If the substep followed A in phase with a vibration, it would pump energy into it. The assumed A
-therefore decays slowly: leapfrog with substeps of equal length conserves energy.
+If the substep followed A in phase with a vibration, it would add energy to the vibration. The
+assumed A therefore decays slowly after a measurement: leapfrog integration with substeps of equal
+length conserves energy.
 """
 
 from __future__ import annotations
@@ -23,14 +24,15 @@ CFL = 0.75
 CELLS_PER_STEP = 0.5
 """Largest distance that a particle moves in one substep [cells]."""
 STRAIN_PER_STEP = 0.4
-"""Largest |C| dt; below 1 an element cannot turn inside out."""
+"""Largest |C| dt; below 1 an element cannot become inverted in one substep."""
 MEMORY = 0.95
-"""Fraction of a measured stiffness that is assumed at least `MEASURE_EVERY` substeps later."""
+"""Fraction of a measured stiffness that is still assumed after `MEASURE_EVERY` substeps."""
 TRAVEL = 2
 """Largest distance that particles move between measurements of positions [cells]; the margin of the
-grid's window is twice as wide."""
+grid's window is twice this distance.
+"""
 MEASURE_EVERY = 4
-"""Number of substeps between two measurements of the limits that is safe in any motion."""
+"""Number of substeps between two measurements of the limits that is safe for any motion."""
 
 
 class Extremes(NamedTuple):
@@ -44,12 +46,12 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return the extremes with at least the decayed earlier stiffness and this speed.
+        """Return the extremes, raised to the decayed earlier stiffness and to a speed.
 
         Args:
             before: Extremes measured `substeps` earlier.
             speed: Largest speed of rigid solids [m/s].
-            substeps: Number of substeps since then.
+            substeps: Number of substeps since `before` was measured.
         """
         stiffness = max(self.stiffness, decay(before.stiffness, substeps))
         return self._replace(stiffness=stiffness, speed=max(self.speed, speed))
@@ -61,24 +63,24 @@ class Maxima(NamedTuple):
     extremes: Extremes
     """Values that limit the substep."""
     lower: NDArray[np.float64]
-    """Lowest corner of their bounding box [3], m."""
+    """Lowest corner of the particles' bounding box [3], m."""
     upper: NDArray[np.float64]
-    """Highest corner [3], m."""
+    """Highest corner of the bounding box [3], m."""
 
     @classmethod
     def of(cls, row: NDArray[np.float64]) -> Maxima:
-        """Read the numbers of `phy124.kernels.measure`."""
+        """Return the maxima from the numbers that `phy124.kernels.measure` defines."""
         speed, gradient, stiffness = row[[SPEED, GRADIENT, STIFFNESS]].tolist()
         return cls(Extremes(speed, gradient, stiffness), -row[LOW : LOW + 3], row[HIGH : HIGH + 3])
 
     @property
     def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lowest and highest corner [m]."""
+        """Lowest and highest corner of the bounding box [m]."""
         return self.lower, self.upper
 
 
 class Substep(NamedTuple):
-    """A substep and what limits it."""
+    """Length of a substep, and the limit that determines it."""
 
     dt: float
     """Length [s]."""
@@ -115,7 +117,7 @@ def stable_substep(
 
 
 def decay(value: float, substeps: int) -> float:
-    """Return a value measured some substeps ago, decayed by `MEMORY`."""
+    """Return the value still assumed some substeps after it was measured, decayed by `MEMORY`."""
     return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 
@@ -129,10 +131,10 @@ def beside_elastic(cfl: float) -> float:
 
 
 def beside_rpic(cfl: float) -> float:
-    """Return the fraction of the elastic limit that is stable if the strain in C is damped.
+    """Return the fraction of the elastic limit that is stable if the strain rate in C is damped.
 
-    An oscillator that keeps the fraction s of its velocity in each substep is stable while
-    (omega dt)^2 <= 2 + 2 s; s is 0 at worst.
+    An oscillator that keeps the fraction s of its velocity in each substep is stable while (omega
+    dt)^2 <= 2 + 2 s; in the worst case s is 0.
     """
     return cfl * math.sqrt(0.5)
 

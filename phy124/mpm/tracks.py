@@ -1,6 +1,7 @@
 """Tracks: quantities that vary in time, evaluated on the device once per substep.
 
-Every time profile becomes a piecewise linear table, so that kernels need not know its kind.
+Every time profile becomes a piecewise linear table, so that kernels need not distinguish the kinds
+of profile.
 """
 
 from __future__ import annotations
@@ -23,27 +24,27 @@ from phy124.schema.region import Vector
 from phy124.schema.section import Section
 
 SEGMENTS = 64
-"""Straight pieces per period of a sine: its largest error is 0.12 % of the amplitude."""
+"""Straight segments per period of a sine: the largest error is 0.12 % of the amplitude."""
 FOREVER = 1e30
-"""Beyond any run [s]; finite, so that it survives float32."""
+"""Later than the end of any run [s], but finite in float32."""
 Key = tuple[float, Vector]
 """Time [s] and value."""
 Over = Literal["", "kick", "drift"]
-"""The time over which a value is averaged."""
+"""Interval over which a value is averaged: none, the kick, or the drift."""
 OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
-"""Flags of these."""
+"""Flags of these intervals."""
 
 
 class Table(Section):
     """Base class of time profiles: a table of times [s] and factors, used once or repeated."""
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times since the start [s] and the factors at them, linear in between."""
+        """Return times since the start [s] and their factors, with linear interpolation between."""
         raise NotImplementedError
 
     @property
     def period(self) -> float:
-        """Time after which it repeats [s]; 0: never."""
+        """Time after which the table repeats [s]; 0 if it never repeats."""
         return 0.0
 
 
@@ -53,7 +54,7 @@ class Constant(Table):
     kind: Literal["constant"] = "constant"
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """One key."""
+        """Return one key."""
         return np.zeros(1), np.ones(1)
 
 
@@ -66,7 +67,7 @@ class Ramp(Table):
     last: Factor = Field(default=1.0, description="Factor at the end and after.")
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Two keys."""
+        """Return two keys."""
         return np.array([0.0, self.duration]), np.array([self.first, self.last])
 
 
@@ -84,14 +85,14 @@ class Sine(Table):
         return 1 / self.frequency
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """One period."""
+        """Return one period."""
         parts = np.linspace(0, 1, SEGMENTS + 1)
         wave = np.sin(2 * math.pi * (parts + self.phase / 360))
         return parts / self.frequency, self.offset + wave
 
 
 class Keyframes(Table):
-    """Factors at given times, linear in between."""
+    """Factors at given times, linear between them."""
 
     kind: Literal["keyframes"] = "keyframes"
     times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
@@ -105,11 +106,11 @@ class Keyframes(Table):
 
     @property
     def period(self) -> float:
-        """The last time [s], if it repeats."""
+        """The last time [s] if the keys repeat, else 0."""
         return self.times[-1] if self.repeat else 0.0
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The keys."""
+        """Return the keys."""
         return np.array(self.times), np.array(self.factors)
 
 
@@ -117,10 +118,10 @@ AnyProfile = Annotated[Constant | Ramp | Sine | Keyframes, Field(discriminator="
 
 
 def check_times(times: Sequence[float], values: int, name: str) -> None:
-    """Check that times begin at 0 or later, increase and match their values.
+    """Check that times begin at 0 or later, increase and match their values in number.
 
     Raises:
-        ValueError: If they do not.
+        ValueError: A condition is not met.
     """
     if len(times) != values or len(times) < 2:
         raise ValueError(
@@ -132,24 +133,24 @@ def check_times(times: Sequence[float], values: int, name: str) -> None:
 
 @dataclass(frozen=True)
 class Track:
-    """Keys in order of time, linear between them and constant outside."""
+    """Keys in order of time; the value is linear between them and constant before and after."""
 
     keys: tuple[Key, ...]
-    """Times since the origin [s] and values."""
+    """Times since the origin [s], and values at these times."""
     start: float = -FOREVER
-    """Active from here on [s]."""
+    """Time from which the track is active [s]."""
     end: float = FOREVER
-    """Active until here [s]."""
+    """Time until which the track is active [s]."""
     origin: float = 0.0
-    """Zero of the keys' times [s]."""
+    """Time at which the keys' times are zero [s]."""
     period: float = 0.0
-    """The keys repeat after this time [s]; 0: never."""
+    """Time after which the keys repeat [s]; 0 if they never repeat."""
     mean: bool = False
-    """Averaged over each kick and zero while inactive; else as its slot says."""
+    """True: averaged over each kick and zero while inactive; False: as the slot's flags say."""
 
     @classmethod
     def constant(cls, value: Sequence[float]) -> Track:
-        """A track with the same value at all times."""
+        """Return a track with the same value at all times."""
         x, y, z = value
         return cls(((0.0, (x, y, z)),))
 
@@ -159,15 +160,15 @@ class Track:
     ) -> Track:
         """Return the track of a value times a profile.
 
-        A track that starts at time 0 counts as having acted before as well, so that the first kick
-        is whole.
+        A track that starts at time 0 is also active before time 0, so that the first kick is
+        complete.
 
         Args:
             value: The value at factor 1.
             profile: Factors since the start.
-            start: When it becomes active [s].
-            end: Until when it is active [s].
-            mean: Whether it is averaged over each kick.
+            start: Time from which the track is active [s].
+            end: Time until which the track is active [s].
+            mean: Whether the value is averaged over each kick.
         """
         times, factors = profile.table()
         keys = np.multiply.outer(factors, np.asarray(value, float)).tolist()
@@ -178,30 +179,31 @@ class Track:
 
     @property
     def varies(self) -> bool:
-        """Whether it changes in time."""
+        """Whether the value changes in time."""
         return len(self.keys) > 1 or self.start > -FOREVER or self.end < FOREVER
 
     def acts(self, start: float, end: float) -> bool:
-        """Whether it is active at any time from `start` to `end` [s]."""
+        """Return whether the track is active at any time from `start` to `end` [s]."""
         return start < self.end and end > self.start
 
     def changes(self, start: float, end: float) -> bool:
-        """Whether its value may change from `start` to `end` [s].
+        """Return whether the value may change from `start` to `end` [s].
 
-        What changes at `end` itself acts from then on: a run that is pushed while it goes on, which
-        does not know yet, must take the very substeps of one that does.
+        A change exactly at `end` is excluded, since it acts only after `end`. A live run that will
+        be pushed at `end` does not know about the push before, and must take the same substeps as a
+        run that does.
         """
         begins_or_ends = start <= self.start < end or start <= self.end < end
         return begins_or_ends or (len(self.keys) > 1 and self.acts(start, end))
 
     def largest(self, start: float, end: float) -> float:
-        """Upper bound of the norm of its values from `start` to `end` [s]; 0 if it is inactive."""
+        """Return an upper bound of the value's norm from `start` to `end` [s]; 0 if inactive."""
         if not self.acts(start, end):
             return 0.0
         return max(math.hypot(*value) for _, value in self.keys)
 
     def fastest(self, start: float, end: float) -> float:
-        """Largest norm of its rate from `start` to `end` [s]."""
+        """Return the largest norm of the rate from `start` to `end` [s]."""
         fastest, start, end = 0.0, start - self.origin, end - self.origin
         for (t, a), (u, b) in itertools.pairwise(self.keys):
             if u > t and (self.period > 0 or (t < end and u > start)):
@@ -209,7 +211,7 @@ class Track:
         return fastest
 
     def values(self, times: NDArray) -> NDArray[np.float64]:
-        """Values at some instants [T,3], whether active or not; what the device samples."""
+        """Return the sampled values at some times [T,3], ignoring whether the track is active."""
         since = np.asarray(times, float) - self.origin
         if self.period > 0:
             since = np.where(since > 0, since % self.period, since)
@@ -229,16 +231,17 @@ class Tracks:
         """Add a track and return its slot.
 
         Args:
-            track: What varies in time.
-            limited: Whether a stage with a limit reads it, so that its values bound nothing.
-            over: Of a track that is no mean: average its value over the kick, or over the substep
-                ahead, also where these reach beyond its window; empty: the present value.
+            track: The track.
+            limited: Whether the stage that reads the track has its own limit, so that the track's
+                values bound nothing.
+            over: For a track with `mean` false: average the value over the kick or over the substep
+                ahead, even beyond the track's active time; empty: the current value.
         """
         averaged = MEAN if track.mean else OVER[over]
         return self._append(track, averaged | (LIMITED if limited else 0))
 
     def accelerate(self, track: Track) -> None:
-        """Add a uniform acceleration [m/s^2] to slot 0, where the grid update reads it."""
+        """Add a uniform acceleration [m/s^2] to slot 0, from which the grid update reads it."""
         self._append(track, MEAN | JOINS)
 
     def _append(self, track: Track, flag: int) -> int:
@@ -248,7 +251,7 @@ class Tracks:
 
     @property
     def vary(self) -> bool:
-        """Whether anything changes in time; if not, the tracks are sampled only once."""
+        """Whether any track changes in time; if not, the tracks are sampled only once."""
         return any(track.varies for track in self.tracks)
 
     @property
@@ -277,7 +280,7 @@ class Tracks:
         self.clock = clock
 
     def record(self) -> wp.Launch:
-        """The launch that samples every track at the present time."""
+        """Return the launch that samples every track at the current time."""
         tables = [self.starts, self.times, self.keys, self.spans, self.flag_array]
         launch = wp.launch(
             make_sampler(self.real),
@@ -291,5 +294,5 @@ class Tracks:
 
 
 def kernels(real: type) -> list[wp.Kernel]:
-    """The kernel that samples tracks."""
+    """Return the kernel that samples tracks."""
     return [make_sampler(real)]

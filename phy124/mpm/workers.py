@@ -1,15 +1,16 @@
-"""Workers: each processes a part of the particles and scatters to nodes of its own.
+"""Workers: each processes a part of the particles and scatters to its own nodes.
 
 A worker scatters its particles into private nodes, updates its layers of the shared grid from all
 private nodes, and then gathers. A single worker has all particles and scatters to the shared grid.
-phy124/mpm/threads.py runs them in parallel.
+phy124/mpm/threads.py runs several workers in parallel.
 
 Several workers have slabs. The particles of each group, which are sorted in layers along the
-longest axis (phy124/simulation/setup.py), are divided into slabs of equal numbers. A slab has the
-nodes that its particles can touch until the next measurement: those of its own layers, and a few
-more on each side. As the object rotates or flows, slabs come to overlap. Once they have too many
-nodes in all, the particles are divided again by their present positions. Workers then find their
-particles by lists of indices, which makes a substep up to twice as expensive, so this is rare.
+longest axis (phy124/simulation/setup.py), are divided into slabs of equal particle numbers. A slab
+has the nodes that its particles can touch until the next measurement: those of its own layers, and
+a margin on each side. As the object rotates or flows, slabs begin to overlap. Once the slabs have
+too many nodes in total, the particles are divided again by their current positions. Workers then
+access their particles through lists of indices, which makes a substep up to twice as expensive, so
+particles are rarely divided again.
 """
 
 from __future__ import annotations
@@ -33,22 +34,25 @@ from phy124.mpm.timestep import Maxima
 from phy124.runtime.cores import free_cores
 
 MIN_PARTICLES = 10_000
-"""Smallest number of particles of a worker; with fewer, barriers cost more than it saves."""
+"""Smallest number of particles per worker; with fewer, barriers cost more time than is saved."""
 GATHER = -1
 """The last phase of a substep; workers wait for each other between phases."""
 SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "follow")
-"""Stages of the host: choosing substeps and all else between launches; recording launches for a
-window that has moved; repairing broken deformations; and the functions called after each substep:
-progress, budget and observers."""
+"""Stages of the host. `schedule`: choosing substeps, and all other work between launches; `window`:
+recording launches for a moved window; `repair`: resetting broken deformations; `follow`: the
+functions called after each substep (progress, budget and observers).
+"""
 NODES, GROWN = 16, 1.25
-"""Nodes of slabs per particle from which a new cut may pay, or memory would grow without bound; and
-how many times as many they must be, per node of the window, as after the last cut."""
+"""Thresholds for dividing particles again: nodes of slabs per particle, which also bounds memory;
+and growth of the slabs' nodes per node of the window since the last division.
+"""
 GAP, LINE = 1, 4
-"""Nodes between two slabs, since SIMD rows touch one node more, and nodes per line of cache: no
-two workers ever write to the same one."""
+"""Gap between two slabs [nodes], since SIMD rows touch one more node; and nodes per cache line: no
+two workers ever write to the same cache line.
+"""
 Result = TypeVar("Result")
 Timings = dict[str, list[float]]
-"""Stage -> seconds and number of launches."""
+"""Seconds and number of launches by name of the stage."""
 
 
 @dataclass
@@ -57,24 +61,24 @@ class Part:
 
     group: Group
     particles: slice
-    """The span of particles that contains them."""
+    """The span of particles that contains the part."""
     chosen: wp.array
-    """Indices within this span; empty: all."""
+    """Indices within this span; empty if the part is the whole span."""
     count: int
     """Number of particles."""
     nodes: Grid
-    """The nodes they scatter to: the shared grid of the body, or private nodes."""
+    """The nodes to which the part scatters: the shared grid of the body, or private nodes."""
     maxima: wp.array
-    """Results of measuring them (phy124/kernels/measure.py)."""
+    """Maxima measured over the part (phy124/kernels/measure.py)."""
 
     def indices(self) -> slice | NDArray[np.int64]:
-        """Return the indices of its particles among all."""
+        """Return the indices of the part's particles among all particles."""
         if len(self.chosen) == 0:
             return self.particles
         return self.particles.start + np.asarray(self.chosen.numpy(), np.int64)
 
     def among(self, indices: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the indices that are of its particles."""
+        """Return those of the given indices that belong to the part's particles."""
         run = self.particles
         if len(self.chosen) == 0:
             return indices[(indices >= run.start) & (indices < run.stop)]
@@ -86,20 +90,20 @@ class Worker:
     """Some of the particles, and the launches for them."""
 
     maxima: wp.array
-    """Results of measuring: `COUNT` numbers for each body, or for each of its parts."""
+    """Measured maxima: `COUNT` numbers for each body, or for each of the worker's parts."""
     speeds: wp.array
-    """Results of measuring the speeds alone [SPEEDS]."""
+    """Measured maxima of speed and velocity gradient [SPEEDS]."""
     parts: list[Part] = field(default_factory=list)
     phases: list[list[Named]] = field(default_factory=list)
-    """Launches of pushes, if any; of scatter; of update and walls in one or more; of gather."""
+    """Launches by phase: pushes (if any), scatter, one or more of update and walls, gather."""
     measures: list[wp.Launch] = field(default_factory=list)
-    """Launches that measure what limits the substep."""
+    """Launches that measure the limits of the substep."""
     glances: list[wp.Launch] = field(default_factory=list)
-    """Launches that measure speeds only."""
+    """Launches that measure only speeds and velocity gradients."""
     timings: Timings = field(default_factory=dict)
 
     def run(self, phase: int) -> None:
-        """Run one phase of a substep; time between two launches counts for the second."""
+        """Run one phase of a substep; time between two launches counts for the second launch."""
         before = time.perf_counter()
         for name, launch in self.phases[phase]:
             launch()
@@ -110,20 +114,20 @@ class Worker:
             before = after
 
     def measure(self) -> None:
-        """Measure the limits of the substep and the extent of its particles."""
+        """Measure the limits of the substep and the extent of the worker's particles."""
         self.maxima.fill_(-np.inf)
         for launch in self.measures:
             launch.launch()
 
     def glance(self) -> None:
-        """Measure the speeds and velocity gradients of its particles."""
+        """Measure the speeds and velocity gradients of the worker's particles."""
         self.speeds.zero_()
         for launch in self.glances:
             launch.launch()
 
 
 class Slabs:
-    """The parts of several workers."""
+    """Division of the particles among several workers."""
 
     def __init__(self, model: Model, state: State, grids: Sequence[Grid], count: int) -> None:
         """Divide the particles for the first time.
@@ -144,12 +148,12 @@ class Slabs:
         self.boxes: list[wp.array] = []
         """Lowest node and extent of each slab of each body."""
         self.starts: list[wp.array] = []
-        """First node of each of these in the pool."""
+        """Index in the pool of the first node of each slab of each body."""
         self.runs: list[wp.array] = []
         """The nodes of each worker."""
         self._owner = np.zeros(len(model), np.int16)
         self._share = 0.0
-        """Nodes of slabs per node of the window after the last division."""
+        """Ratio of the slabs' nodes to the window's nodes after the last division."""
         self.divide()
 
     @property
@@ -159,19 +163,19 @@ class Slabs:
 
     @property
     def share(self) -> float:
-        """Nodes of all slabs per node of the window."""
+        """Ratio of the nodes of all slabs to the nodes of the windows."""
         shared = sum(grid.count for grid in self._grids)
         return sum(part.nodes.count for part in self.parts) / max(shared, 1)
 
     @property
     def outgrown(self) -> bool:
-        """Whether slabs have grown enough since the last division for another one to pay."""
+        """Whether slabs have grown enough since the last division for another division to pay."""
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
 
     def divide(self, order: NDArray[np.integer] | None = None) -> None:
-        """Give each worker equal numbers of each group, in memory order or in another order [P]."""
+        """Give workers equal numbers of each group's particles, in memory order or `order` [P]."""
         count = len(self.workers)
         order = np.arange(len(self._model)) if order is None else order
         for group in self._model.groups:
@@ -182,7 +186,7 @@ class Slabs:
         self._share_out()
 
     def divide_again(self, lower: NDArray, upper: NDArray) -> None:
-        """Divide across the axis that is longest now; the particles lie between two corners [m]."""
+        """Divide across the currently longest axis of the particles' box, from its corners [m]."""
         x: NDArray[Any] = self._state.x.numpy()
         layer = layers(np.clip(x, lower, upper), int(np.argmax(upper - lower)), self._model.dx)
         orders = [
@@ -201,7 +205,7 @@ class Slabs:
         reaches = [self._reach(part, row) for part, row in zip(self.parts, rows, strict=True)]
         if not force and all(map(_has_space, self.parts, reaches)):
             return False
-        # All slabs at once, so that no slab needs it again soon.
+        # All slabs at once, so that no other slab has to change soon.
         boxes = []
         for part, reach in zip(self.parts, reaches, strict=True):
             grid = self._grids[part.group.body]
@@ -218,7 +222,7 @@ class Slabs:
         return grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
 
     def place(self, boxes: Sequence[tuple[NDArray, NDArray]]) -> None:
-        """Give every slab `size` [3] nodes from `low` [3] on, and clear them."""
+        """Allocate cleared nodes for every slab: `size` [3] nodes from `low` [3] on."""
         rooms = [-(-(int(np.prod(size)) + GAP) // LINE) * LINE for _, size in boxes]
         starts = [0, *itertools.accumulate(rooms)]
         device = self._model.device
@@ -245,7 +249,7 @@ class Slabs:
         return {"workers": count, "owner": self._owner.copy(), "share": self._share, "boxes": boxes}
 
     def restore(self, snapshot: dict[str, Any]) -> bool:
-        """Return to a snapshot; return False if it has another number of workers."""
+        """Return to a snapshot; return False if its number of workers differs."""
         if snapshot.get("workers") != len(self.workers):
             self.divide()
             return False
@@ -258,13 +262,13 @@ class Slabs:
         return True
 
     def _share_out(self) -> None:
-        """Give the workers their parts."""
+        """Assign the parts to the workers."""
         for index, worker in enumerate(self.workers):
             parts = (self._part(index, group) for group in self._model.groups)
             worker.parts = [part for part in parts if part is not None]
 
     def _part(self, index: int, group: Group) -> Part | None:
-        """Return a worker's part of a group; None if it has no particle of it."""
+        """Return a worker's part of a group; None if the worker has no particle of the group."""
         model = self._model
         members = np.flatnonzero(self._owner[group.particles] == index)
         if len(members) == 0:
@@ -281,7 +285,7 @@ class Slabs:
 
 
 def lone_worker(model: Model, grids: Sequence[Grid]) -> Worker:
-    """Return one worker that scatters all particles to the shared grid of their body."""
+    """Return a single worker, which scatters all particles to the shared grid of their body."""
     maxima = numbers(COUNT * len(grids), model)
     every = wp.zeros(0, dtype=int, device=model.device)
     parts = []
@@ -292,12 +296,12 @@ def lone_worker(model: Model, grids: Sequence[Grid]) -> Worker:
 
 
 def numbers(count: int, model: Model) -> wp.array:
-    """Return zeros in the model's precision [count]."""
+    """Return an array of zeros in the model's precision [count]."""
     return wp.zeros(count, dtype=model.real, device=model.device)
 
 
 def usable_workers(particles: int, device: str, asked: int | None = None) -> int:
-    """Return the requested number, or as many as have free cores and particles; 1 on a GPU."""
+    """Return the requested number of workers, or the number that pays; 1 on a GPU."""
     if device != "cpu":
         return 1
     if asked is not None:
@@ -323,7 +327,7 @@ def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
 
 
 def _has_space(part: Part, reach: tuple[NDArray, NDArray] | None) -> bool:
-    """Return whether a part's particles have space to move until the next measurement."""
+    """Return whether a part's private nodes leave enough margin until the next measurement."""
     if reach is None:
         return True
     nodes, (low, high) = part.nodes, reach
