@@ -51,7 +51,7 @@ def _relief() -> Generator:
 
 
 def find_neural_packages() -> list[ModuleType]:
-    """Import the packages in `neural` that declare generators; none of them imports torch yet."""
+    """Import the packages in `neural` that declare generators; this does not import torch."""
     folder = import_module("phy124.generators.neural")
     names = [module.name for module in iter_modules(folder.__path__) if module.ispkg]
     packages = [import_module(f"{folder.__name__}.{name}") for name in names]

@@ -1,4 +1,4 @@
-"""Runs a generator that the user has installed, as a command: image in, .ply file out.
+"""Runs an external generator as a command, which reads an image and writes a .ply file.
 
     phy124 generate cat.jpg --generator "cmd: triposplat {image} {out}" --dialect triposplat
 
@@ -39,7 +39,7 @@ LONGEST = 1800.0
 BEAT = 0.2
 """Interval at which the end of the command and cancellation are checked [s]."""
 LONGEST_MESSAGE = 300
-"""Number of last characters of a failed command's output that the error message repeats."""
+"""Number of characters, from the end of a failed command's output, in the error message."""
 USAGE = 'Write "cmd: PROGRAM {image} {out}"; {seed} is a number, `cmd 120:` a limit in seconds.'
 
 

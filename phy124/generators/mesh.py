@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
 """Up and front directions by file format."""
 STL_HEAD, STL_ROW = 84, 50
-"""Sizes of a binary STL's header, which ends with the number of triangles, and of a triangle, in
-bytes."""
+"""Sizes of a binary STL's header, which ends with the number of triangles, and of one triangle
+[bytes]."""
 LARGEST = 200_000_000
 """Largest file size [bytes]; larger files are refused before they are read."""
 MOST_TRIANGLES = 2_000_000
@@ -157,7 +157,7 @@ def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
 
 
 def _load(path: str, kind: str) -> Any:
-    """Load the scene of a file; retry a PLY without the comments and blank lines that may fail."""
+    """Load the scene of a file; if a PLY fails, retry without its comments and blank lines."""
     import trimesh
     from trimesh.resolvers import FilePathResolver
 

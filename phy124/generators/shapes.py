@@ -17,7 +17,7 @@ FLATNESS = 0.15
 LIGHT = (0.35, 0.25, 0.9)
 """Direction towards the light that shades the shape."""
 AMBIENT = 0.72
-"""Brightness of surfaces that are perpendicular to the light's direction or face away from it."""
+"""Brightness of surfaces whose normal is perpendicular to the direction of the light."""
 CHECKS, CONTRAST = 8, 0.05
 """Number of squares of the checker pattern along the longest side, and their contrast. The pattern
 makes motion visible."""

@@ -20,7 +20,7 @@ SAMPLE = 100_000
 MOST = 0.8
 """Fraction of the visible area, or of the inner Gaussians, that counts as the object."""
 SMALL = 0.3
-"""Ratio of that part's longest side to the bounding box's, below which the rest is background."""
+"""Largest ratio of the object's longest side to the bounding box's if the rest is background."""
 AROUND = 1.25
 """Size of the recommended crop box relative to the object."""
 TAIL = 1e-3
@@ -28,13 +28,13 @@ TAIL = 1e-3
 ROUNDS = 4
 """Number of iterations that refine the centre of the object."""
 FAR = 3.0
-"""Smallest ratio of a sky's distance from the centre to the radius of the fraction `MOST` of the
-Gaussians inside the sky."""
+"""Smallest ratio of a sky's distance from the centre to the radius that contains the fraction
+`MOST` of the Gaussians inside the sky."""
 THIN = 0.2
 """Largest standard deviation of the distances of a sky's Gaussians, relative to their mean."""
 MANY = 0.01
-"""Smallest fraction of all Gaussians that a sky has, and of its own Gaussians in each of at least
-seven octants."""
+"""Smallest fraction of all Gaussians that a sky contains, and smallest fraction of the sky's
+Gaussians in each of at least seven octants."""
 
 
 def surroundings(

@@ -1,4 +1,4 @@
-"""Opens PNG, TIFF and HEIC without their metadata, in which any damage would make Pillow fail.
+"""Opens PNG, TIFF and HEIC without unneeded metadata, whose damage would make Pillow fail.
 
 HEIC, the format of many phones, is decoded by libheif (package pi-heif).
 """
@@ -35,7 +35,7 @@ def strip_png(data: bytes) -> bytes:
     while place < len(data):
         end = place + CHUNK_FRAME + int.from_bytes(data[place : place + 4], "big")
         kind, chunk = data[place + 4 : place + 8], data[place:end]
-        if kind == TRANSPARENCY or not kind[:1].islower():  # kinds with a capital are mandatory
+        if kind == TRANSPARENCY or not kind[:1].islower():  # a capital: mandatory chunk
             kept.append(chunk)
         elif kind in USEFUL:
             kept += [chunk[:-4], struct.pack(">I", zlib.crc32(chunk[4:-4]))]

@@ -121,7 +121,7 @@ def check_size(size: Size, minimum: int) -> None:
 
 
 def explain_unidentified(data: bytes, formats: tuple[str, ...]) -> Unusable:
-    """Return an error that explains why the data is no image in one of the formats."""
+    """Return an error that explains why the data is not an image in one of the formats."""
     if read_kind(data) in (*formats, "HEIC"):
         return Unusable("It is broken or cut short.", COPY)
     return Unusable(

@@ -1,4 +1,4 @@
-"""Examines an image's transparency: it may segment an object, or be too faint to do so."""
+"""Examines an image's alpha: whether it separates an object, and whether it is faint throughout."""
 
 from __future__ import annotations
 

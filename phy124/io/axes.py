@@ -130,7 +130,7 @@ def upright(normal: NDArray) -> NDArray[np.float64]:
 
 
 def parse_numbers(text: str, count: int) -> NDArray[np.float64] | None:
-    """Read `count` finite numbers separated by commas or spaces; None if the text is not such."""
+    """Read `count` finite numbers separated by commas or spaces; None for any other text."""
     try:
         values = np.array(text.replace(",", " ").split(), np.float64)
     except ValueError:

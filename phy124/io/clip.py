@@ -1,6 +1,6 @@
 """Clip: the Gaussians of every frame (the 4D representation), saved as one safetensors file.
 
-All that follows the simulation (videos, players, ROS bags, measurements) needs only a clip.
+All later steps (videos, players, ROS bags, measurements) need only a clip.
 """
 
 from __future__ import annotations

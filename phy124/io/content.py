@@ -42,7 +42,7 @@ class Content(NamedTuple):
     dropped: int = 0
     """Number of Gaussians left out because a value was NaN or infinite."""
     axes: tuple[str, str | None] = Y_DOWN
-    """Up and front directions of the file; front None: the entry of `axes.FRONTS` for that up."""
+    """Up and front directions of the file; if front is None, `axes.FRONTS` gives it."""
     antialiased: bool = False
     """Whether the Gaussians were trained with Mip-Splatting's filter and must be drawn with it."""
     notes: tuple[str, ...] = ()
@@ -89,7 +89,7 @@ def check_opens(kind: str, path: Path) -> None:
     """Refuse a file that cannot be opened.
 
     Raises:
-        InputError: The file cannot be opened.
+        InputError: If the file cannot be opened.
     """
     if hindrance := obstacle(path):
         raise refusal(kind, path, *hindrance)

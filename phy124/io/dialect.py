@@ -19,9 +19,9 @@ from phy124.io.ply import CENTRE, DC, QUATS, SCALES, VERTICAL
 from phy124.io.plyheader import Header, read_header
 
 ENOUGH, BLOCKS = 10_000, 20
-"""Number of rows that are sampled, and number of blocks, spread over the file, that they fill."""
+"""Number of sampled rows, and number of blocks of adjacent rows, spread over the file."""
 LGM = (*CENTRE, *DC, "opacity", *SCALES, *QUATS)
-"""The columns of a file by LGM, in order."""
+"""Columns of a file that LGM wrote, in order."""
 SIGNED = ("phy124", "SuperSplat")
 """Programs that name themselves in a comment and use the usual axes."""
 UNIT = 1e-3

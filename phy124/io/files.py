@@ -63,14 +63,14 @@ DESCRIPTORS = ("/dev/fd/", "/proc/", "/dev/stdout", "/dev/stderr")
 PARTS = ".*-????????.part*"
 """Pattern of the names of files that are still being written."""
 LONGEST = 40
-"""Number of characters of a file's name that the name of its temporary file repeats at most."""
+"""Largest number of characters of a file's name that its temporary file's name repeats."""
 
 
 def is_stream(path: Path) -> bool:
     """Whether a path is written into and not replaced: a device, a pipe or an open file.
 
     Raises:
-        OSError: The path is a folder, a disk, a socket, or a link to itself.
+        OSError: If the path is a folder, a disk, a socket, or a link to itself.
     """
     try:
         mode = os.stat(path).st_mode

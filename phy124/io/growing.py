@@ -3,7 +3,7 @@
 If a run is killed, its finished frames are in the file. At the end of a run, `finish` writes the
 header, which makes the file a valid clip without copying it. The returned frames are memory-mapped
 views of the file and take no further memory. The finished clip is a hard link to the file, created
-before the first name is removed; a paused state therefore never lacks its frames.
+before the original name is removed; a paused state therefore never lacks its frames.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Growing:
         return cls(path, tensors)
 
     def put(self, frame: Frame, rotation: NDArray | None = None) -> tuple[Frame, NDArray | None]:
-        """Write a frame; return the frame and its rotations with arrays that map the file.
+        """Write a frame; return the frame and its rotations as memory-mapped views of the file.
 
         Raises:
             Unlike: If its arrays differ from those of the first frame.

@@ -1,5 +1,4 @@
-"""Reads and writes 3DGS PLY files, which store logarithms of the scales and logits of the
-opacities.
+"""Reads and writes 3DGS PLY files, which store log scales and opacity logits.
 
 The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex` whose
 properties are found by name. Colours are spherical harmonics, with all red `f_rest` first, then
@@ -315,7 +314,7 @@ def write_ply(
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a PLY file; the Gaussians must have x right, y down already."""
+    """Return the bytes of a PLY file; the Gaussians must have axes x right, y down."""
     table = raw_table(gaussians)
     names = table.dtype.names or ()
     tags = [COMMENT, "Vertical axis: -y", *(MIP if antialiased else NOT_MIP)]

@@ -1,9 +1,9 @@
 """Writes videos: H.264 in MP4 for players, GIF or animated WebP for chats, PNGs for film tools.
 
 Frames are streamed into the encoder while they are rendered. MP4s are yuv420p. They are converted
-to ITU-R BT.709 limited range and tagged so, since players assume BT.709 only for untagged HD video,
-not for smaller video. The index is at the front of the file, so that a browser can start playback
-before it has downloaded the whole file.
+to ITU-R BT.709 limited range and tagged as such: without tags, players assume BT.709 only for HD
+video, not for smaller video. The index is at the front of the file, so that a browser can start
+playback before it has downloaded the whole file.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ def _source(width: int, height: int, rate: Fraction) -> list[str]:
 
 
 def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
-    """Send all frames to the encoder, wait for its end, and return the number it accepted."""
+    """Send all frames to the encoder, wait for its end, and return how many it accepted."""
     sent = 0
     for picture in pictures:
         try:

@@ -125,7 +125,7 @@ def visible_area(gaussians: Gaussians) -> NDArray[np.float32]:
 
 
 def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lower and upper corner [3] of the object, m, including one standard deviation.
+    """Return the lower and upper corner [3], m, of all centres +- one standard deviation.
 
     The outermost 0.1 % of the opacity is excluded at each end of each axis; a few faint Gaussians
     therefore do not affect the size. Of more than 200,000 Gaussians, an even subset is used.

@@ -1,4 +1,4 @@
-"""Adds the Gaussians that the solver does not move to each frame.
+"""Adds to each frame the Gaussians that the solver does not move.
 
 They belong to static parts, to objects that follow a track, and to rigid solids.
 """
@@ -46,7 +46,7 @@ class Scenery:
     def whole(
         self, frame: Frame, poses: Sequence[NDArray] = (), motions: NDArray | None = None
     ) -> Frame:
-        """Add the other Gaussians to a frame of the moving Gaussians.
+        """Add all other Gaussians to a frame of the Gaussians that the solver moves.
 
         Static Gaussians are unchanged bit for bit. Those of tracks and rigid solids are at their
         position at the frame's time.

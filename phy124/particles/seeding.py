@@ -102,7 +102,7 @@ def make_particles(
 def by_object(
     gaussians: Gaussians, particles: Particles
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Yield the indices of the Gaussians and those of the particles of each object."""
+    """Yield, for each object, the indices of its Gaussians and of its particles."""
     if particles.body is None or gaussians.object_id is None:
         yield np.arange(len(gaussians)), np.arange(len(particles.x))
         return
@@ -111,7 +111,7 @@ def by_object(
 
 
 def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:
-    """Return the lattice points (i + 1/2) * spacing inside a closed shape [M,3], m."""
+    """Return the points [M,3], m, of the lattice (i + 1/2) * spacing inside a closed shape."""
     _check(1.0, spacing, BINDINGS[0])
     shape = find_solid(gaussians, spacing)
     return _lattice(shape, _room_per_cell(shape, spacing), spacing)

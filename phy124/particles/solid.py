@@ -67,7 +67,7 @@ class Solid:
         return scipy.ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
     def thin(self, points: NDArray, width: float) -> Mask:
-        """Return the mask of points [M,3], m, outside or in parts thinner than `width` [m]."""
+        """Return the mask of points [M,3], m, that are outside or in parts thinner than `width`."""
         radius = max(1, round(0.5 * (width / self.voxel - 1)))
         if 2 * radius >= min(self.fraction.shape):
             return np.ones(len(points), bool)
@@ -152,7 +152,7 @@ def _admissible(gaussians: Gaussians, voxel: float, extent: NDArray) -> bool:
 
 
 def _samples_per_axis(gaussians: Gaussians, voxel: float) -> NDArray[np.float64]:
-    """Return odd numbers [N,3]: 1 for an axis that stays in the voxel, else about 1 per voxel."""
+    """Return odd sample counts per axis [N,3]: 1 within a voxel, else about 1 per voxel."""
     sigma = gaussians.scales.astype(np.float64) / voxel
     return np.where(sigma > 0.25, 2 * np.ceil(sigma) + 1, 1)
 

@@ -21,7 +21,7 @@ the longest side."""
 
 
 class Properties(Section):
-    """E, nu, density, damping, law or a fraction of E of each point of the object, from a file."""
+    """Material properties of each point of the object (such as E or its fraction), from a file."""
 
     file: FileName = Field(
         examples=["materials.npz"],

@@ -60,7 +60,7 @@ class Rendering:
     """Radius of three standard deviations [N], pixels; 0 for invisible Gaussians."""
 
     def screen_gradients(self) -> Tensor:
-        """Return the loss gradients by the centres [N,2], per half image side (unit of 3DGS)."""
+        """Return the loss gradients with respect to the centres [N,2], per half image side."""
         height, width = self.alpha.shape
         gradient = self.centres.grad
         if gradient is None:

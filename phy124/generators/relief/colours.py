@@ -19,7 +19,7 @@ REACH = 0.2
 """Distance along the surface, beyond the rim, over which the image fades into the back, in image
 sizes."""
 SHORTER = 6.0
-"""Exponent that weights the shorter of row and column on the back, applied to their ratio."""
+"""Exponent of the length ratio of row and column on the back; the shorter one has more weight."""
 FRINGE = 2.0
 """Width of the edge whose colours are ignored [pixels]."""
 
@@ -90,8 +90,8 @@ def colour_points(
     """Colour surface points [N,3] from the front image, and continue it around the rim.
 
     Behind the rim, the image is continued by reflection: a point at a distance from the rim along
-    the surface gets the colour at the same distance inside the rim. With the distance, this colour
-    fades into that of the back.
+    the surface gets the colour at the same distance inside the rim. With
+    increasing distance, this colour fades into that of the back.
 
     Args:
         points: Positions [N,3], pixels.

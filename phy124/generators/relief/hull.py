@@ -86,8 +86,8 @@ class Hull(Implicit):
         offsets = np.stack(np.meshgrid(*[np.arange(COARSE)] * 3, indexing="ij"), -1).reshape(-1, 3)
         corners = (corners[:, None] + offsets * pitch).reshape(-1, 3)
         points = corners + pitch * rng.random(corners.shape)
-        # One random point per cube gives, near the surface, one point per square of its area:
-        # those within half a pitch of it.
+        # With one random point per cube, the points within half a pitch of the surface number one
+        # per pitch^2 of its area.
         points = self.project(points[self._near(points, pitch / 2)], rounds=4)
         return points[self.is_near(points)]
 

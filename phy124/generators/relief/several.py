@@ -110,7 +110,7 @@ def _profile(picture: Continued) -> Profile:
 
 
 def _shrinking(points: Field, box: Box, distance: float) -> float:
-    """Return the scale factor that makes the front camera see points [N,3] in pictured size."""
+    """Return the scale factor at which points [N,3] appear in their pictured size."""
     axis = int(np.argmax(box.size))
     factor = 1.0
     for _ in range(4):

@@ -25,8 +25,8 @@ from phy124.generators.relief.solids import RIM, apply_depth, inflate
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
 
 SEEN = 0.7
-"""Position of an end's plane between back (0) and front (1), chosen so that the camera sees the
-plane at the image's lowest line. (The plane of divided feet meets that line at the front.)"""
+"""Weight of the object's front edge, seen on the image's lowest line, in the height of a flat end's
+plane; the rest is the weight of the end's corners. (For divided feet, the weight is 1.)"""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Cap:
 
 
 def make_cap(surface: Surface, view: View, end: End, pitch: float) -> Cap:
-    """Make the flat face of an end, at the height where the camera sees it at the image's edge.
+    """Make the flat face of an end, at the height that follows from the end's rows in the image.
 
     Args:
         surface: The inflated solid.

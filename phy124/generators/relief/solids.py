@@ -123,7 +123,7 @@ def _balls(inside: NDArray[np.bool_]) -> Field:
     They are the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim: an
     upper envelope of parabolas, computed along one axis after the other.
     """
-    # Distance from a pixel's centre to the rim, which is half a pixel before the next centre.
+    # The rim lies half a pixel before the centre of the nearest outside pixel.
     squares = np.where(inside, (nearest_of(~inside)[0] - 0.5) ** 2, 0.0)
     for _ in range(2):
         offsets = np.arange(squares.shape[1])

@@ -39,7 +39,7 @@ class View:
 
     @classmethod
     def of(cls, object_mask: NDArray[np.bool_], distance: float) -> View:
-        """Return the camera that looks at the centre of the object's bounding box; mask [H,W]."""
+        """Return the camera that looks at the centre of the mask's bounding box; mask [H,W]."""
         y, x = np.nonzero(object_mask)
         return cls(np.array([x.min() + x.max(), y.min() + y.max(), 0.0]) / 2, distance)
 
@@ -48,7 +48,7 @@ class View:
         return 1 - z / self.distance
 
     def project_points(self, points: Field, normals: Field) -> tuple[Field, Field]:
-        """Apply the perspective to points [N,3] and unit normals; results are about the centre."""
+        """Apply the perspective to points and normals [N,3]; points become relative to `middle`."""
         flat, z = (points - self.middle)[:, :2], points[:, 2:]
         k = self.k(z)
         across = normals[:, :2] / k
@@ -134,7 +134,7 @@ class Surface(Implicit):
 
     @classmethod
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
-        """Return the surface whose image by the camera is w; it sees less than half of a ball.
+        """Return the surface that the camera of `View` images as w; it sees less than half a ball.
 
         In pixels along the view rays, a ball of radius h about c has its midsurface at
         z = p (p - c) / d, with p relative to the image centre; here p - c = -grad(w) / 2.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 SIZE = 256
 ROUNDS = 20
-"""Rounds of Lloyd's algorithm; after ten rounds, the error falls by less than 1 %."""
+"""Rounds of Lloyd's algorithm; those after the tenth reduce the error by less than 1 %."""
 
 COMPONENTS = 8
 """Number of principal components used to divide vectors into cells."""

@@ -11,9 +11,8 @@
     shN: count, bands, codebook,  higher harmonics: labels (low byte, high byte) are indices into a
          files                    palette; the palette's image has 64 entries per row, one pixel per
                                   coefficient, each channel an index among 256 values
-    extras: phy124: object_id:    the specification reserves `extras` for applications; phy124
-    stores
-            files                 an image with the object index in 24 bits, lowest byte in red
+    extras: phy124: object_id:    `extras` is reserved for applications; phy124 stores an image with
+            files                 the object index in 24 bits, lowest byte in red
 
 Pixels are numbered row by row: pixel i of an image belongs to Gaussian i.
 """

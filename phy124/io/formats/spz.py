@@ -122,7 +122,7 @@ MORE = struct.Struct("<I12x")
 ENTRY = struct.Struct("<QQ")
 ANTIALIASED, EXTENDED = 1, 2
 MOST_RECORDS = 1 << 20
-"""Number of bytes of the extensions that are read at most."""
+"""Largest number of bytes of the extensions that are read."""
 COLOUR = 0.15
 MOST_BITS = 16
 """Fractional bits that are written; fewer if a coordinate exceeds 128 units."""

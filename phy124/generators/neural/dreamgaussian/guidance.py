@@ -29,7 +29,7 @@ class Pose(NamedTuple):
 
 
 class Guidance(Protocol):
-    """Computes a loss for `views` images at a time; four views are 90 degrees apart."""
+    """Computes a loss for `views` images at a time; if `views` is 4, they are 90 degrees apart."""
 
     views: int
 
@@ -66,7 +66,7 @@ def add_noise(latents: Tensor, noise: Tensor, level: int) -> Tensor:
 
 
 def sds(latents: Tensor, predicted: Tensor, noise: Tensor, weight: float) -> Tensor:
-    """Return a scalar loss whose gradient by the latents is `weight * (predicted - noise)`.
+    """Return a scalar loss with the gradient `weight * (predicted - noise)` for the latents.
 
     The loss is .5 |z - stopgrad(z - w (eps - n))|^2, as in DreamGaussian's program.
 

@@ -170,7 +170,7 @@ def ball(count: int, radius: float, draw: torch.Generator) -> Tensor:
 
 CHILDREN = 2
 SHRINK = 0.8 * CHILDREN
-"""Divisor of the scales of a parent that gives the scales of its children after a split."""
+"""Ratio of a parent's scales to those of its children after a split."""
 TOO_LARGE = 0.1
 """Largest scale divided by the extent; larger Gaussians are removed."""
 RESET = 0.01
@@ -220,7 +220,7 @@ class Pull:
 
 
 def normal_draw(generator: torch.Generator) -> Draw:
-    """Return a function that draws normal samples on the CPU, identical for every device."""
+    """Return a function that draws normal samples on the CPU, so that devices do not differ."""
     return lambda std: std * torch.randn(std.shape, generator=generator).to(std)
 
 
@@ -265,5 +265,5 @@ def prune(splats: Splats, *, opacity_min: float, extent: float) -> None:
 
 @torch.no_grad()
 def reset_opacity(splats: Splats) -> None:
-    """Reduce all opacities to `RESET` at most; the optimisation raises those that are needed."""
+    """Cap all opacities at `RESET`; the optimisation then raises those that are needed."""
     splats.overwrite("opacity", torch.logit(splats.opacities.clamp(max=RESET))[:, None])

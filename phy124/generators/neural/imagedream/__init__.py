@@ -1,4 +1,4 @@
-"""ImageDream: four consistent views of the object in a picture (Wang & Shi 2023)."""
+"""ImageDream: four consistent views of the object in an image (Wang & Shi 2023)."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ GROUPS = 32
 class CrossAttention(nn.Module):
     """Multi-head attention from x [B,L,C] to a context [B,M,D], or to x itself.
 
-    If `picture_tokens` > 0, that many last tokens of the context come from the image and have
-    separate keys and values. The results for text and image are added; that of the image is
+    If `picture_tokens` > 0, the last `picture_tokens` tokens of the context come from the image and
+    have separate keys and values. The results for text and image are added; that of the image is
     multiplied by `picture_weight`.
     """
 
@@ -186,7 +186,7 @@ class Upsample(nn.Module):
 
 
 class Stage(nn.ModuleList):
-    """Layers in sequence; each gets those of embedding, context and frame count that it needs."""
+    """Layers in sequence; each gets only the inputs that it needs (embedding, context, frames)."""
 
     def __init__(self, *layers: nn.Module) -> None:
         super().__init__(layers)

@@ -39,8 +39,8 @@ class PerceiverAttention(nn.Module):
         x, latents = self.norm1(x), self.norm2(latents)
         k, v = self.to_kv(torch.cat([x, latents], dim=1)).chunk(2, dim=-1)
         q, k, v = (t.unflatten(-1, (HEADS, -1)).transpose(1, 2) for t in (self.to_q(latents), k, v))
-        # Queries and keys are scaled by the square root each, and the softmax is in float32: this
-        # avoids overflow in half precision.
+        # Half precision would overflow. To avoid this, queries and keys are each multiplied by the
+        # square root of the scale, and the softmax is computed in float32.
         scale = HEAD_WIDTH**-0.25
         weights = ((q * scale) @ (k * scale).transpose(-2, -1)).float().softmax(dim=-1).to(v.dtype)
         return self.to_out((weights @ v).transpose(1, 2).flatten(2))

@@ -118,7 +118,7 @@ class Parts(Protocol):
 
 
 class TrainedParts:
-    """Loads the public networks when they are needed; the encoders come before the U-Net.
+    """Loads the public networks: the encoders first, and the U-Net when it is needed.
 
     The image encoder is kept for the next image if it fits into memory together with the U-Net.
     Otherwise it is released after use. The text is always the same and is encoded once.
@@ -280,7 +280,7 @@ def predict_guided(
 ) -> Tensor:
     """Return the noise [5,4,h,w] by classifier-free guidance, with and without the image.
 
-    The prediction without the image is extrapolated in the direction of that with it.
+    The result is extrapolated from the prediction without the image through the one with it.
 
     Args:
         unet: Network that predicts the noise.

@@ -88,7 +88,7 @@ class Lgm:
         self.steps = steps or STEPS
         self.sampler: Sampler = sampler or SAMPLER
         self.device = torch_device(device)
-        # On a CPU, LGM takes a small part of the time, and low precision is visible in positions.
+        # float32 on a CPU: LGM takes little time, and low precision would show in its positions.
         gpu = self.device.startswith("cuda")
         self.dtype = dtype or (torch.float16 if gpu else torch.float32)
         self.diffusion_dtype = dtype_of(precision, self.device, PARAMETERS)
