@@ -34,10 +34,10 @@ from .steering.source import SteeredOptions, make_live
 from .topics import FACTOR, Topic
 
 STOPPED_EARLY = 3
-"""Exit status of a simulation that kept its good frames but did not reach the end."""
+"""Exit status of a simulation that stopped early and whose valid frames were saved."""
 log = logging.getLogger(__name__)
 Say = Callable[[str], None]
-"""Takes one line of results; problems go to the log."""
+"""Prints a line of results; problems go to the log."""
 Messages = Annotated[Options, tyro.conf.arg(name="")]
 Backend = Annotated[
     str,
@@ -56,16 +56,16 @@ class Record:
     source: tyro.conf.Positional[Path]
     """A clip.safetensors; with --live a picture or a file of Gaussians."""
     output: tyro.conf.Positional[Path | None] = None
-    """Bag folder, or a file if it ends in .mcap; default: SOURCE without its suffix, with -bag."""
+    """Bag folder, or a file if it ends in .mcap; default: SOURCE-bag, without SOURCE's suffix."""
     messages: Messages = field(default_factory=Options)
     compression: Compression = "none"
-    """Compression of the chunks; moving Gaussians hardly shrink."""
+    """Compression of the chunks; files with moving Gaussians hardly become smaller."""
     overwrite: bool = False
     """Replace an older recording."""
     simulated: Simulated = field(default_factory=LiveOptions)
 
     def run(self, say: Say) -> int:
-        """Record; prints where."""
+        """Record the frames; print the path of the recording."""
         self.simulated.check()
         if self.simulated.live:
             run = LiveRun(self.source, self.simulated)
@@ -93,7 +93,7 @@ class Record:
         say(f"{sink.frames} frames in {sink.path}")
 
     def _sink(self, **about: Any) -> McapSink:
-        """Make the sink, with metadata."""
+        """Create the sink, with metadata."""
         return McapSink(
             self.output or self.source.with_name(f"{self.source.stem}-bag"),
             self.messages,
@@ -113,27 +113,27 @@ class Play:
     """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2), foxglove, or the name of a sink that a
     package registers; auto: rclpy, otherwise dds."""
     speed: float = 1.0
-    """Clip seconds per second."""
+    """Clip seconds per real second."""
     rate: float | None = None
     """Largest number of frames per second; absent: every frame."""
     loop: bool = False
     """Start again after the last frame; time stamps continue to grow."""
     paused: bool = False
-    """Show the first frame and wait for the command `play`."""
+    """Show the first frame, then wait for the command `play`."""
     stay: bool = False
-    """Continue to listen to commands after the last frame."""
+    """Continue to accept commands after the last frame."""
     record: Path | None = None
-    """Also record the frames shown to this bag folder or .mcap file."""
+    """Also record the frames that are shown, to this bag folder or .mcap file."""
     network: bool = False
     """Also reach other machines; otherwise only this one."""
     clock: bool = False
-    """rclpy: publish /clock for nodes with use_sim_time."""
+    """For rclpy: publish /clock for nodes with use_sim_time."""
     port: int = PORT
-    """Foxglove: port of the websocket."""
+    """For Foxglove: port of the websocket."""
     messages: Messages = field(default_factory=Options)
     simulated: Simulated = field(default_factory=LiveOptions)
     ros_args: tyro.conf.Suppress[tuple[str, ...]] = ()
-    """rclpy: the arguments from --ros-args on."""
+    """For rclpy: `--ros-args` and the arguments after it."""
 
     def run(self, say: Say) -> int:
         """Play until the end or Ctrl-C."""
@@ -169,7 +169,7 @@ class Play:
     def _outlets(
         self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
-        """The live sink and the recordings, entered; the recording stores `about`."""
+        """Provide the opened live sink and recordings; a recording stores `about`."""
         backend = choose(self.backend)
         with ExitStack() as stack:
             records: list[Sink] = []
@@ -195,35 +195,35 @@ class Steer:
     """Simulate an object that peers push, hold, pause and step over ROS 2 topics and services."""
 
     source: tyro.conf.Positional[Path]
-    """A picture, a file of Gaussians, or a clip.safetensors, whose object begins at rest."""
+    """A picture, a file of Gaussians, or a clip.safetensors, whose object starts at rest."""
     backend: Backend = "auto"
     """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2) or foxglove; auto: rclpy, otherwise
     dds."""
     speed: float = 1.0
-    """Simulated seconds per second; slower where the machine does not keep up."""
+    """Simulated seconds per real second; lower if the machine is too slow."""
     paused: bool = False
-    """Show the object at rest and wait to be played or stepped."""
+    """Show the object at rest until a command plays or steps the simulation."""
     push_seconds: float = 0.1
-    """Duration of a wrench on ~/push unless another one follows [s]."""
+    """Duration of a wrench on ~/push, unless a new wrench replaces it [s]."""
     frames: int | None = None
-    """Number of frames after which to end; default: when it is interrupted or quit."""
+    """Number of frames after which the simulation ends; default: no limit."""
     session: Path | None = None
-    """At the end write the session as a scene, which `phy124 generate --scene` repeats."""
+    """File for the session at the end: a scene that `phy124 generate --scene` repeats."""
     record: Path | None = None
     """Also record the frames to this bag folder or .mcap file."""
     network: bool = False
     """Also reach other machines; otherwise only this one."""
     port: int = PORT
-    """Foxglove: port of the websocket."""
+    """For Foxglove: port of the websocket."""
     messages: Messages = field(default_factory=Options)
     simulated: Annotated[SteeredOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes] = field(
         default_factory=SteeredOptions
     )
     ros_args: tyro.conf.Suppress[tuple[str, ...]] = ()
-    """rclpy: the arguments from --ros-args on."""
+    """For rclpy: `--ros-args` and the arguments after it."""
 
     def run(self, say: Say) -> int:
-        """Simulate until it is quit, or Ctrl-C."""
+        """Simulate until a command or Ctrl-C ends the simulation."""
         checked_speed(self.speed)
         checked_duration(self.push_seconds)
         backend = choose(self.backend)
@@ -289,10 +289,10 @@ class Recover:
     path: tyro.conf.Positional[Path]
     """The bag folder or the .mcap file."""
     output: Path | None = None
-    """Write the repaired copy here and leave the damaged one unchanged."""
+    """File for the repaired copy, which leaves the damaged recording unchanged."""
 
     def run(self, say: Say) -> int:
-        """Repair; prints how many frames were recovered."""
+        """Repair the recording; print how many frames were recovered."""
         result = recover(self.path, self.output)
         state = "repaired" if result.repaired else "already complete"
         say(f"{result.path}: {state}, {result.frames} frames")
@@ -301,7 +301,7 @@ class Recover:
 
 @dataclass(frozen=True)
 class Doctor:
-    """List the outlets that work on this machine, and what the others need."""
+    """List the outlets that work on this machine, and the requirements of the others."""
 
     def run(self, say: Say) -> int:
         """Print the list."""
@@ -318,7 +318,7 @@ COMMANDS = {
     "recover": Recover,
     "doctor": Doctor,
 }
-"""Name on the command line -> class."""
+"""Name of a command -> its class."""
 
 
 def _status(run: LiveRun) -> int:

@@ -1,8 +1,8 @@
-"""Translates ROS 2's environment variables for discovery to settings of Cyclone DDS.
+"""Translate ROS 2's environment variables for discovery into settings of Cyclone DDS.
 
 ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS, ROS_LOCALHOST_ONLY and ROS_DOMAIN_ID have the same
-meaning as for a ROS 2 node ("improved dynamic discovery", ROS 2 Iron and later). With SUBNET the
-publisher is stricter than a node: without `network` it stays on this machine.
+meaning as for a ROS 2 node ("improved dynamic discovery", ROS 2 Iron and later). In the range
+SUBNET the publisher is stricter than a node: without `network` it does not reach other machines.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ RANGE, PEERS, LOCALHOST_ONLY, DOMAIN = (
     "ROS_DOMAIN_ID",
 )
 LAST_DOMAIN = 232
-"""Largest DDS domain whose ports fit."""
-# `max`, never `min`: hosts with a small rmem_max would refuse to start.
-# A heartbeat asks for acknowledgements; one every 100 ms, the default, is late at 30 Hz.
+"""Largest DDS domain number, limited by the range of port numbers."""
+# Only `max`: with `min`, the publisher would not start on hosts with a small rmem_max.
+# A heartbeat requests acknowledgements; the default interval of 100 ms is too long for 30 Hz.
 BUFFERS = (
     '<Internal><SocketReceiveBufferSize max="4MB"/>'
     "<HeartbeatInterval>10 ms</HeartbeatInterval></Internal>"
 )
 LOOPBACK = '<NetworkInterface address="127.0.0.1" multicast="false"/>'
-# ROS 2's own nodes announce themselves on the default interface and may not listen on loopback.
+# ROS 2 nodes announce themselves on the default interface, and may not listen on loopback.
 INTERFACES = f'<Interfaces>{LOOPBACK}<NetworkInterface autodetermine="true"/></Interfaces>'
 ON_THIS_MACHINE = (
     "<AllowMulticast>spdp</AllowMulticast><MulticastTimeToLive>0</MulticastTimeToLive>"
 )
 NO_MULTICAST = "<AllowMulticast>false</AllowMulticast>"
-# The same two numbers as rmw_cyclonedds_cpp: the number of processes that can find each other.
+# As in rmw_cyclonedds_cpp; the index limits the number of processes that can find each other.
 INDEX = (
     "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
 )
@@ -46,7 +46,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Discovery:
-    """The participants that a publisher looks for."""
+    """Where a publisher looks for other participants."""
 
     range: Range = "SUBNET"
     peers: tuple[str, ...] = ()
@@ -57,10 +57,10 @@ class Discovery:
 
     @classmethod
     def from_environment(cls, *, network: bool = False) -> Discovery:
-        """The settings of ROS 2's variables.
+        """Read the settings from ROS 2's environment variables.
 
         Raises:
-            InputError: `network` contradicts them, or a variable is wrong.
+            InputError: `network` contradicts the variables, or a variable has an invalid value.
         """
         reach, peers = _range(), _peers()
         if os.environ.get(LOCALHOST_ONLY) == "1":
@@ -75,11 +75,11 @@ class Discovery:
         return cls(reach, peers, domain_id(), network)
 
     def configurations(self) -> tuple[str, ...]:
-        """Cyclone's XML, followed by what to try if loopback is the only interface."""
+        """Return Cyclone's XML, then XML to try if loopback is the only network interface."""
         if self.range == "SYSTEM_DEFAULT":
             return (_xml(BUFFERS),)
         if self.range == "OFF":
-            # With a unique tag, no participant outside this process answers.
+            # With a unique tag, no participant of another process answers.
             alone = f"<ParticipantIndex>none</ParticipantIndex><Tag>phy124_{os.getpid()}</Tag>"
             return (_xml(self._general(NO_MULTICAST) + self._discovery(alone)),)
         if self.network:
@@ -92,7 +92,7 @@ class Discovery:
         )
 
     def audience(self) -> str:
-        """One line: who receives the frames, and what they need."""
+        """Describe in a line who receives the frames, and the settings that receivers need."""
         who = {
             "SUBNET": "nodes on this machine and network"
             if self.network
@@ -106,7 +106,7 @@ class Discovery:
         return f"Discovery range {self.range}, domain {self.domain}: heard by {who}{also}{need}."
 
     def export(self) -> str:
-        """The shell command for the receiving side."""
+        """Return the shell command for the receiving machine."""
         return f"export {DOMAIN}={self.domain} {RANGE}={self.range}"
 
     def _general(self, inner: str) -> str:
@@ -118,10 +118,10 @@ class Discovery:
 
 
 def domain_id() -> int:
-    """The domain given by ROS_DOMAIN_ID, otherwise 0.
+    """Return the domain number in ROS_DOMAIN_ID, or 0.
 
     Raises:
-        InputError: It is not a domain.
+        InputError: The variable is not a domain number.
     """
     text = os.environ.get(DOMAIN) or "0"
     if not text.isdecimal() or int(text) > LAST_DOMAIN:

@@ -1,4 +1,4 @@
-"""Encodes frames as messages, for all sinks."""
+"""Encode frames as messages, for all sinks."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from .topics import ELLIPSOIDS, POINTS, SPLATS, TF_STATIC, Message, Topic
 SPHERE = 2
 """`visualization_msgs/msg/Marker.SPHERE`."""
 THINNEST = 1e-6
-"""Smallest diameter of a marker [m], since RViz rejects zero."""
+"""Smallest diameter of a marker [m], because RViz rejects zero."""
 log = logging.getLogger(__name__)
 
 
 class FrameEncoder:
-    """Turns frames into messages according to `options`; logs once what it leaves out."""
+    """Encodes frames as messages according to `options`; logs omissions once."""
 
     def __init__(self, options: Options) -> None:
         self.options = options.for_recording()
@@ -36,25 +36,25 @@ class FrameEncoder:
 
     @property
     def topics(self) -> list[Topic]:
-        """The topics that will be published, the static transform first."""
+        """Topics that will be published, the static transform first."""
         static = [TF_STATIC] if self.options.parent_frame else []
         return [*static, self.main, *([ELLIPSOIDS] if self.options.ellipsoids else [])]
 
     @property
     def main(self) -> Topic:
-        """The topic that has the Gaussians of every frame."""
+        """Topic with the Gaussians of every frame."""
         return SPLATS if self._profile == "splats" else POINTS
 
     def stamp(self, seconds: float) -> int:
-        """Time stamp [ns since 1970] of an instant of the clip [s]."""
+        """Return the time stamp [ns since 1970] of a time in the clip [s]."""
         return self.epoch + round(seconds * cdr.NANO)
 
     def limit(self, points: int | None) -> None:
-        """Limit the points per frame from now on; None: send all."""
+        """Limit the points per frame from now on; None: no limit."""
         self.options = self.options.model_copy(update={"max_points": points})
 
     def static(self) -> list[Message]:
-        """The messages sent once, before all frames."""
+        """Return the messages that are sent once, before all frames."""
         if not self.options.parent_frame:
             return []
         transform = {
@@ -68,7 +68,7 @@ class FrameEncoder:
         return [_message(TF_STATIC, self.epoch, {"transforms": [transform]})]
 
     def encode(self, frame: Frame) -> list[Message]:
-        """The messages of one frame; its time counts from the epoch."""
+        """Return the messages of a frame; its time counts from the epoch."""
         stamp = self.stamp(frame.time)
         header = {"stamp": cdr.time(stamp), "frame_id": self.options.frame_id}
         shown = self._thin(frame)

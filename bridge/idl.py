@@ -1,4 +1,4 @@
-"""Cyclone DDS types of the ROS 2 messages, built from the same definitions as the CDR encoder."""
+"""Cyclone DDS types of the ROS 2 messages, built from the definitions that the CDR encoder uses."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ SCALARS: dict[str, Any] = {
 
 @cache
 def idl_type(name: str) -> type[IdlStruct]:
-    """The final, keyless DDS type of a ROS message, with the name that ROS 2 uses."""
+    """Return the final, keyless DDS type of a ROS message, with ROS 2's name for it."""
     return _struct(name, {})
 
 
 @cache
 def service_type(name: str) -> type[IdlStruct]:
-    """The type of a service's request or response behind the header of rmw_cyclonedds_cpp."""
+    """Return the type of a service's request or response, after rmw_cyclonedds_cpp's header."""
     return _struct(name, {"client": types.uint64, "number": types.int64})
 
 
@@ -47,9 +47,9 @@ def _struct(name: str, before: dict[str, Any]) -> type[IdlStruct]:
 
 @cache
 def encoded_type(name: str) -> type[IdlStruct]:
-    """The same type for writers whose samples are CDR payloads already; see `sample`.
+    """Return the type for writers whose samples are already CDR payloads; see `sample`.
 
-    That of a response has the header, too.
+    The type of a response also has the header.
     """
     kind = (service_type if name.endswith("_Response") else idl_type).__wrapped__(name)
     # DataWriter.write calls serialize(); this skips the field-by-field encoder, which is slow.
@@ -58,7 +58,7 @@ def encoded_type(name: str) -> type[IdlStruct]:
 
 
 def sample(name: str, payload: bytes) -> IdlStruct:
-    """A sample of `encoded_type(name)` that is written as `payload`."""
+    """Return a sample of `encoded_type(name)` whose serialised form is `payload`."""
     made = object.__new__(encoded_type(name))
     vars(made)["payload"] = payload
     return made

@@ -21,28 +21,28 @@ from .sinks.mcap import PART
 from .topics import MAIN
 
 WANTED_BUFFER = 4 << 20
-"""Receive buffer for a frame of 65,536 points of 60 bytes [bytes]."""
+"""Receive buffer that holds a frame of 65,536 points of 60 bytes each [bytes]."""
 SHARED = (("NumPy", "numpy", 1), ("OpenCV", "cv2", 4))
-"""Packages that phy124 and ROS 2 share: name, module, newest major version Jazzy accepts."""
+"""Packages that phy124 and ROS 2 share: name, module, newest major version that Jazzy accepts."""
 OPTIONAL = {
     "simulation_interfaces": "`live` offers ~/step and ~/reset (std_srvs) instead of its services",
     "splat_interfaces": "there is no profile `splats` through rclpy",
 }
-"""Package of ROS 2 -> what is missing without it."""
+"""ROS 2 package -> the feature that is missing without it."""
 BUFFERS = Path("/proc/sys/net/core")
 SHORT = {
     "rmem_max": "too small for 65,536 points per frame",
     "rmem_default": "which is all that Fast DDS takes: too small for 32,768 points per frame on a "
     "busy machine",
 }
-"""Receive buffer of the system -> what it means if it is smaller than `WANTED_BUFFER`."""
+"""System setting of the receive buffer -> consequence of a value below `WANTED_BUFFER`."""
 
 
 def describe(path: Path) -> list[str]:
     """Describe a clip or a recording.
 
     Raises:
-        InputError: It is neither.
+        InputError: The path is neither a clip nor a recording.
     """
     file = bag.mcap_file(path)
     if path.is_dir() or path.suffix in (bag.SUFFIX, PART):
@@ -52,7 +52,7 @@ def describe(path: Path) -> list[str]:
 
 
 def describe_clip(clip: Clip) -> list[str]:
-    """Describe a clip: frames, points, and the size of a message."""
+    """Describe a clip: frames, points, and message sizes."""
     count = clip.means.shape[1]
     seconds = float(clip.times[-1] - clip.times[0])
     rate = (len(clip) - 1) / seconds if seconds else 0.0
@@ -105,7 +105,7 @@ def describe_recording(path: Path, file: Path) -> list[str]:
 
 
 def diagnose() -> list[str]:
-    """List this machine's capabilities, and what the missing ones need."""
+    """List this machine's capabilities, and the requirements of those that are missing."""
     lines = [f"python: {sys.version.split()[0]} on {sys.platform}"]
     for outlet in dict.fromkeys([*REQUIREMENTS, *sink_names()]):
         error = missing(outlet)
@@ -130,7 +130,7 @@ def _optional(package: str, lacking: str) -> str:
 
 
 def _beside_ros(name: str, module: str, newest: int) -> str:
-    """The version that a node would import, and whether ROS 2's packages accept it."""
+    """Describe the version that a node would import, and whether ROS 2's packages accept it."""
     spec = find_spec(module)
     if spec is None or spec.origin is None:
         return f"{name}: not installed"

@@ -1,19 +1,19 @@
-"""Profiles of a PointCloud2: which numbers of a Gaussian a point holds, and where.
+"""Profiles of a PointCloud2: fields and byte layout of a point.
 
-All fields are little-endian float32, except in `small`. `rgb` holds 0x00RRGGBB in its 32 bits, as
-RViz and Foxglove expect. The world follows REP-103 already (metres, x forward, y left, z up), so
+All fields are little-endian float32, except in `small`. The 32 bits of `rgb` are 0x00RRGGBB, as
+RViz and Foxglove expect. phy124's world already follows REP-103 (metres, x forward, y left, z up):
 nothing is rotated.
 
 - `viz`, 16 bytes: x y z rgb.
-- `full`, 60 bytes: the same, then alpha 0..1, standard deviations sx sy sz [m], the orientation
-  qw qx qy qz, and the velocity vx vy vz [m/s]; of several objects 64 bytes, the last an uint32
-  `object_id`.
-- `small`, 10 bytes: x y z as int16 steps, r g b a as uint8. The row has 16 bytes after its last
-  point: four float32, the centre x y z [m] and the step [m]. A position is centre + step * (x, y,
-  z); -32768 stands for NaN.
+- `full`, 60 bytes: x y z rgb, then alpha 0..1, standard deviations sx sy sz [m], the orientation
+  qw qx qy qz, and the velocity vx vy vz [m/s]. With several objects a point has 64 bytes; the last
+  field is then `object_id`, an uint32.
+- `small`, 10 bytes: x y z as int16, r g b a as uint8. After its last point the row has 16 more
+  bytes: four float32 with the centre x y z [m] and the quantisation step [m]. A position is
+  centre + step * (x, y, z); -32768 encodes NaN.
 - `splats` is no PointCloud2, see `splats`.
-- `ply`, 68 bytes or more: the names and raw values of a 3DGS PLY (Kerbl et al. 2023), which splat
-  viewers read: colours as harmonics, opacity as logit, scales as logarithm, rot_0 = w.
+- `ply`, 68 bytes or more: names and raw values of a 3DGS PLY (Kerbl et al. 2023), which splat
+  viewers read: colours as harmonics, opacities as logits, scales as logarithms, rot_0 = w.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ Profile = Literal["viz", "full", "small", "ply", "splats"]
 FLOAT32 = 7
 """`sensor_msgs/msg/PointField.FLOAT32`."""
 DATATYPES = {"<f4": FLOAT32, "<i2": 3, "<u4": 6, "|u1": 2}
-"""NumPy's type -> that of `sensor_msgs/msg/PointField`."""
+"""NumPy type -> constant of `sensor_msgs/msg/PointField`."""
 VIZ = ("x", "y", "z", "rgb")
 SMALL = np.dtype([*((axis, "<i2") for axis in "xyz"), *((colour, "u1") for colour in "rgba")])
 LARGEST_STEP = 32767
-"""Largest step in int16, positive or negative; -32768 has a meaning of its own."""
+"""Largest magnitude of a quantised coordinate; -32768 encodes NaN."""
 FULL = (*VIZ, "alpha", "sx", "sy", "sz", "qw", "qx", "qy", "qz", "vx", "vy", "vz")
 OBJECT = "object_id"
 FIRST = 4
-"""Where the first splat begins, behind the number of splats [bytes]."""
+"""Offset of the first splat, after the number of splats [bytes]."""
 
 
 def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, Any]:
-    """The PointCloud2 of a frame, ready for `cdr.encode`.
+    """Return the PointCloud2 of a frame, ready for `cdr.encode`.
 
-    Without velocities in the frame, theirs are NaN and `is_dense` is false.
+    If the frame has no velocities, they are NaN in `full`, and `is_dense` is false.
     """
     table, tail = small_points(frame) if profile == "small" else (points(frame, profile), b"")
     known = profile != "full" or frame.velocities is not None
@@ -65,7 +65,7 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
 
 
 def points(frame: Frame, profile: Profile) -> NDArray[Any]:
-    """A structured row per Gaussian [N] with members of 4 bytes, for all profiles but `small`."""
+    """Return a structured array with a row per Gaussian [N], 4 bytes per field; not for `small`."""
     gaussians = frame.gaussians
     if profile == "ply":
         return raw_table(gaussians)
@@ -74,7 +74,7 @@ def points(frame: Frame, profile: Profile) -> NDArray[Any]:
         members.append((OBJECT, "<u4"))
     table = np.empty((len(gaussians), len(members)), "<f4")
     table[:, :3] = gaussians.means
-    # Copied as integers, since copying floats may change the bits of a NaN.
+    # Copied as integers, because copying floats may change the bits of a NaN.
     table.view("<u4")[:, 3] = packed_rgb(gaussians)
     if profile == "full":
         table[:, 4] = gaussians.opacities
@@ -87,10 +87,10 @@ def points(frame: Frame, profile: Profile) -> NDArray[Any]:
 
 
 def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:
-    """Rows of `small` [N], and the 16 bytes with centre and step.
+    """Return the rows of `small` [N], and the 16 bytes with centre and quantisation step.
 
-    A position is wrong by at most half a step along each axis; the step is the longest side of the
-    frame's bounding box divided by 65,534.
+    The error of a position is at most half a step along each axis. The step is the longest side of
+    the frame's bounding box divided by 65,534.
     """
     gaussians = frame.gaussians
     means = gaussians.means.astype(np.float64)
@@ -115,15 +115,15 @@ def _field(dtype: Any, name: str) -> dict[str, Any]:
 
 
 def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:
-    """Colours as 0x00RRGGBB [N]."""
+    """Return colours as 0x00RRGGBB [N]."""
     red, green, blue = np.rint(gaussians.rgb * 255).astype(np.uint32).T
     return red << 16 | green << 8 | blue
 
 
 def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
-    """Indices of the Gaussians to keep, so that at most `limit` of `count` remain; None: all.
+    """Return the indices of at most `limit` of `count` Gaussians; None: keep all.
 
-    They are evenly spaced, so the choice is the same in every frame and every run.
+    The indices are evenly spaced, which gives the same choice in every frame and every run.
     """
     if limit is None or count <= limit:
         return None
@@ -131,12 +131,12 @@ def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
 
 
 def splat_array(gaussians: Gaussians, stamp: int, frame: str) -> bytes:
-    """The CDR payload of a SplatArray.
+    """Return the CDR payload of a SplatArray.
 
     Args:
         gaussians: The Gaussians.
         stamp: Time [ns since 1970].
-        frame: The frame in which they are.
+        frame: Name of the coordinate frame.
     """
     count, numbers = len(gaussians), 3 * gaussians.sh.shape[1]
     layouts = {phase: _layout(phase, frame, numbers) for phase in (0, 4)}
@@ -152,16 +152,16 @@ def splat_array(gaussians: Gaussians, stamp: int, frame: str) -> bytes:
 
 
 def _phases(count: int, sizes: dict[int, int]) -> NDArray[np.int64]:
-    """Where each splat begins, modulo 8: 0 or 4."""
+    """Return the offset of each splat modulo 8: 0 or 4."""
     phases = np.full(count, FIRST)
     if (FIRST + sizes[FIRST]) % 8 == 0:
-        # The second one begins at a multiple of eight, and the others like it or like the first.
+        # The second splat begins at a multiple of 8; later ones have the first or second phase.
         phases[1 :: 2 if sizes[0] % 8 else 1] = 0
     return phases
 
 
 def _layout(phase: int, frame: str, numbers: int) -> np.dtype[Any]:
-    """The members of a splat that begins at `phase` modulo 8, and the bytes between them."""
+    """Return the members of a splat that begins at `phase` modulo 8, including padding."""
     text = len(frame.encode()) + 1
     gap = -(phase + 12 + text) % 8
     return np.dtype(
@@ -182,7 +182,7 @@ def _layout(phase: int, frame: str, numbers: int) -> np.dtype[Any]:
 
 
 def _rows(gaussians: Gaussians, stamp: int, frame: str, layout: np.dtype[Any]) -> NDArray[np.uint8]:
-    """The bytes of splats [N, size]."""
+    """Return the bytes of splats [N, size]."""
     table = np.zeros(len(gaussians), layout)
     table["stamp"] = divmod(stamp, NANO)
     table["length"], table["frame"] = len(frame.encode()) + 1, frame.encode()

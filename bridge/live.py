@@ -1,4 +1,4 @@
-"""Plays a clip into a sink, or follows a running simulation, and listens to commands."""
+"""Play a clip into a sink, or follow a running simulation, and accept commands."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def play(
         player: Decides which frame is due.
         records: Other sinks for the frames that are shown.
         clock: Current time [s].
-        stay: Continue to listen after the last frame.
+        stay: Whether to accept commands after the last frame.
     """
 
     def obey(text: str) -> str | None:
@@ -81,15 +81,15 @@ def follow(
 ) -> None:
     """Send each frame of a running simulation as soon as it is computed and due.
 
-    A simulation faster than `speed` is slowed down to it. A pause also pauses the simulation, after
-    the current frame. Commands are received all the time, in a separate thread. Seeking and
+    A simulation that is faster than `speed` is slowed down. A pause also pauses the simulation,
+    after the current frame. A separate thread receives commands at all times. Seeking and
     restarting need a finished clip and are refused.
 
     Args:
         frames: The frames as they are computed.
         sink: Shows the frames, and receives commands.
         records: Other sinks for the frames.
-        speed: Seconds of the clip per second, at most.
+        speed: Largest number of simulated seconds per real second.
         clock: Current time [s].
     """
     pacer = Pacer(speed, clock)
@@ -121,7 +121,7 @@ def command(player: Player, text: str, now: float) -> None:
         now: Current time [s].
 
     Raises:
-        InputError: There is no such command, or it cannot be carried out.
+        InputError: There is no such command, or it cannot be carried out now.
     """
     word, *values = text.split() or [""]
     if word in WORDS and not values:
@@ -154,28 +154,28 @@ class Pacer:
         self._lock = threading.Lock()
 
     def wait(self, time: float) -> float:
-        """Seconds until the frame of `time` s may be shown; infinite while paused."""
+        """Return the time until the frame of `time` s may be shown [s]; infinite while paused."""
         with self._lock:
             return self._wait(time, self._clock())
 
     def _wait(self, time: float, now: float) -> float:
         if self.paused:
-            # When playing continues, the next frame is due at once.
+            # When playback continues, the next frame is due at once.
             self._anchor = None
             return math.inf
         start, first = self._anchor = self._anchor or (now, time)
         ahead = (time - first) / self.speed - (now - start)
         if ahead < 0:
-            # The simulation is slower than playback, which waits and does not catch up afterwards.
+            # The simulation is slower than playback: shift later due times instead of catching up.
             self._anchor = now, time
         return max(ahead, 0.0)
 
     def note(self, frame: Frame) -> None:
-        """Count a frame that is being shown."""
+        """Count a frame that is now shown."""
         self.shown, self.position = self.shown + 1, frame.time
 
     def stamp_at(self, now: float) -> float:
-        """Time of the newest frame [s], since later times have not been computed."""
+        """Return the time of the newest frame [s], because later times are not computed yet."""
         del now
         return self.position
 
@@ -198,7 +198,7 @@ class Pacer:
 
 
 class _DropAnnouncer:
-    """Logs that frames are dropped, but not for each of them."""
+    """Logs that frames are dropped, at intervals instead of for each frame."""
 
     def __init__(self, player: Player, clock: Clock) -> None:
         self._player, self._clock = player, clock
@@ -212,7 +212,7 @@ class _DropAnnouncer:
 
 
 def _attempt(action: Callable[[], None]) -> str | None:
-    """Try a command; if it is wrong, playback goes on, and the reason is logged and returned."""
+    """Carry out a command; if it is refused, log and return the reason, and let playback go on."""
     try:
         action()
     except InputError as error:
@@ -222,15 +222,15 @@ def _attempt(action: Callable[[], None]) -> str | None:
 
 
 def number(text: str, values: list[str], known: str = KNOWN) -> float:
-    """The one number of a command.
+    """Return the number in a command.
 
     Args:
         text: The command.
         values: Its words after the first.
-        known: The commands there are.
+        known: The known commands, for the error message.
 
     Raises:
-        InputError: There is not one.
+        InputError: The command has no number, or several.
     """
     try:
         (number,) = map(float, values)
@@ -240,13 +240,13 @@ def number(text: str, values: list[str], known: str = KNOWN) -> float:
 
 
 def unknown(text: str, known: str = KNOWN) -> InputError:
-    """The refusal of a command that is not among those known."""
+    """Return the error for an unknown command."""
     limit = f"Known are: {known}."
     return InputError("command", repr(text), limit, "Send one of them.")
 
 
 class Listener:
-    """Listens to a sink in a thread while the main thread computes; `obey` gets its commands."""
+    """Listens to a sink in a thread while the main thread computes; passes commands to `obey`."""
 
     def __init__(self, sink: LiveSink, obey: Obey) -> None:
         self._sink, self._obey = sink, obey
@@ -264,17 +264,17 @@ class Listener:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop listening; raises the error that ended it, if nothing else failed."""
+        """Stop listening; raise the error that ended the listening, if nothing else failed."""
         self._over.set()
         self._thread.join()
         if error is None:
             self.check()
 
     def wait(self, seconds: float) -> None:
-        """Wait for a command for at most `seconds`.
+        """Wait for a command for up to `seconds`.
 
-        Raises the error that ended the listening, such as the KeyboardInterrupt of a sink whose
-        peer has disconnected.
+        If an error has ended the listening, it is raised here; an example is the KeyboardInterrupt
+        of a sink whose peer has disconnected.
         """
         self._heard.wait(min(seconds, LONGEST_WAIT))
         self._heard.clear()
@@ -290,7 +290,7 @@ class Listener:
             while not self._over.is_set():
                 self._sink.listen(LONGEST_WAIT, self._pass_on)
         except BaseException as error:
-            # The main thread raises it; it may be waiting for a command.
+            # `check` raises the error in the main thread, which may be waiting for a command.
             self._error = error
             self._heard.set()
 

@@ -1,9 +1,9 @@
-"""The ROS 2 messages that the bridge uses: definitions and RIHS01 type hashes of ROS 2 Jazzy.
+"""Definitions of the ROS 2 messages that the bridge uses, and their RIHS01 hashes in ROS 2 Jazzy.
 
-Constants are left out of the definitions, as they are not part of the wire format. The tests
-compare every definition and hash of ROS 2 itself with those of rosbags. Two more packages are
-Apache-2.0, of which names and types are here: simulation_interfaces 2.1.0 and splat_interfaces (of
-RVizSplat).
+Constants are left out of the definitions, because they are not part of the wire format. The tests
+compare every definition and hash of ROS 2 itself with the package rosbags. Two other packages, both
+under Apache-2.0, are represented by names and types: simulation_interfaces 2.1.0 and
+splat_interfaces (of RVizSplat).
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ DEFINITIONS: dict[str, str] = {
 }
 """Type name -> its definition, in which inner messages are named `package/Name`.
 
-The two halves of a service are messages `package/srv/Name_Request` and `_Response`.
+Request and response of a service are the messages `package/srv/Name_Request` and `_Response`.
 """
 
 HASHES: dict[str, str] = {
@@ -180,20 +180,20 @@ HASHES: dict[str, str] = {
         "RIHS01_718428121e0f1755720878d3c28f1688da7581ee5a5d56d26d10d941a28a50a0"
     ),
 }
-"""Type of a topic, or of half a service -> its hash (REP-2011)."""
+"""Type of a topic, or of a service's request or response -> its hash (REP-2011)."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """One member of a message."""
+    """A member of a message."""
 
     name: str
     base: str
     """A primitive such as `uint8`, `string`, or a full message name."""
     length: int | None
-    """None: one value; 0: a sequence of any length; otherwise an array of that many values."""
+    """None: a single value; 0: a sequence of any length; otherwise an array of this length."""
     bound: int | None = None
-    """Longest string allowed [bytes]."""
+    """Largest length of the string [bytes]; None: no limit."""
 
 
 _LINE = re.compile(
@@ -203,12 +203,12 @@ _LINE = re.compile(
 
 @cache
 def fields(name: str) -> tuple[Field, ...]:
-    """Members of the message `package/msg/Name`, in wire order; KeyError if it is unknown."""
+    """Return the members of `package/msg/Name` in wire order; KeyError if it is unknown."""
     return tuple(_field(line) for line in DEFINITIONS[name].splitlines())
 
 
 def definition(name: str) -> str:
-    """The `ros2msg` text of a message and all its inner messages, as in MCAP schemas."""
+    """Return the `ros2msg` text of a message and all its inner messages, as in MCAP schemas."""
     blocks = [DEFINITIONS[name]]
     blocks += [f"MSG: {_short(inner)}\n{DEFINITIONS[inner]}" for inner in _inner(name)]
     return f"\n{SEPARATOR}\n".join(blocks) + "\n"

@@ -1,6 +1,6 @@
-"""The ROS 2 nodes `player` and `simulate`, from reading their parameters to their end.
+"""The ROS 2 nodes `player` and `simulate`: read the parameters, run, and shut down.
 
-`start` imports this module, so that Ctrl-C ends the process cleanly meanwhile.
+`start` imports this module in a context in which Ctrl-C ends the process cleanly.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .source import LiveOptions, LiveRun, open_clip
 from .topics import PLAYER
 
 STOPPED_EARLY = 3
-"""Exit status of a simulation that kept its good frames but did not reach the end."""
+"""Exit status of a simulation that stopped early and whose valid frames were saved."""
 log = logging.getLogger(__name__)
 
 
@@ -63,7 +63,7 @@ def play_clip(node: Any) -> None:
 
 
 def simulate(node: Any) -> None:
-    """Simulate what the parameters name, showing each frame as soon as it is computed."""
+    """Simulate the source in the parameters, and show each frame as soon as it is computed."""
     chosen = declare(node, {**SIMULATED, **RUNNING_LIVE, **message_options()})
     source, clock, speed = _take(chosen, "source", "clock", "speed")
     scene, changes, generator, device, more = _take(
@@ -83,17 +83,17 @@ def simulate(node: Any) -> None:
 
 
 def _live_through(args: list[str] | None, work: Callable[[Any], None]) -> None:
-    """Run a node to its end; what a user can correct is one FATAL line and exit status 1."""
+    """Run a node to its end; log a user's error as one FATAL line, with exit status 1."""
     refused = None
     try:
-        # `ros2 launch` and supervisors end a node with SIGTERM when SIGINT does not.
+        # `ros2 launch` and supervisors send SIGTERM if SIGINT does not end a node.
         with handling(interrupt), ros_node(args) as node:
             refused = _attempt(node, work)
     except KeyboardInterrupt:
-        # The usual end of a node.
+        # Ctrl-C is the usual end of a node.
         return
     except (ValueError, ImportError) as error:
-        # There is no node yet that could log it.
+        # No node exists yet that could log the error.
         refused = failure(error).sentence
         sys.stderr.write(f"[FATAL] [{PLAYER}]: {refused}\n")
     if refused is not None:
@@ -101,11 +101,11 @@ def _live_through(args: list[str] | None, work: Callable[[Any], None]) -> None:
 
 
 def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
-    """Do the work; returns why it was refused, which is logged, or None."""
+    """Do the work; if it fails, log and return the reason, else return None."""
     try:
         work(node)
     except Exception as error:
-        # The sentence says what to do; a traceback would only hide it.
+        # The sentence names the remedy; a traceback would hide it.
         refused = failure(error).sentence
         node.get_logger().fatal(refused)
         return refused
@@ -117,6 +117,6 @@ def _take(chosen: dict[str, Any], *names: str) -> list[Any]:
 
 
 def _options(chosen: dict[str, Any]) -> Options:
-    """Options of the messages; a parameter of 0 stands for None."""
+    """Return the options of the messages; a parameter of 0 means None."""
     optional = {name: chosen.get(name) or None for name in ("max_points", "epoch")}
     return Options(**{**chosen, **optional})

@@ -12,15 +12,17 @@ from .layout import Profile
 
 LIVE_PROFILE: Profile = "viz"
 LIVE_POINTS = 32_768
-"""Gaussians per frame that ordinary subscribers receive at 30 Hz (docs/guide/ros2-messages.md)."""
+"""Gaussians per frame that subscribers with default settings receive at 30 Hz
+
+(docs/guide/ros2-messages.md)."""
 LIVE_SPLATS = 8_192
-"""Most Gaussians per frame of the profile `splats`, of 384 bytes each."""
+"""Largest number of Gaussians per frame in the profile `splats`, of 384 bytes each."""
 LAST_SECOND = 2**31 - 1
-"""`builtin_interfaces/msg/Time` counts seconds in an int32."""
+"""Largest time, because `builtin_interfaces/msg/Time` counts seconds in an int32 [s]."""
 
 
 class Options(Section):
-    """How frames become messages."""
+    """Options that define how frames become messages."""
 
     profile: Profile | None = Field(
         default=None,
@@ -100,7 +102,7 @@ class Options(Section):
         return self
 
     def live(self) -> Options:
-        """The same, with defaults for which all frames arrive at 30 Hz."""
+        """Return the options with live defaults: as many points as arrive at 30 Hz."""
         chosen = {
             "max_points": live_points(self.profile, self.max_points),
             "profile": self.profile or LIVE_PROFILE,
@@ -108,19 +110,19 @@ class Options(Section):
         return self.model_copy(update=chosen)
 
     def for_recording(self) -> Options:
-        """The same, with defaults that keep everything."""
+        """Return the options with the defaults of recordings, which leave nothing out."""
         return self.model_copy(update={"profile": self.profile or "full"})
 
 
 def live_points(profile: Profile | None, asked: int | None) -> int:
-    """Number of Gaussians per frame of a live profile; `asked` 0 or None: the default."""
+    """Return the Gaussians per frame of a live profile; if `asked` is 0 or None, the default."""
     if profile == "splats":
         return min(asked or LIVE_SPLATS, LIVE_SPLATS)
     return asked or LIVE_POINTS
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """The quaternion x y z w of rotations [rad] about the fixed axes x, y and z, in this order."""
+    """Return the quaternion x y z w of rotations [rad] about the fixed axes x, then y, then z."""
     (cr, sr), (cp, sp), (cy, sy) = (
         (math.cos(angle / 2), math.sin(angle / 2)) for angle in (roll, pitch, yaw)
     )
@@ -133,13 +135,13 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
 
 
 def angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """Roll, pitch and yaw [rad] of a unit quaternion.
+    """Return roll, pitch and yaw [rad] of a unit quaternion.
 
     Args:
-        x: Its imaginary part along x.
-        y: Its imaginary part along y.
-        z: Its imaginary part along z.
-        w: Its real part.
+        x: Imaginary part along x.
+        y: Imaginary part along y.
+        z: Imaginary part along z.
+        w: Real part.
     """
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))

@@ -1,7 +1,7 @@
-"""The options as ROS parameters of a node; four of them can be set while it runs.
+"""The options as ROS parameters of a node; four of them can be changed while the node runs.
 
-All are declared with dynamic typing, since `-p speed:=2` is an integer to ROS and a float here. A
-wrong value is refused with one sentence, both at the start and by `ros2 param set`.
+All are declared with dynamic typing, because `-p speed:=2` is an integer for ROS but a float here.
+A wrong value is refused with a sentence, both at the start and by `ros2 param set`.
 """
 
 # rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
@@ -30,19 +30,19 @@ from .player import RATES, SPEEDS
 
 Made = TypeVar("Made", bound=Section)
 POINTS = (0, 10_000_000)
-"""Smallest and largest value of `max_points`."""
+"""Smallest and largest allowed value of `max_points`."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a node."""
+    """A parameter of a node."""
 
     default: Any
-    """Its type is that of the parameter; a list holds strings, a tuple floats."""
+    """Default value, which defines the type; a list holds strings, a tuple floats."""
     description: str
     limits: tuple[float, float] | None = None
     while_running: bool = False
-    """Whether it can be set while the node runs."""
+    """Whether the parameter can be changed while the node runs."""
 
 
 RUNNING = {
@@ -61,9 +61,9 @@ RUNNING = {
         while_running=True,
     ),
 }
-"""Parameters that can be set while the node runs, and take effect at once."""
+"""Parameters that can be changed while the node runs; changes take effect at once."""
 RUNNING_LIVE = {name: RUNNING[name] for name in ("speed", "max_points")}
-"""Those of a running simulation."""
+"""Parameters of a running simulation that can be changed."""
 MAKING: dict[str, Any] = {
     "reading": Reading,
     "effort": GeneratorOptions,
@@ -71,14 +71,14 @@ MAKING: dict[str, Any] = {
     "depth": DepthMap,
     "views": OtherViews,
 }
-"""Option of `LiveOptions` that says how the source becomes Gaussians -> its section.
+"""Option of `LiveOptions` about making Gaussians from the source -> its section.
 
 Each field of a section is a parameter.
 """
 
 
 def _start(field: FieldInfo) -> Any:
-    """The first value of the parameter of a field; ROS parameters have no None."""
+    """Return the initial value of a field's parameter: 0 or empty for None, which ROS lacks."""
     if field.default is None:
         kinds = get_args(field.annotation)
         return 0 if int in kinds else 0.0 if float in kinds else ""
@@ -104,18 +104,18 @@ SIMULATED = {
 
 
 def section_of(chosen: dict[str, Any], section: type[Made]) -> Made:
-    """Move the options of a section out of the parameters' values."""
+    """Remove the values of a section from the chosen parameters, and return the section."""
     values = {name: chosen.pop(name) for name in section.model_fields}
     return section(**{name: value for name, value in values.items() if value not in ("", 0)})
 
 
 def message_options() -> dict[str, Parameter]:
-    """The parameters for the options of the messages, except max_points, which is in `RUNNING`."""
+    """Return the parameters for the message options; max_points is in `RUNNING`."""
     absent = {"epoch": 0.0, "profile": LIVE_PROFILE}
     fields = {n: field for n, field in Options.model_fields.items() if n not in RUNNING}
     return {
         name: Parameter(
-            # ROS parameters have no None.
+            # None, which ROS parameters lack, is replaced by another value.
             absent[name] if field.default is None else field.default,
             field.description or "",
         )
@@ -124,14 +124,14 @@ def message_options() -> dict[str, Parameter]:
 
 
 def declare(node: Any, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """Declare parameters and read them; raises InputError for a wrong value."""
+    """Declare parameters and return their values; raises InputError for a wrong value."""
     from rcl_interfaces.msg import ParameterDescriptor
 
     values = {}
     for name, parameter in parameters.items():
         default = parameter.default
         start = list(default) if isinstance(default, tuple) else default
-        # The limits are set afterwards, so that a wrong value gets our own message.
+        # Set limits after the declaration: a wrong value then gets our message, not ROS's.
         value = node.declare_parameter(name, start, ParameterDescriptor(dynamic_typing=True)).value
         values[name] = convert(name, value, parameter)
         node.set_descriptor(name, descriptor(parameter))
@@ -160,10 +160,10 @@ def descriptor(parameter: Parameter) -> Any:
 
 
 def convert(name: str, value: Any, parameter: Parameter) -> Any:
-    """Convert ROS's value of the parameter `name` to the type of its default.
+    """Convert the ROS value of the parameter `name` to the type of its default.
 
     Raises:
-        InputError: It is of another kind, or out of range.
+        InputError: The value has another type, or is out of range.
     """
     kind, read = KINDS[type(parameter.default)]
     wanted = read(value)
@@ -180,7 +180,7 @@ def convert(name: str, value: Any, parameter: Parameter) -> Any:
 
 
 class Running:
-    """Parameters that can be set while the node plays, and that show its state."""
+    """Parameters that can be changed while the node plays, and show the state of playback."""
 
     def __init__(
         self, node: Any, parameters: Mapping[str, Parameter], apply: Callable[[str, Any], None]
@@ -191,7 +191,7 @@ class Running:
         node.add_post_set_parameters_callback(self._carry_out)
 
     def follow(self, values: Mapping[str, Any]) -> None:
-        """Update the parameters after changes by other means."""
+        """Update the parameters after a change by a command."""
         from rclpy.parameter import Parameter as RosParameter
 
         for name in values.keys() & self._parameters.keys():
@@ -228,7 +228,7 @@ def _whole(value: Any) -> int | None:
 
 
 def _numbers(value: Any) -> tuple[float, ...] | None:
-    # rclpy gives arrays for lists of numbers.
+    # rclpy returns arrays for lists of numbers.
     listed = isinstance(value, (list, tuple, array))
     return tuple(map(float, value)) if listed and all(map(_is_number, value)) else None
 
@@ -246,7 +246,7 @@ KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
     tuple: ("a list of numbers", _numbers),
     list: ("a list of texts", _texts),
 }
-"""Type of the default -> its name in messages, and the conversion (None: it is of another kind)."""
+"""Type of the default -> its name in messages, and its conversion (None: the wrong type)."""
 
 
 def _example(default: Any) -> str:

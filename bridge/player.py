@@ -1,6 +1,6 @@
-"""Player: decides which frame is due when, without any input or output.
+"""Player: decides when each frame is due, without any input or output.
 
-The current time is an argument [s, of any monotonic clock], so the player can be tested without
+The current time is an argument (seconds of any monotonic clock), which allows tests without
 waiting.
 """
 
@@ -15,28 +15,28 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 
 SPEEDS = (0.01, 100.0)
-"""Slowest and fastest playback."""
+"""Smallest and largest playback speed, relative to real time."""
 RATES = (0.0, 1000.0)
 """Smallest and largest number of frames per second; 0 or None means every frame."""
 LATENESS = 0.15
-"""Time by which a frame may be late [s]. Frames that are less late are sent in a burst, which at
-30 Hz is no longer than the 5 frames that subscribers keep."""
+"""Largest delay at which a frame is still sent [s]. Frames within this delay are sent in a burst;
+at 30 Hz a burst is at most the 5 frames that subscribers keep."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """One frame to show."""
+    """A frame to show."""
 
     index: int
-    """Number of the frame in the clip."""
+    """Index of the frame in the clip."""
     time: float
-    """Its time in the clip [s]."""
+    """Time of the frame in the clip [s]."""
     stamp: float
-    """Seconds of the clip played so far; always grows, also at loops and seeks."""
+    """Seconds of the clip played so far; always increases, also at loops and seeks."""
 
 
 class Player:
-    """Plays the frames at `times [T]` [s] in order; frames too late are dropped and counted."""
+    """Plays frames at `times [T]` [s] in order; drops and counts frames that are too late."""
 
     def __init__(
         self,
@@ -48,18 +48,18 @@ class Player:
         paused: bool = False,
         lateness: float = LATENESS,
     ) -> None:
-        """Ready at the first frame, the clock starting with the first call of `due`.
+        """Start at the first frame; the clock starts with the first call of `due`.
 
         Args:
-            times: Ascending instants [T], s.
-            speed: Clip seconds per second.
+            times: Ascending times of the frames [T], s.
+            speed: Clip seconds per real second.
             loop: Start again after the last frame.
             rate: Largest number of frames shown per second; None: all.
             paused: Start paused at the first frame.
-            lateness: Time by which a frame may be late before it is dropped [s].
+            lateness: Largest delay at which a frame is still shown [s].
 
         Raises:
-            InputError: No frames, times that do not ascend, or a number out of range.
+            InputError: There are no frames, the times do not ascend, or a number is out of range.
         """
         self.times = np.asarray(times, dtype=np.float64)
         if not len(self.times) or not (np.diff(self.times) > 0).all():
@@ -68,28 +68,28 @@ class Player:
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
         self.speed, self.lateness = checked_speed(speed), lateness
         self.shown = self.dropped = self.skipped = self.loops = 0
-        """Frames shown, dropped because late, and skipped on purpose by `rate`; loops started."""
+        """Number of frames shown, dropped as late, and skipped because of `rate`; loops started."""
         self.finished = False
         self._next = 0
-        self._peek = True  # show the next frame although paused
+        self._peek = True  # show the next frame even while paused
         self._start: float | None = None  # clock reading at which `_anchor` is due
         self._anchor = float(self.times[0])
-        self._offset = -self._anchor  # stamp minus clip time
-        self._shown_at = -math.inf  # clip time of the last frame shown since a jump
+        self._offset = -self._anchor  # stamp minus time in the clip
+        self._shown_at = -math.inf  # time in the clip of the last frame shown since a jump
         self.position = self._anchor
-        """Time in the clip of the frame shown last [s]."""
-        self._stamp: float | None = None  # the last stamp used
-        self._clock = 0.0  # the last answer of `stamp_at`
+        """Time in the clip of the last frame shown [s]."""
+        self._stamp: float | None = None  # stamp of the last frame shown
+        self._clock = 0.0  # last value returned by `stamp_at`
 
     @property
     def interval(self) -> float:
-        """Mean time between frames [s], also from the last frame to the first in a loop."""
+        """Mean time between frames [s]; also used from the last frame to the first in a loop."""
         if len(self.times) == 1:
             return 1.0
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
 
     def wait(self, now: float) -> float:
-        """Seconds until the next frame is due; infinite while paused or finished."""
+        """Return the time until the next frame is due [s]; infinite while paused or finished."""
         if self.finished:
             return math.inf
         if self.paused:
@@ -97,9 +97,9 @@ class Player:
         return max(self._due_at(self._next, now) - now, 0.0)
 
     def due(self, now: float) -> Tick | None:
-        """The next frame if it is due, or None; frames that are too late are dropped.
+        """Return the next frame if it is due, else None; drop frames that are too late.
 
-        The newest frame that is due is never dropped, however late it is.
+        The newest due frame is never dropped, however late it is.
         """
         if self.wait(now) > 0:
             return None
@@ -114,7 +114,7 @@ class Player:
         return tick
 
     def play(self, now: float) -> None:
-        """Continue from the current position; a finished clip starts over."""
+        """Continue from the current position; restart a finished clip."""
         if self.finished:
             self.restart(now)
         elif self.paused:
@@ -122,7 +122,7 @@ class Player:
             self._rebase(float(self.times[self._next]), now)
 
     def pause(self, now: float) -> None:
-        """Pause after the frame shown last."""
+        """Pause; the last frame shown stays visible."""
         del now
         self.paused = True
 
@@ -134,10 +134,10 @@ class Player:
             self.pause(now)
 
     def next(self, now: float) -> None:
-        """Show one more frame.
+        """Show the next frame while paused.
 
         Raises:
-            InputError: It is not paused, or finished.
+            InputError: Playback is not paused, or it has finished.
         """
         del now
         if not self.paused or self.finished:
@@ -166,7 +166,7 @@ class Player:
         self._rebase(float(self.times[target]), now)
 
     def set_speed(self, speed: float, now: float) -> None:
-        """Change the speed without a jump; raises InputError if it is outside `SPEEDS`."""
+        """Change the speed without a jump in time; raises InputError if it is outside `SPEEDS`."""
         speed = checked_speed(speed)
         if self._start is not None:
             here = self._anchor + (now - self._start) * self.speed
@@ -182,7 +182,7 @@ class Player:
         self.rate = _checked_rate(rate)
 
     def stamp_at(self, now: float) -> float:
-        """Seconds of the clip played by `now`: runs on between two frames, stops while paused."""
+        """Return the seconds of the clip played by `now`; constant while paused."""
         self._clock = max(self._clock, self._stamp or 0.0)
         if not self.paused and not self.finished and self._start is not None:
             next_one = float(self.times[self._next])
@@ -191,18 +191,18 @@ class Player:
         return self._clock
 
     def report(self) -> str:
-        """A sentence about the frames that were shown and those that were not."""
+        """Describe in a sentence how many frames were shown, dropped and skipped."""
         text = f"{self.shown} frames shown, {self.dropped} dropped because late"
         return text + (f", {self.skipped} skipped to keep to {self.rate:g} Hz" if self.rate else "")
 
     def _is_stale(self, now: float) -> bool:
-        """Whether the next frame is too late and a newer one is due."""
+        """Return whether the next frame is too late while a newer frame is due."""
         if self.paused or self._due_at(self._next + 1, now) > now:
             return False
         return now - self._due_at(self._next, now) > self.lateness
 
     def _too_soon(self, time: float) -> bool:
-        # Half a percent of slack, so that 30 Hz of a 30 Hz clip loses no frames by rounding.
+        # With 0.5 % tolerance, a limit of 30 Hz skips no frame of a 30 Hz clip by rounding.
         return self.rate is not None and time - self._shown_at < 0.995 * self.speed / self.rate
 
     def _show(self, index: int) -> Tick | None:
@@ -229,7 +229,7 @@ class Player:
         first, last = float(self.times[0]), float(self.times[-1])
         period = last - first + self.interval
         again = self._due_at(len(self.times) - 1, now) + self.interval / self.speed
-        # After a long stall, whole loops have passed; they count as dropped and are not caught up.
+        # Whole loops that passed during a long stall are not caught up; they count as dropped.
         missed = max(int((now - again) * self.speed // period), 0)
         self.dropped += missed * len(self.times)
         self.loops += 1 + missed
@@ -239,7 +239,7 @@ class Player:
         self._rebase(first, again + missed * period / self.speed)
 
     def _splice(self, time: float) -> None:
-        """Let stamps continue one interval after the last, wherever the time in the clip jumps."""
+        """Make stamps continue one interval after the last, although the time in the clip jumps."""
         if self._stamp is not None:
             self._offset = self._stamp + self.interval - time
         self._shown_at = -math.inf
@@ -255,10 +255,10 @@ class Player:
 
 
 def checked_speed(speed: float) -> float:
-    """The speed itself.
+    """Return the speed if it is allowed.
 
     Raises:
-        InputError: It is outside `SPEEDS`.
+        InputError: The speed is outside `SPEEDS`.
     """
     slowest, fastest = SPEEDS
     if not slowest <= speed <= fastest:

@@ -1,7 +1,7 @@
-"""Recover: repair a recording whose writer was killed or whose disk was full.
+"""Repair a recording whose writer was killed or whose disk was full.
 
-Without its footer an MCAP file has no index, and readers refuse it. All complete records are copied
-into a new file, which then replaces the old one.
+An MCAP file without its footer has no index, and readers refuse it. All complete records are copied
+into a new file, which then replaces the old file.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was recovered."""
+    """Result of a repair."""
 
     path: Path
-    """The bag folder or file that is complete now."""
+    """The bag folder or file, which is now complete."""
     frames: int
-    """Number of frames in it."""
+    """Number of frames in the recording."""
     repaired: bool
-    """False if it was complete already and nothing was changed."""
+    """False if the recording was already complete and was not changed."""
 
 
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Recovery:
@@ -44,11 +44,11 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
 
     Args:
         path: The bag folder or the .mcap file.
-        output: Where to write the repaired copy; None: in place.
+        output: Path of the repaired copy; None: repair in place.
 
     Raises:
-        InputError: There is no recording, it was not made by the bridge, even its beginning is
-            unreadable, or the disk is full; the damaged file stays unchanged.
+        InputError: There is no recording, the bridge did not make it, not even its beginning is
+            readable, or the disk is full; the damaged file stays unchanged.
     """
     target = Path(output) if output else Path(path)
     source = _damaged_file(Path(path))
@@ -74,7 +74,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
 
 
 def records(file: Path) -> Iterator[Any]:
-    """All complete records of an MCAP file in order, including those inside chunks.
+    """Yield all complete records of an MCAP file in order, including those inside chunks.
 
     A damaged chunk yields None instead of its records; a truncated record ends the iteration.
     """
@@ -83,7 +83,7 @@ def records(file: Path) -> Iterator[Any]:
     from mcap.stream_reader import StreamReader, breakup_chunk
     from zstandard import ZstdError
 
-    # lz4 raises RuntimeError; ValueError is a wrong checksum.
+    # lz4 raises RuntimeError; a wrong checksum raises ValueError.
     broken = (McapError, struct.error, ValueError, RuntimeError, ZstdError)
     with open(file, "rb") as stream:
         reader = iter(StreamReader(stream, emit_chunks=True).records)
@@ -103,7 +103,7 @@ def records(file: Path) -> Iterator[Any]:
 
 
 def _damaged_file(path: Path) -> Path:
-    """The file with the records of a recording, finished or not."""
+    """Return the file with the records of a recording, whether finished or not."""
     file = bag.mcap_file(path)
     part = file.with_name(file.name + PART)
     for candidate in (part, file):
@@ -120,7 +120,7 @@ def _is_finished(path: Path, source: Path) -> bool:
 
 
 def _inspect(file: Path) -> tuple[bool, int]:
-    """Whether the file has its footer and no damage, and its number of frames."""
+    """Return whether the file has a footer and no damage, and its number of frames."""
     from mcap.records import Channel, Footer, Header, Message
 
     footer, damaged, frames, points = False, 0, 0, None
@@ -148,7 +148,7 @@ def _inspect(file: Path) -> tuple[bool, int]:
 
 
 def _copy(source: Path, destination: Path, name: str) -> bag.Counts:
-    """Copy all complete records into a new, finished file, whose final name is `name`."""
+    """Copy all complete records into a new, finished file, which will be renamed to `name`."""
     from mcap.writer import CompressionType, Writer
 
     with open(destination, "wb") as stream:

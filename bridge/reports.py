@@ -1,4 +1,4 @@
-"""Reports: what a publisher publishes about itself: ~/status, /diagnostics and /clock."""
+"""Reports of a publisher about its own state: ~/status, /diagnostics and /clock."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .sink import Playback
 from .topics import CLOCK, DIAGNOSTICS, STATUS, Message, Topic
 
 CLOCK_RATE = 40.0
-"""Rate of /clock [Hz], also while paused; the same as `ros2 bag play --clock`."""
+"""Rate of /clock [Hz], also while paused; as in `ros2 bag play --clock`."""
 DIAGNOSTICS_EVERY = 1.0
 """Time between two messages on /diagnostics [s]."""
 log = logging.getLogger(__name__)
@@ -27,17 +27,17 @@ OK, WARN = 0, 1
 
 @dataclass(frozen=True)
 class Audience:
-    """The subscribers, and what they may lack."""
+    """Number of subscribers, of frames they may lack, and of nodes with the same name."""
 
     subscribers: int
     lost: int
-    """Number of frames that some subscriber may not have received."""
+    """Number of frames that at least one subscriber may not have received."""
     namesakes: int = 0
     """Number of other nodes with the same name."""
 
 
 class Reports:
-    """Publishes the state of playback: at each change, once a second, and as the clock."""
+    """Publishes the state of playback at each change, diagnostics every second, and the clock."""
 
     def __init__(
         self,
@@ -50,15 +50,15 @@ class Reports:
         values: Callable[[], Mapping[str, Any]] = dict,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Ready; nothing is due before the first `change`.
+        """Prepare the reports; none is due before the first `change`.
 
         Args:
             encoder: Converts seconds of the clip to time stamps.
             send: Publishes a message.
-            audience: Called once a second.
+            audience: Returns the current audience; called once a second.
             node: Full name of the node.
-            clock: Publish /clock.
-            values: What /diagnostics says besides.
+            clock: Whether to publish /clock.
+            values: Returns additional entries of /diagnostics.
             now: The clock that playback uses [s].
         """
         self._encoder, self._send, self._audience = encoder, send, audience
@@ -72,11 +72,11 @@ class Reports:
 
     @property
     def topics(self) -> list[Topic]:
-        """The topics that are published."""
+        """Topics of the reports."""
         return [STATUS, DIAGNOSTICS, *([CLOCK] if self._clock else [])]
 
     def change(self, playback: Playback) -> None:
-        """Send the status and everything else that is due; the first call starts the others."""
+        """Publish the status and all due reports; the first call starts the other reports."""
         if self._playback is None:
             self._due["diagnostics"] = self._now()
             self._due["clock"] = self._now() if self._clock else math.inf
@@ -85,11 +85,11 @@ class Reports:
         self.send_due()
 
     def wait(self) -> float:
-        """Time until the next report is due [s]."""
+        """Return the time until the next report is due [s]."""
         return max(min(self._due.values()) - self._now(), 0.0)
 
     def send_due(self) -> None:
-        """Send the reports that are due; call it often, from any thread."""
+        """Publish the reports that are due; to be called often, from any thread."""
         with self._lock:
             self._send_due(self._now())
 

@@ -18,13 +18,13 @@ from .topics import NAMESPACE, PLAYER
 
 @contextmanager
 def ros_node(args: list[str] | None = None, name: str = PLAYER) -> Iterator[Any]:
-    """The node /phy124/NAME, from start to clean shutdown; raises InputError."""
+    """Within this context the node /phy124/NAME runs, with a clean shutdown; raises InputError."""
     import rclpy
     from rclpy.node import Node
     from rclpy.signals import SignalHandlerOptions
 
     try:
-        # ROS's own handlers would end its context at once, before the last frames have arrived.
+        # ROS's own signal handlers would end its context before the last frames have arrived.
         _start(lambda: rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO))
         node = _start(lambda: Node(name, namespace=NAMESPACE))
         try:
@@ -37,7 +37,7 @@ def ros_node(args: list[str] | None = None, name: str = PLAYER) -> Iterator[Any]
 
 
 def _start(start: Callable[[], Any]) -> Any:
-    """The result of `start`; if ROS rejects the arguments, raises InputError with one sentence."""
+    """Return the result of `start`; raise InputError if ROS rejects the arguments."""
     try:
         return start()
     except (RuntimeError, ValueError) as error:
@@ -55,7 +55,7 @@ class RosHandler(logging.Handler):
         self._logger = logger
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Log one record. Each level has its own call, since rclpy ties a severity to a caller."""
+        """Log a record. Each level needs its own call: rclpy ties a severity to a caller."""
         text = self.format(record)
         if record.levelno >= logging.CRITICAL:
             self._logger.fatal(text)
@@ -71,7 +71,7 @@ class RosHandler(logging.Handler):
 
 @contextmanager
 def logged_by(node: Any) -> Iterator[None]:
-    """Within this context, everything logged goes through the node instead of elsewhere."""
+    """Within this context, all log records go to the node's logger only."""
     root = logging.getLogger()
     before, level = root.handlers[:], root.level
     root.handlers[:] = [RosHandler(node.get_logger())]

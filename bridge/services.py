@@ -1,7 +1,7 @@
-"""The services of a ROS 2 node: three triggers, those of rosbag2's player, and those of simulators.
+"""Services of a ROS 2 node: three triggers, those of rosbag2's player, and those of simulators.
 
-Requests are served on the thread that spins the node. The steps of an action are made between other
-callbacks, so that it can be cancelled.
+Requests are served on the thread that spins the node. An action computes its steps between other
+callbacks, which allows it to be cancelled.
 """
 
 # rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
@@ -29,11 +29,11 @@ MISSING = (
 )
 INSTALL = "sudo apt install ros-${ROS_DISTRO}-simulation-interfaces"
 FALLBACK = {"step": "next", "reset": "restart"}
-"""Name of a service -> command."""
+"""Name of a service -> the command it sends."""
 
 
 class Services:
-    """Offers services; requests go to `ask(command)`, which returns why it refuses, or None."""
+    """Offers services; `ask(command)` carries out a request, and returns the refusal or None."""
 
     def __init__(
         self, node: Any, ask: Callable[[str], str | None], playback: Callable[[], Playback | None]
@@ -74,7 +74,7 @@ class Services:
         return response
 
     def _set_rate(self, request: Any, response: Any) -> Any:
-        # rosbag2's rate is our speed: clip seconds per second.
+        # The rate of rosbag2 is our speed: clip seconds per real second.
         response.success = self._ask(f"speed {request.rate!r}") is None
         return response
 
@@ -96,12 +96,12 @@ class Services:
 
 
 def offer_standard(node: Any, controls: Controls, ask: Callable[[str], str | None]) -> None:
-    """Offer the services of `controls`, if it has any.
+    """Offer the services of `controls`, if there are any.
 
     Args:
         node: The node.
         controls: The services.
-        ask: Carries out a command; returns why it was refused, or None.
+        ask: Carries out a command; returns the reason of a refusal, or None.
     """
     if not controls.services:
         return
@@ -121,7 +121,7 @@ def offer_standard(node: Any, controls: Controls, ask: Callable[[str], str | Non
 
 
 def fill(message: Any, content: Mapping[str, Any]) -> Any:
-    """Set the members of a message, including those of inner messages."""
+    """Set the members of a message, recursively."""
     for name, value in content.items():
         if isinstance(value, Mapping):
             fill(getattr(message, name), value)
@@ -145,7 +145,7 @@ def _serve_trigger(ask: Callable[[str], str | None], command: str) -> Callable[[
 
 
 def _offer_action(node: Any, steps: Callable[[int], Any]) -> None:
-    """Offer the action SimulateSteps; rclpy keeps it as long as the node."""
+    """Offer the action SimulateSteps; rclpy keeps the server as long as the node."""
     from rclpy.action import ActionServer, CancelResponse
 
     kind = import_module(f"{PACKAGE}.action").SimulateSteps
@@ -172,7 +172,7 @@ def _offer_action(node: Any, steps: Callable[[int], Any]) -> None:
 
 
 class _Others:
-    """When awaited, lets the executor serve other callbacks first."""
+    """Awaitable that lets the executor serve other callbacks first."""
 
     def __await__(self) -> Generator[None, None, None]:
         yield

@@ -1,4 +1,4 @@
-"""The ROS 2 package phy124_bridge: this folder, as `colcon build` expects it.
+"""Set-up of the ROS 2 package phy124_bridge, which is this folder, for `colcon build`.
 
 The package phy124 itself is installed with pip (docs/guide/ros2-package.md).
 """
@@ -10,8 +10,8 @@ from setuptools.command.develop import develop
 from setuptools.command.install_scripts import install_scripts
 
 NAME = "phy124_bridge"
-# This folder is the package itself. `colcon build --symlink-install` cannot link ".", so the folder
-# is named from outside.
+# This folder is itself the package. `colcon build --symlink-install` cannot link ".", so the folder
+# is named by its path from the parent folder.
 HERE = f"../{Path(__file__).resolve().parent.name}"
 EXECUTABLES = {
     "player": (f"{NAME}.start", "player", 0),
@@ -31,9 +31,9 @@ except KeyboardInterrupt:
 
 
 def quick(command):
-    """A command of setuptools that writes `SCRIPT` for our executables.
+    """Return a setuptools command that writes `SCRIPT` for our executables.
 
-    setuptools' own scripts first look up the package, and Ctrl-C during that shows a traceback.
+    The scripts of setuptools first look up the package, and Ctrl-C meanwhile shows a traceback.
     """
 
     class Quick(command):
@@ -73,6 +73,6 @@ setup(
             f"{name} = {module}:{function}" for name, (module, function, _) in EXECUTABLES.items()
         ]
     },
-    # `colcon build` uses the first, `colcon build --symlink-install` the second.
+    # `colcon build` uses install_scripts, `colcon build --symlink-install` uses develop.
     cmdclass={"install_scripts": quick(install_scripts), "develop": quick(develop)},
 )

@@ -1,8 +1,8 @@
-"""The protocols of sinks, which frames are written to, and of the playback that they show.
+"""Protocols of the sinks that receive frames, and of the playback whose state they show.
 
 A sink is a context manager with `write(frame)`. A live sink also receives the commands of
-`live.command`. A plug-in may inherit from `Sink` or `LiveSink`, whose methods do nothing; the
-bridge finds it by an entry point `phy124.sinks`.
+`live.command`. A plug-in may inherit from `Sink` or `LiveSink`, whose methods do nothing; it is
+registered by an entry point `phy124.sinks`.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 Obey = Callable[[str], "str | None"]
-"""Carries out a command; returns why it was refused, or None."""
+"""Carries out a command; returns the reason of a refusal, or None."""
 LONGEST_WAIT = 0.2
-"""Longest wait in `listen` [s], so that Ctrl-C and the end are noticed."""
+"""Longest wait in `listen` [s], after which Ctrl-C and the end are noticed."""
 
 
 class Sink(Protocol):
-    """Takes frames."""
+    """Receives frames."""
 
     def __enter__(self) -> Self:
         """Open the sink."""
@@ -39,29 +39,29 @@ class Sink(Protocol):
         trace: TracebackType | None,
         /,
     ) -> None:
-        """Close it."""
+        """Close the sink."""
 
     def write(self, frame: Frame) -> None:
-        """Take one frame; subscribers see its `time` [s] as the time since the start."""
+        """Receive a frame; subscribers see its `time` [s] as the time since the start."""
 
 
 class Recorder(Sink, Protocol):
-    """A sink that also takes messages without a frame."""
+    """A sink that also receives messages without a frame."""
 
     def send(self, message: Message) -> None:
-        """Take one message."""
+        """Receive a message."""
 
 
 class LiveSink(Sink, Protocol):
-    """A sink with viewers, who send commands."""
+    """A sink with viewers who send commands."""
 
     monotonic: bool = True
-    """Whether time must not decrease; otherwise it jumps at each loop and seek."""
+    """True if time must not decrease; otherwise time jumps at each loop and seek."""
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Wait for a command for at most `seconds`, and pass it to `obey`.
+        """Wait for a command for up to `seconds`, and pass it to `obey`.
 
-        Only this method may run on another thread than `write`.
+        Only this method may run in another thread than `write`.
         """
         del obey
         time.sleep(seconds)
@@ -70,15 +70,15 @@ class LiveSink(Sink, Protocol):
         """Publish the state of playback; called at the start and at each change."""
 
     def send(self, message: Message) -> None:
-        """Publish one message on a topic of the sink's `Controls`."""
+        """Publish a message on a topic of the sink's `Controls`."""
 
     def audience(self) -> str:
-        """Describe in one line who receives the frames, and what they need."""
+        """Describe in a line who receives the frames, and the settings that receivers need."""
         return ""
 
 
 class Playback(Protocol):
-    """The state of playback: a `Player`, or a running simulation."""
+    """State of playback of a `Player` or a running simulation."""
 
     @property
     def paused(self) -> bool:
@@ -101,5 +101,5 @@ class Playback(Protocol):
     """Time in the clip of the last frame shown [s]."""
 
     def stamp_at(self, now: float) -> float:
-        """Seconds of the clip played when the clock reads `now` [s]; never decreases."""
+        """Return the seconds of the clip played when the clock reads `now` [s]; never decreases."""
         ...

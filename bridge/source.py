@@ -1,4 +1,4 @@
-"""Opens clips, and runs simulations as streams of frames."""
+"""Open clips, and run simulations as streams of frames."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class LiveOptions:
     """Options of a simulation with `--live`."""
 
     live: bool = False
-    """The source is a picture or a file of Gaussians, to be simulated while it is shown."""
+    """Simulate the source, a picture or a file of Gaussians, while it is shown."""
     scene: str = "press"
     """Preset (see `phy124 scenes`) or path of a .toml file."""
     set: tuple[str, ...] = field(default_factory=tuple)
-    """Any other value of the scene, as KEY=VALUE: accuracy=draft, time.frames=48."""
+    """Any value of the scene, as KEY=VALUE: accuracy=draft, time.frames=48."""
     generator: str = "relief"
-    """How a picture becomes Gaussians."""
+    """Generator that turns a picture into Gaussians."""
     device: str = "auto"
     """auto, cpu or cuda:0."""
     more: tuple[Path, ...] = ()
@@ -51,24 +51,24 @@ class LiveOptions:
     views: OtherViews = field(default_factory=OtherViews)
 
     def check(self) -> None:
-        """Check that nothing is given that needs `--live`.
+        """Refuse options that need `--live`, if it is missing.
 
         Raises:
-            InputError: Something is.
+            InputError: Such an option is set.
         """
         if not self.live and self != LiveOptions():
             limit = "Options of a simulation were given, but a saved clip is only played."
             raise InputError("live", self.live, limit, "Add --live, or leave them out.")
 
     def resolve(self) -> Scene:
-        """The scene with all changes; it keeps velocities by default; raises InputError."""
+        """Return the scene with all changes, by default with velocities; raises InputError."""
         from phy124.scene import Scene, parse_changes
 
         return Scene.named(self.scene).replaced({"velocities": True, **parse_changes(self.set)})
 
 
 class LiveRun:
-    """A simulation whose frames are not kept, so that they may exceed the memory."""
+    """A simulation whose frames are not stored; together they may exceed the memory."""
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
         """Check the source and the scene.
@@ -76,7 +76,7 @@ class LiveRun:
         Args:
             source: A picture or a file of Gaussians.
             options: Options of the simulation.
-            progress: Called with (stage, done, total); may raise Cancelled.
+            progress: Called with (stage, steps done, total steps); may raise Cancelled.
 
         Raises:
             InputError: The source does not exist, or the scene cannot be used.
@@ -92,7 +92,7 @@ class LiveRun:
         return self.scene.time.frames
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames as they are computed; if they end early, `stopped` says why."""
+        """Yield the frames as they are computed; after an early end, `stopped` gives the reason."""
         from phy124.simulation import Stopped
 
         try:
@@ -101,7 +101,7 @@ class LiveRun:
             self.stopped = str(stop)
 
     def prepare(self) -> Simulation:
-        """Make the object and its solver unless they exist; raises InputError."""
+        """Create the object and its solver unless they exist; raises InputError."""
         if self._simulation is None:
             self._simulation = self._make()
         return self._simulation
@@ -114,17 +114,17 @@ class LiveRun:
         from phy124.simulation import Simulation, prepare
 
         device = pick_device(self._options.device)
-        # Hides Warp's messages during compilation.
+        # This hides Warp's messages during compilation.
         warp.config.log_level = warp.LOG_ERROR
         made = make_object(self._source, self._options, self.scene, device, self._progress)
         self.scene = made.scene
-        # Sinks take each frame; keeping all would limit the run by memory.
+        # Sinks receive each frame; storing all frames would limit the run's length by memory.
         context = RunContext(device=device, progress=self._progress)
         setup = prepare(made.gaussians, made.scene, context, crop=made.crop, keep=False)
         return Simulation(setup)
 
     def report(self) -> dict[str, Any]:
-        """The report of the run."""
+        """Return the report of the run."""
         report = self.prepare().report()
         complete = report["complete"] and self.stopped is None
         return {**report, "complete": complete, "stopped": self.stopped}
@@ -134,7 +134,7 @@ def refuse_unopened(source: Path) -> None:
     """Refuse a source that cannot be opened.
 
     Raises:
-        InputError: It cannot.
+        InputError: The source cannot be opened.
     """
     if hindrance := obstacle(source):
         limit, remedy = hindrance
@@ -142,7 +142,7 @@ def refuse_unopened(source: Path) -> None:
 
 
 def open_clip(path: str | Path) -> Clip:
-    """Open a clip; logs values that cannot be shown."""
+    """Open a clip; log values that cannot be shown."""
     clip = Clip.load(path)
     for flaw in clip.flaws():
         log.warning(flaw)
@@ -152,14 +152,14 @@ def open_clip(path: str | Path) -> Clip:
 def make_object(
     source: Path, options: LiveOptions, scene: Scene, device: str, progress: Progress
 ) -> StaticObject:
-    """Gaussians from a picture or a file of Gaussians, and the scene for them; raises InputError.
+    """Make Gaussians from a picture or a file, and the scene for them; raises InputError.
 
     Args:
         source: The picture or the file.
-        options: The generator, and how it makes Gaussians of the source.
+        options: The generator and its options.
         scene: The scene.
-        device: Where the generator runs.
-        progress: Called with (stage, done, total); may raise Cancelled.
+        device: Device of the generator.
+        progress: Called with (stage, steps done, total steps); may raise Cancelled.
     """
     from phy124.pipeline import make_gaussians
 

@@ -1,4 +1,4 @@
-"""Start: the executables of `ros2 run`."""
+"""The executables of `ros2 run`."""
 
 from __future__ import annotations
 
@@ -28,5 +28,5 @@ def simulate() -> None:
 
 
 def live() -> int:
-    """`ros2 run phy124_bridge live photo.png`: a run that is steered, as of the command line."""
+    """`ros2 run phy124_bridge live photo.png`: like `bridge live` on the command line."""
     return main(["live", *sys.argv[1:]])

@@ -1,7 +1,8 @@
-"""The topics of the bridge with their quality of service, and the services of a node.
+"""Topics of the bridge with their quality of service, and types of a node's services.
 
-Topics are reliable and transient local by default, so that every subscriber matches, and a late one
-gets the last messages (REP-2003 asks publishers of sensor data to be reliable if possible).
+Topics are reliable and transient local by default: every subscriber is compatible, and a late
+subscriber gets the last messages (REP-2003 asks publishers of sensor data to be reliable if
+possible).
 To add a topic, declare it here (also in `RECORDED`, if recordings have it) and send it where its
 content is computed: `encoder`, `reports` or `steering/loop`.
 """
@@ -14,16 +15,16 @@ from typing import Any, NamedTuple
 
 NAMESPACE = "phy124"
 STEERED = "live"
-"""Name of the node of a run that is steered."""
+"""Name of the node of a steered run."""
 Hear = Callable[[Any], None]
-"""Takes one message, whose members are attributes."""
+"""Receives a message, whose members are attributes."""
 PLAYER = "player"
 """Name of the node that plays clips."""
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic, its message type and the quality of service its publisher offers.
+    """A topic, its message type and the quality of service that its publisher offers.
 
     A name that begins with a tilde is relative to the node, as in ROS 2.
     """
@@ -31,13 +32,13 @@ class Topic:
     name: str
     type: str
     depth: int
-    """Number of last messages kept for late subscribers."""
+    """Number of recent messages that are kept for late subscribers."""
     reliable: bool = True
     transient_local: bool = True
 
 
 class Message(NamedTuple):
-    """One encoded message."""
+    """An encoded message."""
 
     topic: Topic
     stamp: int
@@ -56,22 +57,22 @@ DIAGNOSTICS = Topic(
     "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", depth=10, transient_local=False
 )
 COMMAND = Topic("/phy124/command", "std_msgs/msg/String", depth=10, transient_local=False)
-"""Subscribed to, not published; the commands are those of `live.command`."""
+"""Subscribed to, not published; `live.command` defines the commands."""
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", depth=100, transient_local=False)
 PUSH = Topic("~/push", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False)
 GRAB = Topic("~/grab", "geometry_msgs/msg/PointStamped", depth=10, transient_local=False)
-"""Subscribed to by a run that is steered."""
+"""Topics to which a steered run subscribes."""
 FACTOR = Topic("~/real_time_factor", "std_msgs/msg/Float64", depth=1)
 SPLATS = Topic("/phy124/gaussian_splats", "splat_interfaces/msg/SplatArray", depth=1)
 MAIN = (POINTS.name, SPLATS.name)
-"""Names of the two topics of Gaussians; one of them has every frame."""
+"""Names of the two topics of Gaussians; every frame is on one of them."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS, SPLATS, TF)}
-"""Topics in recordings, besides those of `contact`. The clock is not recorded, since it would
-conflict with that of `ros2 bag play --clock`."""
+"""Topics in recordings, in addition to those of `contact`. The clock is not recorded, because it
+would conflict with the clock of `ros2 bag play --clock`."""
 
 
 def contact(at: str) -> Topic:
-    """The topic of the force on a wall, or of one object on another, by its name."""
+    """Return the topic of the force on a wall, or of one object on another, by its name."""
     name = at.replace("-", "_")  # ROS allows no hyphens
     return Topic(
         f"~/contact/{name}", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False
@@ -79,7 +80,7 @@ def contact(at: str) -> Topic:
 
 
 def find_recorded(name: str) -> Topic | None:
-    """Return the recorded topic of a full name, or None."""
+    """Return the recorded topic with a full name, or None."""
     node, _, wall = name.partition("/contact/")
     if node.startswith(f"/{NAMESPACE}/") and wall:
         return replace(contact(wall), name=name)
@@ -93,29 +94,29 @@ def full_name(name: str, node: str) -> str:
 
 @dataclass(frozen=True)
 class Service:
-    """A service, served on the thread that calls the sink's `listen`."""
+    """A service, which is served on the thread that calls the sink's `listen`."""
 
     name: str
     type: str
     """`package/srv/Name`."""
     serve: Callable[[Any], dict[str, Any]]
-    """Takes the request, whose members are attributes; returns the members of the response."""
+    """Receives the request, whose members are attributes; returns the members of the response."""
 
 
 @dataclass(frozen=True)
 class Controls:
-    """Topics and services of a sink besides frames; by default those of a clip's player."""
+    """Topics and services of a sink in addition to frames; by default those of a clip's player."""
 
     node: str = PLAYER
     published: tuple[Topic, ...] = ()
-    """Topics published besides those of the frames."""
+    """Topics published in addition to those of the frames."""
     heard: Mapping[Topic, Hear] = field(default_factory=dict)
     services: tuple[Service, ...] = ()
     steps: Callable[[int], Any] | None = None
-    """Makes N steps, one for each item of the iterator that it returns."""
+    """Computes N steps; the iterator that it returns yields once per step."""
     refused: Callable[[str], object] = lambda sentence: None
-    """Takes a sentence about a refusal."""
+    """Receives a sentence about a refusal."""
     clock: bool = False
     """Whether /clock is published."""
     values: Callable[[], Mapping[str, Any]] = dict
-    """Values of the diagnostics besides the state of playback."""
+    """Returns values of the diagnostics in addition to the state of playback."""

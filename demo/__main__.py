@@ -1,4 +1,4 @@
-"""The web page: `python app.py` or `python -m demo` in a checkout, otherwise `phy124-demo`."""
+"""Start the web page: `python app.py` or `python -m demo` in a checkout, else `phy124-demo`."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from phy124.runtime.streams import steady_streams
 from .settings import PREFIX, Settings
 
 M_ARENA_MAX = -8
-"""From glibc's malloc.h."""
+"""Constant of glibc's malloc.h."""
 CHOSEN = "MALLOC_ARENA_MAX"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Serve the page until interrupted; returns the exit status."""
+    """Serve the page until it is interrupted; return the exit status."""
     chosen = read_options(arguments)
     with steady_streams():
         try:
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def serve(settings: Settings) -> None:
-    """Serve the page until interrupted.
+    """Serve the page until it is interrupted.
 
     Raises:
         InputError: gradio is not installed, or a setting cannot be used.
@@ -85,10 +85,10 @@ def read_options(arguments: Sequence[str] | None) -> dict[str, str]:
 
 
 def share_heap() -> None:
-    """Let all threads share one heap, so that the server's memory stays flat.
+    """Make all threads share one heap, which keeps the server's memory constant.
 
     By default glibc opens up to eight heaps per core, and rarely returns their memory. Call this
-    before the first thread starts, since open heaps stay. It respects MALLOC_ARENA_MAX.
+    before the first thread starts, because existing heaps stay. MALLOC_ARENA_MAX takes precedence.
     """
     if platform.libc_ver()[0] == "glibc" and CHOSEN not in os.environ:
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)

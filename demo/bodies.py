@@ -1,4 +1,4 @@
-"""Limits the size of request bodies, and the number and depth of their JSON values."""
+"""Limit the size of request bodies, and the number and depth of their JSON values."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ if TYPE_CHECKING:
 DRAIN = 1 << 28
 """Number of bytes of a refused request that are read before the connection is closed."""
 VALUES, DEEPEST = 50_000, 40
-"""Largest number of values in the JSON of one request, and how deep they may be nested."""
+"""Largest number of values in the JSON of a request, and largest nesting depth."""
 HELD, SMALL = 128_000_000, 64_000
-"""Memory for incomplete bodies, and the size of a body that is received even beyond it [bytes]."""
+"""Memory for incomplete bodies, and size up to which a body is received even above it [bytes]."""
 ODD = "This request cannot be read: it has too many values, or too many within each other."
 
 
 class BodyLimit:
     """Refuses bodies that are too large, whatever size they declare, and JSON with too many values.
 
-    Gradio parses JSON in its main thread: three million numbers block all visitors for a second.
+    Gradio parses JSON in its main thread: three million numbers would block all visitors for a
+    second.
     """
 
     def __init__(
@@ -32,9 +33,9 @@ class BodyLimit:
 
         Args:
             app: The application.
-            uploads: URL of uploads, which are files, not JSON.
-            most: Largest upload [bytes], and the message for larger ones.
-            other: Size and message for all other requests.
+            uploads: URL of uploads, whose bodies are files, not JSON.
+            most: Largest upload [bytes], and the message for a larger one.
+            other: Largest body of other requests [bytes], and the message for a larger one.
         """
         self.app, self.uploads, self.most, self.other = app, uploads, most, other
         self._held = 0
@@ -78,12 +79,12 @@ class BodyLimit:
 
 
 def is_plain(body: bytes) -> bool:
-    """Whether JSON has at most `VALUES` values, nested at most `DEEPEST` deep; takes little time.
+    """Return whether JSON has at most `VALUES` values, nested at most `DEEPEST` deep; runs quickly.
 
     Commas and brackets inside texts are counted, too.
     """
     marks = sum(body.count(mark) for mark in (b",", b"[", b"{"))
-    # A zero byte indicates UTF-16 or UTF-32, in which quotes would be missed.
+    # A zero byte indicates UTF-16 or UTF-32, in which the search would miss quotes.
     if marks > VALUES or body.count(b'"') > 4 * VALUES or b"\0" in body:
         return False
     unescaped = body.replace(b"\\\\", b"").replace(b'\\"', b"")
@@ -97,7 +98,7 @@ def is_plain(body: bytes) -> bool:
 
 
 def _limit(receive: Receive, most: int) -> Receive:
-    """Limit the bytes received; beyond the limit, the application sees a lost connection."""
+    """Limit the bytes received; above the limit, the application sees a lost connection."""
     read = 0
 
     async def counted() -> Message:
@@ -128,7 +129,7 @@ def _too_large(said: str) -> PlainTextResponse:
 
 
 async def _drain(receive: Receive) -> None:
-    """Read and discard a body, since a client that is still sending does not read an answer."""
+    """Read and discard a body: a client that is still sending does not read the answer."""
     read, more = 0, True
     while more and read < DRAIN:
         message = await receive()

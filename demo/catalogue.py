@@ -1,7 +1,7 @@
-"""The page's presets, controls and limits, all derived from the scene's declaration.
+"""Presets, controls and limits of the page, all derived from the scene's declaration.
 
-The page's editor (static/scene.js) builds its cards, sliders and forms from `catalogue`, so new
-laws, forces and boundaries appear in it automatically, including plug-ins.
+The page's editor (static/scene.js) builds its cards, sliders and forms from `catalogue`: new laws,
+forces and boundaries appear automatically, including plug-ins.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ FOLDER = Path(__file__).parent
 FIRST = "press drop bounce jelly sand snow water foam metal wind sway spin push_right"
 """Presets shown first; all others follow in alphabetical order."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Forces that the direction pad sets -> the field it sets."""
+"""Forces that the direction pad sets -> the field that it sets."""
 LONGEST, LONGER = 20_000, 200
-"""Largest length of a scene as text [characters], and its increase per frame, since a saved live
-run has a hand position in each frame."""
+"""Largest length of a scene as text [characters], and its increase per frame, because a saved live
+run has a position of the hand for each frame."""
 LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
 """Fields of a scene that are lists, and the largest number of parts."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
@@ -45,12 +45,12 @@ SUBSTANCES: dict[str, dict[str, Any]] = {
     "water": {"law": "fluid", "viscosity": 0.5},
     "metal": {"law": "metal", "E": 1e6, "yield_stress": 2e4, "density": 2700},
 }
-"""Everyday name -> material. The metal is soft, since real metal of a toy's size hardly deforms."""
+"""Everyday name -> material. The metal is soft: real metal of a toy's size would hardly deform."""
 PREVIEWS = Path(__file__).parent / "previews"
 
 
 def catalogue(settings: Settings) -> dict[str, Any]:
-    """Everything the scene editor needs, as plain data."""
+    """Return all data that the scene editor needs."""
     names = [n for n in FIRST.split() if n in preset_names()]
     names += [n for n in preset_names() if n not in names]
     return {
@@ -78,13 +78,13 @@ def catalogue(settings: Settings) -> dict[str, Any]:
 
 
 def _schema() -> dict[str, Any]:
-    """The JSON schema of a scene, without the fields that the page sets itself."""
+    """Return the JSON schema of a scene, without the fields that the page sets itself."""
     schema = Scene.model_json_schema()
     fields = {"View": ("formats", "outputs", "output_format"), "Timing": ("seconds",)}
     for section, names in fields.items():
         for name in names:
             del schema["$defs"][section]["properties"][name]
-    # The page plays MP4s, which cannot be transparent.
+    # The page shows MP4s, which cannot be transparent.
     schema["$defs"]["View"]["properties"]["stage"]["enum"].remove("transparent")
     return schema
 
@@ -104,7 +104,7 @@ def _card(name: str) -> dict[str, Any]:
 
 
 def _anchors() -> dict[str, float]:
-    """Named stiffnesses [Pa], parsed from the description of the field E."""
+    """Return named stiffnesses [Pa], parsed from the description of the field E."""
     text = Elastic.model_fields["E"].description or ""
     return {name: float(value) for name, value in re.findall(r"(\w+) (\d\.?\d*e\d+)", text)}
 
@@ -115,10 +115,10 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
     Args:
         data: The scene as plain data.
         settings: The page's limits.
-        uploads: Folder of the visitor's pictures; the scene may name no other files.
+        uploads: Folder of the visitor's pictures; the scene must not name other files.
 
     Raises:
-        InputError: It is not a scene, it is too large for the page, or it names another file.
+        InputError: The data is not a scene, exceeds the page's limits, or names another file.
     """
     if not isinstance(data, dict):
         raise InputError("scene", data, "no scene is chosen.", "Choose one of the cards.")
@@ -136,12 +136,12 @@ def check_length(field: str, data: Any, settings: Settings) -> None:
     """Check the length of plain data as text.
 
     Args:
-        field: Its name in error messages.
+        field: Name of the data in error messages.
         data: The data.
         settings: The page's limits.
 
     Raises:
-        InputError: It is longer.
+        InputError: The text is too long.
     """
     most = LONGEST + LONGER * settings.max_frames
     if len(json.dumps(data)) > most:
@@ -150,7 +150,7 @@ def check_length(field: str, data: Any, settings: Settings) -> None:
 
 
 def _check_counts(data: dict[str, Any], settings: Settings) -> None:
-    """Check the lengths of a scene's lists before it is validated; raises InputError."""
+    """Refuse lists of a scene that are too long, before validation; raises InputError."""
     counts = {name: len(data[name]) for name in LISTS if isinstance(data.get(name), list)}
     pushes = counts.get("forces", 0) + counts.get("boundaries", 0)
     check_most(
@@ -164,8 +164,10 @@ def _check_counts(data: dict[str, Any], settings: Settings) -> None:
 
 
 def _refuse_makers(scene: Scene) -> None:
-    """Refuse further objects from a generator or file, which would not be read in a process of
-    its own; raises InputError.
+    """Refuse further objects from a generator or file, which would be read in this process.
+
+    Raises:
+        InputError: The scene has such an object.
     """
     for index, source in enumerate(scene.objects):
         for name in ("file", "mesh", "generator"):
@@ -176,7 +178,7 @@ def _refuse_makers(scene: Scene) -> None:
 
 
 def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | None) -> None:
-    # The path is compared as text: paths outside the folder must not even be examined.
+    # The path is compared as text: files outside the folder must not even be examined.
     if uploads is None or str(path) != str(uploads / path.name) or not is_plain_file(path):
         limit = "Here a scene may name no file except a picture that you have sent."
         raise InputError(field, "a file", limit, "Leave it out, or choose a picture for it.")
@@ -204,10 +206,10 @@ def check_limits(scene: Scene, settings: Settings) -> None:
 
 
 def check_most(limits: dict[str, tuple[int, int]]) -> None:
-    """Check numbers against the largest that the page allows.
+    """Refuse numbers above the page's limits.
 
     Raises:
-        InputError: One of them is larger.
+        InputError: A number is above its limit.
     """
     for name, (value, most) in limits.items():
         if value > most:
@@ -217,10 +219,10 @@ def check_most(limits: dict[str, tuple[int, int]]) -> None:
 
 
 def check_time(seconds: float, settings: Settings) -> None:
-    """Check that a run of `seconds` on an idle machine is within the time limit.
+    """Refuse a run of `seconds` on an idle machine if this exceeds the time limit.
 
     Raises:
-        InputError: It could not.
+        InputError: The time limit is exceeded.
     """
     if seconds > settings.max_seconds:
         raise InputError(
@@ -233,7 +235,7 @@ def check_time(seconds: float, settings: Settings) -> None:
 
 
 def chips() -> list[dict[str, Any]]:
-    """The name, the material with all its values, and a preview of each substance."""
+    """Return name, material with all its values, and preview of each substance."""
     from pydantic import TypeAdapter
 
     from phy124.materials import AnyMaterial

@@ -1,4 +1,4 @@
-"""Limits the number of connections, and how long each may keep the page waiting."""
+"""Limit the number of connections, and how long a slow client may keep each of them open."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ except ImportError:  # Windows
     resource = None
 
 HEAD, BODY, STALLED = 20.0, 120.0, 60.0
-"""Longest time for a request's head, for its body, and for a stalled answer [s]."""
+"""Longest time for a request's head, for its body, and for an answer that is not read [s]."""
 FILES, UNLIMITED = 16_384, 512
-"""Number of files and connections that the page may have open, if the system allows it, and where
+"""Number of open files and connections that the page asks the system for, and the number assumed if
 the system has no such limit."""
 
 
 def allow_connections() -> int:
-    """Raise the limit of open files as far as allowed; returns half of it, for connections."""
+    """Raise the limit of open files as far as allowed; return half of it, for connections."""
     if resource is None:
         return UNLIMITED // 2
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -34,7 +34,7 @@ def allow_connections() -> int:
 class Patient(H11Protocol):
     """A connection that is closed if a request does not arrive in time or an answer is not read.
 
-    If there are too many connections, the one that is due first is closed.
+    If there are too many connections, the connection with the earliest deadline is closed.
     """
 
     clock: TimerHandle | None = None
@@ -46,29 +46,29 @@ class Patient(H11Protocol):
         self.most = most
 
     def connection_made(self, transport: Any) -> None:
-        """Start the clock at once, since silence counts as well."""
+        """Start the timer at once, because a silent client counts as well."""
         super().connection_made(transport)
         self._watch()
         if len(self.connections) > self.most:
             self._make_room()
 
     def data_received(self, data: bytes) -> None:
-        """Process the data, and restart the clock for the missing part."""
+        """Process the data, and restart the timer for the next part of the request."""
         super().data_received(data)
         self._watch()
 
     def pause_writing(self) -> None:
-        """Start a clock: the client is not reading the answer."""
+        """Start a timer, because the client does not read the answer."""
         super().pause_writing()
         self.stalled = self.loop.call_later(STALLED, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """Stop that clock: the client is reading again."""
+        """Stop this timer, because the client reads again."""
         self._read()
         super().resume_writing()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop waiting."""
+        """Stop all timers."""
         self._stop()
         self._read()
         super().connection_lost(exc)
@@ -80,7 +80,7 @@ class Patient(H11Protocol):
 
     def _watch(self) -> None:
         missing = str(self.conn.their_state)
-        # A connection that has become a socket is another protocol's.
+        # A connection that has become a websocket is handled by another protocol.
         if missing not in ("IDLE", "SEND_BODY") or self.transport.get_protocol() is not self:
             return self._stop()
         if missing != self.waiting_for:
@@ -90,7 +90,7 @@ class Patient(H11Protocol):
             self.clock = self.loop.call_later(seconds, self.transport.close)
 
     def _make_room(self) -> None:
-        """Close the connection that is due first, or this one if none is due."""
+        """Close the connection with the earliest deadline, or this connection if none has one."""
         waiting = [each for each in self.connections if isinstance(each, Patient)]
         slowest = min(waiting, key=lambda each: (_due(each), each is not self), default=self)
         slowest._stop()
@@ -104,6 +104,6 @@ class Patient(H11Protocol):
 
 
 def _due(connection: Patient) -> float:
-    """Time at which a connection is due to be closed; infinite while it is being answered."""
+    """Return a connection's deadline; infinite while its request is processed."""
     clocks = (connection.clock, connection.stalled, connection.timeout_keep_alive_task)
     return min((clock.when() for clock in clocks if clock), default=math.inf)

@@ -1,4 +1,4 @@
-"""The named endpoints /generate, /render, /evaluate, /measure and /fit, for programs."""
+"""The named endpoints /generate, /render, /evaluate, /measure and /fit, for other programs."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from .work import BEAT, Done
 
 VIEWS = list(get_args(ViewName))
 OTHERS = ("second", "third", "fourth")
-"""Names of the pictures of further objects."""
+"""Arguments for the pictures of further objects."""
 EXTRAS = ("depth", "near", "side", "facing", "back", "thickness", "highlights", *AXES, "compose")
-"""Arguments that are optional inputs besides the front picture."""
+"""Arguments that are optional inputs in addition to the front picture."""
 NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
 class MeasureRequest(BaseModel):
-    """Arguments of /measure; each is checked where it is used, so that refusals name it."""
+    """Arguments of /measure; each is checked where it is used, so that an error names it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -66,7 +66,7 @@ class MeasureRequest(BaseModel):
 
     @property
     def extras(self) -> dict[str, Any]:
-        """Optional inputs besides the front picture, by option."""
+        """Optional inputs in addition to the front picture, by option."""
         return self.model_dump(include=set(EXTRAS))
 
     @property
@@ -88,10 +88,10 @@ def endpoints(studio: Studio) -> None:
         picture = photo(studio, label="image")
         preset = _unread(gr.Dropdown(preset_names(), value="press", label="preset"))
         accuracy = _unread(gr.Radio(list(PRESETS), value="standard", label="accuracy"))
-        # Without a number the preset decides.
+        # Without a number, the preset sets the number of frames.
         frames = _unread(gr.Number(None, label="frames", precision=0, minimum=1))
         changes = gr.JSON({}, label="changes")
-        pick = gr.JSON([], label="pick")  # None would make it a required argument
+        pick = gr.JSON([], label="pick")  # with None, the argument would be required
         depth = photo(studio, label="depth")
         near = _choice(DepthMap, "near")
         side, back = photo(studio, label="side"), photo(studio, label="back")
@@ -110,7 +110,7 @@ def endpoints(studio: Studio) -> None:
         formats = _unread(gr.CheckboxGroup(list(EXPORTS), value=[], label="formats"))
         run = gr.State(None)
         files, report = gr.File(file_count="multiple", label="files"), gr.JSON(label="report")
-        # Each of these only follows a job, which waits for its turn in our own queue.
+        # Each of these only follows a job; the jobs wait in the page's own queue.
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
 
         inputs = [*scene, formats, *extras, compose, *others]
@@ -155,20 +155,20 @@ def _unpack(
 
 
 def _unread(component: Component) -> Any:
-    """Let a component pass its value on unchanged: our own checks name the argument."""
+    """Make a component pass on its value unchanged, for checks that name the argument."""
     component.preprocess = lambda payload: payload
     return component
 
 
 def _choice(section: type[Section], option: str) -> Any:
-    """Make a component for an option with a few choices."""
+    """Create a component for an option with a few choices."""
     field = section.model_fields[option]
     words = list(get_args(field.annotation))
     return _unread(gr.Radio(words, value=field.default, label=option))
 
 
 def _component(section: type[Section], option: str) -> Any:
-    """Make a component for an option: a few choices, or a number."""
+    """Create a component for an option: a few choices, or a number."""
     field = section.model_fields[option]
     if get_args(field.annotation):
         return _choice(section, option)
@@ -177,7 +177,7 @@ def _component(section: type[Section], option: str) -> Any:
 
 def _generate(studio: Studio) -> Callable[[gr.Request, GenerateRequest], Iterator[Any]]:
     def generate(request: gr.Request, asked: GenerateRequest) -> Iterator[tuple[Any, ...]]:
-        """Turn a picture or a file of Gaussians into a moving object: its files and its report."""
+        """Turn a picture or a file of Gaussians into a moving object; return files and report."""
         name = _admit(studio, request)
         kinds = _check_choices("formats", asked.formats or [], list(EXPORTS))
         scene, cutting = _cut_out(studio, name, asked)
@@ -202,7 +202,7 @@ def _generate(studio: Studio) -> Callable[[gr.Request, GenerateRequest], Iterato
 
 def _measure(studio: Studio) -> Callable[[gr.Request, MeasureRequest], Iterator[Any]]:
     def measure(request: gr.Request, asked: MeasureRequest) -> Iterator[tuple[Any, ...]]:
-        """Measure the error of a scene as a fraction of its size, and the seconds of each grid."""
+        """Measure a scene's error as a fraction of the object's size, and the time per grid [s]."""
         name = _admit(studio, request)
         scene, cutting = _cut_out(studio, name, asked)
         visitor = studio.visitors.get(name)
@@ -223,7 +223,7 @@ def _measure(studio: Studio) -> Callable[[gr.Request, MeasureRequest], Iterator[
 
 @contextmanager
 def _refusing() -> Iterator[None]:
-    """Turn an InputError into a gr.Error for the program."""
+    """Convert an InputError to a gr.Error for the calling program."""
     try:
         yield
     except InputError as error:
@@ -240,7 +240,7 @@ def _admit(studio: Studio, request: gr.Request) -> str:
 
 def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, Job]:
     """Build the scene of a request, and start the job that opens its picture or file."""
-    # An unknown preset could be the name of a file.
+    # An unknown preset could otherwise be read as the path of a file.
     _check_choices("preset", [asked.preset], preset_names())
     _check_choices("accuracy", [asked.accuracy], list(PRESETS))
     with _refusing():
@@ -260,7 +260,7 @@ def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, J
 
 
 def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> Scene:
-    """Give the pictures that a program sent to the scene's objects that wait for one."""
+    """Assign the pictures that a program sent to the scene's objects that need a picture."""
     check_sources(scene, sent)
     waiting = [index for index, object in enumerate(scene.objects) if object.waits]
     changes = {}
@@ -273,7 +273,7 @@ def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> 
 
 
 def _check_choices(field: str, values: Any, choices: list[str]) -> list[str]:
-    """Return the values if all are among the choices; else raise gr.Error."""
+    """Return the values if all are among the choices, else raise gr.Error."""
     wrong = [v for v in values if v not in choices] if isinstance(values, list) else [values]
     if wrong:
         raise refusal(f"{field}: There is no {shorten(wrong[0])}. Give {' or '.join(choices)}.")
@@ -290,7 +290,7 @@ def _render(studio: Studio) -> Handler:
         speed: float | None = None,
         compose: bool = False,
     ) -> Iterator[tuple[Any, ...]]:
-        """Film this session's last run again; nothing is simulated."""
+        """Film this session's last run again, without simulating it."""
         if run is None:
             raise refusal(NOTHING_YET)
         _, source, data, extras = run
@@ -312,7 +312,7 @@ def _fit(studio: Studio) -> Handler:
     def fit(
         run: Any, video: str | None, seconds: float, side: str, speed: float, request: gr.Request
     ) -> Iterator[tuple[Any, ...]]:
-        """Find the softness of this session's last run from a video: its files and its report."""
+        """Find the stiffness for this session's last run from a video; return files and report."""
         if run is None:
             raise refusal(NOTHING_YET)
         name, options = visitor_of(request), {"seconds": seconds, "side": side, "speed": speed}
@@ -340,7 +340,7 @@ def _follow(job: Job, visitor: Visitor, field: str) -> Iterator[None]:
 
 
 def _evaluate(run: Any) -> dict[str, Any]:
-    """How this session's last run moved: measures of stability per frame, effects, durations."""
+    """Return the report of this session's last run: stability per frame, effects, durations."""
     if run is None:
         raise refusal(NOTHING_YET)
     try:
@@ -351,6 +351,6 @@ def _evaluate(run: Any) -> dict[str, Any]:
 
 def _paths(done: Done) -> list[str]:
     files = [*done.films.iterdir(), *done.clip.iterdir()]
-    # Both folders have a report; the report in the folder of films is complete.
+    # Both folders have a report; only the report in the folder of films is complete.
     chosen = {path.name: str(path) for path in reversed(files) if path.name != "clip.pack"}
     return [chosen[name] for name in sorted(chosen)]

@@ -1,4 +1,4 @@
-"""Makes further formats of a finished run on demand."""
+"""Convert a finished run to further formats on demand."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ from .visitors import Visitor, Visitors
 from .work import Done
 
 BRIDGE = __name__.partition("demo")[0] + "bridge"
-"""Name of the bridge's package: `bridge` in a checkout, `phy124_bridge` if installed."""
+"""Package name of the bridge: `bridge` in a checkout, `phy124_bridge` if installed."""
 TOGETHER = threading.BoundedSemaphore(2)
-"""Limits the formats made at the same time: each takes seconds of a core."""
+"""Limits the number of conversions at the same time: each occupies a core for seconds."""
 TAIL = 60.0
-"""Longest time for the bridge [s]."""
+"""Time limit for the bridge [s]."""
 
 
 def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitors) -> list[Path]:
-    """Return the files of a finished run in some of the `EXPORTS`; make those that are missing.
+    """Return files of a finished run in the requested formats; create those that are missing.
 
     Args:
-        kinds: Names of the formats.
+        kinds: Names of formats in `EXPORTS`.
         done: The run.
-        visitor: The run's visitor, whose older files are removed if storage is short.
+        visitor: The run's visitor, whose older files are removed if disk space is short.
         visitors: All visitors.
 
     Raises:
-        InputError: The format does not exist, cannot be made, or exceeds the storage.
+        InputError: A format does not exist, cannot be made, or exceeds the disk space.
     """
     for kind in kinds:
         if kind not in EXPORTS or not EXPORTS[kind].available():
@@ -64,16 +64,16 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
 
 
 def check_size(kinds: Sequence[str], frames: int, gaussians: int, most: float) -> None:
-    """Check, before a run, that its formats will fit into the room of one visitor.
+    """Refuse, before a run, formats that will exceed the disk space of a visitor.
 
     Args:
         kinds: Names of the formats.
         frames: Number of frames.
         gaussians: Number of Gaussians.
-        most: The room [bytes].
+        most: Disk space of a visitor [bytes].
 
     Raises:
-        InputError: They will not.
+        InputError: The formats need more disk space.
     """
     size = sum(EXPORTS[kind].about(frames, gaussians) for kind in kinds)
     if size > most:
@@ -90,11 +90,11 @@ class Export:
     write: Callable[[Done, Path], None]
     available: Callable[[], bool] = lambda: True
     empty: int = 0
-    """Bytes without any Gaussians, about."""
+    """Approximate size without any Gaussians [bytes]."""
     still: float = 0.0
-    """Bytes per Gaussian, about."""
+    """Approximate size per Gaussian [bytes]."""
     moving: float = 0.0
-    """Bytes per Gaussian and frame, about."""
+    """Approximate size per Gaussian and frame [bytes]."""
 
     def about(self, frames: int, gaussians: int) -> int:
         """Estimate the size of the file [bytes]."""
@@ -115,7 +115,7 @@ def _ply(done: Done, path: Path) -> None:
 
 
 def _mcap(done: Done, path: Path) -> None:
-    """Record with the bridge's command line, since page and bridge do not import each other."""
+    """Record with the bridge's command line, because page and bridge do not import each other."""
     clip = (done.clip / "clip.safetensors").resolve()
     command = [sys.executable, "-m", BRIDGE, "record", str(clip), str(path.resolve())]
     root = Path(__file__).parents[1]
@@ -141,7 +141,7 @@ def _write_format(format: Format, done: Done, path: Path) -> None:
 
 
 def _export_of(format: Format) -> Export:
-    """The export that a format declares."""
+    """Return the export for a format."""
     moves = format.write_clip is not None
     return Export(
         f"{format.title}, {'moving' if moves else 'at rest'}",
@@ -172,6 +172,6 @@ EXPORTS = {
         moving=FORMATS["ply"].bytes_each,
     ),
     "mcap": Export("MCAP", "Opens in Foxglove, ROS 2", "phy124.mcap", _mcap, _bridge, moving=60.0),
-    # A PLY of the Gaussians at rest is among a run's files.
+    # The files of a run already include a PLY of the Gaussians at rest.
     **{name: _export_of(format) for name, format in written_formats().items() if name != "ply"},
 }

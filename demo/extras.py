@@ -1,7 +1,6 @@
-"""Optional inputs besides the front picture: other views, a depth map, a thickness, whether to film
-the object in its photograph; or the orientation of a file of Gaussians.
-
-Names, ranges and choices are declared by the classes of the command line's options.
+"""Optional inputs in addition to the front picture: other views, a depth map, a thickness, and
+whether to film the object in its photograph; for a file of Gaussians its orientation.
+Names, ranges and choices are those of the command line's options.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ from .visitors import Visitors
 PICTURES = ("side", "back", "depth")
 """Options that name a picture."""
 AXES = ("up", "front")
-"""Options for a file of Gaussians."""
+"""Options for a file of Gaussians: the axes that point up and to the front."""
 NO_DEPTH, NO_VIEWS, NO_READING = DepthMap(), OtherViews(), Reading()
 
 
 class Photographed(Section):
-    """Whether to film the object in its photograph."""
+    """Option to film the object in its photograph."""
 
     compose: bool = Field(
         default=False,
@@ -49,23 +48,23 @@ NOT_PHOTOGRAPHED = Photographed()
 
 @dataclass(frozen=True)
 class ExtraInputs:
-    """Optional inputs besides the picture from the front."""
+    """Optional inputs in addition to the front picture."""
 
     depth: DepthMap = NO_DEPTH
     views: OtherViews = NO_VIEWS
-    """Names the cut-outs of the pictures, which `cut_views` makes."""
+    """Cut-outs of the other views, which `cut_views` creates."""
     sent: tuple[Path, ...] = ()
-    """The pictures of other views, unchanged."""
+    """Pictures of the other views as they were sent."""
     reading: Reading = NO_READING
     """Orientation of the file of Gaussians."""
     photographed: Photographed = NOT_PHOTOGRAPHED
-    """Whether to film the object in its photograph; the Gaussians do not depend on it."""
+    """Whether to film the object in its photograph; this does not affect the Gaussians."""
 
     def cut_views(self, deadline: Deadline) -> None:
-        """Make the cut-outs of the other views that do not exist yet.
+        """Create the missing cut-outs of the other views.
 
         Raises:
-            InputError: No object can be found in one.
+            InputError: No object is found in a picture.
         """
         for (field, path), picture in zip(self.views.pictures.items(), self.sent, strict=True):
             if path.exists():
@@ -77,10 +76,10 @@ class ExtraInputs:
                 raise InputError(field, error.value, limit, error.remedy) from error
 
     def suit(self, source: Source) -> ExtraInputs:
-        """Return the inputs for this object; axes of a file default to the most likely ones.
+        """Return the inputs adapted to the object; a file's axes default to the most likely axes.
 
         Raises:
-            InputError: An input does not apply to such an object.
+            InputError: An input does not apply to this kind of object.
         """
         if isinstance(source, Cutout):
             _refuse(self.reading, "It is for a file of Gaussians.")
@@ -93,7 +92,7 @@ class ExtraInputs:
         return replace(self, reading=Reading(up=up or source.axes.up, front=front))
 
     def about(self, source: Source) -> tuple[tuple[str, Any], ...]:
-        """Entries of the report about the object's source."""
+        """Return entries of the report about the object's source."""
         if isinstance(source, Cutout):
             return (("generator", "relief"),)
         file = {**self.reading.model_dump(include=set(AXES)), "program": source.axes.program}
@@ -101,14 +100,14 @@ class ExtraInputs:
         return tuple(about.items())
 
     def generator(self, name: str) -> Any:
-        """Make the generator with a name, or for a file, with these inputs."""
+        """Create a generator, chosen by name or by a file's type, with these inputs."""
         if self.reading != NO_READING:
             return make_generator(name, self.reading)
         generator = self.depth.bind(make_generator(name), name)
         return self.views.bind(generator, name, lambda field, path: open_view(path, field=field))
 
     def data(self) -> list[Any]:
-        """Inputs that Gaussians depend on, as plain data; file names stand for their content."""
+        """Return inputs on which Gaussians depend, as plain data; file names identify contents."""
         sections = (self.depth, self.views, self.reading)
         return [section.model_dump(mode="json") for section in sections]
 
@@ -117,7 +116,7 @@ NO_EXTRAS = ExtraInputs()
 
 
 def options() -> dict[str, Any]:
-    """The JSON schemas of all inputs, by option."""
+    """Return the JSON schema of each input, by option."""
     sections: tuple[type[Section], ...] = (OtherViews, DepthMap, Photographed)
     return {
         name: schema
@@ -154,7 +153,7 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
         depth["depth"] = sent.pop("depth")
     cutouts = {option: cutout_file(visitors.get(name), path) for option, path in sent.items()}
     reading = _validate(Reading, axes)
-    orientation(reading.up, reading.front)  # refuses pairs that are no directions
+    orientation(reading.up, reading.front)  # refuses pairs that define no orientation
     return ExtraInputs(
         _validate(DepthMap, depth),
         _validate(OtherViews, rest | cutouts),
@@ -165,7 +164,7 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
 
 
 def _refuse(section: Section, why: str) -> None:
-    """Refuse a section that is not empty; raises InputError."""
+    """Refuse a section with any option set; raises InputError."""
     for option, value in section.model_dump(exclude_defaults=True).items():
         raise InputError(option, value, why, "Leave it out.")
 

@@ -1,7 +1,7 @@
-"""The folder that holds visitors' files while the page runs.
+"""The folder for visitors' files while the page runs.
 
-It is removed when the page ends. The folder of a killed page is removed when the next page starts:
-a lock, which ends with its process, shows which folders are in use. Windows has no such locks:
+The folder is removed when the page ends. If the page is killed, the next page removes its folder: a
+file lock, which ends with its process, shows which folders are in use. Windows has no such locks:
 there the folders of killed pages stay, and nothing prevents two pages from using one folder.
 """
 
@@ -31,10 +31,10 @@ def lock_folder(wanted: str = "") -> Iterator[Path]:
     """Lock a folder for this page, empty it, and remove it at the end.
 
     Args:
-        wanted: The folder; if empty, a new folder for temporary files.
+        wanted: The folder; if empty, a new temporary folder.
 
     Raises:
-        InputError: Another page uses it, or it holds other files.
+        InputError: Another page uses the folder, or it contains other files.
     """
     if not wanted:
         _sweep(Path(tempfile.gettempdir()))
@@ -58,7 +58,7 @@ def lock_folder(wanted: str = "") -> Iterator[Path]:
         finally:
             _empty(root)
     finally:
-        os.close(lock)  # Windows removes no open file
+        os.close(lock)  # Windows cannot remove an open file
         if not wanted:
             shutil.rmtree(root, ignore_errors=True)
 
@@ -77,7 +77,7 @@ def _sweep(folder: Path) -> None:
 
 
 def _lock(folder: Path) -> int | None:
-    """Lock a folder; returns None if another process holds the lock."""
+    """Lock a folder; return None if another process holds the lock."""
     try:
         lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | NO_LINKS, 0o600)
     except OSError:

@@ -1,7 +1,7 @@
-"""Forecasts the time of a run and states its promised error, before it starts.
+"""Forecast the time of a run and state its error bound, before the run starts.
 
-phy124/budget/cost.py computes the work of a run; demo/rates.py learns the cost per particle and
-substep, per drawn pixel and so on, on this machine.
+phy124/budget/cost.py computes the work of a run. demo/rates.py learns the time that this machine
+takes per particle and substep, per rendered pixel and so on.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time to set up a study's grid and to compare its motion, relative to the rate `rest`."""
+"""Time to set up a grid of a study and compare its motion, as a fraction of the rate `rest`."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The expected time of a run, and its promised error."""
+    """The forecast time and error bound of a run."""
 
     seconds: float
     substeps: int
     particles: int
     promise: Promise
-    """The error measured for such scenes, or why none is promised."""
+    """Error bound measured in similar scenes, or the reason why there is none."""
     caveat: str | None = None
-    """Why the time is uncertain."""
+    """Reason why the time is uncertain, if any."""
     load: Load = QUIET
     """Load of this machine by other programs."""
     measured: bool = False
-    """Whether it was measured by a probe of this object."""
+    """Whether the time was measured by a probe of this object."""
     thickness: float | None = None
     """Local thickness of the object relative to its size, if it was probed."""
     compiling: float = 0.0
-    """Time to compile kernels, once [s]."""
+    """Time to compile missing kernels [s]."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -57,7 +57,7 @@ class Estimate:
 
     @property
     def sentence(self) -> str:
-        """The estimate in words, for the visitor."""
+        """The forecast as a sentence for the visitor."""
         busy = " while this machine is busy" if self.load.busy else ""
         text = f"About {format_span(self.span)}{busy}: {self.substeps:,} substeps of "
         text += f"{round(self.particles, -3):,} particles. {self.promise.brief}"
@@ -71,7 +71,7 @@ class Estimate:
 
 
 class Estimator:
-    """Predicts runs and learns from the reports of finished ones."""
+    """Forecasts runs, and learns from the reports of finished runs."""
 
     def __init__(self, occupied: Callable[[], bool] = lambda: False) -> None:
         self.learned = Learned()
@@ -80,7 +80,7 @@ class Estimator:
 
     @property
     def rates(self) -> Rates:
-        """The current costs of the stages."""
+        """The current rates: time per unit of work of each stage."""
         return self.learned.now
 
     def __call__(
@@ -103,9 +103,9 @@ class Estimator:
             generated: Whether the Gaussians exist already.
             simulated: Whether the clip exists already.
             filmed: Whether the films exist already.
-            pictures: Number of pictures that are turned into Gaussians.
-            composed: Pixels drawn for the film in the photograph.
-            compiling: Time until the kernels are compiled if nothing else runs [s].
+            pictures: Number of pictures from which Gaussians are generated.
+            composed: Number of pixels of the film in the photograph.
+            compiling: Time to compile missing kernels on an idle machine [s].
         """
         work, load = Work.of(scene, gaussians), self.load()
         work = replace(work, pixels=work.pixels + composed)
@@ -132,14 +132,14 @@ class Estimator:
         generated: bool = False,
         compiling: float = 0.0,
     ) -> float:
-        """Forecast the time to measure a scene's error on some grids [s].
+        """Forecast the time of measuring a scene's error on some grids [s].
 
         Args:
             scene: The scene.
             levels: Cells across the object of each grid.
             gaussians: Number of Gaussians.
             generated: Whether the Gaussians exist already.
-            compiling: Time until the kernels are compiled if nothing else runs [s].
+            compiling: Time to compile missing kernels on an idle machine [s].
         """
         costs = [self.rates.seconds(Work.of(on_grid(scene, n), gaussians)) for n in levels]
         simulate, deform = (sum(cost[name] for cost in costs) for name in ("simulate", "deform"))
@@ -150,7 +150,8 @@ class Estimator:
     def load(self) -> Load:
         """Return the load by other programs on this machine, measured every few seconds.
 
-        During a run of this page the last measurement is used, since the load would include it.
+        During a run of this page the last measurement is returned, because a new one would include
+        the run.
         """
         return self.meter.latest if self._occupied() else self.meter.load()
 
@@ -159,23 +160,23 @@ class Estimator:
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
-        """Run now; returns its times corrected for the load by other programs."""
+        """Run now; return the times, corrected for the load by other programs, and the scene."""
         before = self.meter.measure()
         report, scene = run()
         return _alone(report, before.mean(self.meter.measure())), scene
 
     def learn(self, report: dict[str, Any], scene: Scene, before: Load) -> None:
-        """Correct the rates by a run that just finished and had the load `before` at its start."""
+        """Update the rates from a finished run; `before` is the load at its start."""
         self.learned.learn(_alone(report, before.mean(self.meter.measure())), scene)
 
     def minimum(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
-        """Time of a run at this machine's fastest rates so far [s]."""
+        """Return the time of a run at the fastest rates measured on this machine [s]."""
         return sum(self.learned.minimum.seconds(Work.of(scene, gaussians)).values())
 
     def min_study(
         self, scene: Scene, levels: Sequence[int], *, gaussians: int = GAUSSIANS
     ) -> float:
-        """Time to measure a scene's error on these grids, at this machine's fastest rates [s]."""
+        """Return the time of an error study on these grids, at the fastest measured rates [s]."""
         works = [Work.of(on_grid(scene, n), gaussians) for n in levels]
         return sum(self.learned.minimum.seconds(work)["simulate"] for work in works)
 
@@ -188,14 +189,14 @@ class Estimator:
         seconds: float | None = None,
         study: Measurement | None = None,
     ) -> list[Stop]:
-        """Time and error of all named accuracies for a scene.
+        """Return time and error bound of a scene at each named accuracy.
 
         Args:
             scene: The scene.
             gaussians: Number of Gaussians.
             thickness: Local thickness of the object relative to its size, if known.
-            seconds: Time measured for the scene's own accuracy [s], if any.
-            study: The errors measured on this scene, if any.
+            seconds: Time measured at the scene's own accuracy [s]; None: not measured.
+            study: Errors measured on this scene; None: not measured.
         """
         scale = 1.0 if seconds is None else seconds / self(scene, gaussians=gaussians).seconds
         stops = []
@@ -216,13 +217,13 @@ def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
 
 
 def probe_estimate(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Estimate:
-    """Forecast a run by a probe of this object (`phy124.accuracy`), which takes half a second.
+    """Forecast a run by a probe of the object (`phy124.accuracy`), which takes half a second.
 
     Args:
         gaussians: The object.
         scene: The scene.
         device: Warp device.
-        rest: Time of all other stages [s].
+        rest: Forecast time of all other stages [s].
     """
     probe = Forecaster(RunContext(device=device)).forecast(gaussians, scene)
     return Estimate(
@@ -243,13 +244,13 @@ def promise_of(
     study: Measurement | None,
     report: Mapping[str, Any] | None = None,
 ) -> Promise:
-    """Return the error that may be promised for a scene.
+    """Return the error bound of a scene.
 
     Args:
         scene: The scene.
         thickness: Local thickness of the object relative to its size, if known.
-        study: The errors measured on this scene; None: errors measured on similar scenes.
-        report: The report of its run, which may rule out a promise.
+        study: Errors measured on this scene; None: errors of similar scenes are used.
+        report: Report of the scene's run, which may rule out an error bound.
     """
     if study is None or why_broken(report or {}):
         return promise(scene, thickness, report)

@@ -1,4 +1,4 @@
-"""Protects the page: who a request is from, which requests are answered, and response headers."""
+"""Protect the page: identify visitors, refuse unwanted requests, and add response headers."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ if TYPE_CHECKING:
 from typing import Any
 
 FETCHES = re.compile(r"/gradio_api/(?:file=|proxy=)(?:https?:|ftp:|//)", re.IGNORECASE)
-"""URLs at which Gradio would fetch something from another site."""
+"""URLs by which Gradio would fetch data from another site."""
 CLOSED = re.compile(
     r"/gradio_api/(?:dev|deep_link|stream|component_server|process_recording|vibe|undo-vibe|runs"
     r"|run-history|profiling|login_check)\b|/monitoring\b"
 )
-"""URLs of Gradio that the page does not need, among them endless streams."""
+"""URLs of Gradio that the page does not need, including endless streams."""
 FORWARDED = ("x-forwarded-host", "x-gradio-server")
-"""Headers in which a proxy gives the page's host name."""
+"""Headers in which a proxy states the page's host name."""
 POLICY = (
-    # Gradio makes functions of the panels' scripts; a script injected into the page does not run.
+    # Gradio compiles the panels' scripts with eval; scripts injected into the page do not run.
     "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; media-src 'self' blob:; "
     "font-src 'self' data:; connect-src 'self'; worker-src 'self' blob:; object-src 'none'; "
     "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
-"""Policy for everything except the page itself, in case it is opened as a page."""
+"""Policy for all responses except the page, in case a browser opens one as a page."""
 COOKIE = "phy124"
 NAME = re.compile(r"[A-Za-z0-9_-]{32}")
 NETWORK = 64
-"""Length of the IPv6 prefix of one subscriber [bits]."""
+"""Length of the IPv6 prefix that a subscriber gets [bits]."""
 
 
 class Doorkeeper:
-    """Refuses requests with other host names, requests that would fetch from other sites, URLs that
-    the page does not need, and cross-site requests.
+    """Refuses requests with foreign host names, requests that would fetch from other sites, URLs
+    that the page does not need, and cross-site requests.
     """
 
     def __init__(
@@ -51,8 +51,8 @@ class Doorkeeper:
 
         Args:
             app: The application.
-            hosts: Host names it answers to.
-            origins: Host names that a proxy may replace by another name.
+            hosts: Host names of the page.
+            origins: Public host names of the page that a proxy may replace in the Host header.
         """
         self.app, self.hosts, self.origins = app, hosts, origins
 
@@ -64,13 +64,13 @@ class Doorkeeper:
                 return await refusal(scope, receive, send)
         if scope["type"] == "websocket":
             headers = Headers(scope=scope)
-            # Before it is accepted, this is answered by 403.
+            # Closing a websocket before it is accepted is answered by status 403.
             if "origin" not in headers or not self._from_own_page(headers):
                 return await send({"type": "websocket.close", "code": 1008})
         await self.app(scope, receive, send)
 
     def _from_own_page(self, headers: Headers) -> bool:
-        """Whether the request comes from this page or from a program, by its origin headers."""
+        """Return whether the origin headers show that this page or a program sent the request."""
         host, origin = headers.get("host", ""), headers.get("origin")
         if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
             return False
@@ -82,9 +82,9 @@ class Doorkeeper:
         return _without_port(place) in self.origins or _usual(place) == _usual(host.lower())
 
     def _has_own_host(self, headers: Headers) -> bool:
-        """Whether the request's host names, including those from proxies, are this page's.
+        """Return whether all host names of the request, including those from proxies, are ours.
 
-        Gradio writes the proxies' names into the page, so they are checked, too.
+        Gradio writes the names from proxies into the page; they are therefore checked, too.
         """
         host = headers.get("host", "").lower()
         said = ",".join(headers.get(name, "") for name in FORWARDED).lower()
@@ -121,15 +121,15 @@ def split_names(more: str, space: str = "") -> frozenset[str]:
 
 
 def own_names(more: str, space: str = "") -> frozenset[str]:
-    """Host names the page answers to, besides IP addresses."""
+    """Return the host names of the page, in addition to IP addresses."""
     here = socket.gethostname().lower()
     return frozenset({"localhost", here, f"{here}.local"}) | split_names(more, space)
 
 
 def is_own_name(host: str, names: frozenset[str]) -> bool:
-    """Whether a Host header names this page.
+    """Return whether a Host header names this page.
 
-    IP addresses always do: DNS rebinding needs a name.
+    IP addresses are always accepted, because DNS rebinding attacks need a name.
     """
     name = _without_port(host.lower()).strip("[]")
     if name in names or "*" in names:
@@ -142,11 +142,11 @@ def is_own_name(host: str, names: frozenset[str]) -> bool:
 
 
 class Headed:
-    """Adds the security headers of a public page, and names each visitor by a cookie."""
+    """Adds the security headers of a public page, and identifies each visitor by a cookie."""
 
     def __init__(self, app: ASGIApp, embedded: bool = False) -> None:
         self.app = app
-        # A Space shows the page in a frame of another site.
+        # Hugging Face Spaces show the page in a frame of another site.
         self.frames = "'self' https://huggingface.co" if embedded else "'self'"
         self.manner = "SameSite=None; Secure; Partitioned" if embedded else "SameSite=Lax"
 
@@ -158,7 +158,7 @@ class Headed:
 
 
 class _Answer:
-    """A response that is being sent; a page is buffered until it is complete."""
+    """A response that is being sent; HTML is buffered until it is complete."""
 
     def __init__(self, rules: Headed, scope: Scope, send: Send) -> None:
         self.rules, self.scope, self.send = rules, scope, send
@@ -202,25 +202,25 @@ class _Answer:
 
 
 def make_name() -> str:
-    """Make a name that cannot be guessed."""
+    """Return a random name that cannot be guessed."""
     return secrets.token_urlsafe(24)
 
 
 def cookie_of(request: Any) -> str | None:
-    """The visitor's name in a request's cookie, if it is well formed."""
+    """Return the visitor's name from a request's cookie; None if it is missing or malformed."""
     cookies = getattr(request, "cookies", None) or {}
     name = cookies.get(COOKIE) if hasattr(cookies, "get") else getattr(cookies, COOKIE, None)
     return f"cookie {name}" if isinstance(name, str) and NAME.fullmatch(name) else None
 
 
 def visitor_of(request: Any) -> str:
-    """The visitor's name: from the cookie, else the session, else new."""
+    """Return the visitor's name: from the cookie, else from the session, else a new name."""
     session = getattr(request, "session_hash", None)
     return cookie_of(request) or f"session {session or make_name()}"
 
 
 def address_of(request: Any) -> str:
-    """The IP address of a request, for limits; for IPv6, the subscriber's network."""
+    """Return the IP address of a request, for limits; for IPv6 the subscriber's network."""
     host = getattr(getattr(request, "client", None), "host", None) or ""
     try:
         address = ipaddress.ip_address(host)

@@ -1,8 +1,8 @@
-"""The player, or a running simulation, and RViz.
+"""Start the player, or a running simulation, and RViz.
 
 `ros2 launch phy124_bridge player.launch.py clip:=/path/clip.safetensors`, or with `source:=` a
-picture and `scene:=` what is to happen to it. launch comes with ROS 2 and is on no package index,
-so type checkers do not find it.
+picture and `scene:=` its scene. The module launch comes with ROS 2 and is on no package index, so
+type checkers do not find it.
 """
 
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false
@@ -28,13 +28,13 @@ PARAMETERS = {
     "rate": (float, "Largest number of frames per second; 0: every frame."),
     "loop": (bool, "Start again after the last frame."),
 }
-"""Name -> type and description; an empty value leaves that of the parameter file."""
+"""Name -> type and description; an empty value keeps the value of the parameter file."""
 PLAYER = ("clip", "profile", "frame_id", "speed", "rate", "loop")
 SIMULATED = ("source", "scene", "profile", "frame_id", "speed")
 
 
 def generate_launch_description():
-    """The arguments; one of clip and source must be given."""
+    """Return the launch description; its user must give either `clip` or `source`."""
     config = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "player.yaml"])
     return LaunchDescription(
         [
@@ -57,7 +57,7 @@ def generate_launch_description():
 
 
 def _nodes(context):
-    """The node for the launch arguments, and RViz if it is installed."""
+    """Return the node for the launch arguments, and RViz if it is installed."""
     values = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
     if bool(values["clip"]) == bool(values["source"]):
         text = "Give clip:=/path/clip.safetensors, or source:=/path/photo.png."
@@ -76,7 +76,7 @@ def _nodes(context):
         namespace=namespace,
         parameters=[LaunchConfiguration("config"), parameters],
         output="screen",
-        # RViz would otherwise stay open after the node has ended.
+        # Otherwise RViz would stay open after the node has ended.
         on_exit=EmitEvent(event=Shutdown(reason="the player has ended")),
     )
     return [node, *_rviz(namespace)]

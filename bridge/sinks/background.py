@@ -1,7 +1,7 @@
-"""Background: runs another sink in a thread of its own, so that recording never delays playback.
+"""Background: runs another sink in its own thread, so that recording never delays playback.
 
-Frames wait in a short queue. If the sink falls behind by more than that, frames are dropped from
-the recording, counted and reported; playback continues.
+Frames wait in a short queue. When the queue is full, frames are left out of the recording, counted
+and reported; playback continues.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ class Background:
     """Writes to `sink` in a thread; `write` returns at once."""
 
     def __init__(self, sink: Recorder, *, depth: int = 16) -> None:
-        """Prepare the thread; at most `depth` frames and messages wait."""
+        """Prepare the thread; up to `depth` frames and messages may wait."""
         self.sink = sink
         self.dropped = 0
-        """Number of frames the sink did not get because it was too slow or had failed."""
+        """Number of frames that were not recorded because the sink was too slow or had failed."""
         self._queue: queue.Queue[Frame | Message | None] = queue.Queue(depth)
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._error: Exception | None = None
@@ -39,14 +39,14 @@ class Background:
         return self
 
     def write(self, frame: Frame) -> None:
-        """Pass on one frame without waiting."""
+        """Queue a frame without waiting."""
         try:
             self._queue.put_nowait(frame)
         except queue.Full:
             self._drop()
 
     def send(self, message: Message) -> None:
-        """Pass on one message without waiting; it is dropped where frames would be, too."""
+        """Queue a message without waiting; if the queue is full, the message is dropped."""
         with suppress(queue.Full):
             self._queue.put_nowait(message)
 
@@ -56,7 +56,7 @@ class Background:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Wait until all is written; raises the sink's error if nothing else failed."""
+        """Wait until everything is written; raise the sink's error if nothing else failed."""
         self._queue.put(None)
         self._thread.join()
         self.sink.__exit__(kind, error, trace)
@@ -76,7 +76,7 @@ class Background:
                 else:
                     self.sink.write(what)
             except Exception as error:
-                # It is raised when the sink is closed; playback must not stop.
+                # The error is raised when the sink is closed, because playback must not stop.
                 log.error("Recording failed, playback goes on. %s", failure(error).sentence)
                 self._error = error
 

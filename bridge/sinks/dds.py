@@ -1,8 +1,8 @@
 """DdsSink: ROS 2 topics without ROS 2, through the pip package cyclonedds.
 
-ROS 2 nodes accept it because of its mangled topic and type names, XCDR version 1, the type hash in
-the endpoints' user data, and a sample on `ros_discovery_info` that names the node (Jazzy's
-rmw_dds_common). Services are offered as `dds_services` says.
+ROS 2 nodes accept this sink because of its mangled topic and type names, XCDR version 1, the type
+hash in the user data of the endpoints, and a sample on `ros_discovery_info` that names the node
+(Jazzy's rmw_dds_common). `DdsServices` offers the services.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ URI = "CYCLONEDDS_URI"
 log = logging.getLogger(__name__)
 DEPTH = 10
 AT_ONCE = 4
-"""Largest number of requests of one service served in turn."""
+"""Largest number of requests that are answered before the next service has its turn."""
 HEADER = struct.Struct("<Qq")
-"""Identity of the client, number of the request; 16 bytes, so what follows stays aligned."""
+"""Client identity and request number; 16 bytes, which keeps the following members aligned."""
 
 
 class DdsSink:
@@ -52,15 +52,15 @@ class DdsSink:
         network: bool = False,
         controls: Controls | None = None,
     ) -> None:
-        """Ready to enter.
+        """Prepare the sink; entering it joins the domain.
 
         Args:
-            options: How frames become messages.
-            network: Reach other machines. A CYCLONEDDS_URI overrides this and ROS's variables.
-            controls: What is heard and offered besides frames; None: what a player has.
+            options: Options that define how frames become messages.
+            network: Also reach other machines. A CYCLONEDDS_URI overrides this and ROS's variables.
+            controls: Inputs, topics and services in addition to frames; None: those of a player.
 
         Raises:
-            InputError: cyclonedds is missing, or ROS's variables are wrong.
+            InputError: cyclonedds is missing, or a ROS variable has an invalid value.
         """
         require_cyclonedds()
         self._encoder = FrameEncoder((options or Options()).live())
@@ -95,36 +95,36 @@ class DdsSink:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Wait for subscribers to get the last frames, then leave the domain."""
+        """Wait until subscribers have received the last frames, then leave the domain."""
         try:
             self._delivery.farewell()
         finally:
-            # DDS entities are deleted with their last reference, children before parents.
+            # DDS entities are deleted with their last reference; children must go before parents.
             self._writers.clear()
             self._heard.clear()
             del self._services, self._waitset, self._nodes, self._participant, self._domain
 
     def send(self, message: Message) -> None:
-        """Publish one message."""
+        """Publish a message."""
         from ..idl import sample
 
         self._writers[message.topic.name].write(sample(message.topic.type, message.data))
 
     def audience(self) -> str:
-        """One line: who receives the frames, and the command they need."""
+        """Describe in a line who receives the frames, and the command that receivers need."""
         if URI in os.environ:
             return f"Domain {self._discovery.domain}; {URI} decides who hears it."
         return self._discovery.audience()
 
     def write(self, frame: Frame) -> None:
-        """Publish one frame."""
+        """Publish a frame."""
         messages = self._encoder.encode(frame)
         self._delivery.before_frame()
         for message in messages:
             self.send(message)
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Wait for messages and requests and carry them out."""
+        """Wait for messages and requests, and carry them out."""
         self._obey = obey
         self._reports.send_due()
         wait = min(seconds, self._reports.wait())
@@ -142,14 +142,14 @@ class DdsSink:
         self._reports.change(playback)
 
     def subscribers(self) -> int:
-        """Number of current readers of the points."""
+        """Return the number of current readers of the points."""
         return len(self._writers[self._encoder.main.name].get_matched_subscriptions())
 
     def _wait_acknowledged(self, seconds: float) -> bool:
         try:
             return self._writers[self._encoder.main.name].wait_for_acks(int(seconds * 1e9))
         except AttributeError:
-            # cyclonedds 11.0.1 should return False for a timeout, but raises a NameError instead.
+            # At a timeout, cyclonedds 11.0.1 raises a NameError instead of returning False.
             return False
 
     def _audience(self) -> Audience:
@@ -166,7 +166,7 @@ class DdsSink:
         self._writers = {topic.name: self._writer(topic) for topic in topics}
         heard: dict[Topic, Hear] = {COMMAND: self._command, **self._controls.heard}
         self._heard = [(self._reader(topic), hear) for topic, hear in heard.items()]
-        # All nodes write to this topic; it has no key to distinguish them.
+        # All nodes write to this topic, which has no key that distinguishes them.
         self._nodes = self._reader(replace(DISCOVERY, depth=MANY))
         self._waitset = WaitSet(self._participant)
         unread = SampleState.NotRead | ViewState.Any | InstanceState.Any
@@ -202,7 +202,7 @@ class DdsSink:
         self._obey(message.data)
 
     def _introduce(self) -> None:
-        """Tell ROS 2 the node's name; otherwise it shows as _CREATED_BY_BARE_DDS_APP_."""
+        """Announce the node's name to ROS 2, which otherwise shows _CREATED_BY_BARE_DDS_APP_."""
         readers = [*(reader for reader, _ in self._heard), *self._services.readers]
         node = {
             "node_namespace": f"/{NAMESPACE}",
@@ -217,14 +217,14 @@ class DdsSink:
         self.send(Message(DISCOVERY, 0, encode(DISCOVERY.type, info)))
 
     def _namesakes(self) -> int:
-        """Number of other participants with a node of this name."""
+        """Return the number of other participants with a node of this name."""
         identity = self._participant.guid.bytes
         for sample in self._nodes.take(MANY):
             if hasattr(sample, "gid") and bytes(sample.gid.data) != identity:
                 names = {(n.node_namespace, n.node_name) for n in sample.node_entities_info_seq}
                 writer = sample.sample_info.publication_handle
                 self._others[writer] = (f"/{NAMESPACE}", self._node) in names
-        # cyclonedds returns one kind of handle signed, the other unsigned.
+        # cyclonedds returns some handles as signed and others as unsigned numbers.
         here = {handle % 2**64 for handle in self._nodes.get_matched_publications()}
         return sum(named for writer, named in self._others.items() if writer in here)
 
@@ -233,7 +233,7 @@ def require_cyclonedds() -> None:
     """Check that cyclonedds can be imported.
 
     Raises:
-        InputError: It cannot.
+        InputError: cyclonedds is not installed.
     """
     try:
         import cyclonedds.domain  # noqa: F401
@@ -244,7 +244,7 @@ def require_cyclonedds() -> None:
 
 
 def _domain(domain: int, discovery: Discovery) -> Any:
-    """The configured DDS domain; the last configuration makes the fewest demands on the machine."""
+    """Create the configured DDS domain; the last configuration requires least of the machine."""
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 
@@ -268,14 +268,14 @@ class _Offered(NamedTuple):
 
 
 class DdsServices:
-    """The services of one node."""
+    """The services of a node."""
 
     def __init__(self, participant: Any, services: Sequence[Service], node: str) -> None:
         """Offer services.
 
         Args:
             participant: The participant in the DDS domain.
-            services: What is offered.
+            services: Services to offer.
             node: Name of the node.
         """
         self._offered = [_offer(participant, service, node) for service in services]
@@ -291,7 +291,7 @@ class DdsServices:
         return [offered.writer for offered in self._offered]
 
     def serve(self) -> None:
-        """Answer the waiting requests."""
+        """Answer the requests that are waiting."""
         for offered in self._offered:
             for request in offered.reader.take(AT_ONCE):
                 if request.sample_info.valid_data:
@@ -316,7 +316,7 @@ def _offer(participant: Any, service: Service, node: str) -> _Offered:
 
     name = full_name(service.name, node)
     asked, answered = f"{service.type}_Request", f"{service.type}_Response"
-    # The identity tells a waiting client which reader and writer belong together.
+    # By the identity, a waiting client knows which reader and writer belong together.
     identity = ".".join(f"{byte:x}" for byte in participant.guid.bytes[:12])
     topics = {kind: Topic(name, kind, DEPTH, transient_local=False) for kind in (asked, answered)}
     qos = {kind: quality(topic, also=f"serviceid={identity};") for kind, topic in topics.items()}
@@ -330,11 +330,11 @@ def _offer(participant: Any, service: Service, node: str) -> _Offered:
 
 
 def quality(topic: Topic, *, also: str = "", ignore_own: bool = False) -> Any:
-    """The DDS quality of service of a topic, including the type hash.
+    """Return the DDS quality of service of a topic, including the type hash.
 
     Args:
         topic: The topic.
-        also: Further user data.
+        also: Additional user data.
         ignore_own: Whether to ignore messages from this program.
     """
     from cyclonedds.qos import Policy, Qos

@@ -1,7 +1,8 @@
 """FoxgloveSink: a websocket that Foxglove and Lichtblick open directly, with playback control.
 
-It sends the same CDR messages and ros2msg schemas as the other sinks, through Foxglove's package
-foxglove-sdk. `foxglove_clients` receives the messages and service calls that steer a run.
+The messages (CDR) and schemas (ros2msg) are those of the other sinks; Foxglove's package
+foxglove-sdk sends them. `foxglove_clients` receives the messages and service calls that steer a
+run.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from .foxglove_clients import ENCODING as JSON
 from .foxglove_clients import Clients, Job
 
 PORT = 8765
-"""Port that Foxglove tries first."""
+"""Default port of Foxglove."""
 
 
 class FoxgloveSink:
@@ -41,15 +42,15 @@ class FoxgloveSink:
         port: int = PORT,
         controls: Controls | None = None,
     ) -> None:
-        """Ready to enter.
+        """Prepare the sink; entering it starts the server.
 
         Args:
-            options: How frames become messages.
-            duration: Length of the clip [s], with which viewers show play, pause, seek and speed;
+            options: Options that define how frames become messages.
+            duration: Length of the clip [s], for which viewers show play, pause, seek and speed;
                 None for a running simulation.
-            host: Address to listen on; the default is this machine only.
+            host: Address to listen on; by default only this machine can connect.
             port: Port to listen on; 0 picks a free one.
-            controls: What is heard and offered besides frames; None: what a player has.
+            controls: Inputs, topics and services in addition to frames; None: those of a player.
 
         Raises:
             InputError: foxglove-sdk is missing.
@@ -61,17 +62,17 @@ class FoxgloveSink:
         self._duration, self._host = duration, host
         self._controls = controls
         self.clients = Clients(controls or Controls(), self.post)
-        """What viewers send."""
+        """Receiver of the messages and service calls of viewers."""
         self._node = (controls or Controls()).node
         self._reports = None if controls is None else self._reporting(controls)
         self._viewers = 0
         self._jobs: queue.Queue[Job] = queue.Queue()
         self._latest: list[Message] = []
-        self._answers: str | None = None  # the request that the next state answers
+        self._answers: str | None = None  # request to which the next state is the answer
         self._sought = False
 
     def __enter__(self) -> FoxgloveSink:
-        """Listen. Raises InputError if the port is taken."""
+        """Start the server; raises InputError if the port is in use."""
         import foxglove
 
         self._context = foxglove.Context()
@@ -104,12 +105,12 @@ class FoxgloveSink:
         self._server.stop()
 
     def write(self, frame: Frame) -> None:
-        """Send one frame to all viewers."""
+        """Send a frame to all viewers."""
         self._latest = self._encoder.encode(frame)
         self._log(self._latest)
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Carry out the viewers' commands; new viewers get the transform and the latest frame."""
+        """Carry out the viewers' commands, and send new viewers the transform and latest frame."""
         if self._reports:
             self._reports.send_due()
             seconds = min(seconds, self._reports.wait())
@@ -135,35 +136,35 @@ class FoxgloveSink:
         self._server.broadcast_playback_state(state)
 
     def send(self, message: Message) -> None:
-        """Send one message to all viewers."""
+        """Send a message to all viewers."""
         self._log([message])
 
     def audience(self) -> str:
-        """One line: the address to open."""
+        """Describe in a line the address to open."""
         there = self._host if self._host != "0.0.0.0" else "this machine's name"
         return f"Open ws://{there}:{self.port} in Foxglove."
 
     def post(self, job: Job) -> None:
-        """Queue a job from the server's threads for the thread that listens."""
+        """Queue a job of a server thread for the thread that calls `listen`."""
         self._jobs.put(job)
 
     def forget(self, topic: str) -> None:
-        """Called by the server's thread when a viewer unsubscribes."""
+        """Count a viewer that unsubscribes; called by a server thread."""
         self._viewers -= topic == self._encoder.main.name
 
     def newcomer(self, topic: str) -> None:
-        """Called by the server's thread when a viewer subscribes."""
+        """Count a viewer that subscribes, and send the latest frame; called by a server thread."""
         self._viewers += topic == self._encoder.main.name
         self.post(lambda obey: self._log([*self._encoder.static(), *self._latest]))
 
     def control(self, playing: bool, speed: float, seek: int | None, request: str) -> None:
-        """Called by the server's thread when a viewer uses the playback controls.
+        """Carry out a viewer's use of the playback controls; called by a server thread.
 
         Args:
-            playing: Whether to play or to pause.
-            speed: Clip seconds per second.
-            seek: Time to go to [ns since 1970]; None: stay.
-            request: Identifier that the next state has to carry.
+            playing: True to play, False to pause.
+            speed: Clip seconds per real second.
+            seek: Time to seek [ns since 1970]; None: no seek.
+            request: Identifier that the next state must carry.
         """
         orders = [f"speed {speed!r}"]
         if seek is not None:
@@ -189,7 +190,7 @@ class FoxgloveSink:
         )
 
     def _steering_options(self) -> dict[str, Any]:
-        """Options of the server if viewers steer the run."""
+        """Return options of the server for a run that viewers steer."""
         from foxglove.websocket import Capability
 
         if self._controls is None:
@@ -209,7 +210,7 @@ class FoxgloveSink:
         return Channel(name, message_encoding=ENCODING, schema=schema, context=self._context)
 
     def _log(self, messages: list[Message]) -> None:
-        # Reports have no stamp of their own.
+        # Reports have no time stamp of their own.
         now = self._latest[0].stamp if self._latest else self._encoder.epoch
         for message in messages:
             when = message.stamp or now
@@ -217,7 +218,7 @@ class FoxgloveSink:
 
 
 def _listener(sink: FoxgloveSink) -> Any:
-    """The listener that the server calls from its own thread; its base class does the rest."""
+    """Return the listener that the server calls from its threads."""
     from foxglove.websocket import PlaybackCommand, ServerListener
 
     class Listener(ServerListener):
@@ -250,7 +251,7 @@ def require_foxglove() -> None:
     """Check that foxglove-sdk can be imported.
 
     Raises:
-        InputError: It cannot.
+        InputError: foxglove-sdk is not installed.
     """
     try:
         import foxglove  # noqa: F401

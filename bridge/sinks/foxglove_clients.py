@@ -1,6 +1,6 @@
-"""What viewers send over Foxglove's websocket: messages on topics, and calls of services, as JSON.
+"""Messages on topics and service calls that viewers send over Foxglove's websocket, as JSON.
 
-Both come on the server's threads; they are carried out on the thread that listens to the sink.
+Both arrive on threads of the server, and are carried out on the thread that calls `listen`.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from ..topics import COMMAND, Controls, Hear, Service, Topic, full_name
 
 ENCODING = "json"
 BACKLOG = 100
-"""Largest number of waiting messages; the oldest are dropped."""
+"""Largest number of waiting messages; when it is exceeded, the oldest are dropped."""
 FLOOD = f"Messages arrive faster than they are read: only the newest {BACKLOG} count."
 OFTEN = 0.2
 """Interval between two checks whether the sink was closed [s]."""
 Job = Callable[[Obey], object]
 INTEGERS = ("byte", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
 WORDS = {bool: "boolean", str: "string", int: "integer", float: "number"}
-"""Python type -> that of JSON Schema."""
+"""Python type -> JSON Schema type."""
 REMEDY = "Send JSON with the members of the message; those left out are zero or empty."
 
 
 class Clients:
-    """Messages and calls of all viewers."""
+    """Receives the messages and service calls of all viewers."""
 
     def __init__(self, controls: Controls, post: Callable[[Job], None]) -> None:
-        """Ready for viewers.
+        """Prepare to receive from viewers.
 
         Args:
-            controls: What is heard and offered.
-            post: Takes a job for the thread that listens.
+            controls: Topics that are subscribed to, and services that are offered.
+            post: Passes a job to the thread that calls `listen`.
         """
         self._post, self._node = post, controls.node
         heard = {full_name(t.name, self._node): (t, hear) for t, hear in controls.heard.items()}
@@ -50,18 +50,18 @@ class Clients:
         self._waiting: deque[tuple[str, bytes]] = deque(maxlen=BACKLOG)
         self._refused = controls.refused
         self._flooded = False
-        """Whether the flood has been reported."""
+        """Whether the overflow of messages has been reported."""
         self.closed = False
         """Whether calls are no longer answered."""
 
     def advertise(self, client: int, channel: int, topic: str, encoding: str) -> None:
-        """A viewer is going to publish on a topic.
+        """Register that a viewer is going to publish on a topic.
 
         Args:
             client: Number of the viewer.
-            channel: Number by which it calls the topic.
-            topic: The topic's name.
-            encoding: How it writes messages.
+            channel: Number that the viewer uses for the topic.
+            topic: Name of the topic.
+            encoding: Encoding of the messages.
         """
         if topic not in self._heard:
             said = f"{topic}: nothing is heard there; topics are {', '.join(sorted(self._heard))}."
@@ -73,11 +73,11 @@ class Clients:
             self._channels[client, channel] = topic
 
     def unadvertise(self, client: int, channel: int) -> None:
-        """A viewer stops publishing."""
+        """Register that a viewer stops publishing on a channel."""
         self._channels.pop((client, channel), None)
 
     def message(self, client: int, channel: int, data: bytes) -> None:
-        """A viewer has published a message."""
+        """Queue a message that a viewer has published."""
         topic = self._channels.get((client, channel))
         if topic is None:
             return
@@ -90,7 +90,7 @@ class Clients:
             self._post(_wake)
 
     def list_services(self) -> list[Any]:
-        """The services, for the server."""
+        """Return the services as the server needs them."""
         from foxglove import MessageSchema, Schema, ServiceSchema
         from foxglove import Service as Offered
 
@@ -127,7 +127,7 @@ class Clients:
         return handle
 
     def hear(self, obey: Obey) -> None:
-        """Pass on the waiting messages."""
+        """Carry out the waiting messages."""
         for _ in range(len(self._waiting)):
             name, data = self._waiting.popleft()
             topic, hear = self._heard[name]
@@ -143,17 +143,17 @@ class Clients:
 
 
 def _wake(obey: Obey) -> None:
-    """Do nothing: wakes the thread that waits for a job, so that it reads the messages."""
+    """Do nothing; the job wakes the thread that waits for jobs, which then reads the messages."""
     del obey
 
 
 def from_json(name: str, data: bytes) -> Any:
-    """A message whose members are attributes; those that are left out are zero, empty or false.
+    """Parse a message; its members are attributes, and missing members are zero, empty or false.
 
-    NaN and Infinity, which JSON does not have, are read as Python writes them.
+    NaN and Infinity, which JSON lacks, are accepted as Python writes them.
 
     Raises:
-        InputError: It is no JSON, or a member is unknown or of the wrong kind.
+        InputError: The data is not JSON, or a member is unknown or of the wrong type.
     """
     try:
         content = json.loads(data or b"{}")
@@ -163,7 +163,7 @@ def from_json(name: str, data: bytes) -> Any:
 
 
 def schema(name: str) -> dict[str, Any]:
-    """The JSON Schema of a message."""
+    """Return the JSON Schema of a message."""
     members = {member.name: _schema(member) for member in fields(name)}
     return {"type": "object", "properties": members}
 
@@ -202,7 +202,7 @@ def _value(base: str, value: Any, where: str) -> Any:
 
 
 def _kind(base: str) -> tuple[tuple[type, ...], Any]:
-    """The Python types of a primitive, and its zero."""
+    """Return the accepted Python types of a primitive, and its zero."""
     if base == "bool":
         return (bool,), False
     if base == "string":

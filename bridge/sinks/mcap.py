@@ -1,7 +1,7 @@
-"""McapSink: frames to an MCAP file that ROS 2 plays as a bag.
+"""McapSink: writes frames to an MCAP file that ROS 2 plays as a bag.
 
-Each frame is flushed to the system when `write` returns, so a killed process loses at most the
-frame being written; `recover` repairs such a file. metadata.yaml is written last.
+When `write` returns, the frame has been flushed to the operating system: a killed process loses at
+most the frame being written. `recover` repairs such a file. metadata.yaml is written last.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from ..topics import STEERED, Message, Topic, full_name
 
 Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
-"""Size of a chunk [bytes]; a large frame is a chunk of its own."""
+"""Size of a chunk [bytes]; a larger frame gets a chunk of its own."""
 PART = ".part"
 OLDER = ".old"
-"""Ending of the recording in a folder that is replaced, until the new one is complete."""
+"""Ending of a replaced recording in a bag folder, until the new recording is complete."""
 log = logging.getLogger(__name__)
 
 
 class McapSink:
-    """Records frames to a bag folder, or to one file if the path ends in .mcap."""
+    """Records frames to a bag folder, or to a single file if the path ends in .mcap."""
 
     def __init__(
         self,
@@ -47,17 +47,17 @@ class McapSink:
         overwrite: bool = False,
         topics: Sequence[Topic] = (),
     ) -> None:
-        """Prepare a recording; nothing is touched before the sink is entered.
+        """Prepare a recording; no file is changed before the sink is entered.
 
         Args:
-            path: The folder or the .mcap file to make.
-            options: How frames become messages.
-            compression: Compression of the chunks. Moving Gaussians hardly shrink, and `none` is
-                fastest.
+            path: The folder or the .mcap file to create.
+            options: Options that define how frames become messages.
+            compression: Compression of the chunks. Files with moving Gaussians hardly become
+                smaller, and `none` is fastest.
             scene: The resolved scene as plain data, to be stored in the file.
-            report: Called at the end; the report it returns is stored in the file.
+            report: Called at the end; its result is stored in the file.
             overwrite: Replace an existing bag.
-            topics: Others, whose messages come by `send`; names are those of the node `live`.
+            topics: Additional topics, whose messages come by `send`; names relative to node `live`.
 
         Raises:
             InputError: The package `mcap` is missing.
@@ -65,7 +65,7 @@ class McapSink:
         require_mcap()
         self.path = Path(path)
         self.frames = 0
-        """Number of frames that are safely in the file."""
+        """Number of frames that have been flushed to the file."""
         self._encoder = FrameEncoder(options or Options())
         self._compression = compression
         self._scene, self._report = scene or {}, report
@@ -73,17 +73,17 @@ class McapSink:
         self._topics = {t.name: replace(t, name=full_name(t.name, STEERED)) for t in topics}
         self._counts = bag.Counts()
         self._single = self.path.suffix == bag.SUFFIX
-        # A single file gets its name when it is complete; a bag is complete with metadata.yaml.
+        # A complete single file gets its final name; a bag is complete with metadata.yaml.
         self.file = (
             self.path.with_name(self.path.name + PART) if self._single else bag.mcap_file(self.path)
         )
         self._older = self.file.with_name(self.file.name + OLDER)
 
     def check(self) -> None:
-        """Make sure that it can be recorded, before what is recorded is computed.
+        """Check that the recording can be written, before its frames are computed.
 
         Raises:
-            InputError: It exists, or the folder cannot be written.
+            InputError: The recording exists, or the folder cannot be written.
         """
         for existing in (self.path if self._single else self.path / bag.METADATA, self.file):
             if existing.exists() and not self._overwrite:
@@ -99,7 +99,7 @@ class McapSink:
             raise InputError("recording", self.path, limit, "Choose another folder.")
 
     def __enter__(self) -> McapSink:
-        """Make the file; raises InputError if it exists or cannot be made."""
+        """Create the file; raises InputError if it exists or cannot be created."""
         self.check()
         try:
             self._put_aside()
@@ -117,7 +117,7 @@ class McapSink:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Complete the file; after a disk error it stays as `write` left it."""
+        """Complete the file; after a disk error the file stays as `write` left it."""
         if self._stream.closed:
             return
         try:
@@ -126,14 +126,14 @@ class McapSink:
             failure = self._failure()
             if kind is None:
                 raise failure from error
-            # Another error came first, and that is the one to raise.
+            # Another error came first and is the one that is raised.
             log.error(str(failure))
 
     def write(self, frame: Frame) -> None:
-        """Append one frame.
+        """Append a frame.
 
         Raises:
-            Incomplete: The disk is full or gone; what was written is kept.
+            Incomplete: The disk is full or gone; frames written so far stay in the file.
         """
         try:
             for message in self._encoder.encode(frame):
@@ -144,10 +144,10 @@ class McapSink:
         self.frames += 1
 
     def send(self, message: Message) -> None:
-        """Append a message of a topic that was announced; it is safe with the next frame.
+        """Append a message of an announced topic; it is flushed with the next frame.
 
         Raises:
-            Incomplete: The disk is full or gone; what was written is kept.
+            Incomplete: The disk is full or gone; frames written so far stay in the file.
         """
         topic = self._topics.get(message.topic.name)
         if topic is None:
@@ -158,12 +158,12 @@ class McapSink:
             raise self._failure() from error
 
     def _put_aside(self) -> None:
-        """Keep the older recording under another name until the new one is complete."""
+        """Rename the older recording until the new one is complete."""
         sweep_parts(self.file.parent)
         if self._single:
-            return  # the new one has another name until it is complete
+            return  # the new file has a temporary name until it is complete
         finished = (self.path / bag.METADATA).exists()
-        # An old metadata.yaml must never describe a new file.
+        # An old metadata.yaml must not describe a new file.
         (self.path / bag.METADATA).unlink(missing_ok=True)
         if self.file.exists() and (finished or not self._older.exists()):
             os.replace(self.file, self._older)
@@ -214,11 +214,11 @@ class McapSink:
             self._older.unlink(missing_ok=True)
 
     def _failure(self) -> Incomplete:
-        """Close the file with the data that the system has accepted; returns the error to raise."""
+        """Close the file, keeping all flushed data; return the error to raise."""
         try:
             self._stream.close()
         except OSError:
-            # Closing flushes once more and fails again, but the file is closed then.
+            # Closing flushes again and fails again, but closes the file nevertheless.
             assert self._stream.closed
         kept = f"{self.frames} frames are safe in {self.file}"
         if not self._single and self._older.exists():
@@ -230,7 +230,7 @@ def require_mcap() -> None:
     """Check that mcap can be imported.
 
     Raises:
-        InputError: It cannot.
+        InputError: mcap is not installed.
     """
     try:
         import mcap.writer  # noqa: F401

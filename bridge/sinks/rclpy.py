@@ -1,7 +1,7 @@
-"""RclpySink: frames and services on a ROS 2 machine.
+"""RclpySink: publishes frames and offers services through rclpy.
 
-Messages are published as encoded bytes (`publisher.publish(bytes)`), which avoids rclpy's slow
-Python fields. Names are relative to the namespace `phy124`, so they can be remapped.
+Messages are published as encoded bytes (`publisher.publish(bytes)`), because filling rclpy's Python
+fields is slow. Names are relative to the namespace `phy124`, which allows remapping.
 """
 
 # rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
@@ -44,15 +44,15 @@ class RclpySink:
         running: Mapping[str, Parameter] = RUNNING,
         controls: Controls | None = None,
     ) -> None:
-        """Ready to enter.
+        """Prepare the sink; entering it starts the node.
 
         Args:
-            options: How frames become messages.
-            clock: Publish /clock; nothing else must publish it then.
-            node: The node to use; None makes one and ends it with the sink.
-            args: The arguments from --ros-args on, for the node that is made.
-            running: Parameters that can be set while it plays; declared unless they are already.
-            controls: What is heard and offered besides frames; None: what a player has.
+            options: Options that define how frames become messages.
+            clock: Whether to publish /clock; no other node may publish it then.
+            node: The node to use; None: create a node that ends with the sink.
+            args: `--ros-args` and the arguments after it, for the created node.
+            running: Parameters that can be changed during playback; declared if necessary.
+            controls: Inputs, topics and services in addition to frames; None: those of a player.
 
         Raises:
             InputError: rclpy cannot be imported.
@@ -64,11 +64,11 @@ class RclpySink:
         self._parameters, self._running = running, None
         self._playback: Playback | None = None
         self._obey: Obey = self._remember
-        self._values: dict[str, Any] = {}  # the state of playback, as parameters
-        self._wishes: list[str] = []  # commands that came before playback started
+        self._values: dict[str, Any] = {}  # state of playback, by parameter
+        self._wishes: list[str] = []  # commands that came before the start of playback
 
     def __enter__(self) -> RclpySink:
-        """Offer topics and services."""
+        """Start the node, and offer topics and services."""
         from rclpy.executors import SingleThreadedExecutor
 
         with ExitStack() as stack:
@@ -103,15 +103,15 @@ class RclpySink:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Wait for the last frames to arrive; end the node if it is the sink's own."""
+        """Wait until the last frames have arrived; end the node if the sink created it."""
         self._stack.close()
 
     def audience(self) -> str:
-        """One line: the node, and who receives the frames."""
+        """Describe in a line the node, and who receives the frames."""
         return f"Node {self._name}, heard as ROS 2's own variables say (ros2 node list)."
 
     def write(self, frame: Frame) -> None:
-        """Publish one frame."""
+        """Publish a frame."""
         messages = self._encoder.encode(frame)
         with self._until_shutdown():
             self._delivery.before_frame()
@@ -119,7 +119,7 @@ class RclpySink:
             self.send(message)
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Spin the node for at most `seconds`; raises KeyboardInterrupt if ROS shuts down."""
+        """Spin the node for up to `seconds`; raises KeyboardInterrupt if ROS shuts down."""
         self._obey = obey
         while self._wishes:
             obey(self._wishes.pop(0))
@@ -140,7 +140,7 @@ class RclpySink:
         self._reports.change(playback)
 
     def _declare(self, values: dict[str, Any]) -> None:
-        """Declare the parameters not declared yet; values given by --ros-args become commands."""
+        """Declare missing parameters; values from --ros-args are carried out as commands."""
         new = {
             name: replace(parameter, default=values[name])
             for name, parameter in self._parameters.items()
@@ -167,7 +167,7 @@ class RclpySink:
         self._obey(message.data)
 
     def send(self, message: Message) -> None:
-        """Publish one message."""
+        """Publish a message."""
         with self._until_shutdown():
             self._publishers[message.topic.name].publish(message.data)
 
@@ -179,7 +179,7 @@ class RclpySink:
         )
 
     def _say_goodbye(self) -> None:
-        """Wait for the last frames, unless ROS has been shut down elsewhere."""
+        """Wait for the last frames, unless ROS has already been shut down."""
         if self._node.context.ok():
             self._delivery.farewell()
 
@@ -194,7 +194,7 @@ class RclpySink:
 
     @contextmanager
     def _until_shutdown(self) -> Iterator[None]:
-        """Within this context, errors after ROS has shut down count as the end, not as errors."""
+        """Within this context, an error after ROS has shut down becomes a KeyboardInterrupt."""
         try:
             yield
         finally:
@@ -206,7 +206,7 @@ class RclpySink:
         from rclpy.qos import QoSPolicyKind as Kind
         from rclpy.qos_overriding_options import QoSOverridingOptions
 
-        # By default users could not override durability.
+        # By default users cannot override durability.
         kinds = [Kind.HISTORY, Kind.DEPTH, Kind.RELIABILITY, Kind.DURABILITY]
         try:
             return self._node.create_publisher(
@@ -224,18 +224,18 @@ class RclpySink:
 
 
 def message_class(name: str) -> Any:
-    """The Python class of `package/msg/Name`."""
+    """Return the Python class of `package/msg/Name`."""
     package, _, base = name.split("/")
     return getattr(import_module(f"{package}.msg"), base)
 
 
 def relative(topic: Topic) -> str:
-    """The bridge's own topics are relative to the node or its namespace; others are absolute."""
+    """Return a topic's name relative to the node or its namespace; other names stay absolute."""
     return topic.name.removeprefix(f"/{NAMESPACE}/")
 
 
 def quality(topic: Topic) -> Any:
-    """The quality of service of a topic, in rclpy's classes."""
+    """Return the quality of service of a topic as an rclpy profile."""
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
     reliable = ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT
@@ -249,7 +249,7 @@ def require_rclpy() -> None:
     """Check that rclpy can be imported.
 
     Raises:
-        InputError: It cannot.
+        InputError: rclpy cannot be imported.
     """
     try:
         import rclpy  # noqa: F401

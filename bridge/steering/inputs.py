@@ -1,7 +1,7 @@
-"""Inputs of peers: messages that push and grab the object, applied between two frames.
+"""Inputs of peers: messages that push or grab the object, applied between two frames.
 
-Between two frames, only the newest wrench of each frame of reference and the newest grab count, so
-the work does not depend on the number of messages.
+Of the messages between two frames, only the newest wrench in each coordinate frame and the newest
+grab are applied: the work does not depend on the number of messages.
 """
 
 from __future__ import annotations
@@ -25,35 +25,35 @@ import math
 import time
 
 MOST = 16
-"""Largest number of frames of reference that push the object between two frames."""
+"""Largest number of coordinate frames with a wrench between two frames of the run."""
 READER_DEPTH = 100
-"""Depth of the reader of /tf_static: each publishing node has a message."""
+"""Depth of the reader of /tf_static, because each publishing node has a message there."""
 EVERY = 1.0
-"""Shortest time between two lines of the log [s]: peers may send thousands of messages."""
+"""Shortest interval between two lines of the log [s]: peers may send thousands of messages."""
 log = logging.getLogger(__name__)
 
 
 def centre_frame(options: Options) -> str:
-    """The frame at the object's centre of mass, with the axes of the world."""
+    """Return the name of the frame at the object's centre of mass, with the axes of the world."""
     return f"{options.frame_id}_com"
 
 
 def object_frame(options: Options, name: str) -> str:
-    """The frame at the centre of mass of one of several objects, with the axes of the world."""
+    """Return the name of the frame at the centre of mass of one of several objects."""
     return f"{options.frame_id}_{name.replace('-', '_')}_com"
 
 
 class Inputs:
-    """Wrenches, a grab and transforms from peers."""
+    """Collects wrenches, grabs and transforms from peers."""
 
     def __init__(self, live: Live, options: Options, seconds: float, remarks: Remarks) -> None:
         """Start without inputs.
 
         Args:
-            live: The run that they act on.
-            options: Names of the frames.
-            seconds: Duration of a wrench unless another one follows [s].
-            remarks: Takes refusals.
+            live: The run on which the inputs act.
+            options: Names of the coordinate frames.
+            seconds: Duration of a wrench, unless a new wrench replaces it [s].
+            remarks: Receives the refusals.
         """
         self._live, self._seconds, self._remarks = live, seconds, remarks
         self._transforms = Transforms(options.frame_id)
@@ -68,12 +68,12 @@ class Inputs:
 
     @property
     def heard(self) -> Mapping[Topic, Hear]:
-        """The topics that are subscribed to."""
+        """Topics to subscribe to -> the function that receives a message."""
         static = Topic(TF_STATIC.name, TF_STATIC.type, depth=READER_DEPTH)
         return {PUSH: self.push, GRAB: self.grab, TF: self.transform, static: self.transform}
 
     def push(self, message: Any) -> None:
-        """Take a WrenchStamped."""
+        """Receive a WrenchStamped."""
         frame = message.header.frame_id
         if frame in self._pushes or len(self._pushes) < MOST:
             self._pushes[frame] = message
@@ -83,16 +83,16 @@ class Inputs:
             )
 
     def grab(self, message: Any) -> None:
-        """Take a PointStamped; one without a frame lets go."""
+        """Receive a PointStamped; a message without a frame releases the object."""
         self._grab = message if message.header.frame_id else None
         self._let_go = self._let_go or self._grab is None
 
     def transform(self, message: Any) -> None:
-        """Take a TFMessage."""
+        """Receive a TFMessage."""
         self._attempt(lambda: self._transforms.hear(message))
 
     def apply(self) -> None:
-        """Apply the inputs since the last frame."""
+        """Apply the inputs that came since the last frame."""
         if self._let_go:
             self._live.release()
         for message in self._pushes.values():
@@ -102,7 +102,7 @@ class Inputs:
         self.clear()
 
     def clear(self) -> None:
-        """Discard the inputs since the last frame."""
+        """Discard the inputs that came since the last frame."""
         self._pushes, self._grab, self._let_go = {}, None, False
 
     def _push(self, message: Any) -> None:
@@ -122,7 +122,7 @@ class Inputs:
         )
 
     def _hold(self) -> None:
-        """Grab the object, or move the grab's target; an object's frame selects the object."""
+        """Grab the object, or move the grab's target; an object's own frame selects that object."""
         frame = self._grab.header.frame_id
         name = self._objects.get(frame)
         place = self._transforms.pose(frame) if name is None else self._at(name)
@@ -133,15 +133,15 @@ class Inputs:
             self._live.grab(target, object=name)
 
     def _at(self, name: str) -> np.ndarray:
-        """Pose of an object's centre, with the axes of the world [4,4]."""
+        """Return the pose of an object's centre, with the axes of the world [4,4]."""
         place = np.eye(4)
         place[:3, 3] = self._live.centres.get(name, np.full(3, np.nan))
         return place
 
     def _attempt(self, action: Callable[[], None]) -> None:
-        """Carry out an action; a refusal is only remarked."""
+        """Carry out an action; a refusal is only noted in the remarks."""
         try:
-            # A huge number may become infinite, which the run refuses.
+            # A huge number may overflow to infinity, which the run refuses.
             with np.errstate(over="ignore", invalid="ignore"):
                 action()
         except InputError as error:
@@ -156,7 +156,7 @@ def _numbers(field: str, point: Any) -> np.ndarray:
 
 
 def _static(options: Options) -> Any:
-    """The TFMessage that the sinks publish, as an input."""
+    """Return the TFMessage that the sinks publish, as an input."""
     x, y, z = options.translation
     qx, qy, qz, qw = options.rotation
     transform = SimpleNamespace(
@@ -169,7 +169,7 @@ def _static(options: Options) -> Any:
 
 
 class Remarks:
-    """Sentences about refused inputs: counted, logged at intervals, kept for diagnostics."""
+    """Sentences about refused inputs: counted, logged at intervals, shown in the diagnostics."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.count = 0
@@ -179,7 +179,7 @@ class Remarks:
         self._clock, self._logged = clock, -math.inf
 
     def add(self, sentence: str) -> None:
-        """Keep a sentence."""
+        """Store a sentence; log it if the last line of the log is old enough."""
         self.count, self.last = self.count + 1, sentence
         now = self._clock()
         if now - self._logged >= EVERY:

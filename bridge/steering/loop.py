@@ -1,4 +1,4 @@
-"""The loop of a steered run: makes due frames, sends their messages, and reads inputs."""
+"""Loop of a steered run: computes frames when they are due, sends messages, reads inputs."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from phy124.live import Live
 
 ROUNDS = 8
-"""Number of reads from a sink between two frames, even if the next one is late."""
+"""Number of reads from a sink between two frames, even if the next frame is late."""
 
 
 def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
-    """What a sink offers to those who steer a run.
+    """Return the controls that a sink offers to peers that steer a run.
 
     Args:
         run: The run.
-        accuracy: How exact it is, in a sentence for diagnostics.
-        action: Whether the sink has actions.
+        accuracy: Sentence about the accuracy, for the diagnostics.
+        action: Whether the sink supports actions.
     """
     from phy124.monitor.wrenches import wall_names
 
@@ -63,14 +63,14 @@ def steer(
     records: Sequence[Recorder] = (),
     frames: int | None = None,
 ) -> None:
-    """Let a run go on until it is quit.
+    """Compute frames until a peer quits the run.
 
     Args:
         run: The run.
-        sink: Where it is shown and from where it is steered, opened with its `controls`.
-        options: How frames become messages, with an epoch.
+        sink: Sink that shows the run and receives inputs, opened with its `controls`.
+        options: Options that define how frames become messages, with an epoch.
         records: Recordings of the frames and wrenches.
-        frames: Number of frames after which to end; None: when it is quit.
+        frames: Number of frames after which the run ends; None: no limit.
     """
     from phy124.live import RealTime
 
@@ -93,7 +93,7 @@ def steer(
 
 
 class _Outlets:
-    """Where a frame goes, and what is sent with it."""
+    """Sends each frame to the sink and the recordings, with its messages."""
 
     def __init__(
         self, run: SteeredRun, sink: LiveSink, options: Options, records: Sequence[Recorder]
@@ -109,22 +109,22 @@ class _Outlets:
 
 
 class _Listening:
-    """Listens to the sink, and carries out the commands that come as text."""
+    """Reads inputs from the sink, and carries out text commands."""
 
     def __init__(self, run: SteeredRun, sink: LiveSink) -> None:
         self._run, self._sink = run, sink
 
     def once(self, seconds: float) -> None:
-        """Wait for an input for at most `seconds`."""
+        """Wait for an input for up to `seconds`."""
         self._sink.listen(seconds, self._obey)
 
     def briefly(self) -> None:
-        """To what has come already."""
+        """Read the inputs that have already arrived."""
         for _ in range(ROUNDS):
             self.once(0.0)
 
     def during(self, seconds: float) -> None:
-        """Wait for `seconds`."""
+        """Read inputs for `seconds`."""
         until = time.perf_counter() + seconds
         while (left := until - time.perf_counter()) > 0:
             self.once(min(left, LONGEST_WAIT))
@@ -139,10 +139,10 @@ class _Listening:
 
 
 def contact_messages(live: Live, options: Options, seconds: float) -> list[Message]:
-    """Force and torque on each wall, and of each object on each other one, with their frames.
+    """Return force and torque on each wall and between objects, and transforms of their frames.
 
-    Wrenches on a wall are about the centre of mass of all objects, wrenches on an object about that
-    object's centre; the header names the frame.
+    Torques on a wall are about the centre of mass of all objects; torques on an object are about
+    that object's centre of mass. The header names the coordinate frame.
 
     Args:
         live: The run, after a frame.
@@ -172,23 +172,23 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
 
 
 def _standing(at: NDArray[np.float64]) -> dict[str, Any]:
-    """The transform to a position [3], m, with the axes of the world."""
+    """Return the transform to a position [3], m, with the axes of the world."""
     return {"translation": at.tolist(), "rotation": (0.0, 0.0, 0.0, 1.0)}
 
 
 def factor_message(factor: float, options: Options, seconds: float) -> Message:
-    """Simulated seconds per second.
+    """Return the message with the real-time factor.
 
     Args:
-        factor: The number.
-        options: The epoch.
+        factor: Simulated seconds per real second.
+        options: Options with the epoch.
         seconds: Time of the frame since the epoch [s].
     """
     return _message(FACTOR, stamp_of(options, seconds), {"data": factor})
 
 
 def stamp_of(options: Options, seconds: float) -> int:
-    """Time stamp [ns since 1970] of a time since the epoch [s]."""
+    """Return the time stamp [ns since 1970] of a time since the epoch [s]."""
     return round((options.epoch or 0.0) * cdr.NANO) + round(seconds * cdr.NANO)
 
 

@@ -1,7 +1,8 @@
 """A live run with a state, steered by peers.
 
-It is not thread-safe: sinks call it from `listen`, on the thread that also makes the frames.
-Requests act from the next frame on, so the same requests at the same frames give the same bytes.
+The class is not thread-safe: sinks call it from `listen`, on the thread that also computes the
+frames. Requests act from the next frame on. The same requests at the same frames therefore give the
+same bytes.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ from enum import IntEnum
 WORDS = ("play", "pause", "toggle", "next", "restart")
 """Commands without a value."""
 DURATIONS = (0.001, 3600.0)
-"""Shortest and longest time that a wrench acts [s]."""
+"""Shortest and longest duration of a wrench [s]."""
 KNOWN = f"{', '.join(WORDS)}, step COUNT, speed FACTOR"
 MOST_STEPS = 100_000
-"""Largest number of steps of one call."""
+"""Largest number of steps of one request."""
 
 
 def checked_duration(seconds: float) -> float:
     """Check the duration of a wrench [s].
 
     Raises:
-        InputError: It is out of range.
+        InputError: The duration is out of range.
     """
     shortest, longest = DURATIONS
     if not shortest <= seconds <= longest:
@@ -45,11 +46,11 @@ def checked_duration(seconds: float) -> float:
 
 
 class SteeredRun:
-    """A live run that peers push, pause, step and reset; also what sinks show as playback."""
+    """A live run that peers push, pause, step and reset; also the playback that sinks show."""
 
     rate: float | None = None
     loop, dropped = False, 0
-    """Each frame is shown once."""
+    """Each frame is shown once, and none is dropped."""
 
     def __init__(
         self,
@@ -60,14 +61,14 @@ class SteeredRun:
         speed: float = 1.0,
         paused: bool = False,
     ) -> None:
-        """Ready to `advance` to the first frame.
+        """Prepare to `advance` to the first frame.
 
         Args:
             live: The run.
-            options: How frames become messages.
-            push_seconds: Duration of a wrench unless another one follows [s].
-            speed: Simulated seconds per second.
-            paused: Start paused.
+            options: Options that define how frames become messages.
+            push_seconds: Duration of a wrench, unless a new wrench replaces it [s].
+            speed: Simulated seconds per real second.
+            paused: Whether the run starts paused.
 
         Raises:
             InputError: The speed or the duration is out of range.
@@ -78,7 +79,7 @@ class SteeredRun:
         self.speed = checked_speed(speed)
         self.shown, self.position = 0, 0.0
         self.show: Callable[[Frame], object] = lambda frame: None
-        """Takes each frame; its time counts from the start or the last reset of time."""
+        """Receives each frame; its time counts from the start or the last reset of time."""
         self.changed: Callable[[], object] = lambda: None
         """Called when the state or the speed has changed."""
         self._ticks, self._note = 0, ""
@@ -90,21 +91,21 @@ class SteeredRun:
 
     @property
     def paused(self) -> bool:
-        """Whether time stands still."""
+        """Whether simulated time stands still."""
         return self.state in (State.PAUSED, State.STOPPED)
 
     @property
     def finished(self) -> bool:
-        """Whether it is over."""
+        """Whether the run has ended."""
         return self.state is State.QUITTING
 
     def stamp_at(self, now: float) -> float:
-        """Time of the newest frame [s], since later times have not been computed."""
+        """Return the time of the newest frame [s], because later times are not computed yet."""
         del now
         return self.position
 
     def advance(self) -> None:
-        """Make and show the next frame."""
+        """Compute and show the next frame."""
         self.inputs.apply()
         frame = self.live.step()
         self._say_notes()
@@ -113,10 +114,10 @@ class SteeredRun:
         self.show(replace(frame, time=self.position))
 
     def steps(self, count: float) -> Iterator[int]:
-        """Make `count` frames as fast as possible; yields their number after each.
+        """Compute `count` frames as fast as possible; after each, yield the number done.
 
         Raises:
-            InputError: It is not paused, or the number is out of range.
+            InputError: The run is not paused, or the number is out of range.
         """
         self._must_be_paused(count)
         if not (0 <= count <= MOST_STEPS and count == int(count)):
@@ -133,7 +134,7 @@ class SteeredRun:
             raise InputError("steps", count, limit, "Pause it first.")
 
     def enter(self, state: State) -> None:
-        """Go to another state; stopping resets the run."""
+        """Change to another state; the state STOPPED resets the run."""
         if state is State.STOPPED:
             self._restart(time=True)
         self.state = state
@@ -151,7 +152,7 @@ class SteeredRun:
         """Carry out a command of `/phy124/command`.
 
         Raises:
-            InputError: It is unknown, or impossible now.
+            InputError: The command is unknown, or impossible now.
         """
         word, *values = text.split() or [""]
         if word in WORDS and not values:
@@ -183,7 +184,7 @@ class SteeredRun:
         self.advance()
 
     def _say_notes(self) -> None:
-        """Pass on the run's notes since the last frame."""
+        """Add a new note of the run to the remarks."""
         newest = self.live.notes[-1] if self.live.notes else ""
         if newest != self._note:
             self._note = newest
@@ -191,7 +192,7 @@ class SteeredRun:
 
 
 class State(IntEnum):
-    """`simulation_interfaces/msg/SimulationState`."""
+    """States of `simulation_interfaces/msg/SimulationState`."""
 
     STOPPED = 0
     PLAYING = 1

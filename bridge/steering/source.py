@@ -1,4 +1,4 @@
-"""Makes the live run that is steered, from a picture, a file of Gaussians or a clip."""
+"""Create the live run that is steered, from a picture, a file of Gaussians or a clip."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class SteeredOptions(LiveOptions):
 
     live: tyro.conf.Suppress[bool] = True
     scene: str = ""
-    """Preset (see `phy124 scenes`) or path of a .toml file; default: that of a clip, otherwise
+    """Preset (see `phy124 scenes`) or path of a .toml file; default: the scene of the clip, or
     drop."""
     threads: int | None = None
-    """Threads of the processor that simulate; default: as many as have a free core."""
+    """CPU threads of the simulation; default: one per free core, as far as there is work."""
     max_error: float | None = None
-    """Take the coarsest grid that promises an error below this fraction of the object's size, fast
-    enough or not; default: the finest grid that keeps up with time."""
+    """Largest error bound, as a fraction of the object's size: the coarsest grid that meets it is
+    used, even if it is too slow; default: the finest grid that is fast enough."""
 
 
 def make_live(
@@ -45,11 +45,11 @@ def make_live(
     Args:
         source: A picture, a file of Gaussians or a clip.
         options: Scene and accuracy.
-        speed: Requested simulated seconds per second.
+        speed: Requested simulated seconds per real second.
         velocities: Whether frames have velocities.
 
     Raises:
-        InputError: There is no such file, or it or the scene cannot be used.
+        InputError: There is no such file, or the file or the scene cannot be used.
     """
     import warp
 
@@ -61,7 +61,7 @@ def make_live(
     from phy124.simulation.bodies import thickness_of
 
     refuse_unopened(source)
-    # A user need not see Warp's messages while it compiles.
+    # This hides Warp's messages during compilation.
     warp.config.log_level = warp.LOG_ERROR
     device = pick_device(options.device)
     gaussians, scene = _object(source, options, device)
@@ -77,7 +77,7 @@ def make_live(
 
 
 def _object(source: Path, options: SteeredOptions, device: str) -> tuple[Gaussians, Scene]:
-    """The object at rest, and what happens to it."""
+    """Return the object at rest, and its scene."""
     from phy124.progress import silent
     from phy124.scene import Scene, parse_changes
 

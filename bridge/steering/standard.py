@@ -1,6 +1,6 @@
-"""The standard services of simulators: simulation_interfaces 2.1.0, for a run that is steered.
+"""Standard services of simulators (simulation_interfaces 2.1.0) for a steered run.
 
-A run has one fixed scene, so it supports only the features of time: states, steps and resets.
+A run has a fixed scene and therefore supports only the features of time: states, steps and resets.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PACKAGE = "simulation_interfaces"
 
 
 class Code(IntEnum):
-    """`simulation_interfaces/msg/Result`, and the codes of SetSimulationState."""
+    """Codes of `simulation_interfaces/msg/Result` and of SetSimulationState."""
 
     FEATURE_UNSUPPORTED = 0
     OK = 1
@@ -26,7 +26,7 @@ class Code(IntEnum):
 
 
 class Feature(IntEnum):
-    """`simulation_interfaces/msg/SimulatorFeatures`, those that a run has."""
+    """Features of `simulation_interfaces/msg/SimulatorFeatures` that a run supports."""
 
     SIMULATION_RESET = 20
     SIMULATION_RESET_TIME = 21
@@ -40,19 +40,19 @@ class Feature(IntEnum):
 
 
 SCOPE_DEFAULT, SCOPE_TIME, SCOPE_STATE = 0, 1, 2
-"""Of ResetSimulation."""
+"""Scopes of ResetSimulation."""
 
 
 class Standard:
-    """The services of a run."""
+    """The standard services of a run."""
 
     def __init__(self, run: SteeredRun, *, action: bool) -> None:
-        """Of `run`; `action` says whether its steps are offered as an action, too."""
+        """Store the run; `action` says whether steps are also offered as an action."""
         self._run, self._action = run, action
 
     @property
     def services(self) -> tuple[Service, ...]:
-        """All of them."""
+        """All services."""
         served = {
             "GetSimulatorFeatures": ("get_simulator_features", self.features),
             "GetSimulationState": ("get_simulation_state", self.state),
@@ -74,7 +74,7 @@ class Standard:
         return {"features": {"features": features, "spawn_formats": [], "custom_info": text}}
 
     def state(self, request: Any) -> dict[str, Any]:
-        """Return the state."""
+        """Return the state of the run."""
         del request
         return {"state": {"state": int(self._run.state)}, "result": result(Code.OK)}
 
@@ -90,7 +90,7 @@ class Standard:
         return {"result": result(Code.OK)}
 
     def step(self, request: Any) -> dict[str, Any]:
-        """Make steps while it is paused."""
+        """Compute steps while the run is paused."""
         try:
             for _ in self._run.steps(request.steps):
                 pass
@@ -113,5 +113,5 @@ class Standard:
 
 
 def result(code: Code, said: str = "") -> dict[str, Any]:
-    """A `simulation_interfaces/msg/Result`."""
+    """Return a `simulation_interfaces/msg/Result`."""
     return {"result": int(code), "error_message": said}

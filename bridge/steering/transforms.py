@@ -1,6 +1,6 @@
-"""Keeps the transforms from /tf and /tf_static, and computes poses of frames.
+"""Store the transforms from /tf and /tf_static, and compute poses of coordinate frames.
 
-Only the latest transform of each frame is kept; times are not interpolated.
+Only the latest transform of each frame is stored; there is no interpolation in time.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 
 MOST = 1000
-"""Largest number of frames."""
+"""Largest number of coordinate frames."""
 DEEPEST = 64
 """Largest number of links from a frame to the root of its tree."""
 Pose = NDArray[np.float64]
@@ -21,17 +21,17 @@ Pose = NDArray[np.float64]
 
 
 class Transforms:
-    """A tree of frames, seen from the world of the object."""
+    """A tree of coordinate frames; poses are relative to the object's world."""
 
     def __init__(self, world: str) -> None:
         self.world = world
         self._links: dict[str, tuple[str, Pose]] = {}
 
     def hear(self, message: Any) -> None:
-        """Keep the transforms of a TFMessage.
+        """Store the transforms of a TFMessage.
 
         Raises:
-            InputError: One of them is no rotation, is not finite, or there are too many frames.
+            InputError: A transform is no rotation or not finite, or there are too many frames.
         """
         for link in message.transforms:
             child = link.child_frame_id
@@ -44,7 +44,7 @@ class Transforms:
         """Return the pose of a frame in the world.
 
         Raises:
-            InputError: No transform leads to it.
+            InputError: No chain of transforms connects the frame with the world.
         """
         root, there = self._up(frame)
         base, here = self._up(self.world)
@@ -67,7 +67,7 @@ class Transforms:
 
 
 def _pose(name: str, transform: Any) -> Pose:
-    """The matrix of a `geometry_msgs/msg/Transform`."""
+    """Return the matrix of a `geometry_msgs/msg/Transform`."""
     q, t = transform.rotation, transform.translation
     quaternion, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
     length = float(np.linalg.norm(quaternion))

@@ -1,8 +1,8 @@
-"""Fits: finds the softness of a finished result from a visitor's video.
+"""Fits: estimate the material's stiffness for a finished result from a visitor's video.
 
     upload -> video.py (decoded in a process) -> search.py (`phy124.studies.fit`, in a process)
 
-`jobs.py` allows one fit per visitor, and limits their number.
+`jobs.py` allows one fit per visitor at a time, and limits the number of fits on the server.
 """
 
 from .jobs import Fits

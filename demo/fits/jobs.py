@@ -1,4 +1,4 @@
-"""Jobs of fits to videos: one per visitor at a time, and a limit for the server."""
+"""Video-fitting jobs: one per visitor at a time, and a limit for the server."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ Submit = Callable[[Visitor, Job, Line, Callable[[Job], None]], Job]
 STARTING = 6.0
 """Time to read a video and to start the search [s]."""
 ROOM = 1.5
-"""Suggested budget, relative to the usual duration of a search."""
+"""Suggested time budget, relative to the usual duration of a search."""
 NO_RESULT = "There is no result yet that could be fitted."
 
 
 class Fits:
-    """All fits of a server."""
+    """All fits of the server."""
 
     def __init__(
         self,
@@ -56,9 +56,10 @@ class Fits:
         self.line = Line("fit", workers=settings.max_fits, most=settings.max_queue)
 
     def offer(self, done: Done | None) -> dict[str, Any]:
-        """Forecast a fit of a result: a sentence, and the range of its budget [s].
+        """Forecast a fit of a result; return a sentence, and the range of its time budget [s].
 
         Raises:
+            InputError: The result cannot be fitted here.
             InputError: It cannot be fitted here.
         """
         if done is None or not (done.clip / "report.json").exists():
@@ -83,12 +84,12 @@ class Fits:
 
         Args:
             name: The visitor's name.
-            done: The result.
+            done: The result to fit.
             video: The path of the upload in the request.
             options: Values of `FitOptions`.
 
         Raises:
-            InputError: Something in the request cannot be used, or the visitor has another fit.
+            InputError: The request cannot be used, or another fit of the visitor is running.
         """
         asked, expected = fit_options_of(options, self.settings), self.offer(done)["seconds"]
         visitor = self.visitors.get(name)
@@ -130,18 +131,18 @@ class Fits:
 
 
 def _watch(job: Job, out: Path) -> None:
-    """Report the progress of a search; raises Cancelled if the job was asked to stop."""
+    """Report the progress of a search; raises Cancelled if the visitor stopped the job."""
     job.check()
     state = progress(out)
     if state is None:
         return
     made, runs, seconds = state
     job.progress.expected = STARTING + seconds
-    # The number of runs is only an estimate.
+    # The number of runs is an estimate, which the runs made so far may exceed.
     job.tell(Step("fit", min(made, runs - 1), runs, f"{made} runs, about {runs} expected"))
 
 
 def _folder(visitor: Visitor, done: Done, upload: Path, asked: FitOptions) -> Path:
-    """Return the folder of a fit, the same for the same video, so that a stopped fit continues."""
+    """Return the folder of a fit; the same video gives the same folder, so a fit can continue."""
     options = asked.model_dump(exclude={"seconds"})
     return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), options)}"

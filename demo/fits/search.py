@@ -1,4 +1,4 @@
-"""The search for the softness, in a separate process, which is killed when it is cancelled."""
+"""Search for the stiffness in a separate process, which is killed when the job is cancelled."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from ..work import Done
 from .video import FitOptions, Seen
 
 GRIDS = (16, 24)
-"""Cells across the object for the search, and for its refinement."""
+"""Cells across the object in the search, and in its refinement."""
 GAUSSIANS = 4000
-"""Number of Gaussians in the outlines."""
+"""Number of Gaussians from which outlines are computed."""
 NAME = "material.E"
 TIMES = 10.0
-"""Largest factor between the softness of the result and of the filmed object."""
+"""Largest ratio of the stiffness of the result to that of the filmed object, or its inverse."""
 SOFTEST, STIFFEST = 1e3, 1e10
 """Range of the page's slider [Pa]."""
 PLAN, REPORT = "plan.json", "fit.json"
 LATE, SLACK = 2.0, 120.0
-"""A search is stopped after LATE times its budget plus SLACK seconds."""
+"""A search is stopped after LATE times its time budget plus SLACK seconds."""
 Search = Callable[[Fit, Path, Deadline], dict[str, Any]]
 
 
@@ -53,20 +53,20 @@ class FitResult:
 
     @property
     def material(self) -> dict[str, Any]:
-        """The material with the fitted softness, as plain data."""
+        """The material with the fitted stiffness, as plain data."""
         return Scene.from_toml(self.folder / "fitted.toml").data()["material"]
 
     @property
     def files(self) -> list[Path]:
-        """The files to take away."""
+        """The files offered for download."""
         return sorted(path for path in self.folder.iterdir() if path.name != PLAN)
 
 
 def softness(scene: Scene) -> float:
-    """The stiffness of a scene's material [Pa].
+    """Return Young's modulus of a scene's material [Pa].
 
     Raises:
-        InputError: It has none.
+        InputError: The material has none.
     """
     stiffness = getattr(scene.material, "E", None)
     if stiffness is None:
@@ -76,7 +76,7 @@ def softness(scene: Scene) -> float:
 
 
 def outlook(scene: Scene, rates: Rates) -> Outlook:
-    """Estimate the cost of a fit from this machine's rates."""
+    """Estimate the cost of a fit from the measured rates of this machine."""
     works = [Work.of(on_grid(scene, cells), GAUSSIANS) for cells in GRIDS]
     costs = [rates.seconds(work) for work in works]
     each = tuple(cost["simulate"] + cost["deform"] for cost in costs)
@@ -84,16 +84,16 @@ def outlook(scene: Scene, rates: Rates) -> Outlook:
 
 
 def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
-    """Declare the fit of a result's softness to a video.
+    """Declare the fit of a result's stiffness to a video.
 
     Args:
         done: The result.
-        scene: Its scene.
+        scene: The scene of the result.
         seen: The video.
         asked: Options of the fit.
 
     Raises:
-        InputError: Its material has no softness.
+        InputError: The material has no stiffness to fit.
     """
     stiffness = softness(scene)
     low, high = max(stiffness / TIMES, SOFTEST), min(stiffness * TIMES, STIFFEST)
@@ -102,7 +102,7 @@ def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
             "target": str(seen.folder),
             "object": str(done.clip / "clip.safetensors"),
             "find": {NAME: {"log_uniform": (low, high)}},
-            # `fps` is relative to filmed time; the run may have had other sides.
+            # `fps` refers to filmed time; the run may have been filmed from other sides.
             "set": {"view.speed": 1.0, "view.views": [asked.side]},
             "fps": seen.fps,
             "side": asked.side,
@@ -116,10 +116,10 @@ def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
 
 
 def search_softness(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any]:
-    """Fit in a separate process; finished runs are kept, and the same call continues from them.
+    """Fit in a separate process; a later call with the same folder continues from finished runs.
 
     Raises:
-        InputError: The softness cannot be determined, or the time is up.
+        InputError: The stiffness cannot be determined, or the time is over.
     """
     longest = Deadline(LATE * wanted.seconds + SLACK, deadline.beat)
     try:
@@ -140,7 +140,7 @@ def _search(wanted: Fit, out: Path) -> dict[str, Any]:
             temporary.write_text(json.dumps(expected.data()), "utf-8")
 
     report = fit(wanted, out, on_forecast=plan).report
-    # Paths on the server are hidden from the visitor.
+    # Paths of the server are hidden from the visitor.
     names = {"target": "video", "object": Path(wanted.object or "").name}
     report |= {"target": "video", "declared": {**report["declared"], **names}}
     with replacing(out / REPORT) as temporary:
@@ -150,7 +150,7 @@ def _search(wanted: Fit, out: Path) -> dict[str, Any]:
 
 
 def in_words(error: InputError) -> InputError:
-    """Rephrase a refusal of `phy124 fit` for visitors of the page."""
+    """Reword an error of `phy124 fit` for visitors of the page."""
     if isinstance(error, Undecided):
         limit = f"The softness cannot be determined from this video, because {error.limit}"
         return InputError("video", "unclear", limit, f"This would determine it: {error.tell}.")
@@ -163,7 +163,7 @@ def in_words(error: InputError) -> InputError:
 
 
 def progress(out: Path) -> tuple[int, int, float] | None:
-    """Runs made, runs expected, and seconds expected of a search; None before it starts."""
+    """Return runs made, runs expected and time expected [s]; None before the search starts."""
     try:
         plan = json.loads((out / PLAN).read_text("utf-8"))
     except FileNotFoundError:
@@ -173,7 +173,7 @@ def progress(out: Path) -> tuple[int, int, float] | None:
 
 
 def newest(done: Done) -> FitResult | None:
-    """Return the newest fit of a result, if any."""
+    """Return the latest fit of a result, or None."""
     finished = (done.clip.parents[1] / "fits").glob(f"{done.clip.name}-*/found/{REPORT}")
     latest = max(finished, key=lambda path: path.stat().st_mtime, default=None)
     return FitResult(latest.parent) if latest else None
@@ -183,7 +183,7 @@ def scene_of_result(done: Done) -> Scene:
     """Return the scene of a result.
 
     Raises:
-        InputError: Its motion depends on a picture, whose path is not stored in the clip.
+        InputError: The scene depends on a picture, whose path is not stored in the clip.
     """
     scene = Scene.from_data(read_scene(done.clip / "clip.safetensors"))
     for field, _ in files_named(scene):

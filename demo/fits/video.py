@@ -27,7 +27,7 @@ except ImportError:  # Windows
     resource = None
 
 MEMORY = 3 << 30
-"""Memory limit of the process, and of its decoder [bytes]."""
+"""Memory limit of the reading process and its decoder [bytes]."""
 SHORTER = "Send a shorter or smaller one."
 Side = Literal["front", "right", "back", "left"]
 
@@ -37,7 +37,7 @@ class Seen:
     """A decoded video."""
 
     folder: Path
-    """Folder of its pictures during the scene."""
+    """Folder of the pictures that fall within the scene's duration."""
     fps: float | None
     """Pictures per second of filmed time; None if unknown."""
     count: int
@@ -46,10 +46,10 @@ class Seen:
 
 
 def check_video(path: Path, settings: Settings) -> None:
-    """Check the size of a video, and its header.
+    """Check the size and the header of a video.
 
     Raises:
-        InputError: It is too large, or no video.
+        InputError: The file is too large, or is no video.
     """
     if path.stat().st_size > settings.max_video_mb * 1e6:
         limit = f"The video is larger than the {settings.max_video_mb:g} MB that this page takes."
@@ -64,13 +64,13 @@ def read_video(path: Path, out: Path, seconds: float, speed: float, deadline: De
 
     Args:
         path: The video.
-        out: The folder to fill with its pictures.
+        out: The folder for its pictures.
         seconds: Duration of the scene [s]; later pictures are left out.
         speed: Playback speed; 1 is real time.
-        deadline: When to give up.
+        deadline: Time limit.
 
     Raises:
-        InputError: It cannot be read, or has fewer than two pictures.
+        InputError: The video cannot be read, or has fewer than two pictures.
     """
     shutil.rmtree(out, ignore_errors=True)
     try:
@@ -92,9 +92,9 @@ def read_video(path: Path, out: Path, seconds: float, speed: float, deadline: De
 
 
 def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: float) -> Seen:
-    """Decode a video in this process, and limit the process's CPU time permanently.
+    """Decode a video in this process, whose CPU time is limited from now on.
 
-    The decoder inherits the limits of memory and time, so it ends even if this process is killed.
+    The decoder inherits the limits of memory and CPU time: it ends even if this process is killed.
     """
     if resource is not None:
         most = math.ceil(processor) + 1
@@ -102,7 +102,7 @@ def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: 
     film = read_film(path)
     fps = film.fps and film.fps / speed
     whole = len(film.pictures)
-    # The last picture may be late by a rounding error.
+    # Rounding errors must not exclude the last picture.
     count = whole if fps is None else min(whole, math.floor(seconds * fps + 1e-3) + 1)
     if count < 2:
         limit = f"The scene lasts {seconds:.2f} s, in which the video shows {count} picture."
@@ -132,12 +132,12 @@ def fit_options_of(data: Any, settings: Settings) -> FitOptions:
     """Validate the options in a request.
 
     Raises:
-        InputError: A value cannot be used; the message names it.
+        InputError: A value is invalid; the message names it.
     """
     most = settings.max_fit_seconds
     values = {"seconds": min(FitOptions.model_fields["seconds"].default, most)}
     values |= {name: data[name] for name in FitOptions.model_fields if data.get(name) is not None}
-    # The server's limit comes before the declared one.
+    # Check the server's limit first, then the declared bounds.
     if isinstance(values["seconds"], int | float) and values["seconds"] > most:
         limit = f"One fit may take {most:g} s here."
         raise InputError("seconds", shorten(values["seconds"]), limit, "Give it less time.")
