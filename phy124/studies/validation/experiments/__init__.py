@@ -1,8 +1,10 @@
-"""Experiments from the literature, repeated by the solver: does it describe the world?
+"""Compares the solver with experiments and theories from the literature.
 
-`phy124 accuracy --verify` shows that the equations are solved; `phy124 validate` compares with
-published measurements and theories. Each experiment has three grids, a band, and a control with a
-deliberate mistake, which must leave that band. The command writes docs/lab/experiments.md.
+`phy124 accuracy --verify` tests whether the equations are solved correctly. `phy124 validate`
+compares results with published measurements and theories. Each experiment runs on three grids and
+has a band of permitted values for each quantity. A control run contains a deliberate mistake, which
+must move at least one quantity out of its band. `phy124 validate --docs` writes
+docs/lab/experiments.md.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     sand_column.EXPERIMENT,
     dam_break.EXPERIMENT,
 )
-"""All experiments, in the order in which they are shown."""
+"""All experiments, in display order."""
 
 __all__ = ["EXPERIMENTS", "Estimate", "Experiment", "Outcome", "Quantity", "find_experiment"]
 

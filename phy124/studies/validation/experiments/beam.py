@@ -1,6 +1,6 @@
-"""Clamped beams bent far by a weight at the tip, or by their own weight: the elastica.
+"""Experiments: cantilevers with large bending by a weight at the tip or by their own weight.
 
-The load grows step by step, slowly enough that the beam is at rest at each step.
+The exact shape is Euler's elastica. The load grows in steps, and the beam comes to rest at each.
 """
 
 from __future__ import annotations
@@ -22,16 +22,21 @@ from phy124.studies.validation.bodies import plane, sheet
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 LENGTH, THICKNESS = 1.2, 0.1
-"""Size of the beam [m]. It is one particle wide: with nu = 0, nothing varies across its width."""
+"""Size of the beam [m]. It is one particle wide, since with nu = 0 nothing varies over the width.
+"""
 E, DENSITY = 1e6, 1000.0
 STIFFNESS = E * THICKNESS**3 / 12
-"""E I per metre of width [N m]."""
+"""Bending stiffness E I per metre of width [N m]."""
 SOFTER = 0.96 * (THICKNESS / LENGTH) ** 2
-"""Relative increase of the drop by shear, compared with a slender beam
-(Timoshenko: 0.8 (1 + nu) * 1.2 (h / L)^2)."""
+"""Relative increase of the tip deflection by shear, compared with a slender beam.
+
+Timoshenko's theory gives 0.8 (1 + nu) * 1.2 (h / L)^2.
+"""
 PER_AXIS = 4
-"""Particles per cell and axis. With 2, as in scenes, a beam that has moved through several cells is
-softer by another tenth."""
+"""Particles per cell and axis.
+
+With 2, as in scenes, a beam that has moved by several cells would be softer by a further 10 %.
+"""
 TOO_SOFT = (
     "Beams that bend over several cells are a few per cent too soft on every grid; with a tip "
     "that moves by two cells (PL²/EI = 0.2) the drop is correct. The stress balances the load, "
@@ -42,20 +47,22 @@ TOO_SOFT = (
     "0, 1 and 9 %, and the drop by -0.4, 0.8 and 7.3 %."
 )
 REST = 1.6
-"""Time for each load, in periods of the beam's first swing."""
+"""Time for each load, in periods of the beam's first bending mode."""
 PIECES = 40
-"""Number of times per period that the beam is slowed down."""
+"""Number of times per period at which velocities are reduced."""
 
 Bending = Callable[[float, Keyframes, Region], Force]
-"""Makes a force from the beam's width [m], its profile in time, and the region of its end."""
+"""Makes a force from the beam's width [m], the force's profile in time, and the tip's region."""
 TIP_LOADS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
-"""Weights on the tip, P L^2 / E I."""
+"""Dimensionless weights at the tip, P L^2 / E I."""
 OWN_LOADS = (2.0, 8.0, 20.0)
-"""Strengths of gravity, rho g A L^3 / E I."""
+"""Dimensionless strengths of gravity, rho g A L^3 / E I."""
 
 
 def elastica_drop(load: float) -> float:
-    """Drop of the tip over the length, by elliptic integrals (Bisshopp and Drucker 1945).
+    """Return the tip deflection divided by the length, for a weight at the tip.
+
+    It is computed with elliptic integrals (Bisshopp and Drucker 1945).
 
     Args:
         load: P L^2 / E I.
@@ -73,7 +80,9 @@ def elastica_drop(load: float) -> float:
 
 
 def heavy_elastica_drop(load: float) -> float:
-    """Drop of the tip over the length, from theta'' = -load (1 - s) cos theta by shooting.
+    """Return the tip deflection divided by the length, for a beam under its own weight.
+
+    It is computed from theta'' = -load (1 - s) cos theta by the shooting method.
 
     Args:
         load: rho g A L^3 / E I.
@@ -91,13 +100,25 @@ def heavy_elastica_drop(load: float) -> float:
 
 
 def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
-    """Put a dead weight on the beam's end; its factor is P L^2 / E I."""
+    """Return the force of a weight at the beam's tip; the profile's factors are P L^2 / E I.
+
+    Args:
+        width: Width of the beam [m].
+        profile: Factors over time.
+        end: Region of the beam's tip.
+    """
     unit = STIFFNESS * width / LENGTH**2
     return TotalForce(f=(0, 0, -unit), region=end, profile=profile)
 
 
 def load_all(width: float, profile: Keyframes, end: Region) -> Force:
-    """Apply gravity to the whole beam; its factor is rho g A L^3 / E I."""
+    """Return gravity on the whole beam; the profile's factors are rho g A L^3 / E I.
+
+    Args:
+        width: Not used.
+        profile: Factors over time.
+        end: Not used.
+    """
     del width, end
     unit = STIFFNESS / (DENSITY * THICKNESS * LENGTH**3)
     return Gravity(g=(0, 0, -unit), profile=profile)
@@ -106,11 +127,13 @@ def load_all(width: float, profile: Keyframes, end: Region) -> Force:
 def make_band(
     loads: Sequence[float], exact: Callable[[float], float], name: str
 ) -> tuple[Quantity, ...]:
-    """Return the tip's drop at each load, from a slender beam to one with twice the shear.
+    """Return the tip deflection for each load, with its band.
+
+    The band extends from a slender beam to a beam with twice the shear of this beam.
 
     Args:
         loads: Dimensionless loads.
-        exact: Drop of a slender beam's tip at a load, over the length.
+        exact: Returns the tip deflection of a slender beam for a load, divided by the length.
         name: Symbol of the load.
     """
     pairs = [(load, exact(load)) for load in loads]
@@ -121,7 +144,7 @@ def make_band(
 
 
 def first_frequency() -> float:
-    """Lowest frequency of a clamped slender beam [rad/s]: 1.875^2 sqrt(E I / rho A L^4)."""
+    """Return a slender cantilever's lowest frequency, 1.875^2 sqrt(E I / rho A L^4) [rad/s]."""
     return 1.8751**2 * math.sqrt(STIFFNESS / (DENSITY * THICKNESS)) / LENGTH**2
 
 
@@ -133,18 +156,18 @@ def measure_drops(
     stiffer: float = 1.0,
     gradient: str = "affine",
 ) -> Values:
-    """Measure the drop of the beam's end at rest at each load, over its length.
+    """Measure the tip deflection of the beam at rest for each load, divided by the length.
 
     Args:
-        cells: Cells across its thickness.
-        loads: Factors of the force, ascending.
-        bending: Makes the force at the factor 1.
+        cells: Cells across the beam's thickness.
+        loads: Factors of the force, in ascending order.
+        bending: Makes the force.
         stiffer: Factor on E, for the control.
-        gradient: Source of the velocity gradient, as for `Model.of`.
+        gradient: Source of the velocity gradient, an option of `Model.of`.
     """
     dx = THICKNESS / cells
     spacing, clamped = dx / PER_AXIS, 3 * PER_AXIS
-    # The last cell of particles is around the end of the beam, where its load acts.
+    # The load acts on the last cell of particles, whose centre is the end of the beam.
     counts = (round(LENGTH / spacing) + clamped + PER_AXIS // 2, PER_AXIS * cells)
     x = sheet(counts, spacing, (-clamped * spacing, 0, 0))
     end = Region(lower=(LENGTH - dx / 2 - 1e-9, -1, -1), upper=(LENGTH + dx / 2 + 1e-9, 1, 1))
@@ -164,7 +187,10 @@ def measure_drops(
 
 
 def _steps(loads: Sequence[float], hold: float) -> Keyframes:
-    """Return a profile that reaches each load in a third of its time and holds it for the rest."""
+    """Return a profile with the duration `hold` per load [s].
+
+    In the first third of this duration, the factor rises to the load. It then stays constant.
+    """
     times, factors = [0.0], [0.0]
     for number, load in enumerate(loads):
         times += [(number + 1 / 3) * hold, (number + 1) * hold]
@@ -173,7 +199,7 @@ def _steps(loads: Sequence[float], hold: float) -> Keyframes:
 
 
 def _settle(solver: Solver, until: float) -> None:
-    """Advance with critical damping, so that the beam does not swing."""
+    """Advance with critical damping of the first mode, which prevents oscillations."""
     omega = first_frequency()
     piece = 2 * math.pi / omega / PIECES
     slower = math.exp(-2 * omega * piece)

@@ -1,4 +1,4 @@
-"""A column of water that is released: Martin and Moyce 1952."""
+"""Experiment: the collapse of a water column (Martin and Moyce 1952)."""
 
 from __future__ import annotations
 
@@ -16,49 +16,58 @@ from phy124.studies.validation.bodies import connected_end, mirrors, plane, shee
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 FRONTS = (1.2, 1.6, 2.0, 2.5, 3.0)
-"""Times t sqrt(2 g / a) at which the front is measured."""
+"""Dimensionless times t sqrt(2 g / a) at which the position of the front is measured."""
 HEIGHTS = (1.28, 2.0, 2.7)
-"""Times t sqrt(g / a) at which the height at the wall is measured."""
+"""Dimensionless times t sqrt(g / a) at which the height of the water at the wall is measured."""
 SPEED = (2.0, 3.0)
-"""Times between which the front's mean speed is measured, which a late start does not change."""
+"""Times t sqrt(2 g / a) between which the front's mean speed is measured.
+
+Unlike the position, the speed does not depend on a delay of the start.
+"""
 FRONT_2_25 = (
     (0.832, 1.217), (1.219, 1.474), (1.997, 2.292), (2.547, 2.995), (3.345, 4.134), (4.034, 4.944),
 )  # fmt: skip
-"""Front / a by time, of a column a = 2.25 inch wide and twice as high (digitised by PySPH)."""
+"""(Time, position of the front / a), for a column of width a = 2.25 inch and height 2 a.
+
+The values were digitised by PySPH.
+"""
 FRONT_1_125 = (
     (0.849, 1.245), (1.212, 1.443), (1.602, 1.884), (2.283, 2.689), (2.950, 3.728), (3.598, 4.528),
 )  # fmt: skip
-"""Front / a by time, of a column a = 1.125 inch wide (digitised by PySPH)."""
+"""(Time, position of the front / a), for a column of width a = 1.125 inch (digitised by PySPH)."""
 FRONT_TABLE = (
     (0.84, 1.22), (1.19, 1.44), (1.43, 1.67), (1.63, 1.89), (1.83, 2.11), (1.98, 2.33),
     (2.20, 2.56), (2.32, 2.78), (2.51, 3.00), (2.65, 3.22), (2.83, 3.44), (2.98, 3.67),
     (3.11, 3.89), (3.33, 4.11),
 )  # fmt: skip
-"""Front / a by time, from table 2 (as kept by Ocellaris)."""
+"""(Time, position of the front / a), from table 2 (as published with Ocellaris)."""
 HEIGHT_TABLE = (
     (0.56, 0.94), (0.77, 0.89), (0.93, 0.83), (1.08, 0.78), (1.28, 0.72), (1.46, 0.67),
     (1.66, 0.61), (1.84, 0.56), (2.00, 0.50), (2.21, 0.44), (2.45, 0.39), (2.70, 0.33),
     (3.06, 0.28), (3.44, 0.22),
 )  # fmt: skip
-"""Height at the wall / initial height, by t sqrt(g / a) (table 6, as kept by Ocellaris)."""
+"""(Time t sqrt(g / a), height at the wall / initial height), from table 6.
+
+The values are as published with Ocellaris.
+"""
 READ = 0.02
-"""Largest error of a tabulated height: the steps of the table are 0.05 to 0.06."""
+"""Maximum error of a tabulated height; the steps between tabulated heights are 0.05 to 0.06."""
 WIDTH = 0.1
-"""a, m."""
+"""Width a of the column [m]."""
 WATER = Fluid(bulk_modulus=1e5, viscosity=1e-3)
-"""Its speed of sound is ten times that of the front."""
+"""Water with a reduced speed of sound, which is ten times the front's speed."""
 PASTE = Fluid(bulk_modulus=1e5, viscosity=20.0)
 """Material of the control."""
 
 
 def front_sets(time: float) -> NDArray[np.float64]:
-    """Interpolate front / a in the three sets at a time [3]."""
+    """Return the position of the front / a at a time in each of the three data sets [3]."""
     sets = (np.array(each) for each in (FRONT_2_25, FRONT_1_125, FRONT_TABLE))
     return np.array([np.interp(time, each[:, 0], each[:, 1]) for each in sets])
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return fronts, the front's speed, and heights."""
+    """Return the published positions of the front, its speed, and the heights at the wall."""
     fronts = [_spread(f"front at T = {time:g}", front_sets(time)) for time in FRONTS]
     speeds = (front_sets(SPEED[1]) - front_sets(SPEED[0])) / (SPEED[1] - SPEED[0])
     table = np.array(HEIGHT_TABLE)
@@ -78,7 +87,9 @@ def _spread(name: str, sets: NDArray[np.float64]) -> Quantity:
 
 
 def release(cells: int, material: Fluid) -> Values:
-    """Measure fronts, speed and heights of a column twice as high as wide, in a smooth channel.
+    """Simulate the collapse of a column in a smooth channel, and measure its front and height.
+
+    The column is twice as high as wide.
 
     Args:
         cells: Cells across the column's width.
@@ -100,7 +111,10 @@ def release(cells: int, material: Fluid) -> Values:
 
 
 def _height(solver: Solver) -> float:
-    """Height of the water at the wall [m]: of the connected particles in the first two cells."""
+    """Return the height of the water at the wall [m].
+
+    It is measured in the first two cells, up to the first gap between particles.
+    """
     x, dx = solver.state.x.numpy().astype(float), solver.model.dx
     z = np.sort(x[x[:, 0] < 2 * dx, 2])
     gaps = np.flatnonzero(np.diff(z) > dx)
@@ -108,12 +122,12 @@ def _height(solver: Solver) -> float:
 
 
 def run(cells: int) -> Values:
-    """Measure water."""
+    """Simulate water."""
     return release(cells, WATER)
 
 
 def control(cells: int) -> Values:
-    """Measure a paste."""
+    """Simulate a viscous paste instead of water."""
     return release(cells, PASTE)
 
 

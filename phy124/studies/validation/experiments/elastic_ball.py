@@ -1,10 +1,10 @@
-"""An elastic ball on a rigid smooth plate by finite elements, beyond the limits of Hertz's theory.
+"""Finite elements for an elastic ball on a rigid smooth plate, beyond the limits of Hertz's theory.
 
-Hertz treats the ball as a half-space of small strain near its contact. Here it is a whole,
-neo-Hookean ball like that of the particles: a static, axisymmetric solution with linear
-quadrilaterals, finer towards the contact (Bonet and Wood 2008, chapter 9), and contact by an active
-set (Alart and Curnier 1991). It shares no code with the material point method, so it can validate
-it.
+Hertz's theory treats the ball near its contact as a half-space with small strain. The finite
+elements describe the whole ball with the same neo-Hookean law as the particles. The solution is
+static and axisymmetric. Its linear quadrilaterals are smaller near the contact (Bonet and Wood
+2008, chapter 9), and the contact uses an active set (Alart and Curnier 1991). The code is
+independent of the material point method, so it can serve as a reference for it.
 """
 
 from __future__ import annotations
@@ -22,42 +22,46 @@ Array = NDArray[np.float64]
 CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
 """Corners of the reference square."""
 PAIRS = np.array([[0, 0, 1, 1, 2], [0, 1, 0, 1, 2]])
-"""Components of F that do not vanish: rr, rz, zr, zz, and across the plane."""
+"""Row and column indices of the nonzero components of F: rr, rz, zr, zz, and circumferential."""
 FINER = 3.5
-"""Grading of the elements towards the contact; 0 would be a uniform mesh."""
+"""Grading of the mesh towards the contact; 0 would be a uniform mesh."""
 LARGEST_STEP = 0.02
-"""Largest step of the plate, in radii."""
+"""Maximum step of the plate, in radii."""
 DEPTHS = (0.01, 0.03, 0.05, 0.08, 0.11, 0.15)
-"""Depths to which a law is fitted, in radii."""
+"""Depths at which the force is computed to fit a law, in radii."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """Force of a ball on a plate: Hertz's times 1 + a s + b s^2 + ..., s^2 the depth in radii."""
+    """The force of a ball on a plate as a function of the depth.
+
+    It is Hertz's force times 1 + a s + b s^2 + ..., where s^2 is the depth in radii.
+    """
 
     nu: float
     """Poisson's ratio."""
     terms: tuple[float, ...] = ()
-    """a, b ...; empty for Hertz's law, which treats both bodies as half-spaces."""
+    """Coefficients a, b, ...; empty for Hertz's law, which treats both bodies as half-spaces."""
 
     def force(self, depth: float) -> float:
-        """Return the force over E R^2 at a depth in radii."""
+        """Return the force divided by E R^2, at a depth in radii."""
         powers = (term * depth ** (k / 2) for k, term in enumerate((1.0, *self.terms)))
         return 4 / 3 / (1 - self.nu**2) * depth**1.5 * sum(powers)
 
     def slope(self, depth: float) -> float:
-        """Return the derivative of the force with respect to the depth in radii."""
+        """Return the derivative of `force` with respect to the depth in radii."""
         terms = enumerate((1.0, *self.terms), start=3)
         return 2 / 3 / (1 - self.nu**2) * sum(k * a * depth ** (k / 2 - 1) for k, a in terms)
 
 
 @cache
 def fit_law(nu: float, *, whole: bool) -> Law:
-    """Fit the law of a neo-Hookean ball to finite elements up to a depth of 0.15 radii.
+    """Fit a law to finite-element forces of a neo-Hookean ball, up to a depth of 0.15 radii.
 
     Args:
         nu: Poisson's ratio.
-        whole: True for a ball on a plate, pushed by its inertia; False for a ball between plates.
+        whole: True for a ball on one plate, which its inertia pushes against the plate; False for
+            a ball between two plates.
     """
     s = np.sqrt(DEPTHS)
     hertz = [Law(nu).force(depth) for depth in DEPTHS]
@@ -68,24 +72,24 @@ def fit_law(nu: float, *, whole: bool) -> Law:
 
 @dataclass(frozen=True)
 class Mesh:
-    """Half a section through a ball of radius 1, or a quarter of one, that touches z = 1."""
+    """A mesh of the cross-section of a ball with radius 1, which touches the plate z = 1."""
 
     x: Array
-    """Distance from the axis, and height, of the nodes [N,2]."""
+    """Nodes [N,2]: distance from the axis, and height."""
     quads: NDArray[np.int64]
-    """Nodes of the elements [M,4]."""
+    """Indices of each element's nodes [M,4]."""
     surface: NDArray[np.int64]
-    """Nodes of the surface, from the contact on."""
+    """Indices of the nodes on the surface, starting at the contact."""
     whole: bool
-    """True for half a section of a whole ball, False for a quarter (the upper half of the ball)."""
+    """True for the whole ball, False for its upper half."""
 
 
 def make_mesh(fine: int, *, whole: bool) -> Mesh:
-    """Divide the section into quadrilaterals between circles and rays.
+    """Divide the cross-section into quadrilaterals along circles and rays.
 
     Args:
-        fine: Elements along the radius.
-        whole: Whether the ball is whole; else it ends at z = 0, a plane of symmetry.
+        fine: Number of elements along the radius.
+        whole: True for the whole ball; False for its upper half, with z = 0 as symmetry plane.
     """
     many = (3 if whole else 2) * fine
     turn = _towards_zero(many) * math.pi / (1 if whole else 2)
@@ -101,20 +105,20 @@ def make_mesh(fine: int, *, whole: bool) -> Mesh:
 
 
 def _towards_zero(count: int) -> Array:
-    """Return positions from 0 to 1, closer together at 0."""
+    """Return count + 1 positions from 0 to 1, which are closer together near 0."""
     return np.sinh(FINER * np.linspace(0, 1, count + 1)) / math.sinh(FINER)
 
 
 @dataclass(frozen=True)
 class Elements:
-    """Quantities at the points of integration (two by two in each element)."""
+    """The elements of a mesh, with two by two integration points each."""
 
     gradient: Array
-    """Maps displacements [M,8] to the five components of F - 1 [M,4,5,8]."""
+    """Matrices that map displacements [M,8] to the five components of F - 1 [M,4,5,8]."""
     volume: Array
-    """Volumes around the axis [M,4]."""
+    """Volume of each integration point, revolved around the axis [M,4]."""
     dofs: NDArray[np.int64]
-    """Indices of an element's displacements [M,8]."""
+    """Indices of each element's displacements [M,8]."""
     weights: Array
     """Volume of each node [N]."""
 
@@ -139,7 +143,16 @@ class Elements:
         return cls(gradient.reshape(*r.shape, 5, 8), volume, dofs, weights)
 
     def forces(self, u: Array, mu: float, lam: float) -> tuple[Array, Array]:
-        """Return the internal forces [2N] of displacements [2N], and their derivatives [M,8,8]."""
+        """Return the internal forces for the displacements u, and the element stiffness matrices.
+
+        Args:
+            u: Displacements [2N], optionally followed by other unknowns.
+            mu: First Lame parameter mu, over E.
+            lam: Second Lame parameter lambda, over E.
+
+        Returns:
+            The forces [2N], and the derivatives of each element's forces [M,8,8].
+        """
         F = np.zeros((*self.volume.shape, 3, 3))
         i, j = PAIRS
         F[..., i, j] = np.einsum("mqcd,md->mqc", self.gradient, u[self.dofs])
@@ -157,15 +170,15 @@ class Elements:
 
 
 def plate_forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int = 16) -> Array:
-    """Return the force on the plate over E R^2, at each depth.
+    """Return the force on the plate divided by E R^2, at each depth.
 
     Args:
-        depths: Approach of the plate to the middle of the ball, in radii, ascending. The middle is
-            the centre of mass of a whole ball, which is pushed by its weight or inertia, or the
-            plane of symmetry of a ball between two plates.
+        depths: Displacements of the plate towards the middle of the ball, in radii, in ascending
+            order. The middle is the centre of mass of a whole ball, which its weight or inertia
+            pushes against the plate, or the symmetry plane of a ball between two plates.
         nu: Poisson's ratio.
-        whole: True for a whole ball on a plate, False for a ball between two plates.
-        fine: Elements along the radius.
+        whole: True for a whole ball on one plate, False for a ball between two plates.
+        fine: Number of elements along the radius.
 
     Raises:
         RuntimeError: The iteration does not converge.
@@ -185,7 +198,13 @@ def plate_forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int =
 def _press(
     make_mesh: Mesh, elements: Elements, u: Array, lame: tuple[float, float], depth: float
 ) -> tuple[Array, float]:
-    """Return the displacements, with the body force that fixes the middle, and the force."""
+    """Solve for equilibrium at a depth with Newton's method and an active set.
+
+    The last unknown is the body force that keeps the middle of the ball in place.
+
+    Returns:
+        The displacements and the body force [2N+1], and the force on the plate.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import spsolve
 

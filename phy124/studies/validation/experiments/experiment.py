@@ -1,4 +1,4 @@
-"""An experiment: published values, how the solver repeats them, and the outcome on three grids."""
+"""Defines an experiment: its published values, its simulation, and its outcome on three grids."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ import numpy as np
 from phy124.accuracy.convergence import richardson
 
 Values = tuple[float, ...]
-"""One number per quantity; NaN where a control does not measure it."""
+"""One number per quantity; NaN for a quantity that a control does not measure."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A published number, and the band in which measurements lie."""
+    """A published value, and its band of permitted values."""
 
     name: str
     published: float
     low: float
-    """Lowest value that the source allows."""
+    """Lower end of the band, according to the source."""
     high: float
-    """Highest value that the source allows."""
+    """Upper end of the band, according to the source."""
     at: float | None = None
-    """Position on the horizontal axis of a plot, if the quantities make a curve."""
+    """Position on the horizontal axis of a plot; None if the quantities do not form a curve."""
 
     @classmethod
     def within(cls, name: str, value: float, part: float, at: float | None = None) -> Quantity:
-        """Return a quantity that is known to a fraction `part` of itself.
+        """Return a quantity with a band that is symmetric about its published value.
 
         Args:
             name: Name of the quantity.
             value: The published value.
-            part: Half the width of its band, as a fraction of the value.
+            part: Half the width of the band, as a fraction of the value.
             at: Position on the horizontal axis of a plot.
         """
         half = abs(value) * part
@@ -43,48 +43,48 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A comparison with published values: the declaration of runs, table, page and plot."""
+    """A comparison of simulations with published values, and its texts for tables and plots."""
 
     name: str
     """Name on the command line."""
     title: str
     source: str
-    """Publication or theory of the values."""
+    """Publication or theory from which the values come."""
     measured: str
-    """Description of the setup and the measured quantities, in a sentence or two."""
+    """Description of the setup and the measured quantities, in one or two sentences."""
     band: str
-    """Reason for the width of the band."""
+    """Description of the bands, with the reason for their width."""
     published: Callable[[], tuple[Quantity, ...]]
-    """Returns the published values, in the order of `run`."""
+    """Returns the published values, in the order of the values from `run`."""
     run: Callable[[int], Values]
-    """Returns the measured values on a grid of N cells."""
+    """Returns the values that are simulated with N cells across the length `across`."""
     control: Callable[[int], Values]
-    """Returns the values with a deliberate mistake, which must leave a band."""
+    """Returns the values of a simulation with a deliberate mistake, which must leave a band."""
     mistake: str
-    """The mistake of the control."""
+    """Description of the control's mistake."""
     grids: tuple[int, int, int]
-    """Cells, from coarse to fine; the control runs on the coarsest."""
+    """Cells across the length `across`, from coarse to fine; the control uses the coarsest grid."""
     across: str
-    """Length across which the cells are counted."""
+    """Length across which cells are counted."""
     axis: str = ""
-    """Label of the horizontal axis, if the quantities make a curve."""
+    """Label of the horizontal axis; empty if the quantities do not form a curve."""
     unit: str = ""
-    """Unit of all quantities, or their reference."""
+    """Unit of all quantities, or their reference value."""
     quick: bool = False
-    """Whether `phy124 validate --quick` runs it."""
+    """Whether `phy124 validate --quick` runs the experiment."""
     seconds: float = 1.0
     """Approximate duration [s]; the longest experiments start first."""
     reason: str = ""
-    """Why some values lie outside their bands; empty if none does."""
+    """Known reason why some values lie outside their bands; empty if there is none."""
 
 
 def find_root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Find the zero of a function between two places at which its signs differ.
+    """Return the zero of a function in an interval at whose ends its signs differ.
 
     Args:
         function: Function of one number.
-        low: Lower end.
-        high: Upper end.
+        low: Lower end of the interval.
+        high: Upper end of the interval.
     """
     from scipy.optimize import brentq
 
@@ -93,52 +93,55 @@ def find_root(function: Callable[[float], float], low: float, high: float) -> fl
 
 @dataclass(frozen=True)
 class Estimate:
-    """A quantity on three grids, and its extrapolation to a grid without error."""
+    """The simulated values of a quantity on three grids, and their extrapolation."""
 
     quantity: Quantity
     levels: Values
     """The value on each grid, from coarse to fine."""
     control: float
-    """The value with the deliberate mistake, on the coarsest grid; NaN if it was not measured."""
+    """The value of the control, on the coarsest grid; NaN if it was not measured."""
     value: float
-    """Richardson's value, or the finest grid's if the grids do not converge."""
+    """Richardson's extrapolation, or the finest grid's value if the grids do not converge."""
     error: float
-    """Estimated error of `value`: its distance from the finest grid's value, plus the scatter."""
+    """Estimated error of `value`; without convergence, the spread of the values on all grids."""
     order: float | None
-    """Observed order; None if the grids agree or do not converge."""
+    """Observed order of convergence; None if the grids agree or do not converge."""
 
     @property
     def deviation(self) -> float:
-        """Relative difference from the published value; absolute if the latter is zero."""
+        """Relative difference of `value` from the published value.
+
+        The difference is absolute if the published value is zero.
+        """
         return (self.value - self.quantity.published) / (abs(self.quantity.published) or 1.0)
 
     @property
     def inside(self) -> bool:
-        """Whether the value is within its band, extended by the value's error."""
+        """Whether `value` is within its band, extended by `error` on both sides."""
         return self.quantity.low - self.error <= self.value <= self.quantity.high + self.error
 
     @property
     def by_its_error(self) -> bool:
-        """Whether the value is within the band only because of its error."""
+        """Whether `value` is inside only because the band was extended by `error`."""
         return self.inside and not self.quantity.low <= self.value <= self.quantity.high
 
     @property
     def control_outside(self) -> bool:
-        """Whether the control is outside the band by more than the error of its grid."""
+        """Whether the control is outside the band by more than the coarsest grid's error."""
         error = abs(self.levels[0] - self.value) + self.error
         return not self.quantity.low - error <= self.control <= self.quantity.high + error
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The estimates of an experiment, or the reasons why it could not be run."""
+    """The estimates of an experiment, or the messages of its failed runs."""
 
     experiment: Experiment
     estimates: tuple[Estimate, ...] = ()
     seconds: float = 0.0
-    """Processor time of all its runs [s]."""
+    """CPU time of all runs [s]."""
     failures: tuple[str, ...] = field(default=())
-    """Messages of failed runs."""
+    """Error messages of failed runs."""
 
     @property
     def inside(self) -> int:
@@ -147,7 +150,7 @@ class Outcome:
 
     @property
     def control_holds(self) -> bool:
-        """Whether the control leaves at least one band, so that the mistake is detected."""
+        """Whether the control leaves at least one band, which means the mistake is detected."""
         return any(each.control_outside for each in self.estimates)
 
     @property
@@ -157,7 +160,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether all runs succeeded, the control left a band, and misses have a known reason."""
+        """Whether all runs succeeded, the control left a band, and values outside are explained."""
         explained = not self.missed or bool(self.experiment.reason)
         return not self.failures and self.control_holds and explained
 
@@ -171,13 +174,13 @@ class Outcome:
 
 
 def estimate(grids: Sequence[int], quantity: Quantity, levels: Values, control: float) -> Estimate:
-    """Extrapolate the values of a quantity on all grids.
+    """Extrapolate the simulated values of a quantity to zero grid spacing.
 
     Args:
-        grids: Cells, from coarse to fine.
+        grids: Cells of each grid, from coarse to fine.
         quantity: The published quantity.
-        levels: The values on the grids.
-        control: The value with the deliberate mistake.
+        levels: The value on each grid.
+        control: The value of the control.
     """
     values = np.array(levels)
     if not np.isfinite(values).all():

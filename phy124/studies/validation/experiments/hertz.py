@@ -1,4 +1,4 @@
-"""A ball between two plates, and a ball that bounces: Hertz's force and time of contact."""
+"""Experiment: the force on a ball between two plates, and the contact time of a bouncing ball."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ RADIUS, E, NU = 0.5, 1e5, 0.3
 DEPTHS = (0.03, 0.05)
 """Depths to which each plate presses the ball [m]."""
 PLACES = (0.0, 0.5)
-"""Final positions of the plate between two nodes, over which the force is averaged."""
+"""Final positions of the plate between two nodes [cells]; the force is averaged over them."""
 MOVE, HOLD = 0.4, 0.4
-"""Durations of the motion and of the rest [s]."""
+"""Durations for which the plate moves, and then holds its position [s]."""
 
 
 def hertz(depth: float) -> float:
-    """Hertz's force 4/3 E / (1 - nu^2) sqrt(R) d^(3/2) [N]; both bodies count as half-spaces."""
+    """Return Hertz's force, 4/3 E / (1 - nu^2) sqrt(R) d^(3/2) [N], at a depth [m]."""
     return 4 / 3 * E / (1 - NU**2) * math.sqrt(RADIUS) * depth**1.5
 
 
@@ -40,15 +40,15 @@ def press(
     per_axis: int = 2,
     phase: float = 0.5,
 ) -> float:
-    """Measure the mean force of a plate [N] on an eighth of the ball.
+    """Measure the mean force of a plate on the ball [N], by simulating an eighth of the ball.
 
     Args:
         cells: Cells across the radius.
-        depth: Depth of the plate [m].
+        depth: Depth to which the plate presses the ball [m].
         stiffer: Factor on E, for the control.
         precision: float32 or float64.
         per_axis: Particles per cell and axis.
-        phase: Final position of the plate between two nodes, from 0 to 1.
+        phase: Final position of the plate between two nodes [cells], 0 to 1.
     """
     dx = RADIUS / cells
     x, volume = ball_of_shells(RADIUS, dx / per_axis)
@@ -72,7 +72,7 @@ def press(
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return forces by finite elements, and the turning time of a ball with their law."""
+    """Return the forces and the turning time from finite elements, relative to Hertz's theory."""
     forces = [
         Quantity.within(
             f"force at depth {part:g} R", fit_law(NU, whole=False).force(part) / half, 0.05
@@ -86,14 +86,23 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def turning_time(of: Law) -> float:
-    """Return the time from half the speed down to half the speed up by a law, over Hertz's."""
+    """Return the turning time of a bouncing ball with a force law, relative to Hertz's law.
+
+    The turning time is the time between half the initial speed downwards and half the initial speed
+    upwards.
+    """
     depth = restitution.SHALLOW
     turning = [restitution.solve_theory(0.0, depth, law).turning for law in (of, Law(0.0))]
     return turning[0] / turning[1]
 
 
 def measure(cells: int, *, stiffer: float = 1.0) -> Values:
-    """Measure forces, and the time from half the speed down to half the speed up, over Hertz's."""
+    """Measure the forces and the turning time, relative to Hertz's theory.
+
+    Args:
+        cells: Cells across the radius.
+        stiffer: Factor on E, for the control.
+    """
     time = (
         restitution.bounce(cells, 0.0, restitution.SHALLOW, stiffer=stiffer).turning
         / restitution.solve_theory(0.0, restitution.SHALLOW, Law(0.0)).turning
@@ -106,12 +115,12 @@ def measure(cells: int, *, stiffer: float = 1.0) -> Values:
 
 
 def run(cells: int) -> Values:
-    """Measure the right material."""
+    """Simulate the correct material."""
     return measure(cells)
 
 
 def control(cells: int) -> Values:
-    """Measure a material 1.3 times as stiff."""
+    """Simulate a material that is 1.3 times as stiff."""
     return measure(cells, stiffer=1.3)
 
 

@@ -1,4 +1,4 @@
-"""A block on an incline: Coulomb's friction, along the grid and oblique to it."""
+"""Experiment: Coulomb friction of a block on an incline, aligned with the grid or oblique to it."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from phy124.studies.validation.bodies import lattice, mean_along
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
-"""Slope tan(angle) of the incline and coefficient of friction; the last block does not slide."""
+"""Slope tan(angle) of the incline, and coefficient of friction; in the last case, nothing slides.
+"""
 SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
 """Edge of the block [m], and the durations of settling and sliding [s]."""
 SAMPLES = 41
-"""Instants to which a parabola is fitted, so that rocking averages out."""
+"""Number of times to which a parabola is fitted; the fit averages over the block's rocking."""
 
 
 def acceleration(slope: float, friction: float) -> float:
-    """Exact acceleration in units of gravity: sin - mu cos, at least 0."""
+    """Return the exact acceleration in units of gravity, max(0, sin - mu cos)."""
     angle = math.atan(slope)
     return max(0.0, math.sin(angle) - friction * math.cos(angle))
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return accelerations, first with gravity tilted and then with the wall tilted."""
+    """Return the exact accelerations, first with gravity tilted and then with the wall tilted."""
     return tuple(
         Quantity(f"tan θ = {slope:g}, μ = {mu:g}, {how}", exact, exact - 0.002, exact + 0.002)
         for how in ("along the grid", "across it")
@@ -43,9 +44,9 @@ def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
 
     Args:
         cells: Cells across the block.
-        slope: Tangent of its angle.
+        slope: Tangent of the incline's angle.
         friction: Coefficient of friction.
-        across: Tilt the wall through the grid instead of gravity.
+        across: True to tilt the wall against the grid, False to tilt gravity instead.
     """
     dx, angle = SIZE / cells, math.atan(slope)
     along, up = (math.cos(angle), 0.0, -math.sin(angle)), (math.sin(angle), 0.0, math.cos(angle))
@@ -77,12 +78,12 @@ def measure(cells: int, more: float) -> Values:
 
 
 def run(cells: int) -> Values:
-    """Measure with the right friction."""
+    """Measure with the correct coefficient of friction."""
     return measure(cells, 0.0)
 
 
 def control(cells: int) -> Values:
-    """Measure with a friction that is 0.05 too large."""
+    """Measure with a coefficient of friction that is 0.05 too large."""
     return measure(cells, 0.05)
 
 

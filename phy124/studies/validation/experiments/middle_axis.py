@@ -1,4 +1,7 @@
-"""A free body that spins about its middle axis turns over and over: Euler's equations."""
+"""Experiment: the intermediate axis theorem.
+
+A free rigid body that spins about its axis of intermediate inertia flips repeatedly.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 EDGES = (0.6, 0.4, 0.2)
-"""Edges of the body [m]; the moment of inertia about the second is the middle one."""
+"""Edges of the body [m]; the intermediate moment of inertia is about the second edge's axis."""
 SPIN = (1.0, 6.0, 0.0)
 """Initial angular velocity [rad/s]."""
 DURATION = 4.0
@@ -29,11 +32,14 @@ def moments(edges: Sequence[float]) -> NDArray[np.float64]:
 
 
 def find_turns(times: NDArray, spins: NDArray) -> Values:
-    """Return the first two instants at which the spin about the middle axis is zero [s].
+    """Return the times of the first two flips [s], at which the spin about the axis is zero.
 
     Args:
-        times: Instants [T].
-        spins: Angular velocities about the body's middle axis [T].
+        times: Times of the samples [T], s.
+        spins: Angular velocities about the body's axis of intermediate inertia [T], rad/s.
+
+    Returns:
+        Two times; NaN for a flip that does not occur.
     """
     after = np.flatnonzero(np.diff(np.sign(spins)) != 0)[:2]
     parts = spins[after] / (spins[after] - spins[after + 1])
@@ -42,7 +48,7 @@ def find_turns(times: NDArray, spins: NDArray) -> Values:
 
 
 def exact() -> Values:
-    """Integrate Euler's equations and return the first two turns [s]."""
+    """Return the times of the first two flips according to Euler's equations [s]."""
     from scipy.integrate import solve_ivp
 
     a, b, c = moments(EDGES)
@@ -57,7 +63,7 @@ def exact() -> Values:
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the times of the turns, and the conserved energy and angular momentum."""
+    """Return the times of the flips, and the remaining fractions of energy and angular momentum."""
     first, second = exact()
     return (
         Quantity.within("first turn [s]", first, 0.01),
@@ -68,11 +74,15 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def tumble(cells: int, edges: Sequence[float]) -> Values:
-    """Measure two turns, and the fractions of energy and angular momentum that are kept.
+    """Simulate the body, and measure its flips and the conservation of energy and momentum.
 
     Args:
         cells: Cells across the shortest edge.
         edges: Edges of the body [m].
+
+    Returns:
+        The times of two flips [s], and the remaining fractions of kinetic energy and angular
+        momentum.
     """
     dx = EDGES[2] / cells
     counts = [round(2 * edge / dx) for edge in edges]
@@ -95,7 +105,10 @@ def tumble(cells: int, edges: Sequence[float]) -> Values:
 
 
 def _spin(solver: Solver) -> tuple[NDArray[np.float64], float]:
-    """Return the angular velocity in the body's axes [3], rad/s, and its kinetic energy [J]."""
+    """Return the angular velocity in the body's axes [3], rad/s, and twice the rotational energy.
+
+    The energy is that of particles with unit mass, as only its ratio is used.
+    """
     x, v = (a.numpy().astype(float) for a in (solver.state.x, solver.state.v))
     x, v, rest = x - x.mean(axis=0), v - v.mean(axis=0), solver.model.rest
     u, _, vt = np.linalg.svd(x.T @ rest)
@@ -107,12 +120,12 @@ def _spin(solver: Solver) -> tuple[NDArray[np.float64], float]:
 
 
 def run(cells: int) -> Values:
-    """Measure the right body."""
+    """Simulate the correct body."""
     return tumble(cells, EDGES)
 
 
 def control(cells: int) -> Values:
-    """Measure a body whose middle edge is a quarter longer, which turns over at other times."""
+    """Simulate a body whose second edge is a quarter longer, which flips at other times."""
     return tumble(cells, (EDGES[0], 1.25 * EDGES[1], EDGES[2]))
 
 

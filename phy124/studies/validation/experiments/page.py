@@ -1,4 +1,4 @@
-"""The tables of experiments: as text for a terminal, and as a page in Markdown with plots."""
+"""Formats the outcomes of experiments as text for a terminal, and as a Markdown page with plots."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHADES = ("#c9d8ea", "#8fb0d6", "#5a8bc2")
 
 
 def refuse_missing_plots() -> None:
-    """Refuse plots if they cannot be drawn.
+    """Refuse plots if the package for drawing them is missing.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -32,7 +32,10 @@ def refuse_missing_plots() -> None:
 
 
 def save_plot(outcome: Outcome, path: PathLike) -> None:
-    """Draw an experiment: a curve if its quantities have positions on an axis, otherwise rows.
+    """Draw the outcome of an experiment.
+
+    The plot is a curve if the quantities have positions on an axis; otherwise, it has one row per
+    quantity.
 
     Args:
         outcome: Outcome of the experiment.
@@ -53,14 +56,14 @@ def save_plot(outcome: Outcome, path: PathLike) -> None:
     axes = figure.subplots()
     (_draw_curve if curve else _draw_rows)(axes, outcome)
     axes.legend(fontsize=8, frameon=False, loc="best")
-    # The same figures give the same file.
+    # Make equal outcomes give equal files.
     fixed: Any = {"svg.hashsalt": outcome.experiment.name}
     with replacing(path) as temporary, matplotlib.rc_context(fixed):
         figure.savefig(temporary, format="svg", metadata={"Date": None})
 
 
 def _draw_curve(axes: Any, outcome: Outcome) -> None:
-    """Draw the values over the quantities' positions."""
+    """Draw the values over the positions of the quantities."""
     experiment, estimates = outcome.experiment, outcome.estimates
     places = [each.quantity.at for each in estimates]
     low, high = ([getattr(f.quantity, side) for f in estimates] for side in ("low", "high"))
@@ -79,7 +82,10 @@ def _draw_curve(axes: Any, outcome: Outcome) -> None:
 
 
 def _draw_rows(axes: Any, outcome: Outcome) -> None:
-    """Draw a row per quantity, relative to the published value; near zero, the difference."""
+    """Draw a row per quantity with its relative deviation from the published value [%].
+
+    If the published value is zero, the deviation is absolute.
+    """
     experiment, estimates = outcome.experiment, outcome.estimates
     rows = range(len(estimates))
 
@@ -129,13 +135,13 @@ HEAD = """# Comparison with published experiments
 
 
 def summary(outcome: Outcome) -> str:
-    """Return a line about an experiment for a terminal."""
+    """Return a line of text about an experiment."""
     name, verdict = outcome.experiment.name, outcome.verdict
     return f"{name:<16}{verdict:<22}{outcome.seconds:7.1f} s"
 
 
 def details(outcome: Outcome) -> list[str]:
-    """Return the quantities with their notes, one per line."""
+    """Return lines of text about failed runs and each quantity of an experiment."""
     rows = [f"    {failure}" for failure in outcome.failures]
     for each in outcome.estimates:
         seen = "" if math.isnan(each.control) else _number(each.control)
@@ -181,7 +187,7 @@ def _row(each: Estimate) -> dict[str, Any]:
 def save_page(
     outcomes: Sequence[Outcome], page: PathLike, plots: PathLike, *, machine: str
 ) -> None:
-    """Write the page and a plot per experiment.
+    """Write the page, and one plot per experiment.
 
     Args:
         outcomes: Outcomes of the experiments.
@@ -219,7 +225,7 @@ def _overview(outcomes: Sequence[Outcome]) -> str:
 
 
 def _worst(outcome: Outcome) -> str:
-    """Describe the largest deviation outside a band."""
+    """Describe the value outside its band with the largest deviation; empty if there is none."""
     if not outcome.missed:
         return ""
     worst = max(outcome.missed, key=lambda each: abs(each.deviation))
@@ -227,7 +233,7 @@ def _worst(outcome: Outcome) -> str:
 
 
 def _section(outcome: Outcome, link: str) -> str:
-    """Return the page's section about an experiment."""
+    """Return the section of the page about an experiment."""
     e = outcome.experiment
     lines = [
         f"## {e.title}\n",
@@ -270,12 +276,12 @@ def _band(each: Estimate) -> str:
 
 
 def _number(value: float) -> str:
-    """Format a number with four digits, or four decimals if it is below 0.1."""
+    """Format a number with four significant digits, or four decimals if it is below 0.1."""
     return f"{value:.4g}" if abs(value) >= 0.1 else f"{value:.4f}"
 
 
 def _anchor(title: str) -> str:
-    """Return Markdown's anchor of a heading."""
+    """Return the anchor of a Markdown heading."""
     return "".join(c for c in title.lower().replace(" ", "-") if c.isalnum() or c in "-_")
 
 

@@ -1,4 +1,7 @@
-"""A block between smooth plates: Poisson's ratio, Young's, the confined and the bulk modulus."""
+"""Experiment: a block between smooth plates, which measures Poisson's ratio and three moduli.
+
+The moduli are Young's modulus, the confined modulus and the bulk modulus.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +18,22 @@ from phy124.studies.validation.bodies import lattice, mirrors
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 E, NU, SIZE = 1e5, 0.3, 1.0
-"""Young's modulus [Pa], Poisson's ratio and edge of the block [m]; an eighth is simulated."""
+"""Young's modulus [Pa], Poisson's ratio and edge of the block [m].
+
+Only an eighth of the block is simulated.
+"""
 STRAIN = 0.01
 """Strain that the plates impose."""
 PRESS, HOLD = 0.5, 1.0
-"""Durations of pressing and holding [s]."""
+"""Durations for which the plates move, and then hold their position [s]."""
 
 
 def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
-    """Return axial and lateral Cauchy stress over E of a neo-Hookean block.
+    """Return the axial and the lateral Cauchy stress of a neo-Hookean block, divided by E.
 
     Args:
         axial: Stretch along the axis.
-        lateral: Stretch across it.
+        lateral: Stretch normal to the axis.
         nu: Poisson's ratio.
     """
     mu, lam = 1 / (2 * (1 + nu)), nu / ((1 + nu) * (1 - 2 * nu))
@@ -37,7 +43,7 @@ def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return Poisson's ratio, and stress over strain with free, held and pressed sides."""
+    """Return Poisson's ratio, and the exact stress / (E strain) for free, held and pressed sides."""
     axial = 1 - STRAIN
     free = find_root(lambda lateral: stress(axial, lateral)[1], 1.0, 1.02)
     return tuple(
@@ -52,13 +58,17 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]:
-    """Measure stress over axial strain [Pa], and lateral over axial strain.
+    """Simulate the block, and measure its axial stress and lateral strain.
 
     Args:
         cells: Cells across half the block.
-        moving: Number of plates that press, along z, y and x.
-        fixed: Number of plates at rest, along the next axes.
+        moving: Number of axes with moving plates, in the order z, y, x.
+        fixed: Number of further axes with fixed plates, in the same order.
         nu: Poisson's ratio.
+
+    Returns:
+        The axial stress divided by the axial strain [Pa], and minus the lateral strain divided by
+        the axial strain.
     """
     half, dx = SIZE / 2, SIZE / 2 / cells
     x = lattice((2 * cells,) * 3, dx / 2)
@@ -79,7 +89,7 @@ def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]
 
 
 def _plate(axis: int, *, moves: bool) -> HalfSpace:
-    """Return a smooth plate on the far side of the block along an axis."""
+    """Return a smooth plate on the positive side of the block along an axis."""
     normal = -np.eye(3)[axis]
     low = tuple((STRAIN * SIZE / 2 * normal).tolist())
     path = Path(times=(0.0, PRESS), points=((0.0, 0.0, 0.0), low)) if moves else None
@@ -88,7 +98,7 @@ def _plate(axis: int, *, moves: bool) -> HalfSpace:
 
 
 def measure(cells: int, nu: float) -> Values:
-    """Measure Poisson's ratio, and the three stresses over E times the strain."""
+    """Measure Poisson's ratio, and stress / (E strain) with free, held and pressed sides."""
     free, ratio = press(cells, 1, 0, nu)
     confined, _ = press(cells, 1, 2, nu)
     bulk, _ = press(cells, 3, 0, nu)
@@ -96,12 +106,12 @@ def measure(cells: int, nu: float) -> Values:
 
 
 def run(cells: int) -> Values:
-    """Measure the right material."""
+    """Simulate the correct material."""
     return measure(cells, NU)
 
 
 def control(cells: int) -> Values:
-    """Measure a material with another Poisson's ratio."""
+    """Simulate a material with another Poisson's ratio."""
     return measure(cells, NU + 0.03)
 
 

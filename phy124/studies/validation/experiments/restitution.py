@@ -1,4 +1,7 @@
-"""A viscoelastic ball that hits a floor slowly: its speed by a law of force and by the solver."""
+"""Experiment: the speed of a viscoelastic ball after a slow bounce on a floor.
+
+The speed from the solver is compared with the speed from a force law.
+"""
 
 from __future__ import annotations
 
@@ -17,58 +20,64 @@ from phy124.studies.validation.experiments.elastic_ball import Law, fit_law
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 RADIUS, DENSITY, E = 0.5, 1000.0, 1e6
-"""Radius [m], density [kg/m^3] and Young's modulus [Pa] of the ball. With nu = 0, its viscous
-stress is the rate of its elastic stress times damping / mu, so the law F + loss dF/dt is exact."""
+"""Radius [m], density [kg/m^3] and Young's modulus [Pa] of the ball.
+
+With nu = 0, the ball's viscous stress is the rate of its elastic stress times damping / mu. The
+force law F + loss dF/dt is therefore exact for a quasi-static contact.
+"""
 SHALLOW, DEEP = 0.06, 0.12
-"""Largest depths, in radii, which set the speed. Hertz's law needs a shallow contact; the loss
-needs a contact that extends over more cells."""
+"""Maximum depths of the contact by Hertz's law, in radii, which determine the initial speed.
+
+The contact time is measured with a shallow contact, as Hertz's law requires. The loss is measured
+with a deep contact, which extends over more cells.
+"""
 SAMPLES = 300
-"""Instants per run."""
+"""Number of samples per run."""
 FLIGHT = 2.2
-"""Length of a run in Hertz's times of contact."""
+"""Duration of a run, in Hertz's contact times."""
 
 
 @dataclass(frozen=True)
 class Bounce:
-    """Speed of the ball's centre over time."""
+    """The vertical velocity of the ball's centre over time."""
 
     times: NDArray[np.float64]
     speeds: NDArray[np.float64]
-    """Upward speeds, in units of the initial speed."""
+    """Upward velocities, in units of the initial speed."""
 
     @property
     def restitution(self) -> float:
-        """Speed after over speed before."""
+        """Coefficient of restitution: speed after the bounce / speed before."""
         return float(self.speeds[-SAMPLES // 4 :].mean())
 
     @property
     def turning(self) -> float:
-        """Time from half the speed down to half the speed up [s]."""
+        """Time between half the initial speed downwards and half the initial speed upwards [s]."""
         return _crossing(self.times, self.speeds, 0.5) - _crossing(self.times, self.speeds, -0.5)
 
 
 def _crossing(times: NDArray, speeds: NDArray, level: float) -> float:
-    """Return the time at which the speed first exceeds a level, by interpolation."""
+    """Return the time at which the velocity first exceeds a level, by linear interpolation."""
     after = int(np.argmax(speeds > level))
     return float(np.interp(level, speeds[after - 1 : after + 1], times[after - 1 : after + 1]))
 
 
 def speed(depth: float) -> float:
-    """Return the speed with which the ball reaches `depth` radii by Hertz's law [m/s]."""
+    """Return the initial speed [m/s] for which Hertz's law gives a maximum depth, in radii."""
     return math.sqrt(0.8 * depth**2.5 * E / (DENSITY * math.pi))
 
 
 def duration(depth: float) -> float:
-    """Return Hertz's time of contact [s]: 2.94 depth / speed."""
+    """Return Hertz's contact time [s], 2.94 depth / speed, for a maximum depth in radii."""
     return 2.9432 * depth * RADIUS / speed(depth)
 
 
 def solve_theory(loss: float, depth: float, law: Law) -> Bounce:
-    """Integrate the motion under a force F + loss dF/dt that never pulls.
+    """Integrate the motion of a ball under the contact force max(0, F + loss dF/dt).
 
     Args:
-        loss: damping / mu, in times of contact.
-        depth: Depth by Hertz's law without loss, in radii.
+        loss: damping / mu, in Hertz's contact times.
+        depth: Maximum depth by Hertz's law without loss, in radii.
         law: The force F.
     """
     from scipy.integrate import solve_ivp
@@ -92,8 +101,8 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
 
     Args:
         cells: Cells across the radius.
-        loss: damping / mu, in times of contact.
-        depth: Depth by Hertz's law without loss, in radii.
+        loss: damping / mu, in Hertz's contact times.
+        depth: Maximum depth by Hertz's law without loss, in radii.
         stiffer: Factor on E, for a control.
     """
     dx, v = RADIUS / cells, speed(depth)
@@ -117,11 +126,11 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
 
 
 LOSSES = (0.0, 0.02, 0.05)
-"""damping / mu, in times of contact."""
+"""Values of damping / mu, in Hertz's contact times."""
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return speed after over speed before, by theory."""
+    """Return the coefficients of restitution according to theory."""
     ball = fit_law(0.0, whole=True)
     return tuple(
         Quantity.within(f"η/μ = {loss:g} t", solve_theory(loss, DEEP, ball).restitution, 0.02, loss)
@@ -130,12 +139,12 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def run(cells: int) -> Values:
-    """Measure speed after over speed before."""
+    """Measure the coefficients of restitution."""
     return tuple(bounce(cells, loss, DEEP).restitution for loss in LOSSES)
 
 
 def control(cells: int) -> Values:
-    """Measure with twice the damping."""
+    """Measure the coefficients of restitution with twice the damping."""
     return tuple(bounce(cells, 2 * loss, DEEP).restitution for loss in LOSSES)
 
 

@@ -1,4 +1,4 @@
-"""Runs experiments in parallel processes: each grid and each control is a run of its own."""
+"""Runs experiments in parallel processes, with one run per grid and one run for each control."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from phy124.studies.validation.experiments.experiment import Experiment, Outcome
 
 
 class Run(NamedTuple):
-    """A simulation of an experiment, as plain data for another process."""
+    """A simulation of an experiment on one grid, as plain data for another process."""
 
     experiment: str
     cells: int
@@ -28,21 +28,21 @@ class Measured(NamedTuple):
 
     run: Run
     values: Values
-    """Empty if it failed."""
+    """The measured values; empty if the run failed."""
     seconds: float
-    """Processor time [s]."""
+    """CPU time of the run [s]."""
     failure: str = ""
 
 
 def list_runs(experiment: Experiment) -> list[Run]:
-    """Return the runs of an experiment, the longest first."""
+    """Return the runs of an experiment: the grids from fine to coarse, then the control."""
     coarse, *_ = experiment.grids
     grids = [Run(experiment.name, cells, False) for cells in reversed(experiment.grids)]
     return [*grids, Run(experiment.name, coarse, True)]
 
 
 def measure_run(run: Run) -> Measured:
-    """Do a run; an exception becomes a message, so that the other runs continue."""
+    """Make a run and return its result; an exception becomes an error message in the result."""
     experiment, before = find_experiment(run.experiment), time.process_time()
     try:
         values = (experiment.control if run.control else experiment.run)(run.cells)
@@ -56,12 +56,12 @@ def measure_run(run: Run) -> Measured:
 def run_all(
     experiments: Sequence[Experiment], *, jobs: int, progress: Progress
 ) -> Iterator[Outcome]:
-    """Run experiments and yield the outcome of each as soon as its last run has ended.
+    """Run experiments, and yield the outcome of each experiment as soon as it is complete.
 
     Args:
         experiments: The experiments to run.
-        jobs: Number of processes; 1: this process does all runs.
-        progress: Called with the number of finished runs; may raise Cancelled.
+        jobs: Number of processes; 1: all runs are made in this process.
+        progress: Called with ("validate", finished runs, all runs); may raise Cancelled.
     """
     longest = sorted(experiments, key=lambda experiment: -experiment.seconds)
     todo = [run for experiment in longest for run in list_runs(experiment)]
@@ -77,11 +77,11 @@ def run_all(
 
 
 def conclude(experiment: Experiment, measured: Sequence[Measured]) -> Outcome:
-    """Return the combined conclusion of an experiment's runs.
+    """Return the outcome of an experiment from the results of its runs.
 
     Args:
         experiment: The experiment.
-        measured: The results of all its runs, in any order.
+        measured: The results of all runs of the experiment, in any order.
     """
     seconds = sum(result.seconds for result in measured)
     failures = tuple(result.failure for result in measured if result.failure)
@@ -100,7 +100,10 @@ def conclude(experiment: Experiment, measured: Sequence[Measured]) -> Outcome:
 
 
 def _run_all(todo: Sequence[Run], jobs: int, progress: Progress) -> Generator[Measured, None, None]:
-    """Yield the results as the runs end; processes that still work afterwards are stopped."""
+    """Make all runs, and yield each result as soon as its run has ended.
+
+    If the caller stops early, processes that are still working are stopped.
+    """
     if jobs == 1:
         yield from map(measure_run, todo)
         return

@@ -1,4 +1,4 @@
-"""Columns of sand that are released in a channel: Lube et al. and Lajeunesse et al. 2005."""
+"""Experiment: collapse of sand columns in a channel (Lube et al. 2005; Lajeunesse et al. 2005)."""
 
 from __future__ import annotations
 
@@ -15,26 +15,33 @@ from phy124.studies.validation.bodies import connected_end, mirrors, plane, shee
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 ASPECTS = (0.5, 1.0, 2.0, 4.0, 8.0)
-"""Initial height over width."""
+"""Aspect ratios of the columns, initial height / width."""
 LUBE = (1.2, 1.9, 2.3)
-"""Run-out l1 a below the aspect a0 and l2 a^(2/3) above it: (l1, l2, a0); sand, rice, sugar."""
+"""Coefficients (l1, l2, a0) of the run-out law for sand, rice and sugar.
+
+For an aspect ratio a, the run-out in widths is l1 a if a < a0, and l2 a^(2/3) otherwise.
+"""
 LAJEUNESSE = (1.8, 2.3, 3.0)
-"""Run-out law of glass beads."""
+"""Coefficients of the run-out law for glass beads, as for `LUBE`."""
 WIDTH = 0.1
 """Width of the column [m]."""
 SLOPE = 31.0
-"""Angle of friction of the sand in a channel [degrees]."""
+"""Angle of friction of the sand in the channel, in plane strain [degrees]."""
 STIFF = 300.0
-"""E over the pressure at the foot of the column, which compresses it by a third of a per cent."""
+"""Ratio of E to the pressure at the column's base.
+
+With this ratio, gravity compresses the sand at the base by a third of a per cent.
+"""
 DURATION = 6.0
-"""Duration of a run, in sqrt(H / g); the collapse takes about 3."""
+"""Duration of a run, in units of sqrt(H / g); the collapse takes about 3 units."""
 
 
 def plane_strain(angle: float) -> float:
-    """Convert a Mohr-Coulomb angle in plane strain to the `friction_angle` of `sand`.
+    """Convert a Mohr-Coulomb angle of friction in plane strain to `friction_angle` of `sand`.
 
-    The Drucker-Prager cone touches the Mohr-Coulomb pyramid where two stresses are equal. In plane
-    strain the middle stress is the mean of the others, and sin(angle) = 2 sqrt(3) s / (3 - s).
+    The Drucker-Prager cone touches the Mohr-Coulomb pyramid where two principal stresses are equal.
+    In plane strain, the middle principal stress is the mean of the two others. Then
+    sin(angle) = 2 sqrt(3) s / (3 - s), where s is the sine of `friction_angle`.
 
     Args:
         angle: Angle of friction in plane strain [degrees].
@@ -47,15 +54,15 @@ def run_out(aspect: float, law: tuple[float, float, float]) -> float:
     """Return the run-out of a column in an experiment, in widths.
 
     Args:
-        aspect: Height over width.
-        law: The two factors, and the aspect between their regimes.
+        aspect: Initial height / width.
+        law: Coefficients (l1, l2, a0) of the run-out law.
     """
     linear, power, change = law
     return linear * aspect if aspect < change else power * aspect ** (2 / 3)
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return run-outs between those of sand (Lube) and of glass beads (Lajeunesse)."""
+    """Return the run-out of each column, with a band between sand (Lube) and glass (Lajeunesse)."""
     quantities = []
     for aspect in ASPECTS:
         low, high = run_out(aspect, LUBE), run_out(aspect, LAJEUNESSE)
@@ -67,8 +74,8 @@ def collapse(cells: int, aspect: float, angle: float) -> float:
     """Measure the run-out of a column, in widths.
 
     Args:
-        cells: Cells across a square of its area.
-        aspect: Height over width.
+        cells: Cells across a square with the column's area.
+        aspect: Initial height / width.
         angle: `friction_angle` of the sand [degrees].
     """
     across, height = round(2 * cells / math.sqrt(aspect)), aspect * WIDTH
@@ -89,7 +96,7 @@ def run(cells: int) -> Values:
 
 
 def control(cells: int) -> Values:
-    """Measure the three lower columns with sand that hardly slides."""
+    """Measure the run-out of the three lowest columns, with a far too large angle of friction."""
     some = [collapse(cells, aspect, 50.0) for aspect in ASPECTS[:3]]
     return (*some, *[math.nan] * (len(ASPECTS) - len(some)))
 

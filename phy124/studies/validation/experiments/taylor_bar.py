@@ -1,4 +1,4 @@
-"""A copper bar that hits a rigid wall: the Taylor bar of Wilkins and Guinan."""
+"""Experiment: a copper bar that hits a rigid wall (the Taylor bar of Wilkins and Guinan)."""
 
 from __future__ import annotations
 
@@ -14,21 +14,24 @@ from phy124.studies.validation.experiments.experiment import Experiment, Quantit
 LENGTH, RADIUS = 32.4e-3, 3.2e-3
 """Size of the bar [m]."""
 SPEED, DURATION = 227.0, 80e-6
-"""Speed before the impact [m/s], and duration of a run [s]."""
+"""Initial speed [m/s], and duration of a run [s]."""
 COPPER = Metal(E=117e9, nu=0.35, density=8930, yield_stress=400e6, hardening=100e6)
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the final length, and the radius of the struck face [mm]."""
+    """Return the published final length, and the final radius of the impact face [mm]."""
     return (Quantity("length", 21.43, 21.42, 21.48), Quantity("radius", 7.22, 7.11, 7.24))
 
 
 def strike(cells: int, copper: Metal) -> Values:
-    """Measure length and radius of a quarter of the bar after the impact [mm].
+    """Simulate a quarter of the bar, and measure its length and impact face after the impact.
 
     Args:
         cells: Cells across the radius.
         copper: Material of the bar.
+
+    Returns:
+        The length of the bar, and the radius of its impact face [mm].
     """
     dx = RADIUS / cells
     count = round(2 * LENGTH / dx)
@@ -42,7 +45,7 @@ def strike(cells: int, copper: Metal) -> Values:
     solver.advance(DURATION)
     end = solver.state.x.numpy().astype(float)
     F = solver.state.deformation.numpy().astype(float)
-    # A particle extends over its deformed cube.
+    # A particle extends half a deformed cube beyond its centre.
     half = dx / 4
     last = model.rest[:, 2] > LENGTH - 0.4 * dx
     length = end[last, 2].mean() + half
@@ -55,12 +58,12 @@ def strike(cells: int, copper: Metal) -> Values:
 
 
 def run(cells: int) -> Values:
-    """The bar of copper."""
+    """Simulate the correct copper."""
     return strike(cells, COPPER)
 
 
 def control(cells: int) -> Values:
-    """Measure a softer copper."""
+    """Simulate copper with a lower yield stress."""
     return strike(cells, COPPER.model_copy(update={"yield_stress": 300e6}))
 
 

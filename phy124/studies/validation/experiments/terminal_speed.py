@@ -1,4 +1,4 @@
-"""A body that falls through a stream: it comes to the speed at which drag carries its weight."""
+"""Experiment: the terminal speed of a body that falls through an upward stream of air."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from phy124.studies.validation.bodies import lattice, mean_along
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 RATE, STREAM = 5.0, 1.0
-"""Of the drag [1/s], and speed of the stream upwards [m/s]."""
+"""Rate of the drag [1/s], and upward speed u of the stream [m/s]."""
 TIMES = (0.5, 1.0, 2.0, 6.0)
-"""In units of 1 / rate."""
+"""Times of the measurements, in units of 1 / rate."""
 LIMIT = STREAM - GRAVITY / RATE
-"""The speed upwards at the end [m/s]: u - g / rate."""
+"""Terminal upward velocity u - g / rate [m/s], which is negative."""
 
 
 def way(time: float) -> float:
-    """Way upwards [m]: (u - g / rate) (t - (1 - exp(-rate t)) / rate).
+    """Return the exact upward displacement, (u - g / rate) (t - (1 - exp(-rate t)) / rate) [m].
 
     Args:
-        time: In units of 1 / rate.
+        time: Time in units of 1 / rate.
     """
     return LIMIT / RATE * (time - 1 + math.exp(-time))
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Ways, and the speed at the end."""
+    """Return the exact displacements, and the final velocity."""
     ways = [
         Quantity.within(f"way at t = {time:g} / rate [m]", way(time), 0.002, time) for time in TIMES
     ]
@@ -40,11 +40,14 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def blow(cells: int, rate: float) -> Values:
-    """Ways upwards of a falling block [m], and its speed at the end [m/s].
+    """Simulate the falling block, and measure its displacements and final velocity.
 
     Args:
-        cells: Cells across it.
-        rate: Of the drag [1/s].
+        cells: Cells across the block.
+        rate: Rate of the drag [1/s].
+
+    Returns:
+        The upward displacement at each time [m], and the final upward velocity [m/s].
     """
     dx = 0.4 / cells
     x = lattice((2 * cells,) * 3, dx / 2)
@@ -59,12 +62,12 @@ def blow(cells: int, rate: float) -> Values:
 
 
 def run(cells: int) -> Values:
-    """In the right stream."""
+    """Measure with the correct drag."""
     return blow(cells, RATE)
 
 
 def control(cells: int) -> Values:
-    """With a drag of another rate."""
+    """Measure with a drag whose rate is 10 % too large."""
     return blow(cells, 1.1 * RATE)
 
 
