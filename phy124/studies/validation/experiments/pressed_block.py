@@ -43,7 +43,7 @@ def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return Poisson's ratio, and the exact stress / (E strain) for free, held and pressed sides."""
+    """Return Poisson's ratio, and the exact stress / (E strain) for three kinds of sides."""
     axial = 1 - STRAIN
     free = find_root(lambda lateral: stress(axial, lateral)[1], 1.0, 1.02)
     return tuple(
