@@ -69,7 +69,7 @@ The keywords of a factory are the fields of `GeneratorOptions` that its generato
 `device` if its generator has a choice of devices.
 """
 WEIGHTS = {name: package.WEIGHTS for package in NEURAL for name in package.GENERATORS}
-"""By generator: names of the trained weights that it loads (keys of `weights.store.KNOWN`)."""
+"""Names of the trained weights that each generator loads (keys of `weights.store.KNOWN`)."""
 
 
 def list_names() -> list[str]:

@@ -38,7 +38,7 @@ TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""By EXIF orientation: the transposition that makes the image upright."""
+"""Transposition that makes an image upright, by its EXIF orientation."""
 TEXT = 64 << 20
 """Largest size of a text or profile in a PNG after decompression [bytes]."""
 COPY = "Copy or export it again."

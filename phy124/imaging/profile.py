@@ -11,9 +11,9 @@ from typing import Any
 from PIL import Image
 
 DESCRIBED = {"RGB ": ("RGBA", "L", "LA"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""By a profile's colour space: modes of the images to which it applies."""
+"""Modes of the images to which a profile applies, by its colour space."""
 READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
-"""By a profile's colour space: mode in which the image is converted, without its alpha."""
+"""Mode in which an image is converted, without its alpha, by the profile's colour space."""
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:

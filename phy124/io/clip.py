@@ -58,7 +58,8 @@ class Clip:
     report: dict[str, Any] = field(default_factory=dict)
     """The report of the run; its entry `complete` is False if the run stopped early."""
     contacts: Array | None = None
-    """Mean contact forces of the walls since the previous frame [T,N,3], N, if requested."""
+    """Mean forces [newton] of the walls on the Gaussians since the previous frame [T,N,3], if
+    requested."""
     wrenches: NDArray[np.float64] | None = None
     """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]:
     the force [N], and the torque about the object's centre of mass [N m]; if requested."""
@@ -154,7 +155,7 @@ class Clip:
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
         """Return one frame; its colours are rotated with the material.
 
-        With `velocities`, the velocities of a clip that has none are computed as in `velocity`.
+        If `velocities` is set and the clip has no velocities, they are computed as in `velocity`.
         """
         sh = self.sh
         if self.rotations is not None and sh.shape[1] > 1:

@@ -19,7 +19,7 @@ MAX_GAUSSIANS = 10_000_000
 DENSEST = 100
 """Largest ratio of unpacked to compressed bytes: files of real objects reach 10, zip bombs 1000."""
 SMALL = 1 << 22
-"""Unpacked bytes allowed for any file: a small object of one colour may exceed `DENSEST`."""
+"""Unpacked size allowed for any file [bytes]: small objects of one colour may exceed `DENSEST`."""
 OBJECT = "object_id"
 """Name of the column with the index of the object to which a Gaussian belongs."""
 LARGEST_SH = SH_COEFFICIENTS[-1]
@@ -228,7 +228,7 @@ FAR = 4
 """Distance from the origin divided by the object's size. Beyond this ratio, centres in double
 precision are stored relative to an origin of their own, since float32 would be too coarse."""
 FINE = 20_000
-"""Number of float32 steps across an object from which its centres need no separate origin."""
+"""Smallest number of float32 steps across an object whose centres need no separate origin."""
 COARSE = 4000
 """Number of steps across an object below which a note calls the file's positions too coarse."""
 ENOUGH = 100_000

@@ -29,7 +29,7 @@ LOCKS_AVAILABLE = fcntl is not None
 
 
 def lock(path: Path, *, wait: bool = False) -> int | None:
-    """Lock a file or folder; return None if another process has locked it, or without `flock`."""
+    """Lock a file or folder; return None if it is locked already or there is no `flock`."""
     if fcntl is None:
         return None
     with suppress(OSError):

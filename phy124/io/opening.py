@@ -21,7 +21,7 @@ IN_FOLDERS = {
     "metadata.yaml": RECORDED,
     "clip.safetensors": ("it is the folder of a run.", "Give {}/clip.safetensors."),
 }
-"""By the name of a file that identifies a folder: what the folder contains, and the remedy."""
+"""Description of a folder, and the remedy, by the name of a file that identifies the folder."""
 RECORDING = b"\x89MCAP"
 """First bytes of an MCAP file, a recording of messages as written by the bridge."""
 PAGE = (

@@ -48,7 +48,7 @@ class Properties(Section):
         Args:
             x: Particles at rest [P,3], m.
             means: Centres of all Gaussians at rest [N,3], m.
-            survivors: Mask of the Gaussians that cleaning kept, of those before it; None: all.
+            survivors: Mask, over the Gaussians before cleaning, of those that were kept; None: all.
             is_object: Mask of the Gaussians that are not surroundings [N]; None: all.
 
         Raises:

@@ -75,7 +75,7 @@ def _refusal(path: Path, error: Exception) -> InputError:
 
 
 def strip_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
-    """Return the tensors whose names start with `prefix`, without it; if there are none, all."""
+    """Remove `prefix` from names, and drop tensors without it; if none has it, return all."""
     found = {k[len(prefix) :]: v for k, v in tensors.items() if k.startswith(prefix)}
     return found or dict(tensors)
 
@@ -89,7 +89,8 @@ def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
         name: Name of the network in messages.
 
     Raises:
-        InputError: If tensors are missing, unknown or of a wrong shape; the message names some.
+        InputError: If tensors are missing, unknown or of a wrong shape; the message names up to
+            `SHOWN` tensors of each kind.
     """
     wanted = {k: tuple(v.shape) for k, v in module.state_dict().items()}
     shapes_in_file = {k: tuple(v.shape) for k, v in tensors.items()}

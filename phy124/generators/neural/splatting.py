@@ -21,7 +21,7 @@ from phy124.runtime.installation import install_command
 TILE = 16
 """Side of a tile [pixels]."""
 BLUR = 0.3
-"""Variance added to both screen axes [pixels^2], which makes every Gaussian about a pixel wide."""
+"""Variance added on both screen axes [pixels^2]; Gaussians are then at least a pixel wide."""
 NEAR = 0.01
 ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.99
 STOP = 1e-4

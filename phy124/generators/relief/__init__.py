@@ -59,7 +59,7 @@ def relief(
         facing: Direction in which the object's front points in `side`.
         back: Image of the segmented object from behind.
         thickness: Factor on the depth guessed from the silhouette; None: 1.
-        highlights: Whether highlights are kept; they are painted on the object and move with it.
+        highlights: "keep": they are painted on the object and move with it; "remove" them first.
 
     Raises:
         InputError: If an image has no opaque pixels, the depth map does not fit the image, or the

@@ -22,7 +22,7 @@ from phy124.generators.relief.height import nearest_of
 from phy124.kernels import implicit
 
 VIEW_DISTANCE = 2.0
-"""Distance of the front camera, in longest sides of the object; it sees exactly the image."""
+"""Distance of the front camera, in longest sides of the object; the camera's view is the image."""
 
 
 @dataclass(frozen=True)

@@ -175,7 +175,7 @@ FORMATS = {
         ),
     )
 }  # fmt: skip
-"""Formats by name. A suffix shared by several formats stands for the first of them in writing."""
+"""Formats by name. For writing, a shared suffix selects the first format that has it."""
 GZIP = b"\x1f\x8b\x08"
 """First bytes of a file compressed with gzip."""
 HEAD = 4096
@@ -214,7 +214,7 @@ def read_gaussians(
     dialect: str | None = None,
     rotate: str | None = None,
 ) -> Content:
-    """Read a file of Gaussians and convert it to phy124's axes; its content shows its format.
+    """Read a file of Gaussians, recognise its format, and convert it to the axes of phy124.
 
     Args:
         path: The file.

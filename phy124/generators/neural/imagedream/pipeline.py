@@ -71,7 +71,7 @@ def cameras(elevation: float = 0.0) -> NDArray[np.float32]:
 
 
 def pose_row(elevation: float, azimuth: float) -> list[float]:
-    """Return a camera-to-world transform at distance 1 as 16 numbers, with y up turned to z up."""
+    """Return a camera-to-world transform at distance 1 as 16 numbers, for a world with z up."""
     pose = orbit(elevation, azimuth, 1.0)[[0, 2, 1, 3]]
     return (pose * np.array([1.0, -1.0, 1.0, 1.0])[:, None]).reshape(16).tolist()
 

@@ -49,7 +49,7 @@ def four_rays(size: int, *, elevation: float = 0.0) -> NDArray[np.float32]:
 
 
 Rotations = Literal["each", "all"]
-"""Axis of the normalisation of quaternions: each Gaussian, or all Gaussians of an object.
+"""Scope of the quaternion normalisation: each Gaussian, or all Gaussians of an object.
 
 The first generation of weights (before April 2024) was trained with the mistake "all", and its
 Gaussians were drawn with unnormalised quaternions, which are tiny and have the effect of no
@@ -183,7 +183,7 @@ NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
 """Side of the images that are compared [pixels]."""
 MARGIN = 0.98
-"""Largest ratio of errors ("all" to "each") at which "all" is chosen, since "each" is usual."""
+"""Ratio of the error of "all" to that of "each" below which the rarer "all" is chosen."""
 
 
 def remove_rotations(rows: Tensor) -> Tensor:
