@@ -1,4 +1,4 @@
-"""Guesses the program that wrote a PLY file, and so its up axis, from its columns and positions.
+"""Guesses which program wrote a PLY file, and thereby its axes, from columns and positions.
 
 Few programs name themselves in their files. The guess therefore relies on the known output of each
 program (docs/guide/plugins.md). It is reported to the user and applied only if the user agrees.

@@ -135,7 +135,7 @@ class Growing:
         return replace(frame, gaussians=gaussians, **optional), self._row("rotations", index)
 
     def finish(self, clip: Clip, path: Path) -> bool:
-        """Complete the file and link it as `path`; return False if the clip's arrays differ.
+        """Complete the file and link it as `path`; False if the clip has other arrays.
 
         Raises:
             OSError: If the disk is full or the file system has no hard links.

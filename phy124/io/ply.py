@@ -11,7 +11,7 @@ Columns of other training programs that change the Gaussians are applied. Unknow
 in a note, since they may change the Gaussians, too.
 
     program                           columns                     treatment
-    Mip-Splatting, GOF, RaDe-GS       filter_3D                   the filter widens and fades them
+    Mip-Splatting, GOF, RaDe-GS       filter_3D                   filter applied: wider and fainter
     2DGS                              no scale_2                  read as flat Gaussians
     isotropic trainings               scale_0 alone               read as spheres
     trainings of plain colours        red, green, blue, no f_dc   read as degree 0

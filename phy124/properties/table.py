@@ -29,7 +29,7 @@ NAMES = {
     "voxel_coords_world": "points",
     "query_coords_world": "points",
 }
-"""Our column names by the names in files of VoMP, Pixie and others."""
+"""Column names of phy124, by the names in files of VoMP, Pixie and others."""
 LAWS = {
     0: "neo_hookean",
     1: "metal",

@@ -47,5 +47,5 @@ def focal(height: int, fov_y: float = FOV_Y) -> float:
 
 
 def to_world(gaussians: Gaussians) -> Gaussians:
-    """Rotate the networks' Gaussians (y up, front +z) to our axes: (x, y, z) = their (z, x, y)."""
+    """Rotate the networks' Gaussians (y up, front +z) to phy124: (x, y, z) = their (z, x, y)."""
     return rotate_gaussians(gaussians, TO_WORLD)
