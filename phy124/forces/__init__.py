@@ -1,7 +1,7 @@
-"""Forces a scene can name: how each of them pushes particles or the whole body.
+"""Forces of a scene, on particles or on the whole body.
 
-A force is its own section of the scene file. `attach` adds what it needs to a run: a track that
-holds its strength over time and, if it acts on chosen particles, one stage of the substep.
+Each force is a section of the scene file. `attach` adds the force to a run: a track with its
+strength over time and, if it acts on chosen particles, one stage of the substep.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Kind = (
     | Grab
     | WrenchForce
 )
-"""The one list of phy124's forces, from which all others are derived."""
+"""The list of phy124's forces, from which all other lists are derived."""
 FORCES = Kinds(Force, "kind", "forces", Kind)
 """`FORCES.by_name` maps the name of a force to its class."""
 AnyForce = SerializeAsAny[Annotated[Kind, Field(discriminator="kind"), FORCES]]

@@ -1,4 +1,4 @@
-"""What all forces have in common: a profile within a window of time, and a region of the body."""
+"""Base class of all forces: a time profile within a start and an end, and a region of the body."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from phy124.schema.section import Section
 
 
 class Force(Section):
-    """Base class of all forces: a profile within a window of time, and a region of the body."""
+    """Base class of all forces: a time profile between start and end, and a region of the body."""
 
     sudden: ClassVar[bool] = False
-    """Whether it may change a velocity abruptly, whatever its strength."""
+    """Whether the force may change a velocity abruptly, whatever its strength."""
     in_newtons: ClassVar[bool] = False
-    """Whether its track is a force on each particle [N] and not an acceleration [m/s^2]."""
+    """Whether the force's track is a force on each particle [N], not an acceleration [m/s^2]."""
     strengths: ClassVar[tuple[str, ...]] = ()
-    """The fields that set its strength."""
+    """Names of the fields that set the strength."""
     joins: ClassVar[bool] = False
-    """Whether, without a region, it is a uniform acceleration of the whole body."""
+    """Whether the force, without a region, is a uniform acceleration of the whole body."""
 
     start: float = Field(default=0.0, ge=0, le=LONGEST, description="Acts from here on [s].")
     end: float | None = Field(
@@ -62,12 +62,12 @@ class Force(Section):
 
     @property
     def idle(self) -> bool:
-        """Whether its strength is zero, so that it never pushes; wind of zero speed still drags."""
+        """Whether the strength is zero; False for wind, which drags even at zero speed."""
         strengths = [getattr(self, name) for name in self.strengths]
         return bool(strengths) and not np.any(strengths)
 
     def gentler(self) -> dict[str, Any]:
-        """Return its fields with values for half the strength."""
+        """Return the fields that halve the force's strength, with their new values."""
         values = {name: getattr(self, name) for name in self.strengths}
         return {
             name: [x / 2 for x in value] if isinstance(value, tuple) else value / 2
@@ -76,36 +76,36 @@ class Force(Section):
 
     @property
     def uniform(self) -> bool:
-        """Whether it joins the grid update, which costs no launch of its own."""
+        """Whether the force is added in the grid update, which costs no launch of its own."""
         return self.joins and self.region is None and self.object is None
 
     @property
     def varies(self) -> bool:
-        """Whether its strength changes over time."""
+        """Whether the strength changes over time."""
         return self.start > 0 or self.end is not None or self.profile.kind != "constant"
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return the value times the profile inside the window of time, zero outside.
+        """Return a track of the value times the profile between start and end, zero outside.
 
         Args:
-            value: The force at full strength, in its own units.
-            mean: Whether each substep reads the mean over its duration instead of one instant.
+            value: The force at full strength, in the force's units.
+            mean: Whether each substep reads the mean over its duration, not the current value.
         """
         end = FOREVER if self.end is None else self.end
         return Track.of_profile(value, self.profile, self.start, end, mean=mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return its stages in each substep; none if it joins the uniform acceleration.
+        """Return the force's stages in each substep; none for a uniform acceleration.
 
         Args:
-            model: What stays the same during the run.
-            state: The particles' positions, velocities and so on, which its launches change.
-            tracks: Where it registers what changes over time.
+            model: The constants of the run.
+            state: The particles' arrays, which the launches change.
+            tracks: The tracks to which quantities that change over time are added.
         """
         raise NotImplementedError
 
     def chosen(self, model: Model) -> wp.array:
-        """Return the indices of the particles it acts on: in its region, of bodies that may move.
+        """Return the indices of the force's particles: in its region, of bodies that may move.
 
         Raises:
             InputError: The region holds no particle.
@@ -131,14 +131,14 @@ def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
 
 
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """Return the stages of an acceleration: none if it is uniform and joins the grid update.
+    """Return the stages of an acceleration: none if it is uniform and part of the grid update.
 
     Args:
-        force: Its region, and its strength over time.
+        force: The force, with its region and its strength over time.
         a: Acceleration at full strength [m/s^2].
-        model: What stays the same during the run.
+        model: The constants of the run.
         state: The particles, whose velocities change.
-        tracks: Where its strength is registered.
+        tracks: The tracks to which the strength is added.
     """
     if force.uniform:
         tracks.accelerate(force.track(a))
@@ -147,14 +147,14 @@ def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Trac
 
 
 def push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """Return the stage that accelerates the chosen particles, or pushes each with a force.
+    """Return the stage that accelerates the chosen particles, or applies a force to each.
 
     Args:
-        force: Its region, and its strength over time.
+        force: The force, with its region and its strength over time.
         value: Acceleration [m/s^2] or force on each particle [N] at full strength.
-        model: What stays the same during the run.
+        model: The constants of the run.
         state: The particles, whose velocities change.
-        tracks: Where its strength is registered.
+        tracks: The tracks to which the strength is added.
     """
     kernel = kernels.make_accelerate(model.real, force.in_newtons)
     name = "particle_force" if force.in_newtons else "region_force"
@@ -186,17 +186,17 @@ def stage(
     """Return a stage that changes the velocities of the chosen particles by a track.
 
     Args:
-        force: Its region.
-        name: Under which reports list its time.
+        force: The force, with its region.
+        name: Name of the stage in reports, which list its time.
         kernel: Takes the chosen particles, the track's slot, `inputs`, clock, values and `read`.
-        track: Its strength over time.
-        inputs: What the kernel reads that is constant.
-        model: What stays the same during the run.
+        track: The strength over time.
+        inputs: Constant arguments of the kernel.
+        model: The constants of the run.
         state: The particles, whose velocities change.
-        tracks: Where its strength is registered.
-        read: What the kernel reads of the state.
-        over: The time over which a track that is no mean is averaged.
-        limited: Whether the stage gets a limit, so that the track's values bound nothing.
+        tracks: The tracks to which the strength is added.
+        read: Arrays of the state that the kernel reads.
+        over: Interval over which a track with `mean` false is averaged.
+        limited: Whether the stage gets its own limit, so that the track's values bound nothing.
     """
     chosen = force.chosen(model)
     slot = tracks.add(track, over=over, limited=limited)

@@ -1,4 +1,4 @@
-"""Forces that push the body alike everywhere, or a region of it."""
+"""Forces that accelerate the whole body, or a region of it, uniformly."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from phy124.schema.region import Vector
 
 
 class Gravity(Force):
-    """The same acceleration everywhere, downwards by default."""
+    """A uniform acceleration, downwards by default."""
 
     kind: Literal["gravity"] = "gravity"
     strengths: ClassVar[tuple[str, ...]] = ("g",)
@@ -23,12 +23,12 @@ class Gravity(Force):
     g: Push = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Add to the uniform acceleration, or push chosen particles."""
+        """Add to the uniform acceleration, or accelerate chosen particles."""
         return accelerate(self, self.g, model, state, tracks)
 
 
 class Acceleration(Force):
-    """An acceleration; the presets use it, since it does not depend on the particle count."""
+    """An acceleration, which does not depend on the particle count; used by the presets."""
 
     kind: Literal["acceleration"] = "acceleration"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
@@ -36,12 +36,12 @@ class Acceleration(Force):
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Add to the uniform acceleration, or push chosen particles."""
+        """Add to the uniform acceleration, or accelerate chosen particles."""
         return accelerate(self, self.a, model, state, tracks)
 
 
 class TotalForce(Force):
-    """A force in newtons on a region, spread over its particles by mass."""
+    """A force in newtons on a region, distributed over the region's particles by mass."""
 
     kind: Literal["force"] = "force"
     strengths: ClassVar[tuple[str, ...]] = ("f",)
@@ -54,7 +54,7 @@ class TotalForce(Force):
 
 
 class Impulse(Force):
-    """A blow: gives a region a total momentum, independent of substeps and profile."""
+    """An impact: gives a region a total momentum, independent of substeps and profile."""
 
     kind: Literal["impulse"] = "impulse"
     strengths: ClassVar[tuple[str, ...]] = ("p",)
@@ -75,14 +75,14 @@ class Impulse(Force):
 
     @property
     def varies(self) -> bool:
-        """Always true, since it ends."""
+        """Always True, since the impulse ends."""
         return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return the value times the profile over its duration, zero outside."""
+        """Return a track of the value times the profile over the duration, zero outside."""
         end = self.start + self.duration
         track = Track.of_profile(value, self.profile, self.start, end, mean=mean)
-        # A force that starts at time 0 counts as having acted before; a blow at time 0 does not.
+        # A force that starts at time 0 is also active before; an impulse at time 0 is not.
         return Track(track.keys, self.start, end, track.origin, track.period, mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
@@ -92,7 +92,7 @@ class Impulse(Force):
         return accelerate(self, (x / time, y / time, z / time), model, state, tracks)
 
     def _mean(self) -> float:
-        """Mean of the profile over the duration."""
+        """Return the mean of the profile over the duration."""
         times, factors = self.profile.table()
         inside = np.unique(np.clip(np.append(times, [0, self.duration]), 0, self.duration))
         at = np.interp(inside, times, factors)

@@ -1,4 +1,4 @@
-"""Forces on a part of the body as a whole: a weighted ball of material about a point at rest."""
+"""Forces on a part of the body as a whole: the material in a weighted ball about a rest point."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.fl
 
     Args:
         rest: Positions at rest [P,3], m.
-        point: Middle of the part at rest [m]; None: the whole body.
-        radius: Beyond this distance [m] nothing belongs to it.
+        point: Centre of the part at rest [m]; None: the whole body.
+        radius: Distance from the point beyond which weights are zero [m].
     """
     if point is None:
         return np.ones(len(rest))
@@ -36,23 +36,23 @@ def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.fl
 
 
 class Part(NamedTuple):
-    """The particles of a part on the device, and the means that are computed in every substep."""
+    """The particles of a part on the device, and their means, computed in every substep."""
 
     chosen: wp.array
     share: wp.array
-    """w m / sum(w m) of each, float64."""
+    """w m / sum(w m) of each particle, float64."""
     per_force: wp.array
-    """Acceleration of each by a newton [1/kg]."""
+    """Acceleration of each particle by a force of 1 N [1/kg]."""
     means: wp.array
     second: wp.array
     mass: float
     """sum(w m) [kg]."""
     drawn: float
-    """Mass that a force on the part feels at first: f / (acceleration of X) [kg]."""
+    """Initial effective mass of the part: f / (acceleration of X) [kg]."""
     reach: float
-    """Distance of its farthest particle from X at rest [m]."""
+    """Distance of the part's farthest particle from X at rest [m]."""
     inertia: float
-    """Its smallest moment of inertia at rest [kg m^2]."""
+    """Smallest moment of inertia of the part at rest [kg m^2]."""
 
     @classmethod
     def of(
@@ -66,14 +66,14 @@ class Part(NamedTuple):
         """Return the part about a point at rest.
 
         Args:
-            model: Its masses and positions at rest.
-            point: Middle of the part [m]; None: the whole body.
-            radius: Its radius [m].
-            field: Where the point stands in the scene.
-            name: What the object is called that it is a part of; None: of any.
+            model: The model, with masses and positions at rest.
+            point: Centre of the part [m]; None: the whole body.
+            radius: Radius of the part [m].
+            field: Name of the point's field in the scene, for messages.
+            name: Name of the object that has the part; None: any object.
 
         Raises:
-            InputError: It holds no particle.
+            InputError: The part holds no particle.
         """
         weight = weights(model.rest, point, radius) * of_object(model, name)
         index = np.flatnonzero(weight * model.moves)
@@ -108,14 +108,14 @@ class Part(NamedTuple):
     def track_centre(
         self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
     ) -> Iterator[Stage]:
-        """Yield the stages that compute its centre, and its second moments about it.
+        """Yield the stages that compute the part's centre, and the second moments about it.
 
         Args:
-            name: Under which reports list their time.
-            slot: The track; nothing is computed while it is inactive.
-            model: What stays the same during the run.
+            name: Name of the stages in reports, which list their time.
+            slot: Slot of the track; nothing is computed while the track is inactive.
+            model: The constants of the run.
             state: The particles' positions and velocities.
-            tracks: Have the track's value.
+            tracks: The tracks, which hold the track's value.
             turned: Whether second moments are needed.
         """
         real, (count, *parted) = model.real, shared_out(len(self.chosen), model.device)
@@ -141,7 +141,7 @@ class Part(NamedTuple):
 
 
 class Grab(Force):
-    """A spring and a damper draw a point of the object to a target that moves."""
+    """A spring and a damper that pull a point of the object to a moving target."""
 
     kind: Literal["grab"] = "grab"
     strengths: ClassVar[tuple[str, ...]] = ("strength",)
@@ -173,17 +173,17 @@ class Grab(Force):
 
     @property
     def varies(self) -> bool:
-        """Always true, since its target moves."""
+        """Always True, since the target moves."""
         return True
 
     def target(self) -> Track:
-        """Return the position over time to which it draws [m]."""
+        """Return the target position over time [m]."""
         start = -FOREVER if self.start <= 0 else self.start
         end = FOREVER if self.end is None else self.end
         return Track(tuple(zip(self.times, self.targets, strict=True)), start, end, self.start)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Compute the centre of the part, and draw it to the target."""
+        """Return the stages that compute the centre of the part, and pull it to the target."""
         part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         slot = tracks.add(self.target(), limited=True)
         spring = wp.vec4d(self.stiffness, self.damping, part.drawn, self.strength)
@@ -203,11 +203,11 @@ class Grab(Force):
 
 
 MARGIN = 2.0
-"""On the acceleration by a torque: what is deformed may have a smaller moment of inertia."""
+"""Safety factor on the acceleration by a torque: deformation may reduce the moment of inertia."""
 
 
 class WrenchForce(Force):
-    """A force and a torque on the material around a point of the object, or on all of it."""
+    """A force and a torque on the material around a point of the object, or on the whole object."""
 
     kind: Literal["wrench"] = "wrench"
     strengths: ClassVar[tuple[str, ...]] = ("force", "torque")
@@ -232,7 +232,7 @@ class WrenchForce(Force):
         return self
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Compute the centre of the part, and push and turn it."""
+        """Return the stages that compute the centre of the part, and apply force and torque."""
         part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         push = tracks.add(self.track(self.force), limited=True)
         turn = tracks.add(self.track(self.torque), limited=True)

@@ -26,12 +26,12 @@ class ParticleForce(Force):
     f: Push = Field(default=(0.0, 1e-3, 0.0), description="Force on each particle [N].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Push each chosen particle."""
+        """Return the stage that applies the force to each chosen particle."""
         return push(self, self.f, model, state, tracks)
 
 
 class Wind(Force):
-    """Air or water that streams past and drags particles along: a = rate (wind - v)."""
+    """A stream of air or water that drags particles along: a = rate (wind - v)."""
 
     kind: Literal["wind"] = "wind"
     v: Velocity = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
@@ -43,7 +43,7 @@ class Wind(Force):
     )
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Drag the chosen particles along."""
+        """Return the stage that drags the chosen particles along."""
         track = self.track(self.v, mean=False)
         kernel, inputs = kernels.make_drag(model.real), [self.rate]
         (drag,) = stage(
@@ -51,7 +51,7 @@ class Wind(Force):
         )
 
         def limit(start: float, end: float) -> float:
-            """Acceleration of a particle at rest; a faster one is dragged no further than that."""
+            """Return the largest acceleration of a particle at rest by the stream [m/s^2]."""
             return self.rate * track.largest(start, end)
 
         return [drag._replace(limit=limit, top_speed=track.largest)]
@@ -69,7 +69,7 @@ class Attraction(Force):
     radius: float = Field(default=0.5, ge=1e-6, le=1e5, description="Distance of the maximum [m].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Pull the chosen particles towards the point."""
+        """Return the stage that pulls the chosen particles towards the point."""
         track = self.track((self.g, 0.0, 0.0))
         inputs = [types(model.real).vec3(*self.centre), self.radius]
         kernel, read = kernels.make_attract(model.real), [state.x]
@@ -77,7 +77,7 @@ class Attraction(Force):
 
 
 class ZoneForce(Force):
-    """A push in a zone of space: it acts on whatever is inside at the moment."""
+    """A push in a zone of space, which acts on the material that is currently inside."""
 
     kind: Literal["zone"] = "zone"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
@@ -91,7 +91,7 @@ class ZoneForce(Force):
         return self
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Push the particles inside."""
+        """Return the stages that push the particles inside the zone."""
         t = types(model.real)
         slot, kernel = tracks.add(self.track(self.a)), kernels.make_zone(model.real)
         place: list[Any] = [t.vec3(*self.place.lower), t.vec3(*self.place.upper), -1, 0.0]
@@ -110,18 +110,18 @@ class ZoneForce(Force):
 
         wanted = model.named(self.object)
         moving = [model.particles(b) for b in range(model.bodies) if b not in model.held]
-        # Bodies that never move are left out, as they are everywhere.
+        # Bodies that never move are left out, as in all forces.
         runs = [run for run in moving if wanted.start <= run.start and run.stop <= wanted.stop]
         recorders = [partial(record, particles=run) for run in (runs if model.held else [wanted])]
         return [Stage("zone", recorder, keeps_C=True, by_run=True) for recorder in recorders]
 
 
 UNIT: Vector = (1.0, 0.0, 0.0)
-"""Value of a track that holds nothing but the profile."""
+"""Value of a track that holds only the profile."""
 
 
 class SetVelocity(Force):
-    """The paper's first kind of force: the velocity of particles is prescribed."""
+    """The paper's first kind of force: prescribes the velocity of particles."""
 
     kind: Literal["set_velocity"] = "set_velocity"
     sudden: ClassVar[bool] = True
@@ -130,7 +130,7 @@ class SetVelocity(Force):
     centre: Position = Field(default=(0.0, 0.0, 0.0), description="Point the spin is about [m].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Overwrite v and C of the chosen particles while active."""
+        """Return the stage that overwrites v and C of the chosen particles while active."""
         t = types(model.real)
         slot = tracks.add(self.track(UNIT, mean=False), over="drift")
         chosen = self.chosen(model)

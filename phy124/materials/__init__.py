@@ -1,6 +1,6 @@
-"""Constitutive laws a scene can name, each with its own parameters in SI units and their bounds.
+"""Constitutive laws of a scene, each with its parameters in SI units and their bounds.
 
-A material is its own section of the scene file. Its device functions are in phy124/kernels; the
+Each material is a section of the scene file. Its device functions are in phy124/kernels; the
 formulae and their sources are in docs/design/laws.md.
 """
 
@@ -16,7 +16,7 @@ from phy124.materials.plastic import Foam, Metal, Plasticine
 from phy124.schema.plugins import Kinds
 
 Law = NeoHookean | FixedCorotated | Hencky | Rigid | Metal | Plasticine | Foam | Sand | Snow | Fluid
-"""The one list of phy124's laws, from which all others are derived."""
+"""The list of phy124's laws, from which all other lists are derived."""
 LAWS = Kinds(Material, "law", "materials", Law)
 """`LAWS.by_name` maps the name of a law to its class."""
 AnyMaterial = SerializeAsAny[Annotated[Law, Field(discriminator="law"), LAWS]]

@@ -1,4 +1,4 @@
-"""What all materials have in common."""
+"""Base classes of all materials."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from phy124.schema.bounds import RGB
 from phy124.schema.section import Section
 
 FEW = 1.5
-"""Particles per cell and axis of plastic and granular materials, which cannot tear. With 2 a run
-takes 1.7 times as long and has the same error (docs/lab/accuracy.md)."""
+"""Particles per cell and axis for plastic and granular materials, which cannot tear. With 2, a run
+takes 1.7 times as long and has the same error (docs/lab/accuracy.md).
+"""
 FLOWING = 4.0
 """Longest axis of a Gaussian of plastic or fluid material, relative to its longest axis at rest."""
 
 
 SHADING = 0.3
-"""Fraction of the contrast in brightness that Gaussians keep under a tint."""
+"""Fraction of the brightness contrast that Gaussians keep under a tint."""
 Tint = Annotated[RGB | None, BeforeValidator(lambda tint: None if tint == "none" else tint)]
 """A colour; absent or "none": the picture's colours."""
 
@@ -29,29 +30,31 @@ class Material(Section):
 
     device_law: ClassVar[Law]
     scaled: ClassVar[int] = 0
-    """How many of the first entries of `theta` are proportional to E; 0: it has no E to vary."""
+    """Number of leading entries of `theta` proportional to E; 0: the law has no E to vary."""
     particles_per_axis: ClassVar[float] = 2.0
-    """Particles per cell and axis that a run has by default. Fewer than 2 let elastic material tear
-    sooner."""
+    """Default number of particles per cell and axis of a run. With fewer than 2, elastic material
+    tears sooner.
+    """
     may_collapse: ClassVar[bool] = False
-    """Whether it may stay flat after an impact, since its energy at J = 0 is finite."""
+    """Whether the material may stay flat after an impact, since its energy at J = 0 is finite."""
 
     max_stretch: ClassVar[float | None] = None
     """Longest axis of a Gaussian, relative to its longest axis at rest. None: `FLOWING` for laws
-    with a return mapping, whose F grows without bound, and no limit for others."""
+    with a return mapping, whose F grows without bound, and no limit for other laws.
+    """
     rounds: ClassVar[bool] = False
-    """Whether its Gaussians become balls as they are drawn out, instead of needles."""
+    """Whether Gaussians of the material become balls instead of needles when they are stretched."""
     grains: ClassVar[bool] = False
-    """Whether it falls apart, so that its inside is shown, too."""
+    """Whether the material separates into grains or drops, so that its interior must be drawn."""
 
     shade: ClassVar[float] = 0.0
-    """How much grains differ in brightness: standard deviation as a fraction."""
+    """Variation of the grains' brightness: standard deviation relative to the mean."""
 
     shines: ClassVar[bool] = False
-    """Whether pictures show its gloss (phy124/rendering/shine.py)."""
+    """Whether films show the material's gloss (phy124/rendering/shine.py)."""
 
     sounder_law: ClassVar[str | None] = None
-    """A law with the same fields that stays sound in harder impacts."""
+    """A law with the same fields that is stable in harder impacts; None if there is none."""
 
     density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
 
@@ -63,13 +66,13 @@ class Material(Section):
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Largest strain until which no particle becomes stiffer than `growth` times the stiffest.
+        """Return the largest strain for which the stiffness grows at most by a given factor.
 
-        Fixed corotated material stiffens most of the elastic laws: 2 J^2 - J times, where ln J is
-        up to sqrt(3) times the strain.
+        This default is for fixed corotated material, which stiffens most of the elastic laws: by
+        the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
 
         Args:
-            growth: Largest ratio of stiffnesses, above 1.
+            growth: Largest ratio of the stiffest particle's stiffnesses, above 1.
             stiffness: A / rho of the stiffest particle [m^2/s^2].
         """
         del stiffness
@@ -80,53 +83,55 @@ class Material(Section):
         raise NotImplementedError
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """Return the parameters on a grid of spacing `dx` [m], with `cfl` of the stable substep."""
+        """Return the parameters for a grid of spacing `dx` [m] and the fraction `cfl` of the
+        substep.
+        """
         del dx, cfl
         return self.theta()
 
     @property
     def longest(self) -> float:
-        """`max_stretch`, or the default of the law."""
+        """Longest axis of a Gaussian, relative to rest: `max_stretch` or the law's default."""
         if self.max_stretch is not None:
             return self.max_stretch
         return math.inf if self.device_law.project is None else FLOWING
 
     def history(self) -> tuple[float, float]:
-        """Initial history variables of a particle."""
+        """Return the initial history variables of a particle."""
         return (0.0, 0.0)
 
     def wave_speed(self) -> float:
-        """Speed that limits the substep at rest, sqrt(A / rho) [m/s]."""
+        """Return the speed that limits the substep at rest, sqrt(A / rho) [m/s]."""
         raise NotImplementedError
 
     def sound_speed(self) -> float:
-        """Speed of a pressure wave at rest [m/s]."""
+        """Return the speed of a pressure wave at rest [m/s]."""
         return self.wave_speed()
 
     def viscous_limit(self, dx: float) -> float:
-        """Longest substep that viscosity allows on a grid of spacing `dx` [m], s."""
+        """Return the longest substep [s] that viscosity allows on a grid of spacing `dx` [m]."""
         del dx
         return math.inf
 
     def cheaper(self, field: str) -> str:
-        """Return a remedy for long runs; `field` is the scene's field of this material."""
+        """Return a remedy for long runs; `field` is the material's field in the scene."""
         return f"a smaller {field}.E"
 
     def notes(self) -> list[str]:
-        """Return notes for the user on how this material is simulated."""
+        """Return notes for the user on the simulation of this material."""
         return []
 
     def notes_at(self, speed: float) -> list[str]:
-        """Return notes for the user on a run in which something has moved at a speed [m/s]."""
+        """Return notes for the user on a run in which something moved at a speed [m/s]."""
         del speed
         return []
 
 
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
-    """rho dx^2 / (8 eta), the substep [s] in which viscosity stops an isolated particle's strain.
+    """Return rho dx^2 / (8 eta), the substep [s] in which viscosity stops a particle's strain.
 
-    Twice as long would be unstable. How this limit combines with the elastic one:
-    `timestep.beside_elastic`.
+    The particle is isolated. A substep twice as long would be unstable. `timestep.beside_elastic`
+    combines this limit with the elastic limit.
 
     Args:
         density: rho [kg/m^3].
@@ -158,19 +163,19 @@ class Elastic(Material):
         return mu, self.E * self.nu / ((1 + self.nu) * (1 - 2 * self.nu))
 
     def theta(self) -> tuple[float, ...]:
-        """Parameters handed to the device law: (mu, lambda)."""
+        """Return the parameters of the device law: (mu, lambda)."""
         return self.lame
 
     def wave_speed(self) -> float:
-        """Speed that limits the substep at rest, sqrt((3 lambda + 2 mu) / rho) [m/s].
+        """Return the speed that limits the substep at rest, sqrt((3 lambda + 2 mu) / rho) [m/s].
 
-        A negative lambda (nu < 0) does not count: shear is then the stiffest motion.
+        A negative lambda (nu < 0) is taken as zero: shear is then the stiffest motion.
         """
         mu, lam = self.lame
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
 
     def sound_speed(self) -> float:
-        """Speed of a pressure wave at rest, sqrt((lambda + 2 mu) / rho) [m/s]."""
+        """Return the speed of a pressure wave at rest, sqrt((lambda + 2 mu) / rho) [m/s]."""
         mu, lam = self.lame
         return math.sqrt((lam + 2 * mu) / self.density)
 
@@ -179,6 +184,9 @@ class Logarithmic(Elastic):
     """Materials whose stress is linear in Hencky strain: A is at most 2 mu (1 + x) + 3 lambda."""
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """A difference x of principal strains changes by sqrt(2) times the strain at most."""
+        """Return the largest strain for which the stiffness grows at most by a given factor.
+
+        A strain changes a difference x of principal strains by at most sqrt(2) times the strain.
+        """
         del stiffness
         return (growth - 1) / math.sqrt(2)

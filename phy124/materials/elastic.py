@@ -1,4 +1,4 @@
-"""Elastic solids: they return to their rest shape after any deformation."""
+"""Elastic solids, which return to their rest shape after any deformation."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from phy124.materials.base import Elastic, Logarithmic, viscous_substep
 
 
 class Springy(Elastic):
-    """Elastic solids that may dissipate energy by viscosity (Kelvin-Voigt), as rubber does."""
+    """Elastic solids that may dissipate energy by viscosity (Kelvin-Voigt), such as rubber."""
 
     lossless: ClassVar[Law]
     damped: ClassVar[Any]
-    """The same stress with viscosity; theta then ends with eta."""
+    """Stress with viscosity; eta is the last entry of theta."""
 
     damping: float = Field(
         default=0.0,
@@ -28,23 +28,23 @@ class Springy(Elastic):
 
     @property
     def device_law(self) -> Law:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The law with viscosity if there is damping, otherwise without."""
+        """The law with viscosity if the damping is above zero, otherwise without."""
         plain = self.lossless
         if self.damping == 0:
             return plain
         return plain._replace(name=f"{plain.name}_damped", stress=self.damped, width=3)
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda), followed by the damping if there is any."""
+        """Return (mu, lambda), followed by the damping if it is above zero."""
         return (*self.lame, self.damping) if self.damping else self.lame
 
     def viscous_limit(self, dx: float) -> float:
-        """Longest substep that viscosity allows on a grid of spacing `dx` [m], s."""
+        """Return the longest substep [s] that viscosity allows on a grid of spacing `dx` [m]."""
         return viscous_substep(self.density, self.damping, dx)
 
 
 class NeoHookean(Springy):
-    """Compressible neo-Hookean solid with log J: the default; stays sound in hard impacts."""
+    """Compressible neo-Hookean solid with log J: the default law; stable in hard impacts."""
 
     law: Literal["neo_hookean"] = "neo_hookean"
     damped: ClassVar[Any] = staticmethod(elastic.neo_hookean_damped)
@@ -57,14 +57,17 @@ class NeoHookean(Springy):
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """A = 2 mu s^2 + 3 lambda: a strain e multiplies the first part by exp(2 e) at most."""
+        """Return the largest strain for which the stiffness grows at most by a given factor.
+
+        In A = 2 mu s^2 + 3 lambda, a strain e multiplies s^2 by at most exp(2 e).
+        """
         steady = 3 * max(self.lame[1], 0.0) / self.density
         stretched = max(1 - steady / stiffness, 1e-3) if stiffness > 0 else 1.0
         return math.log(1 + (growth - 1) / stretched) / 2
 
 
 class FixedCorotated(Springy):
-    """Fixed corotated solid (PhysGaussian's jelly); collapses silently in hard impacts."""
+    """Fixed corotated solid (PhysGaussian's jelly); may collapse unnoticed in hard impacts."""
 
     law: Literal["fixed_corotated"] = "fixed_corotated"
     may_collapse: ClassVar[bool] = True
@@ -80,7 +83,7 @@ class FixedCorotated(Springy):
 
 
 class Hencky(Logarithmic, Springy):
-    """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch; softens when pulled."""
+    """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch; softens under tension."""
 
     law: Literal["hencky"] = "hencky"
     sounder_law: ClassVar[str | None] = "neo_hookean"
@@ -95,14 +98,14 @@ class Hencky(Logarithmic, Springy):
 
 
 FASTER = 1.5
-"""How many times faster than `Rigid.speed` a body may be without a note."""
+"""Ratio of a body's speed to `Rigid.speed` above which the user gets a note."""
 
 
 class Rigid(Elastic):
-    """A hard body: stiff enough that its deformation cannot be seen, and no stiffer.
+    """A hard body: just stiff enough that its deformation is invisible.
 
     The cost of an explicit simulation grows as sqrt(E). At an impact of speed v the strain is v / c
-    with c = sqrt(E / rho), so E = rho (v / strain)^2 keeps it below `strain`.
+    with c = sqrt(E / rho), so E = rho (v / strain)^2 limits the strain to `strain`.
     """
 
     law: Literal["rigid"] = "rigid"
@@ -120,7 +123,7 @@ class Rigid(Elastic):
     )
 
     def cheaper(self, field: str) -> str:
-        """Return the remedy: a smaller `speed`, from which the stiffness follows."""
+        """Return the remedy: a smaller `speed`, which determines the stiffness."""
         return f"a smaller {field}.speed, if it hits nothing that fast"
 
     @property
@@ -143,7 +146,7 @@ class Rigid(Elastic):
         ]
 
     def notes_at(self, speed: float) -> list[str]:
-        """Return a note if it moved faster than the speed that its stiffness is for."""
+        """Return a note if the body moved faster than its stiffness is chosen for."""
         if self.simulated_E == self.E or speed <= FASTER * self.speed:
             return []
         strain = speed * math.sqrt(self.density / self.simulated_E)

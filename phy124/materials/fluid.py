@@ -12,22 +12,23 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import Material, viscous_substep
 
 RINGING = 0.7
-"""Fraction used of the largest bulk viscosity that needs no shorter substep."""
+"""Fraction used of the largest bulk viscosity that does not shorten the substep."""
 SUDDEN = 0.3
-"""K' / K: how much stiffer a fluid is for changes faster than its relaxation time."""
+"""K' / K: relative increase of a fluid's stiffness for changes faster than its relaxation time."""
 RELAXATION = 10.0
-"""Relaxation time in units of the time that sound takes to cross a cell.
+"""Relaxation time in units of the time in which sound crosses a cell.
 
-Bodies are some tens of cells deep, and the sound that rings is that which takes about this long to
-travel up and down.
+Bodies are some tens of cells deep, and the sound waves to be damped take about this long to travel
+up and down.
 """
 
 
 class Fluid(Material):
     """Weakly compressible fluid: Tait pressure and Newtonian viscosity.
 
-    Real water has 2e9 Pa, but compression by a thousandth of a per cent looks the same as by a few
-    per cent, so `bulk_modulus` is chosen for the scene: at depth h the compression is rho g h / K.
+    Real water has a bulk modulus of 2e9 Pa, but a compression of a thousandth of a per cent looks
+    the same as one of a few per cent. `bulk_modulus` is therefore chosen for the scene: at depth h
+    the compression is rho g h / K.
     """
 
     law: Literal["fluid"] = "fluid"
@@ -55,32 +56,35 @@ class Fluid(Material):
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Its stiffness goes by J^-(1 + gamma), and ln J is up to sqrt(3) times the strain."""
+        """Return the largest strain for which the stiffness grows at most by a given factor.
+
+        The stiffness varies as J^-(1 + gamma), and ln J is at most sqrt(3) times the strain.
+        """
         del stiffness
         return math.log(growth) / (math.sqrt(3) * (1 + self.gamma))
 
     def theta(self) -> tuple[float, ...]:
-        """(K, gamma, eta, zeta, K', 1 / relaxation time), the last three zero: undamped sound."""
+        """Return (K, gamma, eta, 0, 0, 0): without bulk viscosity zeta, K' and relaxation."""
         return self.bulk_modulus, self.gamma, self.viscosity, 0.0, 0.0, 0.0
 
     def history(self) -> tuple[float, float]:
-        """The initial J, 1."""
+        """Return the initial history variables: J = 1, and 0."""
         return 1.0, 0.0
 
     @property
     def _sound(self) -> float:
-        """sqrt(K / rho) [m/s]."""
+        """Speed of sound sqrt(K / rho) [m/s]."""
         return math.sqrt(self.bulk_modulus / self.density)
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
         """Return the parameters with a bulk viscosity zeta and a relaxation, which damp sound.
 
-        The relaxation damps slow changes, zeta fast ones. With zeta = a rho c dx, a substep of
-        `cfl` requires (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt, the rule of `beside_elastic`;
-        where J < 1, substeps are shorter than at rest.
+        The relaxation damps slow changes, zeta fast ones. With zeta = a rho c dx, a substep of the
+        fraction `cfl` requires (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt, as in `beside_elastic`;
+        in regions with J < 1, substeps are shorter than at rest.
 
         Args:
-            dx: Grid spacing, m.
+            dx: Grid spacing [m].
             cfl: Fraction of the stable substep.
         """
         most = (1 - cfl * cfl) / (2 * math.sqrt(3) * cfl)
@@ -89,9 +93,9 @@ class Fluid(Material):
         return *self.theta()[:3], zeta, *relaxation
 
     def wave_speed(self) -> float:
-        """sqrt(3 (K + K') / rho) [m/s]."""
+        """Return sqrt(3 (K + K') / rho) [m/s]."""
         return math.sqrt(3 * (1 + SUDDEN)) * self._sound
 
     def viscous_limit(self, dx: float) -> float:
-        """Longest substep that viscosity allows on a grid of spacing `dx` [m], s."""
+        """Return the longest substep [s] that viscosity allows on a grid of spacing `dx` [m]."""
         return viscous_substep(self.density, self.viscosity, dx)

@@ -14,9 +14,9 @@ from phy124.materials.base import FEW, Elastic, Logarithmic
 PACKING = 2 / 3
 """Largest product of snow's hardening xi and critical compression c.
 
-Squeezed evenly to 1 - c, snow stores psi = 3/2 (2 mu + 3 lambda) c^2. Packing by d releases the
-energy 3 (2 mu + 3 lambda) c d, while the stiffening raises psi by the fraction 3 xi d: that is more
-than is released once xi c > 2/3.
+Under isotropic compression to the stretch 1 - c, snow stores psi = 3/2 (2 mu + 3 lambda) c^2.
+Packing by d releases the energy 3 (2 mu + 3 lambda) c d, while the hardening raises psi by the
+fraction 3 xi d. This raise exceeds the released energy if xi c > 2/3.
 """
 
 
@@ -48,13 +48,13 @@ class Sand(Logarithmic):
     )
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda, alpha); alpha is the slope of the cone."""
+        """Return (mu, lambda, alpha); alpha is the slope of the cone."""
         sine = math.sin(math.radians(self.friction_angle))
         return *self.lame, math.sqrt(2 / 3) * 2 * sine / (3 - sine)
 
 
 class Snow(Elastic):
-    """Snow that packs and breaks (Stomakhin et al. 2013)."""
+    """Snow, which hardens under compression and fractures under tension (Stomakhin et al. 2013)."""
 
     law: Literal["snow"] = "snow"
     max_stretch: ClassVar[float | None] = 1.5
@@ -95,10 +95,13 @@ class Snow(Elastic):
         return self
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Packing by a strain e stiffens it by exp(hardening e)."""
+        """Return the largest strain for which the stiffness grows at most by a given factor.
+
+        Compaction by a strain e stiffens snow by the factor exp(hardening e).
+        """
         elastic = super().calm_strain(growth, stiffness)
         return min(elastic, math.log(growth) / max(self.hardening, 1.0))
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda, smallest stretch, largest stretch, hardening)."""
+        """Return (mu, lambda, smallest stretch, largest stretch, hardening)."""
         return *self.lame, 1 - self.compression, 1 + self.extension, self.hardening

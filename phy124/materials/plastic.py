@@ -12,16 +12,16 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import FEW, Elastic, Logarithmic
 
 NORM = math.sqrt(2 / 3)
-"""Norm of the deviatoric stress divided by the uniaxial stress."""
+"""Ratio of the norm of the deviatoric stress to the uniaxial stress."""
 
 
 class Metal(Logarithmic):
     """Von Mises metal in Hencky strain with linear isotropic hardening.
 
-    The defaults are aluminium's density and Poisson's ratio with a lower stiffness: it yields at a
-    strain of 1 %, less than a cell resolves. Real values (E 7e10, yield_stress 3e7) are allowed,
-    but the number of substeps grows as sqrt(E). A blow of speed v leaves a dent if density v^2 is
-    of the order of the yield stress.
+    The defaults are aluminium's density and Poisson's ratio with a lower stiffness: the metal
+    yields at a strain of 1 %, less than a cell resolves. Real values (E 7e10, yield_stress 3e7) are
+    allowed, but the number of substeps grows as sqrt(E). An impact at speed v leaves a dent if
+    density v^2 is of the order of the yield stress.
     """
 
     law: Literal["metal"] = "metal"
@@ -49,15 +49,16 @@ class Metal(Logarithmic):
     )
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda, limit, slope, smallest limit)."""
+        """Return (mu, lambda, limit, slope, smallest limit)."""
         limit = NORM * self.yield_stress
         return *self.lame, limit, 2 / 3 * self.hardening, limit
 
 
 class Plasticine(Elastic):
-    """Clay: fixed corotated elasticity, yields by von Mises and weakens as it is worked.
+    """Clay: fixed corotated elasticity; yields by von Mises and softens with plastic strain.
 
-    As with fixed corotated, impacts near its speed of sound may leave it flat, unless it yields.
+    As with fixed corotated solids, impacts near the speed of sound may leave the material flat,
+    unless it yields.
     """
 
     law: Literal["plasticine"] = "plasticine"
@@ -95,13 +96,13 @@ class Plasticine(Elastic):
         return self
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda, limit, slope, smallest limit)."""
+        """Return (mu, lambda, limit, slope, smallest limit)."""
         limit = NORM * self.yield_stress
         return *self.lame, limit, -2 / 3 * self.softening, self.residual * limit
 
 
 class Foam(Logarithmic):
-    """Herschel-Bulkley viscoplastic solid, such as foam, cream or toothpaste: flows above yield."""
+    """Herschel-Bulkley viscoplastic solid that flows above its yield stress: foam, toothpaste."""
 
     law: Literal["foam"] = "foam"
     max_stretch: ClassVar[float | None] = 2.0
@@ -130,5 +131,5 @@ class Foam(Logarithmic):
     )
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda, limit, viscosity, flow index)."""
+        """Return (mu, lambda, limit, viscosity, flow index)."""
         return *self.lame, NORM * self.yield_stress, self.viscosity, self.flow_index

@@ -1,4 +1,4 @@
-"""Observers of a run: one file each, all in the list `OBSERVERS`."""
+"""Observers of a run: one file each, all listed in `OBSERVERS`."""
 
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.dissipation import Dissipation
@@ -22,8 +22,9 @@ OBSERVERS: tuple[type[Observer], ...] = (
     Interior,
     Sleep,
 )
-"""All observers, in the order in which a run asks them.
+"""All observers, in the order in which a run calls them.
 
-Each wraps what earlier ones have wrapped, so `ExternalWork` measures all walls as one, outside the
-measurements of single walls. A violation ends an attempt, so `Tearing` looks only at sound frames.
+Each observer wraps the result of earlier observers, so `ExternalWork` measures all walls as one,
+outside the measurements of single walls. A violation ends an attempt, so `Tearing` reads only sound
+frames.
 """

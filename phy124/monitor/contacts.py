@@ -1,8 +1,8 @@
 """Contacts: the force of the walls on each Gaussian.
 
-The impulse that walls give to the nodes around a particle is summed in every substep, weighted by
-the particle's fraction of the nodes' mass. The sum over all particles is the impulse that
-`phy124.monitor.external_work` counts for the walls.
+The impulse of walls on the nodes around a particle is summed in every substep, weighted by the
+particle's fraction of the nodes' mass. The sum over all particles is the impulse that
+`phy124.monitor.external_work` records for the walls.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 STAGE = "contacts"
 """Name of the stages that sum contact impulses."""
 PARTICLE_COST = 20
-"""Cost of sharing out the impulse of one wall [ns per particle]."""
+"""Cost of distributing the impulse of one wall [ns per particle]."""
 
 
 class Contacts(Observer):
@@ -46,7 +46,7 @@ class Contacts(Observer):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene asks for contact forces."""
+        """Return whether the scene requests contact forces."""
         return subject.scene.keeps_contacts
 
     @classmethod
@@ -57,7 +57,7 @@ class Contacts(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of contact forces."""
+        """Return the row for contact forces."""
         walls = len(subject.scene.boundaries)
         asked, why = (
             subject.scene.keeps_contacts and walls > 0,
@@ -67,7 +67,7 @@ class Contacts(Observer):
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Make the sums of a run."""
+        """Return the observer of a run."""
         contacts = cls()
         contacts._setup = setup
         return contacts
@@ -75,7 +75,7 @@ class Contacts(Observer):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> list[Attachable]:
-        """Return the walls, each measured before and after it acts."""
+        """Return the walls, with stages that measure each wall before and after it acts."""
         pairs = zip(walls, walls if inner is None else inner, strict=True)
         return [Measured([wrapped], partial(self._measure, wall)) for wall, wrapped in pairs]
 
@@ -85,9 +85,10 @@ class Contacts(Observer):
             impulses.zero_()
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Add the mean force on each moving Gaussian since the frame before [N,3], N.
+        """Return the frame with the mean force on each moving Gaussian [N,3], N.
 
-        The force on an inner particle is added to its nearest Gaussian.
+        The mean is over the time since the previous frame. The force on an inner particle is added
+        to the nearest Gaussian's.
         """
         assert self._setup is not None
         moving, particles = self._setup.scenery.moving, self._setup.particles
@@ -128,7 +129,7 @@ class Contacts(Observer):
         def before(grid: Grid) -> wp.Launch | None:
             nonlocal corners
             near.fit(grid)
-            # Corners per worker, since each worker is recorded with its own layers of nodes.
+            # One pair of corners per worker, since each worker has its own layers of nodes.
             corners = [wp.zeros(3, dtype=int, device=model.device) for _ in range(2)]
             return model.launch(copy, near.threads, near.read, [near.copy, *corners])
 
@@ -147,7 +148,7 @@ class Contacts(Observer):
         return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)
 
     def _sums(self, grid: Grid, model: Model) -> wp.array:
-        """Return the sums of a worker; every worker reads all particles, near its own nodes."""
+        """Return the sums of a worker; each worker reads all particles, near its own nodes."""
         if grid.worker not in self._impulses:
             zeros = wp.zeros(len(model), dtype=wp.vec3d, device=model.device)
             self._impulses[grid.worker] = zeros
@@ -155,7 +156,7 @@ class Contacts(Observer):
 
 
 def contact_kernels(real: Any) -> tuple[Any, Any, Any]:
-    """Return the kernels that measure contacts: one before a wall acts, two after it."""
+    """Return the kernels that measure contacts: one before a wall acts, two after."""
     return (
         kernels.make_contact_copy(real),
         kernels.make_contact_reach(real),

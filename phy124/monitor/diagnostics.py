@@ -1,6 +1,6 @@
 """Diagnostics of a state: momentum, energy, volume ratios, and unsound particles.
 
-The functions that describe a particle or a substep are called only once something is wrong.
+The functions that describe a particle or a substep are called only after a problem is detected.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from phy124.mpm import Clock, Model, Solver, State
 from phy124.mpm.model import part_of
 
 NO_PARTICLE = 2**31 - 1
-"""An index above those of all particles."""
+"""An index larger than the index of any particle."""
 VECTORS = ("momentum", "angular", "middle")
 """Fields that are vectors."""
 LIMITS = {
@@ -30,7 +30,7 @@ LIMITS = {
     "viscous": "its viscosity or damping",
     "user": "time.substep",
 }
-"""Limit of the substep -> words."""
+"""Phrase for messages by limit of the substep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +46,9 @@ class Diagnostics:
     elastic: float
     """Elastic energy [J]."""
     lag: float
-    """Change of the kinetic energy [J] between its own time and that of the elastic energy."""
+    """Change of the kinetic energy [J] from its own time to the time of the elastic energy."""
     middle: NDArray[np.float64]
-    """Mass times position [3], kg m."""
+    """Sum of mass times position [3], kg m."""
     min_J: float
     """Smallest volume ratio."""
     max_J: float
@@ -56,17 +56,18 @@ class Diagnostics:
     broken: int
     """Number of particles that are not finite."""
     inverted: int
-    """Number of particles turned inside out."""
+    """Number of inverted particles (det F < 0)."""
     first_broken: int
-    """The lowest index of a broken particle."""
+    """Lowest index of a particle that is not finite."""
     first_inverted: int
-    """The lowest index of an inverted particle."""
+    """Lowest index of an inverted particle."""
 
     @property
     def energy(self) -> float:
-        """Return the kinetic plus elastic energy at one instant [J].
+        """Kinetic plus elastic energy at one time [J].
 
-        m/2 v(t - dt/2) . v(t + dt/2) + psi(t), which leapfrog conserves exactly in a vibration.
+        The sum of m/2 v(t - dt/2) . v(t + dt/2) and psi(t), which leapfrog conserves exactly in a
+        vibration.
         """
         return self.kinetic + self.elastic + self.lag
 
@@ -81,14 +82,14 @@ class Diagnostics:
 
 
 class Totals:
-    """Recorded launches that sum up the particles of a state in float64."""
+    """Recorded launches that sum over the particles of a state in float64."""
 
     def __init__(self, model: Model, state: State) -> None:
-        """Record them.
+        """Record the launches.
 
         Args:
             model: The particles' constants.
-            state: What is summed whenever `read` is called.
+            state: The state that each call of `read` sums.
         """
         device, sums = model.device, at.SUMS
         self._numbers = wp.zeros(sums + 2, dtype=wp.float64, device=device)
@@ -108,7 +109,7 @@ class Totals:
             self._launches.append(model.launch(kernel, threads, inputs, outputs))
 
     def read(self, clock: Clock) -> Diagnostics:
-        """Return the diagnostics of the present state."""
+        """Return the diagnostics of the current state."""
         self._numbers.assign(self._empty[0])
         self._counts.assign(self._empty[1])
         for launch in self._launches:
@@ -134,7 +135,7 @@ class Totals:
 
 
 def _split(array: wp.array, count: int) -> tuple[wp.array, wp.array]:
-    """The first elements of an array, and the others."""
+    """Return the first elements of an array, and the others."""
     return cast("wp.array", array[:count]), cast("wp.array", array[count:])
 
 
@@ -144,7 +145,7 @@ def diagnose(solver: Solver) -> Diagnostics:
 
 
 def energies(model: Model, state: State) -> NDArray[np.float64]:
-    """Return kinetic plus elastic energy of each particle [P], J; infinity where not finite."""
+    """Return kinetic plus elastic energy of each particle [P], J; infinity if not finite."""
     energy = wp.zeros(len(model), dtype=wp.float64, device=model.device)
     for group in model.groups:
         part = group.particles
@@ -156,7 +157,7 @@ def energies(model: Model, state: State) -> NDArray[np.float64]:
 
 
 def speeds(state: State) -> NDArray[np.float64]:
-    """Return the speed of each particle [P], m/s; infinity where not finite."""
+    """Return the speed of each particle [P], m/s; infinity if not finite."""
     velocities: NDArray[Any] = state.v.numpy()
     return _finite_or_infinity(np.linalg.norm(velocities.astype(np.float64), axis=1))
 
@@ -173,12 +174,12 @@ def broken_particles(state: State) -> NDArray[np.intp]:
 
 
 def law_of(model: Model, index: int) -> str:
-    """Return the name of the law of a particle."""
+    """Return the name of a particle's law."""
     return next(g.law.name for g in model.groups if g.start <= index < g.stop)
 
 
 def describe_particle(model: Model, state: State, index: int) -> str:
-    """Return a particle's number, law, position and speed as a phrase."""
+    """Return a phrase with a particle's index, law, position and speed."""
     rest, now = _position(model.rest[index]), np.asarray(state.x.numpy())[index]
     words = f"number {index} of law {law_of(model, index)}, at {rest} m at rest"
     speed = speeds(state)[index]
@@ -188,7 +189,7 @@ def describe_particle(model: Model, state: State, index: int) -> str:
 
 
 def describe_substep(model: Model, state: State, clock: Clock) -> str:
-    """Return the length of substeps now, its cause, and the fastest particle as a phrase."""
+    """Return a phrase with the current substep, its limit, and the fastest particle."""
     limit = clock.stable()
     fastest = describe_particle(model, state, int(speeds(state).argmax()))
     return (

@@ -1,9 +1,9 @@
 """Dissipation: energy lost to the material, to walls and to the grid.
 
 Viscous materials dissipate the work of the rate-dependent part of their stress. Plastic and fluid
-materials dissipate the work of the rest of it, less the elastic energy stored. Walls dissipate by
-friction. Everything else is the numerical loss of the transfers and of the layer of cells that a
-wall stops.
+materials dissipate the work of the other part, minus the elastic energy stored. Walls dissipate by
+friction. The rest is the numerical loss, in the transfers and in the layer of cells that a wall
+stops.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
 
 STAGE = "dissipation"
-"""Name of its stages."""
+"""Name of the stages that sum the work of the stress."""
 STRIDE = 16
-"""Numbers per worker: no two workers write to the same line of the cache."""
+"""Numbers per worker: no two workers write to the same cache line."""
 
 
 class Loss(NamedTuple):
@@ -38,7 +38,7 @@ class Loss(NamedTuple):
     contact: float
     """Friction at walls."""
     numerical: float
-    """Grid and substep; negative if energy was gained."""
+    """Numerical loss by grid and substep; negative if energy was gained."""
 
     @property
     def total(self) -> float:
@@ -56,7 +56,7 @@ class Dissipation(Observer):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene asks where its energy goes."""
+        """Return whether the scene requests the energy lost by cause."""
         return subject.scene.checks.energy
 
     @classmethod
@@ -66,7 +66,7 @@ class Dissipation(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the work of the stress."""
+        """Return the row for the work of the stress."""
         why = "checks.energy is off: what is lost is not split into its causes"
         return Effect("work of the stress", subject.scene.checks.energy, why)
 
@@ -83,11 +83,11 @@ class Dissipation(Observer):
         """Record the launch that sums the work of a worker's part.
 
         Args:
-            part: Particles of one law that a worker steps.
-            worker: Number of the worker.
+            part: Particles of one law that a worker processes.
+            worker: Index of the worker.
             model: The particles' constants.
             state: The state after the gather.
-            tracks: Quantities that change with time.
+            tracks: Quantities that change over time.
         """
         assert self._sums is not None
         run, group = part.particles, part.group
@@ -102,10 +102,10 @@ class Dissipation(Observer):
         """Return the energy lost by cause.
 
         Args:
-            gained: Energy of the body now, less that at the start and the work of all forces and
-                walls [J].
+            gained: Energy of the body now, minus the energy at the start and the work of all forces
+            and walls [J].
             rubbed: Energy lost to friction at walls [J].
-            stored: Elastic energy now, less that at the start [J].
+            stored: Elastic energy now, minus the elastic energy at the start [J].
         """
         total = self._total()
         material = float(total[RUBBED])
@@ -114,12 +114,12 @@ class Dissipation(Observer):
         return Loss(material, rubbed, -gained - material)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the sums so far, and the stress with which the next substep begins."""
+        """Return the sums so far, and the stress at the start of the next substep."""
         assert self._sums is not None
         return {"sums": self._sums.numpy().tolist(), "stress": wp.clone(self._stress)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; sums of another number of workers go to the first worker."""
+        """Return to a snapshot; if the number of workers differs, the first worker gets the sums."""
         assert self._sums is not None
         rows = np.array(snapshot["sums"])
         if rows.shape != self._sums.shape:
@@ -136,5 +136,5 @@ class Dissipation(Observer):
 
 
 def split_seconds(timings: Mapping[str, Sequence[float]]) -> float:
-    """Return the time spent on splitting the loss [s], from the times of the stages."""
+    """Return the time spent on computing losses by cause [s], from the times of the stages."""
     return timings.get(STAGE, (0.0, 0))[0]

@@ -1,8 +1,8 @@
-"""External work: impulse and work done on the object by forces and walls, summed in every substep.
+"""External work: impulse and work of forces and walls on the object, summed in every substep.
 
-For forces on particles and for walls, velocities are stored before they act and compared after. A
-uniform acceleration contributes M a dt and M a . dx, which needs no launch; if it varies in time, a
-kernel of one thread adds its impulse and work at the end of each substep.
+Velocities are stored before forces on particles and walls act, and compared afterwards. A uniform
+acceleration contributes M a dt and M a . dx, which needs no launch; if it varies in time, a kernel
+of one thread adds its impulse and work at the end of each substep.
 """
 
 from __future__ import annotations
@@ -34,9 +34,10 @@ PUSH, WALL, UNIFORM = "push", "wall", "uniform"
 """Causes of external work: forces on particles, walls, and a varying uniform acceleration."""
 SOURCES = (PUSH, WALL, UNIFORM)
 ROOM = 16
-"""Numbers reserved for the sums of a worker, so that workers share no cache line."""
+"""Numbers reserved for the sums of a worker, so that no two workers write to the same cache line.
+"""
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
-"""Position of the impulse among the sums."""
+"""Slice of the impulse among the sums."""
 Sums = NDArray[np.float64]
 
 
@@ -53,7 +54,7 @@ class Exchange(NamedTuple):
     """Sum of the absolute values of all work [J]."""
 
     def plus(self, sums: Sums) -> Exchange:
-        """Return the exchange with that of rigid solids, the sums of phy124/kernels/free."""
+        """Return the exchange with the exchange of rigid solids added (phy124/kernels/free)."""
         work, moved, turned = sums[free.WORK :]
         return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned
@@ -75,13 +76,13 @@ class ExternalWork(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that measure walls; those of forces on a region compile in 0.3 s."""
+        """Yield the kernels that measure walls; those for forces on a region compile in 0.3 s."""
         if subject.scene.boundaries:
             yield from wall_kernels(real)
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the balance, which steady uniform forces alone do not need."""
+        """Return the row for the balance; if all forces are uniform and steady, nothing is summed."""
         scene, why = (
             subject.scene,
             "checks.balance is off: an explosion shows only once values are NaN",
@@ -94,31 +95,32 @@ class ExternalWork(Observer):
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Make the sums of a run."""
+        """Return the observer of a run."""
         return cls(changes=setup.subject.changes)
 
     def __init__(self, *, changes: bool = False) -> None:
         """Start all sums at zero.
 
         Args:
-            changes: Whether other forces and boundaries may act later in the run.
+            changes: Whether forces and boundaries may be replaced later in the run.
         """
         self._changes = changes
         self._device: dict[str, wp.array] = {}
         """Open sums of each worker since its launches were last recorded [W,ROOM]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
-        """Momentum of the object at the start of the frame, without the open sums [kg m/s],
-        and the time to which velocities had advanced when counting began [s]."""
+        """Momentum of the object at the start of the frame, without the open sums [kg m/s]; and the
+        time to which velocities had advanced when counting began [s].
+        """
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
-        """Return the forces as one, measured before and after they act."""
+        """Return the forces as one, with stages that measure them before and after they act."""
         return [Measured(forces, self._attach_push)] if forces else []
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> list[Attachable]:
-        """Return the walls as one, measured before and after they act."""
+        """Return the walls as one, with stages that measure them before and after they act."""
         if not walls:
             return []
         inner = walls if inner is None else inner
@@ -135,7 +137,7 @@ class ExternalWork(Observer):
 
     @property
     def _varies(self) -> bool:
-        """Whether the uniform acceleration is summed substep by substep."""
+        """Whether the uniform acceleration is summed in every substep."""
         return self._changes or self._tracks.acceleration_varies
 
     def open(self, clock: Clock) -> None:
@@ -147,12 +149,12 @@ class ExternalWork(Observer):
         self._opened = clock.time - clock.last_dt / 2
 
     def store(self, energy: float) -> None:
-        """Count energy [J] that is put into the object at rest, as by stiffening it."""
+        """Add energy [J] that is stored in the object without motion, for example by stiffening."""
         self._closed[PUSH] = self._closed[PUSH].copy()
         self._closed[PUSH][[kernels.WORK, kernels.TURNED]] += energy, abs(energy)
 
     def begin(self, momentum: Sums) -> None:
-        """Start a frame with this momentum [kg m/s]; the work of varying forces depends on it."""
+        """Start a frame with a momentum [kg m/s], on which the work of varying forces depends."""
         if self._varies:
             self._momentum = momentum - self._sum()[IMPULSES]
             self._set_base()
@@ -161,7 +163,7 @@ class ExternalWork(Observer):
         """Return impulse and work so far.
 
         Args:
-            clock: Time, for the impulse of a steady acceleration.
+            clock: Current time, for the impulse of a steady acceleration.
             way: Sum of mass times displacement since the start [3], kg m.
         """
         total = self._sum()
@@ -175,7 +177,7 @@ class ExternalWork(Observer):
         return Exchange(total[IMPULSES], work, moved, turned)
 
     def of_walls(self) -> float:
-        """Return the work of the walls so far [J]; that of walls at rest is friction, negative."""
+        """Return the work of the walls so far [J]; for walls at rest it is friction, negative."""
         return float(self._sum(WALL)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
@@ -201,7 +203,7 @@ class ExternalWork(Observer):
         self._momentum, self._opened = np.array(snapshot["momentum"]), snapshot["opened"]
 
     def _sum(self, *names: str) -> Sums:
-        """Return the total of all sums so far, or of the named causes."""
+        """Return the total of all sums so far, or the total for the named causes."""
         total = np.zeros(kernels.GIVEN)
         for name in names or SOURCES:
             total += self._closed[name]
@@ -210,12 +212,12 @@ class ExternalWork(Observer):
         return total
 
     def _open(self, name: str) -> Sums:
-        """Return the sums of all workers since their launches were last recorded."""
+        """Return the total over all workers since their launches were last recorded."""
         rows: NDArray[Any] = self._device[name].numpy()
         return rows[:, : kernels.GIVEN].sum(axis=0)
 
     def _accumulator(self, name: str, grid: Grid) -> wp.array:
-        """Return the sums of a single launch, so that two threads never add to the same numbers."""
+        """Return the sums of a single launch, so that no two threads add to the same numbers."""
         if grid.worker == 0:
             if name in self._device:
                 self._closed[name] = self._closed[name] + self._open(name)
@@ -226,7 +228,7 @@ class ExternalWork(Observer):
         return wp.zeros((workers, ROOM), dtype=wp.float64, device=self._model.device)
 
     def _record_uniform(self, grid: Grid) -> wp.Launch | None:
-        """Record the launch that adds the uniform acceleration's impulse and work, the last one."""
+        """Record the launch that adds the uniform acceleration's impulse and work."""
         model, tracks, sums = self._model, self._tracks, self._accumulator(UNIFORM, grid)
         self._set_base()
         others = [self._device.get(name, self._zeros(0)) for name in (PUSH, WALL)]
@@ -288,7 +290,7 @@ class ExternalWork(Observer):
 
 
 def push_kernels(real: Any, keeps_C: bool) -> tuple[Any, Any]:
-    """Return the kernels before and after forces on particles, which all keep C or not."""
+    """Return the kernels before and after forces on particles; `keeps_C` if no force changes C."""
     sums = kernels.make_push_sums_v(real) if keeps_C else kernels.make_push_sums(real)
     return kernels.make_push_copy(real, keeps_C), sums
 

@@ -1,9 +1,10 @@
 """Interior: Gaussians for the inside of elastic material that is torn.
 
-A generator places Gaussians on the surface, so a torn object would show a hole. Once the grid has
-torn something, the inner particles that have lost a neighbour get round Gaussians in the colours of
-the surface, like grains. They are not known before, so they are added to the finished clip; until
-its place is opened, each is hidden in the surface Gaussian above it.
+A generator places Gaussians only on the surface, so a torn object would show a hole. Once the grid
+has torn material, inner particles that have lost a neighbour get round Gaussians in the colours of
+the surface, like grains. These particles are not known in advance, so their Gaussians are added to
+the finished clip. Until its particle is exposed, each such Gaussian is hidden in the surface
+Gaussian above it.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 NEIGHBOURS = 7
-"""Particles that count as neighbours at rest: six in a lattice, and the particle itself."""
+"""Number of neighbours at rest: six in a lattice, and the particle itself."""
 HIDDEN = 1e-3
 """Size of a hidden Gaussian, relative to its full size."""
 Opened = dict[str, NDArray]
 
 
 class Interior(Observer):
-    """The inside of what is torn in one run."""
+    """The exposed interior of torn material in one run."""
 
     def __init__(
         self,
@@ -48,56 +49,56 @@ class Interior(Observer):
         dx: float,
         keep: bool = True,
     ) -> None:
-        """Remember the object at rest; nothing is computed before something is torn.
+        """Store the object at rest; nothing is computed until material is torn.
 
         Args:
-            shown: All other Gaussians that are shown, N.
+            shown: All N other visible Gaussians.
             particles: The particles that move.
-            materials: Their materials; only elastic ones are torn.
-            spacing: Distance of neighbouring particles at rest, m.
-            dx: Grid spacing, m.
+            materials: The particles' materials; only elastic ones can be torn.
+            spacing: Distance between neighbouring particles at rest [m].
+            dx: Grid spacing [m].
             keep: Whether the run keeps its frames, so that there will be a clip.
         """
         self._shown, self._rest, self._materials = shown, particles, materials
         self._spacing, self._dx, self._keep = spacing, dx, keep
         self._inside: NDArray[np.int64] | None = None
         self._opened: dict[int, Opened] = {}
-        """For each frame with a tear: the open particles and their positions."""
+        """For each frame with a tear: the exposed particles and their positions."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether grains are shown and something could be torn."""
+        """Return whether grains are shown and some material can be torn."""
         return subject.scene.grains and subject.elastic
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the inside."""
+        """Return the row for the interior."""
         grains = subject.scene.grains
         why = "nothing elastic could be torn" if grains else "grains is off"
         return Effect("inside shown once it is torn", subject.elastic and grains, why)
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Make the observer of a run."""
+        """Return the observer of a run."""
         scene, materials = setup.scene, setup.subject.materials
         sizes: dict[str, Any] = {"spacing": scene.spacing, "dx": scene.dx, "keep": setup.keep}
         return cls(setup.shown, setup.particles, materials, **sizes)
 
     def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the state, and to the search for tears."""
+        """Bind to the state, and to the observer that detects tears."""
         self._state, self._tearing = solver.state, find(observers, Tearing)
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Look for open particles once something is torn."""
+        """Find exposed particles if material is likely torn; return the frame unchanged."""
         if self._keep and self._tearing is not None and self._tearing.likely:
             self.look(frame.index, self._state.x.numpy())
         return frame
 
     def look(self, index: int, x: NDArray) -> None:
-        """Find the open particles of a frame in which something is torn.
+        """Find the exposed particles of a frame in which material is torn.
 
         Args:
-            index: Number of the frame.
+            index: Index of the frame.
             x: Positions of the particles [P,3], m.
         """
         if self._inside is None:
@@ -106,14 +107,14 @@ class Interior(Observer):
         here = x[self._inside]
         offsets = x[self._neighbours] - here[:, None]
         lost = ((offsets**2).sum(axis=2) > (APART * self._dx) ** 2).any(axis=1)
-        # Gaps are wider than a particle, so the second layer is visible, too.
+        # Gaps are wider than a particle, so the second layer is also visible.
         alone = np.zeros(len(x), bool)
         alone[self._inside[lost]] = True
         ids = np.flatnonzero(lost | alone[self._neighbours].any(axis=1))
         self._opened[index] = {"ids": ids, "x": here[ids].astype(np.float32)}
 
     def complete(self, clip: Clip) -> Clip:
-        """Return the clip with a Gaussian for each particle that is open in any of its frames."""
+        """Return the clip with a Gaussian for each particle that is exposed in any frame."""
         ids = np.unique(
             np.concatenate([np.zeros(0, int), *(o["ids"] for o in self._opened.values())])
         )
@@ -143,7 +144,7 @@ class Interior(Observer):
         return replace(clip, **moving, **fixed)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the open particles of the frames so far."""
+        """Return the exposed particles of the frames so far."""
         return {str(index): dict(opened) for index, opened in self._opened.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -155,7 +156,7 @@ class Interior(Observer):
         rest = self._rest
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
         free = elastic & (rest.gaussian < 0)
-        # Objects that touch at the start and part later are not torn, so each is handled alone.
+        # Objects that touch at the start and separate later are not torn, so each is handled alone.
         objects = [
             self._prepare_object(gaussians, particles, free[particles])
             for gaussians, particles in by_object(self._shown, rest)
@@ -168,12 +169,12 @@ class Interior(Observer):
     def _prepare_object(
         self, gaussians: NDArray[np.intp], particles: NDArray[np.intp], free: NDArray[np.bool_]
     ) -> tuple[Gaussians, NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Return grains, the Gaussians above them, their particles, and the neighbours of those.
+        """Return grains, the Gaussians above them, their particles and the particles' neighbours.
 
         Args:
             gaussians: Indices of the Gaussians of an object.
-            particles: Indices of its particles.
-            free: Which of its particles may have a grain.
+            particles: Indices of the object's particles.
+            free: Mask of the object's particles that may have a grain.
         """
         x = self._rest.x[particles]
         every = len(gaussians) == len(self._shown)
@@ -185,6 +186,6 @@ class Interior(Observer):
         near = np.reshape(
             scipy.spatial.KDTree(x).query(x[inside], k=count, workers=-1)[1], (len(inside), count)
         )
-        # A tiny object has fewer neighbours: the last one is repeated.
+        # A tiny object has fewer neighbours; the last one is repeated.
         near = np.pad(near, ((0, 0), (0, NEIGHBOURS - count)), mode="edge")
         return grains, gaussians[above], particles[inside], particles[near]

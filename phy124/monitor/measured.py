@@ -1,6 +1,6 @@
-"""Forces and boundaries between stages that measure them.
+"""Forces and boundaries surrounded by stages that measure them.
 
-Velocities are copied before a force or wall acts, and compared with those after it.
+Velocities are copied before a force or wall acts, and compared with the velocities afterwards.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class Measured:
-    """Forces or boundaries as one, with stages before and after theirs, if they have any."""
+    """Forces or boundaries as one, with stages before and after their stages, if they have any."""
 
     def __init__(
         self,
@@ -29,7 +29,7 @@ class Measured:
         self._inner, self._measure = inner, measure
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return their stages, between the first and the others of those that measure."""
+        """Return the inner stages, after the first measuring stage and before the others."""
         stages = [stage for item in self._inner for stage in item.attach(model, state, tracks)]
         if not stages:
             return []
@@ -38,19 +38,19 @@ class Measured:
 
 
 class NodesNear:
-    """The nodes that some walls may touch; call `fit` whenever the grid's window has changed."""
+    """The nodes that some walls may change; call `fit` whenever the grid's window has changed."""
 
     def __init__(self, walls: Sequence[Boundary], model: Model) -> None:
         self._corners, self._device = _reach(walls, model), model.device
         self.threads: tuple[int, ...] = ()
-        """Number of threads of a kernel over parts of rows of these nodes."""
+        """Number of threads of a kernel over segments of rows of these nodes."""
         self.read: list[Any] = []
-        """Inputs of such a kernel: length of a part, box, window, and the grid's nodes."""
+        """Inputs of such a kernel: length of a segment, box, window, and the grid's nodes."""
         self.copy: wp.array | None = None
         """Memory for a copy of the nodes."""
 
     def fit(self, grid: Grid) -> None:
-        """Find the nodes in the grid's present window."""
+        """Determine the nodes in the grid's current window."""
         start, extent = grid.nodes_within(*self._corners)
         corners = np.stack([start, extent]).astype(np.int32)
         box = wp.array(corners, dtype=wp.vec3i, device=self._device)
@@ -60,7 +60,7 @@ class NodesNear:
 
 
 def _reach(walls: Sequence[Boundary], model: Model) -> Corners:
-    """Return the corners of a box that contains every node a wall may touch [m]."""
+    """Return the corners of a box around every node that a wall may change [m]."""
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     for wall in walls:
         corners, track = wall.bounds(model), wall.track(model)

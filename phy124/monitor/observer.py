@@ -1,9 +1,9 @@
 """Observer: measures or checks one run, from the first launch to the report.
 
-`phy124.monitor.OBSERVERS` lists all classes. `observers_of` makes those that a scene calls for, so
-what it does not call for is neither compiled, allocated nor launched. A run compiles, binds, asks,
+`phy124.monitor.OBSERVERS` lists all classes. `observers_of` makes only the observers that a scene
+requires; the others are neither compiled, allocated nor launched. A run compiles, binds, calls,
 pauses, resumes and reports its observers in loops over this list, in its order. Every method has a
-default that does nothing, so a new observer overrides only what it needs.
+default that does nothing, so a new observer overrides only the methods that it needs.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ class Cost(NamedTuple):
 
     fixed: float = 0.0
     particle: float = 0.0
-    """For each particle."""
+    """Cost per particle."""
     node: float = 0.0
-    """For each node of the window."""
+    """Cost per node of the window."""
 
     def of(self, particles: int, nodes: int) -> float:
         """Return the cost of one substep [ns]."""
@@ -46,37 +46,37 @@ UNKNOWN = Cost()
 
 
 class Effect(NamedTuple):
-    """A row of the effects report: an effect, and whether the scene calls for it."""
+    """A row of the effects report: an effect, and whether the scene requires it."""
 
     name: str
     called_for: bool = True
     why: str = ""
-    """Why it is left out, if it is."""
+    """Reason why the effect is omitted, if it is."""
     cost: Cost = UNKNOWN
-    """Cost if it ran."""
+    """Cost of the effect if it is active."""
 
 
 class Violation(NamedTuple):
     """Reason why a frame is wrong."""
 
     what: str
-    """A clause that says what is wrong."""
+    """Description of the problem, as a clause."""
     causes: tuple[str, ...]
     """Possible causes, for `phy124.budget.remedies`, the likeliest first."""
 
 
 class Subject(NamedTuple):
-    """Decides which observers a run has."""
+    """The properties of a run that determine its observers."""
 
     scene: Scene
     materials: Sequence[AnyMaterial]
-    """Materials of the particles: those of the scene, or of its file of properties."""
+    """Materials of the particles, from the scene or from its file of properties."""
     changes: bool = False
-    """Whether forces, boundaries and stiffness may change while it runs."""
+    """Whether forces, boundaries and stiffness may change during the run."""
 
     @property
     def laws(self) -> list[Law]:
-        """The laws of the materials, each once."""
+        """The laws of the materials, without duplicates."""
         return list({m.device_law.name: m.device_law for m in self.materials}.values())
 
     @property
@@ -95,7 +95,7 @@ class Observed(Protocol):
 
     @property
     def subject(self) -> Subject:
-        """Decides which observers the run has."""
+        """The properties of the run that determine its observers."""
         ...
 
     @property
@@ -105,12 +105,12 @@ class Observed(Protocol):
 
     @property
     def scenery(self) -> Scenery:
-        """All Gaussians at rest, and which of them move."""
+        """All Gaussians at rest, with a mask of the moving ones."""
         ...
 
     @property
     def shown(self) -> Gaussians:
-        """All Gaussians at rest, grains included."""
+        """All Gaussians at rest, including grains."""
         ...
 
     @property
@@ -123,11 +123,11 @@ class Observer:
     """Observes one run; the base class observes nothing."""
 
     absent: ClassVar[dict[str, Any]] = {}
-    """Section of the report of a run without this observer."""
+    """Report section of a run without this observer."""
     in_substeps: ClassVar[bool] = False
-    """Whether it is an accumulator: a rejected substep or frame restores its snapshot."""
+    """Whether this is an accumulator, restored after a rejected substep or frame."""
     in_gathers: ClassVar[bool] = False
-    """Whether it records a launch after each gather; a rejected frame restores its snapshot."""
+    """Whether this records a launch after each gather; restored after a rejected frame."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -143,13 +143,13 @@ class Observer:
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the row of the effects report, if there is one, before a run."""
+        """Return the row of the effects report before a run; None if there is no row."""
         del subject
         return None
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Make the observer of a run, before its solver exists."""
+        """Return the observer of a run, before the run's solver exists."""
         del setup
         return cls()
 
@@ -164,7 +164,7 @@ class Observer:
 
         Args:
             walls: The boundaries of the scene.
-            inner: The boundaries as earlier observers have wrapped them, one each.
+            inner: The boundaries as wrapped by earlier observers, one per wall in `walls`.
         """
         del walls
         return inner
@@ -183,26 +183,26 @@ class Observer:
         """Record the launch that follows the gather of a worker's part (`in_gathers`).
 
         Args:
-            part: Particles of one law that a worker steps.
-            worker: Number of the worker.
+            part: Particles of one law that a worker processes.
+            worker: Index of the worker.
             model: The particles' constants.
             state: The state after the gather.
-            tracks: Quantities that change with time.
+            tracks: Quantities that change over time.
         """
         raise NotImplementedError
 
     def bind(self, solver: Solver, observers: Sequence[Observer]) -> None:
-        """Bind to the solver, and to the other observers whose results this one reads."""
+        """Bind to the solver, and to the other observers whose results this observer reads."""
 
     def change(self, scene: Scene) -> None:
-        """Go on under the forces, boundaries and stiffness of another scene."""
+        """Continue under the forces, boundaries and stiffness of another scene."""
 
     def skip_to(self, index: int) -> float | None:
-        """Return the time [s] of a frame that needs no substeps, or None if it needs them."""
+        """Return the time [s] of a frame that needs no substeps; None if it needs substeps."""
         del index
 
     def before_frame(self, time: float) -> None:
-        """Prepare a frame that starts at this time [s]."""
+        """Prepare a frame that starts at a time [s]."""
 
     def before_attempt(self, *, closely: bool) -> None:
         """Prepare an attempt at a frame; a failed attempt is repeated with half the substep.
@@ -212,17 +212,17 @@ class Observer:
         """
 
     def after_substep(self) -> None:
-        """Read the state after a substep, or after several where a CUDA graph takes them."""
+        """Read the state after a substep, or after several substeps of a CUDA graph."""
 
     def after_attempt(self) -> Violation | None:
         """Check the state at the end of a frame; a violation ends the attempt."""
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Return the frame of the moving Gaussians, with what this observer adds to it."""
+        """Return the frame of the moving Gaussians, with this observer's results added."""
         return frame
 
     def complete(self, clip: Clip) -> Clip:
-        """Return the clip with what this observer adds to it."""
+        """Return the clip with this observer's results added."""
         return clip
 
     def finished_effect(self, subject: Subject) -> Effect | None:
@@ -230,20 +230,20 @@ class Observer:
         return self.effect(subject)
 
     def notes(self) -> list[str]:
-        """Return sentences that the user should know."""
+        """Return notes for the user."""
         return []
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the section of report.json.
+        """Return the observer's section of report.json.
 
         Args:
-            frames: All frames, if they are kept; else none.
+            frames: All frames if they are kept, else none.
         """
         del frames
         return {}
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from: arrays and plain data."""
+        """Return the state from which to continue, as arrays and plain data."""
         return {}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -254,17 +254,17 @@ Kind = TypeVar("Kind", bound=Observer)
 
 
 def find(observers: Iterable[Observer], kind: type[Kind]) -> Kind | None:
-    """Return the observer of a class, or None if the scene does not call for it."""
+    """Return the observer of a class, or None if the scene does not require it."""
     return next((observer for observer in observers if isinstance(observer, kind)), None)
 
 
 def snapshots(observers: Iterable[Observer]) -> dict[str, Any]:
-    """Return the snapshots of observers by the names of their classes."""
+    """Return the snapshots of observers, by class name."""
     return {type(observer).__name__: observer.snapshot() for observer in observers}
 
 
 def restore_all(observers: Iterable[Observer], snapshot: dict[str, Any]) -> None:
-    """Return observers to their snapshots; those that have none stay as they are."""
+    """Restore observers from their snapshots; observers without a snapshot are not changed."""
     for observer in observers:
         if type(observer).__name__ in snapshot:
             observer.restore(snapshot[type(observer).__name__])

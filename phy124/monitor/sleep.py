@@ -1,13 +1,15 @@
-"""Sleep: substeps are left out while everything rests and no force or boundary changes.
+"""Sleep: substeps are skipped while everything rests and no force or boundary changes.
 
-An instant of zero speed is not rest: a thrown body has one at the top of its path. At rest means
-that for Q frames of T seconds no particle got further than D from where it was. Under a constant
-acceleration it can then move at most 7 D m (1 + m) in the next M = m Q frames (in the worst case it
-went there, back and on). A vibration in phase with the frames, whose largest speed is v, can hide a
-displacement of v T / 2 pi. The object sleeps if the sum of both is invisible and its speed does not
-grow, until a force or a boundary anywhere in the scene changes, or the clip ends. Under gravity it
-must also have stayed where a free body would have moved; otherwise a clip with many frames per
-second would find it at rest in the air.
+Zero speed at one time is not rest: a thrown body has zero speed at the top of its path. At rest
+means that for Q frames of T seconds no particle moved further than D from its starting point. Under
+a constant acceleration, a particle can then move by at most 7 D m (1 + m) in the next M = m Q
+frames (in the worst case it moved forth, back and on). A vibration in phase with the frames, with
+the largest speed v, can hide a displacement of v T / 2 pi.
+
+The object sleeps if the sum of both displacements is invisible and its speed does not grow. It
+sleeps until a force or a boundary anywhere in the scene changes, or the clip ends. Under gravity it
+must also have moved much less than a free body would; otherwise, in a clip with many frames per
+second, an object at the top of its path would count as resting.
 """
 
 from __future__ import annotations
@@ -30,11 +32,11 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 STILL = 3e-4
-"""Largest error by sleeping, in object sizes: a tenth of a pixel if the object fills 300."""
+"""Largest error by sleeping, in object sizes: a tenth of a pixel for an object of 300 pixels."""
 CALM = 1 / 6
-"""Fraction of `STILL` that particles may move while they count as resting."""
+"""Fraction of `STILL` by which particles may move and still count as resting."""
 HELD = 0.1
-"""Fraction of a free body's displacement that a body may move and still count as held."""
+"""Fraction of a free body's displacement by which a body may move and still count as held."""
 
 
 class Sleep(Observer):
@@ -54,16 +56,16 @@ class Sleep(Observer):
         self._stiffness_changes = False
         self._far = STILL * size
         self.anchor: NDArray[np.float64] | None = None
-        """Positions of the particles when they last moved [P,3], m."""
+        """Positions of the particles [P,3], m, relative to which the drift is measured."""
         self.drift = 0.0
         """Largest distance of a particle from its anchor [m]."""
         self.speeds: list[float] = []
         """Largest speed in each frame since the anchor was set [m/s]."""
         self._fastest, self._last, self._before = 0.0, 0, 0
         self.since: int | None = None
-        """The first frame that was left out."""
+        """Index of the first skipped frame; None if there is none."""
         self.skipped = self.saved = 0
-        """Frames left out, and substeps saved: as many per frame as the last computed one took."""
+        """Number of skipped frames; substeps saved, estimated from the last computed frame."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -72,29 +74,29 @@ class Sleep(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of sleep."""
+        """Return the row for sleep."""
         sleeps = subject.scene.time.sleep
         why = "it was never at rest for long enough" if sleeps else "time.sleep is off"
         return Effect("sleep while all rests", sleeps, why)
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Make the observer of a run."""
+        """Return the observer of a run."""
         timing, size = setup.scene.time, min(body.size for body in setup.scene.every_object)
         sleep = cls(size=size, frames=timing.frames, fps=timing.fps)
         sleep.change(setup.scene)
         return sleep
 
     def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which says when forces and boundaries change."""
+        """Bind to the solver, whose tracks give the times at which forces and boundaries change."""
         self._solver, self._state, self._clock = solver, solver.state, solver.clock
 
     def change(self, scene: Scene) -> None:
-        """Stay awake if the stiffness of the scene changes in time."""
+        """Disable sleep if the stiffness of the scene changes in time."""
         self._stiffness_changes = scene.stiffness_profile is not None
 
     def skip_to(self, index: int) -> float | None:
-        """Return the time [s] of a frame that needs no substeps, and count it; otherwise None."""
+        """Return the time [s] of a frame that needs no substeps and count the frame; else None."""
         flying = self._solver.outliers.count or self._solver.free.all
         if index == 0 or self._stiffness_changes or flying or not self._rests(index):
             return None
@@ -104,22 +106,22 @@ class Sleep(Observer):
         return index / self._fps
 
     def before_frame(self, time: float) -> None:
-        """Note the number of substeps so far."""
+        """Store the number of substeps so far."""
         self._before = self._clock.substeps
 
     def after_substep(self) -> None:
-        """Note the speed of the fastest particle, rotation included."""
+        """Update the speed of the fastest particle, including rotation."""
         extremes, dx = self._clock.recent, self._solver.model.dx
         self._fastest = max(self._fastest, extremes.speed, extremes.gradient * dx)
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Measure how far the particles have moved since they last rested."""
+        """Measure the displacement of the particles; return the frame unchanged."""
         if frame.index > 0:
             self.observe(frame.index, self._clock.substeps - self._before)
         return frame
 
     def observe(self, index: int, substeps: int) -> None:
-        """Measure how far the particles have moved, after a frame of a number of substeps."""
+        """Measure the displacement of the particles after a frame with a number of substeps."""
         self.after_substep()
         speed, self._fastest, self._last = self._fastest, 0.0, substeps
         changed = self._quiet_until((index - 1) / self._fps) < index / self._fps
@@ -153,7 +155,7 @@ class Sleep(Observer):
         self._last = snapshot["last"]
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
-        """Return the first frame left out, the number of frames, and the substeps saved."""
+        """Return the first skipped frame, the number of skipped frames, and the substeps saved."""
         del frames
         if self.since is None:
             return {"sleep": None}
@@ -161,7 +163,7 @@ class Sleep(Observer):
         return {"sleep": sleep}
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row of sleep, with when and how long the run slept."""
+        """Return the row for sleep, with the first frame and the duration of sleep."""
         row = self.effect(subject)
         if self.since is None:
             return row._replace(called_for=False)
@@ -169,7 +171,7 @@ class Sleep(Observer):
         return row._replace(name=f"{row.name}: asleep from frame {self.since}, {saved}")
 
     def _rests(self, index: int) -> bool:
-        """Return whether nothing visible would happen from this frame until something changes."""
+        """Return whether nothing visible would happen from a frame until the next change."""
         if not self.speeds:
             return False
         until = self._quiet_until((index - 1) / self._fps)
@@ -183,27 +185,30 @@ class Sleep(Observer):
         return reach + self._hidden(max(self.speeds)) <= self._far
 
     def _hidden(self, speed: float) -> float:
-        """Return the amplitude [m] of a vibration of this speed [m/s] that frames do not show."""
+        """Return the amplitude [m] of a vibration with a speed [m/s] that frames do not show."""
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
-        """Return whether it stayed in place under a pull: if free, it would move by a t^2 / 8."""
+        """Return whether material stays in place under a pull; if free, it would move a t^2 / 8."""
         pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8
         return way == 0 or self.drift <= HELD * way
 
     def _grows(self) -> bool:
-        """Return whether the last frame was the fastest, as when something starts to topple."""
+        """Return whether the last frame was the fastest, as when an object starts to topple."""
         *before, latest = self.speeds
         return latest > max(before, default=0.0)
 
     def _quiet_until(self, time: float) -> float:
-        """Return the time until which all forces and boundaries stay as they are at `time` [s]."""
+        """Return the time until which all forces and boundaries are the same as at `time` [s]."""
         return min(next_change(track, time) for track in self._solver.tracks.tracks)
 
 
 def next_change(track: Track, time: float) -> float:
-    """Return when a track next changes [s]: `time` if it is changing then; infinity if never."""
+    """Return the next time at which a track changes [s]; `time` if it is changing at `time`.
+
+    The result is infinity if the track never changes again.
+    """
     edges = [edge for edge in (track.start, track.end) if time <= edge < FOREVER]
     keys = [(track.origin + at, value) for at, value in track.keys]
     changes = [(a, b) for (a, u), (b, w) in itertools.pairwise(keys) if u != w]

@@ -1,7 +1,7 @@
 """Softening: Young's modulus that changes in time, frame by frame.
 
-The parameters of a law that are proportional to E (`Material.scaled`) are multiplied where the
-solver reads them. The change of the elastic energy at that moment is external work: stiffening a
+The parameters of a law that are proportional to E (`Material.scaled`) are multiplied in the arrays
+that the solver reads. The resulting change of the elastic energy is external work: stiffening a
 bent body stores energy in it.
 """
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Softening(Observer):
-    """Factor on Young's modulus of a run."""
+    """Multiplies the Young's moduli of a run by a factor that changes in time."""
 
     def __init__(self, scene: Scene, material: NDArray) -> None:
         """Start at factor 1.
@@ -36,7 +36,7 @@ class Softening(Observer):
         """
         self._scene, self._material = scene, material
         self.factor = 1.0
-        """The factor now."""
+        """The current factor."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -45,7 +45,7 @@ class Softening(Observer):
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Make the factor of a run."""
+        """Return the observer of a run."""
         return cls(setup.scene, setup.particles.material)
 
     def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
@@ -60,15 +60,15 @@ class Softening(Observer):
             self._groups.append((group, theta, np.arange(group.law.width) < columns[:, None]))
 
     def change(self, scene: Scene) -> None:
-        """Follow the stiffness of another scene from the next frame on."""
+        """Use the stiffness of another scene from the next frame on."""
         self._scene = scene
 
     def before_frame(self, time: float) -> None:
-        """Set the factor of a frame that starts at this time [s]."""
+        """Set the factor for a frame that starts at a time [s]."""
         self.follow(self._scene.softness(time))
 
     def follow(self, factor: float) -> None:
-        """Set another factor, and count the work that this does."""
+        """Set a factor, and add the resulting change of energy to the external work."""
         if factor == self.factor:
             return
         before = diagnose(self._solver).elastic
@@ -79,7 +79,7 @@ class Softening(Observer):
         self._solver.clock.expire()
 
     def notes(self) -> list[str]:
-        """Return a sentence if the stiffness repeats faster than frames follow each other."""
+        """Return a note if the period of the stiffness is shorter than two frames."""
         profile, fps = self._scene.stiffness_profile, self._scene.time.fps
         if profile is None or not 0 < profile.period < 2 / fps:
             return []
@@ -94,7 +94,7 @@ class Softening(Observer):
         return {"factor": self.factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the factor without counting any work: it acted on the restored state already."""
+        """Set the factor without adding work, since it already applied to the restored state."""
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:

@@ -1,13 +1,13 @@
-"""Tearing: numerical fracture of material that its law would keep whole.
+"""Tearing: numerical fracture of material that should stay whole under its law.
 
-The grid knows no neighbours. Particles hold together because they share nodes; once stretching has
-moved them more than about a cell apart, they no longer do, and the material separates although no
-law says so. A bar that is pulled apart holds up to a mean spacing of about one cell, at which its
-worst places reach `APART` (docs/design/stability.md). A finer grid does not help, since it
-resolves sharper corners, which are stretched more; more particles per cell do help.
+The grid has no connectivity. Particles interact only through common nodes. Once stretching has
+moved particles more than about a cell apart, they share no nodes, and the material separates
+although its law does not fracture. A bar under tension holds up to a mean spacing of about one
+cell, at which its worst regions reach `APART` (docs/design/stability.md). A finer grid does not
+help, since it resolves sharper corners, which are stretched more; more particles per cell do help.
 
-Two signs are checked: particles that are stretched this far, and pieces that came off. The first
-warns of a tear, but misses that of a thin stem; the second is a tear.
+Two signs are checked: particles that are stretched this far, and pieces that have separated. The
+first sign warns of a tear, but misses tears of thin stems; the second sign is a tear.
 """
 
 from __future__ import annotations
@@ -28,24 +28,26 @@ from phy124.monitor.observer import Effect, Observer, Subject
 from phy124.mpm import Solver
 
 APART = 1.2
-"""Spacing of particles [cells] from which they may separate."""
+"""Spacing of particles [cells] above which they may separate."""
 MANY, FEW = 5e-3, 3
-"""How many such particles make a tear: a fraction of P^(2/3), the particles of a cross-section,
-and a smallest number, since a few separate at any corner.
+"""Number of such particles that make a tear likely: a fraction of P^(2/3), the number of particles
+in a cross-section, and a smallest number, since a few particles separate at any corner.
 
 Of the pressed, dropped and bounced ducks examined, those below 5.2e-3 were whole; one at 6.7e-3
 lost its head, another at 7.9e-3 did not.
 """
 REACH = 1.5
-"""Reach of a particle's spline [cells]; nothing holds across a wider empty layer."""
+"""Reach of a particle's spline [cells]; a wider empty layer separates two pieces."""
 LOOSE, FLAKE = 2e-3, 8
-"""Smallest fraction of the elastic particles, and smallest number, that come off in a tear."""
+"""Smallest fraction of the elastic particles, and smallest number, that a separated piece has."""
 ALONE, STURDY = 1.0, 1e9
-"""Spacing at rest [cells] from which a particle has no neighbours, and a stretch none reaches."""
+"""Spacing at rest [cells] above which a particle has no neighbours; a stretch that is never
+reached.
+"""
 FAR = 4096
-"""Number of cubes along an axis above which empty space is left out before labelling."""
+"""Number of cubes along an axis above which empty space is removed before labelling."""
 MOST = 50_000_000
-"""Largest number of cubes to label; particles more scattered than that form no pieces."""
+"""Largest number of cubes to label; for particles more scattered than this, no pieces are found."""
 REMEDY = (
     "A larger accuracy.particles_per_axis, binding = particles, a stiffer material, more "
     "material.damping or a gentler motion helps; a finer grid does not."
@@ -66,13 +68,14 @@ class Tearing(Observer):
     def __init__(self) -> None:
         self.count, self.first, self.stretch = 0, 0, 1.0
         """Largest number of particles beyond `APART` in a frame, the first of them, and the largest
-        stretch."""
+        stretch.
+        """
         self.loose = 0
-        """Largest number of particles in a frame that were off the piece they belong to."""
+        """Largest number of particles in a frame that were separated from their piece."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether anything is elastic."""
+        """Return whether any material is elastic."""
         return subject.elastic
 
     @classmethod
@@ -83,13 +86,13 @@ class Tearing(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the search for tears."""
+        """Return the row for the detection of tears."""
         why = "all that moves flows, which parts and joins as it should"
         name = "search for what the grid tears, and for pieces, in each frame"
         return Effect(name, subject.elastic, why)
 
     def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
-        """Find the elastic particles and their pieces at rest."""
+        """Select the elastic particles and label their pieces at rest."""
         self._model, self._state = solver.model, solver.state
         model = solver.model
         self._elastic = [group for group in model.groups if group.law.project is None]
@@ -97,10 +100,10 @@ class Tearing(Observer):
         for group in self._elastic:
             self._chosen[group.particles] = True
         spacing = np.cbrt(model.volume.numpy().astype(np.float64)) / model.dx
-        # A particle with a cell to itself at rest has no neighbours to be torn from.
+        # A particle that has a cell to itself at rest has no neighbours to be torn from.
         stretch = np.where(spacing < ALONE, APART / spacing, STURDY)
         self._most = wp.array(stretch**2, dtype=model.real, device=model.device)
-        """The square of the stretch from which a particle is beyond `APART` [P]."""
+        """Square of the stretch above which each particle is beyond `APART` [P]."""
         self._counts = wp.zeros(2, dtype=int, device=model.device)
         self._max_stretch = wp.zeros(1, dtype=model.real, device=model.device)
         self._launches = []
@@ -112,7 +115,7 @@ class Tearing(Observer):
         self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx, self._bodies())
 
     def _bodies(self) -> NDArray[np.int64] | None:
-        """Return the body of each particle that is checked; None if there is only one body."""
+        """Return the body of each checked particle; None if there is only one body."""
         model = self._model
         if model.bodies == 1:
             return None
@@ -123,12 +126,12 @@ class Tearing(Observer):
 
     @property
     def torn(self) -> bool:
-        """Whether a visible piece came off."""
+        """Whether a visible piece has separated."""
         return self.loose >= max(FLAKE, LOOSE * int(self._chosen.sum()))
 
     @property
     def likely(self) -> bool:
-        """Whether a piece came off, or enough particles lost their neighbours that one may."""
+        """Whether a piece has separated, or enough particles lost neighbours that one may have."""
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def snapshot(self) -> dict[str, Any]:
@@ -159,7 +162,7 @@ class Tearing(Observer):
         self.loose = max(self.loose, self._pieces.loose(x if whole else x[self._chosen]))
 
     def notes(self) -> list[str]:
-        """Return a sentence if something is torn or may be."""
+        """Return a note if material is torn or may be torn."""
         if not self.likely:
             return []
         if self.torn:
@@ -183,7 +186,7 @@ class Tearing(Observer):
         return f"the material is stretched {self.stretch:.1f} times and the grid may tear it"
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
-        """Return the section of the report."""
+        """Return the observer's section of the report."""
         del frames
         tearing = {"apart": self.count, "stretch": self.stretch, "loose": self.loose}
         return {"balance": {"tearing": {**tearing, "likely": self.likely}}}
@@ -203,7 +206,7 @@ class Pieces:
         Args:
             rest: Positions at rest [P,3], m.
             side: Side of a cube [m].
-            object_id: Object of each particle [P]; None: all are of one object.
+            object_id: Index of each particle's object [P]; None: one object has all particles.
         """
         self._side, self._object = side, object_id
         self._body = labels(self._spread(rest), side)
@@ -211,7 +214,7 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return the number of particles outside the largest part of their former piece.
+        """Return the number of particles outside the largest remainder of their piece at rest.
 
         Args:
             x: Current positions [P,3], m.
@@ -234,7 +237,7 @@ class Pieces:
 
 
 def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
-    """Return the number of each particle's piece [P]; None if they are scattered too far.
+    """Return the index of each particle's piece [P]; None if particles are too scattered.
 
     Args:
         x: Positions [P,3], m.
@@ -256,9 +259,9 @@ def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
 
 
 def _cubes(column: NDArray, side: float) -> NDArray[np.int64]:
-    """Return the index of each particle's cube along one axis, from 0.
+    """Return the index of each particle's cube along one axis, counted from 0.
 
-    If particles are scattered far, gaps are narrowed to two cubes, which keeps pieces apart.
+    If particles are scattered far, gaps are narrowed to two cubes, which still separates pieces.
     """
     cubes = (column - column.min()) / side
     if cubes.max() < FAR:

@@ -1,10 +1,10 @@
 """Watchdog: checks after each frame that the state is sound and that the balances add up.
 
-Every number is finite; no more than a few particles are inverted (det F < 0); momentum changes by
-the impulse of forces and walls; energy does not grow beyond their work (explicit MPM only loses
-energy, so a gain means that the run is exploding). The responsible particle and the remedies are
-searched for only after a violation. The watchdog only reads the run: the solver repairs broken
-deformations itself (phy124/mpm/repair.py).
+A state is sound if every number is finite and no more than a few particles are inverted (det F <
+0). The change of momentum must equal the impulse of forces and walls. Energy must not grow by more
+than their work (explicit MPM only loses energy, so a gain means that the run is unstable). The
+responsible particle and the remedies are determined only after a violation. The watchdog only reads
+the run: the solver repairs broken deformations itself (phy124/mpm/repair.py).
 """
 
 from __future__ import annotations
@@ -32,37 +32,41 @@ from phy124.monitor.observer import Observer, Subject, Violation, find
 from phy124.mpm import Solver, Unstable
 
 INSIDE_OUT = 0.01
-"""Largest fraction of particles turned inside out at which the result is still right."""
+"""Largest fraction of inverted particles for which the result is still accepted."""
 FEW = 2
-"""This many are never too many; they are reset before the next frame, and counted."""
+"""Number of inverted particles that is always accepted; they are reset before the next frame, and
+counted.
+"""
 ENERGY_GAIN = 0.25
 """Tolerated spurious energy, as a fraction of the largest energy supplied.
 
-Of 6,500 random scenes one in a hundred reached 0.7 %, the worst 13 % (two particles whose velocity
-is set in every substep); an unstable run passes any limit within a few frames.
+Of 6,500 random scenes, one in a hundred reached 0.7 %, and the worst 13 % (two particles whose
+velocity is set in every substep); an unstable run exceeds any limit within a few frames.
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, as a fraction of all momentum transferred."""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
-"""Fraction of all work, positive and negative, that rounding may lose."""
+"""Fraction of the sum of absolute work that rounding may lose."""
 QUIET = 1e-9
-"""Energies below this fraction of volume times stiffness are rounding."""
+"""Fraction of volume times stiffness below which energies count as rounding errors."""
 COLLAPSE = 0.8
-"""Speed of impact, in speeds of sound, above which laws that may collapse come close to J = 0."""
+"""Impact speed, relative to the speed of sound, above which laws that may collapse approach J = 0.
+"""
 UNSEEN = 3e-4
-"""Strain that no picture shows: a tenth of a pixel in 300."""
+"""Strain that is invisible in a frame: a tenth of a pixel in 300 pixels."""
 FADING = {"float32": 2e-9, "float64": 4e-18}
 """Strain that rounding of F may leave per substep.
 
-F grows by dt C F. In a stiff body that turns slowly this is less than the last digit of F, and what
-rounding omits strains the body. Measured: 3e-10 per substep in float32, 7e-10 with half the
-`accuracy.cfl`, however far from the origin. Energies are its squares, and a quarter is tolerated.
+F grows by dt C F. In a stiff body that rotates slowly, this growth is less than the last digit of
+F, and the part lost by rounding strains the body. Measured values are 3e-10 per substep in float32
+and 7e-10 with half the `accuracy.cfl`, at any distance from the origin. The energy is quadratic in
+the strain, and a quarter of it is tolerated.
 """
 FAST = ("push", "cells")
 ROUNDED = ("precision",)
-"""Causes (`phy124.budget.remedies`) of violations: a run too fast for its window, rounding."""
+"""Causes of violations (`phy124.budget.remedies`): a run too fast for its window, and rounding."""
 SWOLLEN = 2.0
-"""Volume ratio above which a solid would have broken."""
+"""Volume ratio above which a real solid would have fractured."""
 SQUEEZED = 0.5
 """Volume ratio below which the law or the push may be the cause of an instability."""
 
@@ -78,24 +82,24 @@ class Balance:
     energy_gain: float = 0.0
     """Spurious energy, as a fraction of the turnover."""
     momentum_gain: float = 0.0
-    """Spurious momentum, as a fraction of what was transferred."""
+    """Spurious momentum, as a fraction of the momentum transferred."""
     trembles: float = 0.0
-    """Fraction of the energy created by rounding, if that exceeds what is otherwise tolerated."""
+    """Fraction of the energy created by rounding, if it exceeds the usual tolerance."""
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:
-    """Return the energy that an object had or received, all of which it can lose [J].
+    """Return the energy that an object had at the start or received; it may lose all of it [J].
 
     Args:
         start: Kinetic and elastic energy at the start [J].
         work: Work of all forces and walls since then [J].
-        walls: The walls' part of that work; below zero it is the loss to friction [J].
+        walls: The walls' part of this work; a negative value is the loss to friction [J].
     """
     return start + max(work - min(walls, 0.0), 0.0)
 
 
 class Watchdog(Observer):
-    """Checks one run; the balance is checked if an `ExternalWork` observes it, too."""
+    """Checks one run; the balance is checked if an `ExternalWork` also observes the run."""
 
     def __init__(self) -> None:
         self.balance = Balance()
@@ -118,15 +122,15 @@ class Watchdog(Observer):
         self._stopped, self._pushed = solver.pairs.impulse(), solver.free.impulses()
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Start to count external work; the first frame also starts the balance.
+        """Start counting external work; in the first frame, also start the balance.
 
         Args:
-            closely: Whether each substep is checked for particles that are no longer finite, before
-                they spoil their neighbours.
+            closely: Whether each substep is checked for particles that are not finite, before these
+                affect their neighbours.
         """
         self._closely = closely
         if not self._begun:
-            # Not when it is bound: the run may have been resumed since.
+            # Not in `bind`: the run may have been resumed after that.
             self.first = self.last = self._totals.read(self.clock)
             turnover = max(self.first.energy, self._strain_energy(math.sqrt(QUIET)))
             self.balance = Balance(turnover, math.sqrt(2 * self.model.total_mass * turnover))
@@ -142,7 +146,7 @@ class Watchdog(Observer):
         """Record the largest speed.
 
         Raises:
-            Unstable: The attempt is checked closely, and a particle is no longer finite.
+            Unstable: The attempt is checked closely, and a particle is not finite.
         """
         self._fastest = max(self._fastest, self.clock.recent.speed)
         if self._closely and (count := len(broken_particles(self.state))):
@@ -159,7 +163,7 @@ class Watchdog(Observer):
         return problem
 
     def diagnose(self, problem: str) -> Violation:
-        """Return the violation for a problem that made the solver give up, with the particle."""
+        """Return the violation for a problem that stopped the solver and its particle."""
         broken = broken_particles(self.state)
         if len(broken):
             return Violation(f"{problem}, first {self._who(int(broken[0]))}", self._unstable())
@@ -189,7 +193,7 @@ class Watchdog(Observer):
         self.balance = Balance(**snapshot["balance"])
 
     def notes(self) -> list[str]:
-        """Return sentences about how the run went."""
+        """Return notes about the course of the run."""
         notes = []
         if self._solver.repair.count:
             first = self._who(self._solver.repair.first)
@@ -230,7 +234,7 @@ class Watchdog(Observer):
         return notes
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
-        """Return the sections of the balance and, if asked for, of the energy lost."""
+        """Return the report sections of the balance and, on request, of the energy lost."""
         del frames
         balanced = self.external is not None
         balance = {
@@ -245,7 +249,7 @@ class Watchdog(Observer):
         return {"balance": balance, **self._energy()}
 
     def _energy(self) -> dict[str, Any]:
-        """Return the energy lost by cause [J], and the largest energy supplied."""
+        """Return the energy lost by cause, and the largest energy supplied [J]."""
         if self._dissipation is None or self.external is None:
             return {}
         turnover = self.balance.turnover
@@ -263,7 +267,7 @@ class Watchdog(Observer):
         return Violation(f"{what}, first {self._who(index)}", self._unstable()) if what else None
 
     def _check_balance(self, now: Diagnostics) -> Violation | None:
-        """Compare energy and momentum with those at the start plus external work and impulse."""
+        """Compare energy and momentum with their start values plus external work and impulse."""
         assert self.external is not None
         outside = self.external.total(self.clock, now.middle - self.first.middle)
         outside = outside.plus(self._solver.free.impulses() - self._pushed)
@@ -287,7 +291,7 @@ class Watchdog(Observer):
         return problem
 
     def _check_energy(self, energy: float, turnover: float) -> Violation | None:
-        """The violation for spurious energy; rounding in a stiff body counts only once it shows."""
+        """Return the violation for spurious energy; rounding counts only if it would be visible."""
         if energy <= ENERGY_GAIN * turnover:
             return None
         faded = FADING[self.model.precision] * self.clock.substeps
@@ -301,7 +305,7 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if rounded else self._unstable())
 
     def _check_momentum(self, fraction: float) -> Violation | None:
-        """The violation for spurious momentum."""
+        """Return the violation for spurious momentum, or None."""
         if fraction <= MOMENTUM_GAIN[self.model.precision]:
             return None
         index = int(speeds(self.state).argmax())
@@ -311,18 +315,18 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return causes of an unstable run: the substep; in a violent run also law and push."""
+        """Return causes of an unstable run: the substep; for violent motion also law and push."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("substep", "law", "push") if violent else ("substep",)
 
     def _strain_energy(self, strain: float) -> float:
-        """Return the elastic energy of the whole body at this strain [J]."""
+        """Return the elastic energy of the whole body at a given strain [J]."""
         stiffest = max(m.density * m.wave_speed() ** 2 for m in self.model.materials)
         volume = float(np.sum(self.model.volume.numpy(), dtype=np.float64))
         return stiffest * volume * strain**2
 
     def _momentum_scale(self, now: Diagnostics) -> float:
-        """Return the sum of the norms of all momenta [kg m/s]."""
+        """Return an upper bound of the sum of the norms of all momenta [kg m/s]."""
         return math.sqrt(2 * self.model.total_mass * now.kinetic)
 
     def _who(self, index: int) -> str:

@@ -1,8 +1,8 @@
 """Wrenches: force and torque that the object exerts on each wall and on other objects.
 
-The impulse and the angular impulse that a wall gives to the nodes are summed in every substep; the
-object exerts the opposite on the wall. Torques are about the centre of mass of all particles at the
-instant of the frame.
+The impulse of a wall on the nodes, and its moment, are summed in every substep; the object exerts
+the opposite on the wall. Torques are about the centre of mass of all particles at the time of the
+frame.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 STAGE = "wrenches"
-"""Name of the stages that sum them."""
+"""Name of the stages that sum wrenches."""
 Vector3 = NDArray[np.float64]
 
 
 class Wrenches(Observer):
-    """Wrenches of one frame: on walls if they are asked for, and between objects."""
+    """Wrenches of one frame: on walls if the scene requests them, and between objects."""
 
     absent: ClassVar[dict[str, Any]] = {"walls": None}
     in_substeps = True
@@ -45,7 +45,7 @@ class Wrenches(Observer):
 
         Args:
             of_walls: Whether walls are measured.
-            of_pairs: Whether the report has a section of pairs of objects.
+            of_pairs: Whether the report has a section for pairs of objects.
             fps: Frames per second.
         """
         self._of_walls, self._of_pairs, self._fps = of_walls, of_pairs, fps
@@ -54,7 +54,7 @@ class Wrenches(Observer):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene asks for wrenches, or has objects that may touch."""
+        """Return whether the scene requests wrenches, or has objects that may touch."""
         return subject.scene.keeps_wrenches or bool(subject.scene.objects)
 
     @classmethod
@@ -65,13 +65,13 @@ class Wrenches(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the wrenches on walls."""
+        """Return the row for the wrenches on walls."""
         asked = subject.scene.keeps_wrenches and bool(subject.scene.boundaries)
         return Effect("force and torque per wall", asked, "not asked for, or nothing is solid")
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Make the sums of a run."""
+        """Return the observer of a run."""
         scene = setup.scene
         pairs = bool(scene.objects)
         return cls(of_walls=scene.keeps_wrenches, of_pairs=pairs, fps=scene.time.fps)
@@ -83,13 +83,13 @@ class Wrenches(Observer):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all wrenches of a frame, in their order."""
+        """Names of all wrenches of a frame, in order."""
         return (*self.walls, *pair_names(self._solver))
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> Sequence[Attachable]:
-        """Return the boundaries, each of whose walls is measured before and after it acts."""
+        """Return the boundaries, with stages that measure each wall before and after it acts."""
         inner = walls if inner is None else inner
         if not self._of_walls:
             return inner
@@ -97,7 +97,7 @@ class Wrenches(Observer):
         return [_Separated(self, name, wall, wrapped) for name, wall, wrapped in named]
 
     def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which sums what objects give each other."""
+        """Bind to the solver, which sums the impulses between objects."""
         self._solver = solver
 
     def before_attempt(self, *, closely: bool = False) -> None:
@@ -106,7 +106,7 @@ class Wrenches(Observer):
             sums.zero_()
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Add the mean wrenches since the frame before."""
+        """Return the frame with the mean wrenches since the previous frame."""
         if not self._of_walls and not self.names:
             return frame
         return replace(frame, wrenches=self.contacts(self._solver, self._fps))
@@ -115,7 +115,7 @@ class Wrenches(Observer):
         """Return the mean wrench on each wall and in each pair since the frame began.
 
         Args:
-            solver: The particles, and the sums of what objects gave each other.
+            solver: The particles, and the sums of impulses between objects.
             fps: Frames per second.
         """
         arrays = (solver.model.mass, solver.state.x)
@@ -128,7 +128,7 @@ class Wrenches(Observer):
         return wrenches
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the sections of walls and, if there are several objects, of pairs."""
+        """Return the report sections of walls and, with several objects, of pairs."""
         report = {"walls": summary(frames, self.walls) if self._of_walls else None}
         if self._of_pairs:
             report["pairs"] = summary(frames, pair_names(self._solver))
@@ -145,7 +145,7 @@ class Wrenches(Observer):
             sums.zero_() if copy is None else sums.assign(copy)
 
     def measure(self, name: str, wall: Boundary, model: Model) -> tuple[Stage, Stage]:
-        """Return the stages before and after a wall whose sums have this name."""
+        """Return the stages before and after a wall; `name` identifies the wall's sums."""
         self._sums[name] = {}
         near, (copy, wrench) = NodesNear([wall], model), wrench_kernels(model.real)
 
@@ -191,7 +191,7 @@ class _Separated:
         self._wrenches, self._name, self._wall, self._inner = wrenches, name, wall, inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return its stages between those that measure, wall by wall if they can be divided."""
+        """Return the boundary's stages with measuring stages, per wall if they can be divided."""
         wall = self._wall
         stages, parts = self._inner.attach(model, state, tracks), wall.parts()
         each, more = divmod(len(stages), len(parts))
@@ -212,9 +212,9 @@ class _Separated:
 
 
 def pair_names(solver: Solver) -> tuple[str, ...]:
-    """Return a name for each pair of bodies that may touch, the body that exerts the wrench first.
+    """Return a name for each pair of bodies that may touch; the first body exerts the wrench.
 
-    Pairs of bodies of particles come before pairs with rigid solids.
+    Pairs of particle bodies come before pairs with rigid solids.
     """
     names = solver.model.names
     pairs = (f"{names[p.first]}_on_{names[p.second]}" for p in solver.pairs.all)
@@ -222,7 +222,7 @@ def pair_names(solver: Solver) -> tuple[str, ...]:
 
 
 def wall_names(walls: Sequence[Boundary]) -> list[str]:
-    """Return a name for each boundary: its kind, numbered from the second of a kind on."""
+    """Return a name for each boundary: its kind, with a number from the second of a kind on."""
     counts: Counter[str] = Counter()
     names = []
     for wall in walls:
@@ -233,10 +233,10 @@ def wall_names(walls: Sequence[Boundary]) -> list[str]:
 
 
 def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | None:
-    """Return the largest force, its time, and the last wrench under each name.
+    """Return the largest force, its time, and the last wrench for each name.
 
     Args:
-        frames: All frames of a run; those before the first substep have no forces.
+        frames: All frames of a run; frames before the first substep have no forces.
         names: Names of walls or pairs.
     """
     if not frames or frames[-1].wrenches is None:
@@ -255,5 +255,5 @@ def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | N
 
 
 def wrench_kernels(real: Any) -> tuple[Any, Any]:
-    """Return the kernels that measure a wall: one before it acts, one after it."""
+    """Return the kernels that measure a wall: one before and one after the wall acts."""
     return make_wall_copy(real), kernels.make_wall_wrench(real)

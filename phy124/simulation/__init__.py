@@ -1,11 +1,11 @@
-"""Simulation: static Gaussians and a scene in, moving Gaussians out, frame by frame.
+"""Simulation: computes moving Gaussians, frame by frame, from static Gaussians and a scene.
 
     for frame in Simulation(prepare(gaussians, Scene.named("press"))):
         ...
 
-Frame 0 is the object at rest. A frame that the solver or an observer finds wrong is tried again
-with half the substep; if that fails too, `Stopped` says why, and the frames so far remain good.
-Runs that would take hours, or more memory than is free, are refused by `prepare`.
+Frame 0 is the object at rest. A frame in which the solver or an observer detects a violation is
+repeated with half the substep. If this fails too, `Stopped` gives the reason, and the frames so far
+remain valid. `prepare` refuses runs that would take hours, or need more memory than is free.
 """
 
 from phy124.simulation.run import Interrupted, Simulation, Stopped

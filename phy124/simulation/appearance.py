@@ -1,4 +1,4 @@
-"""Appearance: how the Gaussians of each material are shown; it does not change the motion."""
+"""Appearance: the visible Gaussians of each material; they do not affect the motion."""
 
 from __future__ import annotations
 
@@ -20,24 +20,26 @@ from phy124.simulation.deform import of_gaussians
 
 
 class Appearance(NamedTuple):
-    """The visible Gaussians: N on the surface, and G grains inside materials that fall apart."""
+    """The visible Gaussians: N on the surface, and G grains inside materials that separate."""
 
     gaussians: Gaussians
     """All Gaussians at rest, N + G, m; the grains come last."""
     particles: Particles
-    """Particles of the solver; each Gaussian that moves may have one."""
+    """Particles of the solver; each moving Gaussian may have its own particle."""
     moves: NDArray[np.bool_]
-    """Which Gaussians move [N + G]."""
+    """Mask of the Gaussians that move [N + G]."""
     max_stretch: NDArray[np.float64]
-    """Largest longest axis of each moving Gaussian, relative to that at rest; may be infinite."""
+    """Largest ratio of each moving Gaussian's longest axis to its longest axis at rest; may be
+    infinite.
+    """
     rounds: NDArray[np.bool_]
-    """Which moving Gaussians become balls when they are stretched."""
+    """Mask of the moving Gaussians that become balls when they are stretched."""
     flows: NDArray[np.bool_]
-    """Which moving Gaussians are of materials that come apart, whose F grows without bound."""
+    """Mask of the moving Gaussians of materials that separate, whose F grows without bound."""
     holds: NDArray[np.float64]
     """Largest stretch of each moving Gaussian's material before it tears; may be infinite."""
     kinds: NDArray[np.int64]
-    """Material of each moving Gaussian."""
+    """Index of the material of each moving Gaussian."""
 
     def limits(self) -> dict[str, NDArray]:
         """Return the arguments of `Deformer` that limit the shapes."""
@@ -49,7 +51,7 @@ class Appearance(NamedTuple):
         }
 
     def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
-        """Return spans of Gaussians of each law that shines: the first and one past the last."""
+        """Return, for each glossy law, the spans of its Gaussians: first and one past the last."""
         laws = np.array([section.law for section in materials])[self.kinds]
         spans = {}
         for law in sorted({section.law for section in materials if section.shines}):
@@ -59,15 +61,15 @@ class Appearance(NamedTuple):
         return spans
 
     def shapes(self, clip: Clip, materials: Sequence[AnyMaterial]) -> dict[str, dict[str, float]]:
-        """Return how long the Gaussians of each law become in a clip, and how opaque they are.
+        """Return the elongation and opacity of each law's Gaussians in a clip.
 
         Args:
-            clip: The clip; Gaussians that it has beyond these are balls.
+            clip: The clip; its Gaussians beyond these are balls.
             materials: The materials.
 
         Returns:
-            For each law the largest ratio of the longest axis to the middle one, `needle`, and to
-            the shortest one, `axis_ratio`, and the largest `opacity`.
+            For each law, the largest ratio of the longest axis to the middle axis, `needle`, and to
+            the shortest axis, `axis_ratio`, and the largest `opacity`.
         """
         laws, moving = np.array([section.law for section in materials]), np.flatnonzero(self.moves)
         rows = {}
@@ -75,7 +77,7 @@ class Appearance(NamedTuple):
             chosen = moving[laws[self.kinds] == law]
             needle = flat = 1.0
             for scales in clip.scales:
-                # A sixth of the time of sorting three numbers each.
+                # This takes a sixth of the time of sorting three numbers each.
                 a, b, c = np.maximum(scales[chosen], np.finfo(np.float32).tiny).T
                 low, high = np.minimum(a, b), np.maximum(a, b)
                 longest, middle = np.maximum(high, c), np.maximum(low, np.minimum(high, c))
@@ -99,10 +101,10 @@ def make_appearance(
     Args:
         gaussians: The object at rest, N Gaussians, m.
         particles: The particles that move.
-        moves: Which of the Gaussians move [N].
+        moves: Mask of the Gaussians that move [N].
         materials: The materials of the particles.
-        scene: Defines whether grains are shown.
-        spacing: Distance of neighbouring particles, m.
+        scene: The scene, which defines whether grains are shown.
+        spacing: Distance between neighbouring particles [m].
     """
     surface = len(gaussians)
     if scene.grains:
@@ -123,7 +125,7 @@ def make_appearance(
         particles,
         moves,
         max_stretch=np.array([section.longest for section in materials])[kinds],
-        # Grains are below the surface: as balls they would show through where it is thin.
+        # Grains are below the surface: as balls they would show through thin parts.
         rounds=flows & (np.flatnonzero(moves) < surface),
         flows=flows,
         kinds=kinds,
@@ -134,8 +136,8 @@ def make_appearance(
 def _max_stretch(section: AnyMaterial, scene: Scene) -> float:
     """Return the largest stretch before a material tears.
 
-    Elastic material tears where its particles are too far apart to share nodes. The F of plastic
-    flow has no bound.
+    Elastic material tears if its particles are too far apart to share nodes. The F of plastic flow
+    has no bound.
     """
     if section.device_law.project is None:
         return APART * scene.particles_per_axis

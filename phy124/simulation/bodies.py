@@ -1,6 +1,6 @@
 """Bodies: the particles and the appearance of each object of a scene, joined for one solver.
 
-Each object is made by itself, as if it were alone, on the grid of the whole scene. Props have no
+Each object is made separately, as if it were alone, on the grid of the whole scene. Props have no
 particles: they follow a path or move freely as rigid solids.
 """
 
@@ -36,35 +36,35 @@ from phy124.simulation.overlap import refuse_objects
 from phy124.simulation.placing import belongs, number_among_all, place, renumber_parts, stack
 
 FEWEST = 8
-"""An object of fewer cells across gets a note."""
+"""Number of cells along an object below which the user gets a note."""
 PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
-"""Fields of an appearance with an entry for each Gaussian that moves."""
+"""Fields of an appearance with an entry for each moving Gaussian."""
 
 
 class Body(NamedTuple):
-    """One object, or all objects of a scene as one, ready for the solver."""
+    """One object, or all objects of a scene joined, ready for the solver."""
 
     scene: Scene
-    """The scene, whose parts name the Gaussians that are left after cleaning."""
+    """The scene, whose parts refer to the Gaussians that are left after cleaning."""
     cleaning: list[str]
-    """Sentences about Gaussians that were changed or dropped."""
+    """Messages about Gaussians that were changed or dropped."""
     gaussians: Gaussians
-    """At rest, in their place, N, m."""
+    """The N Gaussians at rest, in their position in the scene [m]."""
     appearance: Appearance
-    """How it is shown; it has the particles, too."""
+    """Visible Gaussians, and the particles."""
     materials: Sequence[AnyMaterial]
     stiffness: NDArray | None
-    """Fraction of its material's E that each particle has [P]; None: all of it."""
+    """Factor on E of each particle, relative to its material [P]; None if all are 1."""
 
 
 class _Placed(NamedTuple):
-    """One object in its place."""
+    """One object in its position in the scene."""
 
     scene: Scene
-    """The scene with this object alone."""
+    """The scene with only this object."""
     cleaned: Cleaning
     belonging: NDArray[np.bool_]
-    """Which of its Gaussians are the object and not its surroundings [N]."""
+    """Mask of the Gaussians of the object, without its surroundings [N]."""
     gaussians: Gaussians
     crop: Crop
 
@@ -74,9 +74,10 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
 
     Args:
         gaussians: The objects at any size, standing upright, facing +x; without `object_id` they
-            are the first object. Missing objects are shapes or copies of the first.
+        are the first object. Missing objects are shapes or copies of the first object.
         scene: The scene.
-        crop: Where the first object is in the picture that the masks of its parts were painted on.
+        crop: Position of the first object in the picture on which the masks of its parts were
+        painted.
 
     Raises:
         InputError: The Gaussians cannot be used for this scene.
@@ -106,11 +107,11 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
 def thickness_of(gaussians: Gaussians, scene: Scene) -> float | None:
     """Return the local thickness of a scene's object relative to its size.
 
-    It is None in scenes of several objects.
+    Returns None for scenes of several objects.
 
     Args:
         gaussians: The object at any size, standing upright.
-        scene: What happens to it.
+        scene: The scene.
 
     Raises:
         InputError: The Gaussians cannot be used.
@@ -123,10 +124,10 @@ def thickness_of(gaussians: Gaussians, scene: Scene) -> float | None:
 
 @contextmanager
 def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
-    """Within this context, refusals name the object with this index, unless it is the first.
+    """Prefix refusals with the name of an object within this context, unless it is the first.
 
     Raises:
-        InputError: The same, with the object's name.
+        InputError: The same refusal, with the object's name.
     """
     try:
         yield
@@ -138,7 +139,7 @@ def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
 
 
 def notes(scene: Scene) -> list[str]:
-    """Return a sentence for each further object that the grid hardly resolves."""
+    """Return a note for each further object that the grid hardly resolves."""
     return [
         f"{body.name} is {body.size / scene.dx:.0f} cells long, which is coarse: the grid follows "
         f"the size of {scene.object.name}; a larger accuracy.cells resolves it."
@@ -148,10 +149,10 @@ def notes(scene: Scene) -> list[str]:
 
 
 def refuse_ids(gaussians: Gaussians, scene: Scene) -> None:
-    """Refuse Gaussians of an object that the scene does not have.
+    """Check that all Gaussians belong to objects of the scene.
 
     Raises:
-        InputError: There are such Gaussians.
+        InputError: Some belong to an object that the scene does not have.
     """
     last = 0 if gaussians.object_id is None else int(gaussians.object_id.max(initial=0))
     count = len(scene.names)
@@ -166,7 +167,7 @@ def free_indices(scene: Scene) -> tuple[int, ...]:
 
 
 def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
-    """Yield the rigid solids of a scene where their Gaussians are placed."""
+    """Yield the rigid solids of a scene in the positions of their Gaussians."""
     for index in free_indices(scene):
         body, inside = scene.objects[index - 1], gaussians.object_id == index
         contact = find_pair(scene.pairs, body.name, ANY)
@@ -187,12 +188,12 @@ def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
 
 
 def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Scenery:
-    """Return what completes a frame of the Gaussians that move in the solver.
+    """Return the scenery: the Gaussians that complete a frame of the solver's moving Gaussians.
 
     Args:
-        scene: The scene; its objects with a path move along it.
+        scene: The scene, whose objects with a path move along it.
         shown: All Gaussians at rest.
-        moves: Which of them move in the solver [N].
+        moves: Mask of the Gaussians that move in the solver [N].
     """
     paths = ((index, body.path) for index, body in enumerate(scene.objects, 1))
     tracks = tuple((index, path.track()) for index, path in paths if path is not None)
@@ -200,7 +201,7 @@ def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Sc
 
 
 def planes_for_free(scene: Scene) -> list[Plane]:
-    """Return the flat walls that free solids meet: all that are not for one object only."""
+    """Return the flat walls for free solids: all walls that are not limited to one object."""
     if not free_indices(scene):
         return []
     planes: list[Plane] = []
@@ -227,7 +228,7 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
 
 
 def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> _Placed:
-    """Clean Gaussians and place them, without regard to other objects."""
+    """Clean and place the Gaussians of one object, without regard to other objects."""
     gaussians, cleaned = clean(gaussians)
     renumbered = renumber_parts(scene, cleaned.survivors)
     belonging = belongs(renumbered, len(gaussians))
@@ -259,7 +260,7 @@ def _with_particles(placed: _Placed, spacing: float) -> Body:
 
 
 def _without_particles(placed: _Placed) -> Body:
-    """Return an object that is only seen."""
+    """Return an object without particles, which is only displayed."""
     empty = np.zeros(0, np.int32)
     particles = Particles(np.zeros((0, 3), np.float32), np.zeros(0), np.zeros(0), empty, empty)
     still = np.zeros(len(placed.gaussians), bool)
@@ -271,7 +272,7 @@ def _without_particles(placed: _Placed) -> Body:
 
 
 def _join(bodies: list[Body], scene: Scene) -> Body:
-    """Join all objects; the grains of all come after the surfaces of all."""
+    """Join all objects; the grains of all objects come after all surfaces."""
     refuse_objects([body.appearance.particles for body in bodies], scene)
     pairs = zip(scene.objects, bodies[1:], strict=True)
     objects = [item.model_copy(update={"parts": body.scene.parts}) for item, body in pairs]
@@ -311,7 +312,7 @@ def _join_appearances(bodies: list[Body]) -> Appearance:
     moves = np.concatenate([look.moves for look in looks])
 
     def reorder(values: NDArray) -> NDArray:
-        """Return values of the Gaussians that move in the joint order."""
+        """Return values of the moving Gaussians in the joint order."""
         every = np.zeros(len(moves), values.dtype)
         every[moves] = values
         return every[order][moves[order]]
@@ -322,7 +323,7 @@ def _join_appearances(bodies: list[Body]) -> Appearance:
     }
     offsets = np.repeat(first_kinds[:-1], [int(look.moves.sum()) for look in looks])
     joint["kinds"] = joint["kinds"] + reorder(offsets)
-    number = np.empty(len(moves), np.int64)  # of each Gaussian among those that move
+    number = np.empty(len(moves), np.int64)  # index of each Gaussian among those that move
     number[order] = np.cumsum(moves[order]) - 1
     numbers = [number[starts[i] : starts[i + 1]][look.moves] for i, look in enumerate(looks)]
     return Appearance(
@@ -340,8 +341,8 @@ def _join_particles(
 
     Args:
         objects: Particles of each object.
-        numbers: For each object the numbers of its moving Gaussians among all that move.
-        first_kinds: Index of each object's first material among all.
+        numbers: For each object, the indices of its moving Gaussians among all moving Gaussians.
+        first_kinds: Index of each object's first material among all materials.
     """
 
     def join(name: str) -> NDArray[Any]:

@@ -1,13 +1,13 @@
-"""Moves the Gaussians with the material: particle state + rest Gaussians -> Frame.
+"""Moves the Gaussians with the material: computes a frame from particle state and rest Gaussians.
 
-Phy124 (arXiv 2409.07179): Sigma_t = F Sigma_0 F^T with the total F; then Sigma = Q Lambda Q^T
-gives the rotation and the scales of the 4D representation. Here the axes come from
-A = F R_0 S_0 (Sigma = A A^T), once per frame and in float64, never from an integrated Sigma. This
-preserves thin axes and positive definiteness (`phy124.kernels.deform`).
+Phy124 (arXiv 2409.07179): Sigma_t = F Sigma_0 F^T with the total F; then Sigma = Q Lambda Q^T gives
+the rotation and the scales of the 4D representation. Here the axes are computed from A = F R_0 S_0
+(Sigma = A A^T), once per frame and in float64, never from an integrated Sigma. This preserves thin
+axes and positive definiteness (`phy124.kernels.deform`).
 
-Orientations are continuous: among all labellings of the axes (24 proper signed permutations) the
-one closest to the previous frame is chosen, with q . q_previous >= 0. Axes of equal length move
-with the material, to within 1e-5 of the covariance.
+Orientations are continuous: of all labellings of the axes (24 proper signed permutations), the one
+closest to the previous frame is chosen, with q . q_previous >= 0. Axes of equal length move with
+the material, to within 1e-5 of the covariance.
 """
 
 from __future__ import annotations
@@ -29,22 +29,23 @@ from phy124.kernels.arguments import types
 from phy124.particles import Particles, by_object
 
 THREADS = "shapes"
-"""Beginning of the names of the threads that share the Gaussians; they end with their Deformer."""
+"""Prefix of the names of the threads that process the Gaussians."""
 CARRIERS = 8
 """Number of particles that carry each Gaussian with the binding `lattice`."""
 FARTHEST = 4.0
-"""Distance, in mean distances of particles, beyond which a particle carries only those Gaussians
-that have no nearer one: the grid does not connect what is so far apart."""
+"""Distance, in mean distances of particles, beyond which a particle carries only Gaussians without
+a nearer particle, because the grid does not connect material so far apart.
+"""
 
 
 class Deformer:
-    """Frames of one moving object; call it once per frame, in order of time.
+    """Computes the frames of one moving object; call it once per frame, in order of time.
 
-    With the binding `particles` each Gaussian moves with its own particle. With `lattice` the
-    nearest particles of the lattice carry it: x_g = sum w_i (x_i + F_i (X_g - X_i)) and
-    F_g = sum w_i F_i, with smooth weights w that sum to 1. This is exact for every affine motion,
-    but for fluid and granular materials only while F_i (X_g - X_i) are at most twice as long as at
-    rest.
+    With the binding `particles`, each Gaussian moves with its own particle. With `lattice`, the
+    nearest particles of the lattice carry the Gaussian: x_g = sum w_i (x_i + F_i (X_g - X_i)) and
+    F_g = sum w_i F_i, with smooth weights w that sum to 1. This is exact for every affine motion.
+    For fluid and granular materials it is exact only while the arms F_i (X_g - X_i) are at most
+    twice as long as at rest.
     """
 
     def __init__(
@@ -63,19 +64,20 @@ class Deformer:
 
         Args:
             gaussians: The object at rest, N Gaussians.
-            particles: The particles that `make_particles` made of it; None: one particle per
-                Gaussian, in order.
-            max_stretch: Longest axis allowed, relative to the longest axis at rest, for all or
-                for each Gaussian [N]. For liquids and plastic flow, whose F grows without bound;
-                None (elastic): no limit.
-            rounds: Which Gaussians become balls when they are stretched [N], so that fluids show no
-                needles; None: none.
-            flows: Which Gaussians are of fluid or granular material [N], whose F grows without
-                bound; None: none.
-            holds: Largest stretch of each Gaussian's material [N]. Where F is larger, the material
-                is torn, and its Gaussians are shown with this stretch; None: no limit.
-            device: Warp device that computes.
-            threads: CPU threads that share the Gaussians; the result does not depend on it.
+            particles: The particles that `make_particles` made from the Gaussians; None: one
+            particle per Gaussian, in order.
+            max_stretch: Longest axis allowed, relative to the longest axis at rest, for all
+            Gaussians or for each [N]; used for fluid and plastic material, whose F grows without
+            bound. None: no limit.
+            rounds: Mask of the Gaussians that become balls when they are stretched [N], so that
+            fluids show no needles; None: none do.
+            flows: Mask of the Gaussians of fluid or granular material [N], whose F grows without
+            bound; None: none are.
+            holds: Largest stretch of each Gaussian's material [N]. If F is larger, the material is
+            torn, and its Gaussians are drawn with this stretch; None: no limit.
+            device: Warp device of the computation.
+            threads: Number of CPU threads that process the Gaussians; it does not change the
+            result.
 
         Raises:
             InputError: `max_stretch` is below 1.
@@ -88,7 +90,7 @@ class Deformer:
             raise InputError("max_stretch", least, limit, "Give 1 or more, or leave it out.")
         self.gaussians = gaussians
         self.rotations: Array | None = None
-        """Polar rotations of the material at the last frame [N,4] wxyz; only if sh degree > 0."""
+        """Polar rotations of the material at the last frame [N,4] wxyz; None if sh degree is 0."""
         n = len(gaussians)
         self._share = _Share(n, device, threads)
         self._device = device
@@ -115,14 +117,14 @@ class Deformer:
         self._turned = wp.array(identity, dtype=wp.vec4f, device=device)
 
     def __call__(self, x: Any, F: Any, *, index: int, time: float, velocities: Any = None) -> Frame:
-        """Return the Gaussians at an instant.
+        """Return the frame at a given time.
 
         Args:
             x: Positions of the particles [P,3], m; a NumPy or Warp array.
             F: Their total deformation gradients [P,3,3].
             index: Number of the frame.
             time: Time [s].
-            velocities: Velocities of the particles [P,3], m/s, if the frame is to have them.
+            velocities: Velocities of the particles [P,3], m/s, if the frame is to include them.
 
         Raises:
             FloatingPointError: A position or F is not finite; the message says how many.
@@ -145,11 +147,11 @@ class Deformer:
         return Frame(index, time, gaussians, velocities)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Return the axes on which the continuity of the next frame depends."""
+        """Return the axes from which the next frame continues."""
         return {name: array.numpy().copy() for name, array in self._axes().items()}
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
-        """Return to the state after the frame at which a snapshot was taken."""
+        """Return to the state right after the frame at which a snapshot was taken."""
         for name, array in self._axes().items():
             array.assign(snapshot[name])
 
@@ -167,7 +169,7 @@ class Deformer:
             raise FloatingPointError(f"{bad} of {self._count} particles are NaN or infinite")
 
     def _carry(self, x: Any, F: Any) -> tuple[NDArray, wp.array]:
-        """Return centres [N,3], m, and the deformation gradients that `_carrier` indexes."""
+        """Return the Gaussians' centres [N,3], m, and the deformation gradients for `_carrier`."""
         if self._field is not None:
             return self._field.carry(x, F)
         x, F = (np.ascontiguousarray(_host(values), np.float64) for values in (x, F))
@@ -193,7 +195,7 @@ class Deformer:
 class _Share:
     """Launches over Gaussians, divided among CPU threads.
 
-    The threads are reused: new threads for every launch often all started on a single core.
+    The threads are reused, because new threads for every launch often all started on one core.
     """
 
     def __init__(self, count: int, device: str, threads: int) -> None:
@@ -211,9 +213,9 @@ class _Share:
 
         Args:
             kernel: The kernel.
-            read: First arguments, an entry per Gaussian.
-            shared: Next arguments, of which a Gaussian reads any entries.
-            written: Last arguments, an entry per Gaussian.
+            read: First arguments, with one entry per Gaussian.
+            shared: Next arguments, of which a Gaussian may read any entry.
+            written: Last arguments, with one entry per Gaussian.
             each: Number of Gaussians that a thread of the kernel processes.
         """
         launches: list[Any] = [
@@ -226,7 +228,7 @@ class _Share:
             )
             for run in self._runs
         ]
-        # Recorded launches have loaded the kernel, which threads must not do at the same time.
+        # Recording a launch loads its kernel, which several threads must not do at the same time.
         first, *others = launches
         started = [self._others.submit(item.launch) for item in others] if self._others else []
         first.launch()
@@ -235,7 +237,7 @@ class _Share:
 
 
 class _Field:
-    """Gaussians carried by nearby particles: neighbours and weights, computed once at rest."""
+    """Gaussians carried by nearby particles; neighbours and weights are computed once, at rest."""
 
     def __init__(
         self, gaussians: Gaussians, particles: Particles, flows: NDArray | None, share: _Share
@@ -255,7 +257,7 @@ class _Field:
 
     def carry(self, x: Any, F: Any) -> tuple[NDArray, wp.array]:
         """Return centres [N,3], m, and deformation gradients [N,3,3] of the Gaussians."""
-        # Particles stay in their precision: the kernel widens what it reads.
+        # Particles keep their precision; the kernel converts the values that it reads.
         real = wp.float32 if _host(F).dtype == np.float32 else wp.float64
         t, device = types(real), self.device
         shared = [self._rest, _on(x, t.vec3, device), _on(F, t.mat33, device)]
@@ -274,7 +276,7 @@ class _Field:
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return each Gaussian's carriers, which are of its object, and their weights [N,K]."""
+    """Return each Gaussian's carriers [N,K], from its own object, and their weights [N,K]."""
     count = min(CARRIERS, len(particles.x))
     neighbours = np.zeros((len(gaussians), count), np.int32)
     weights = np.zeros((len(gaussians), count), np.float32)
@@ -282,9 +284,9 @@ def _carriers_of(
         spacing = np.cbrt(particles.volume[theirs].mean())
         index, weight = carriers(gaussians.means[ours], particles.x[theirs], FARTHEST * spacing)
         if len(theirs) < CARRIERS:
-            # Few particles do not determine the motion far from them, so the nearest carries alone.
+            # Few particles do not determine the motion far from them: use the nearest one alone.
             index, weight = index[:, :1], np.ones_like(weight[:, :1])
-        few = index.shape[1]  # A tiny object may have fewer; the others have no weight.
+        few = index.shape[1]  # A tiny object may have fewer carriers; the rest have no weight.
         neighbours[ours, :few], weights[ours, :few] = theirs[index], weight
     return neighbours, weights
 
@@ -294,21 +296,22 @@ def carriers(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
 
-    w = (1 - (d / R)^2)^2, where R is the distance of the next nearest particle, at most twice that
-    of the last one chosen, and at most `farthest` or twice that of the nearest one [m]. The weights
-    vary smoothly over the points, since a particle enters and leaves with weight 0.
+    w = (1 - (d / R)^2)^2. R is the distance of the nearest particle that is not chosen. R is at
+    most twice the distance of the farthest chosen particle, and at most the larger of `farthest`
+    and twice the distance of the nearest particle [m]. The weights vary smoothly over the points,
+    since a particle enters and leaves the chosen set with weight 0.
     """
     count = min(CARRIERS, len(particles))
-    # Building takes half the time, and queries nine tenths, of the defaults.
+    # With these options, building the tree takes half the default time, queries nine tenths.
     tree = scipy.spatial.KDTree(particles, balanced_tree=False, leafsize=20)
     distance, index = tree.query(points, k=count + 1, workers=-1)
     distance, index = np.asarray(distance), np.asarray(index)
-    # If there is no next particle, its distance is infinite.
+    # If all particles are chosen, the distance of the next particle is infinite.
     reach = np.minimum(distance[:, -1:], 2 * distance[:, -2:-1])
     reach = np.minimum(reach, np.maximum(farthest, 2 * distance[:, :1]))
     near = distance[:, :count]
     ratio = np.divide(near, reach, out=np.zeros_like(near), where=reach > 0).clip(0, 1)
-    # Without this, particles at equal distance would all have weight 0.
+    # Without this term, particles at equal distance would all have weight 0.
     weights = (1 - ratio**2) ** 2 + 1e-9
     weights /= weights.sum(axis=1, keepdims=True)
     return index[:, :count].astype(np.int32), weights.astype(np.float32)
@@ -327,12 +330,12 @@ def _bound_particles(count: int, particles: Particles | None) -> NDArray[np.int3
 
 
 def _host(array: Any) -> NDArray:
-    """Return a NumPy view of a Warp array, or of anything that NumPy accepts as an array."""
+    """Return a NumPy view of a Warp array, or of any array-like object."""
     return np.asarray(array.numpy() if isinstance(array, wp.array) else array)
 
 
 def _on(array: Any, dtype: Any, device: str) -> wp.array:
-    """Return a Warp array of a type on a device, without a copy if it is one already."""
+    """Return a Warp array of a type on a device, without a copy if no conversion is needed."""
     if (
         isinstance(array, wp.array)
         and array.dtype is dtype
@@ -344,7 +347,7 @@ def _on(array: Any, dtype: Any, device: str) -> wp.array:
 
 def of_gaussians(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
     """Return for each Gaussian the value [N] of its particle, or of the nearest particle [P]."""
-    # Equal values, as of a single material, need no search.
+    # Equal values, for example of a single material, need no search.
     if len(values) and (values == values[0]).all():
         return np.repeat(values[:1], len(gaussians), axis=0)
     particle = _bound_particles(len(gaussians), particles)
@@ -359,7 +362,7 @@ def of_gaussians(gaussians: Gaussians, particles: Particles, values: NDArray) ->
 
 
 def shapes_of(device: str) -> tuple[Any, int]:
-    """Return the kernel that deforms shapes, and the number of Gaussians per thread."""
+    """Return the kernel that deforms shapes, and the number of Gaussians per kernel thread."""
     return (field.deform_shapes_simd, 8) if device == "cpu" else (field.deform_shapes, 1)
 
 

@@ -1,4 +1,5 @@
-"""Materials of the particles: parts of a scene, a file of properties, a field of stiffness.
+"""Materials of the particles: from the parts of a scene, a file of properties, or a stiffness
+field.
 
 A part is selected by a box in space, by a segmentation mask of the picture, by the Gaussians it
 contains, or by several of these at once. Later parts override earlier ones; particles in no part
@@ -32,17 +33,17 @@ def assign(
     crop: Crop = WHOLE,
     means: NDArray | None = None,
 ) -> NDArray[np.int32]:
-    """Return the index of each particle's material [P]: 0 the scene's, i the i-th part's (from 1).
+    """Return each particle's material index [P]: 0 for the scene's, i for part i (from 1).
 
     Args:
         x: Positions at rest [P,3], m; the object is upright and faces +x.
-        gaussian: Index of each particle's Gaussian [P], or -1: it follows the nearest Gaussian.
+        gaussian: Index of each particle's Gaussian [P]; -1: the nearest Gaussian decides.
         parts: The scene's parts.
-        crop: Where the object is in the picture that masks were painted on.
-        means: The Gaussians [N,3], m, if no particle is a Gaussian.
+        crop: Position of the object in the picture on which the masks were painted.
+        means: Centres of the Gaussians [N,3], m, if no particle has a Gaussian of its own.
 
     Raises:
-        InputError: If a mask cannot be read, or a part contains no particle.
+        InputError: A mask cannot be read, or a part contains no particle.
     """
     chosen = np.zeros(len(x), np.int32)
     for number, part in enumerate(parts, 1):
@@ -67,19 +68,20 @@ def assign(
 def assign_materials(
     particles: Particles, means: NDArray, scene: Scene, crop: Crop = WHOLE
 ) -> tuple[Particles, NDArray[np.bool_]]:
-    """Return particles with the materials of parts, and which Gaussians move [N].
+    """Return particles with the materials of their parts, and a mask of moving Gaussians [N].
 
     Args:
-        particles: Particles of all Gaussians, so that a cut leaves the inside of a solid filled.
+        particles: Particles of all Gaussians, so that a cut through a solid leaves it filled.
         means: The Gaussians at rest [N,3], m.
-        scene: Names the parts.
-        crop: Where the object is in the picture that masks were painted on.
+        scene: The scene, with its parts.
+        crop: Position of the object in the picture on which the masks were painted.
 
     Returns:
-        The particles that move, sorted by law. Their Gaussians are numbered among those that move.
+        The particles that move, sorted by law, with their Gaussians numbered among the moving
+        Gaussians; and the mask of moving Gaussians.
 
     Raises:
-        InputError: If a part contains nothing, or everything is static.
+        InputError: A part contains nothing, or everything is static.
     """
     every = np.ones(len(means), bool)
     if not scene.parts:
@@ -90,7 +92,7 @@ def assign_materials(
     if static.any():
         seen = assign(means, np.arange(len(means)), scene.parts, crop)
         bound = particles.gaussian >= 0
-        # A Gaussian and its particle must agree, although fillers may enlarge a mask's extent.
+        # A Gaussian and its particle must agree, although filler particles may extend a mask.
         part[bound] = seen[particles.gaussian[bound]]
         moves = ~static[seen]
     kept = np.flatnonzero(~static[part])
@@ -98,7 +100,7 @@ def assign_materials(
         limit = "every Gaussian is static, so nothing moves."
         raise InputError("parts", "static = true", limit, "Leave a part of the object out.")
     laws = [section.device_law.name for section in scene.materials]
-    # Number of each part's material among the materials of moving parts.
+    # Index of each part's material among the materials of moving parts.
     material = (np.cumsum(~static) - 1)[part[kept]]
     law = np.array([laws.index(name) for name in laws])[material]
     order = np.argsort(law, kind="stable")
@@ -118,7 +120,7 @@ def assign_materials(
 def _belong_to(
     x: NDArray, gaussian: NDArray, span: tuple[int, int], means: NDArray | None
 ) -> NDArray[np.bool_]:
-    """Return which particles belong to Gaussians of a span; fillers follow the nearest Gaussian."""
+    """Return a mask of particles whose Gaussian, or nearest Gaussian for fillers, is in a span."""
     owner = gaussian.copy()
     bound, filler = gaussian >= 0, gaussian < 0
     if means is not None and not bound.any():
@@ -141,12 +143,12 @@ def vary_materials(
     """Return particles and materials with the scene's properties, and fractions of E [P].
 
     Args:
-        particles: The particles that move; their materials are indices into the scene's.
-        scene: Names the file of properties and the stiffness.
+        particles: The moving particles, whose materials are indices into the scene's materials.
+        scene: The scene, with its file of properties and its stiffness.
         means: All Gaussians at rest [N,3], m.
-        survivors: Which of the Gaussians before cleaning are among them; None: all.
-        belonging: Which of them are the object and not its surroundings [N].
-        crop: Where the object is in its picture.
+        survivors: Mask of the Gaussians that survived cleaning; None: all survived.
+        belonging: Mask of the Gaussians of the object, without its surroundings [N].
+        crop: Position of the object in its picture.
 
     Raises:
         InputError: Properties or stiffness cannot be used for these materials.
@@ -168,15 +170,15 @@ def vary_materials(
 def with_properties(
     particles: Particles, columns: dict[str, NDArray[Any]], materials: Sequence[AnyMaterial]
 ) -> tuple[Particles, list[AnyMaterial], NDArray[np.intp]]:
-    """Return particles sorted by law with the materials of a file, the materials, and the order.
+    """Return particles with the materials of a file, sorted by law; the materials; the order.
 
     Args:
-        particles: The particles that move; their materials are indices into `materials`.
-        columns: E, nu, density, damping [P] and names of laws [P], as far as the file has them.
-        materials: The scene's materials; a column replaces the field of its name.
+        particles: The moving particles, whose materials are indices into `materials`.
+        columns: E, nu, density, damping [P] and names of laws [P]; only the columns of the file.
+        materials: The scene's materials; a column replaces the field of the same name.
 
     Raises:
-        InputError: If no law has a field of a column, or a value is beyond its bounds.
+        InputError: No law has a field for a column, or a value is outside its bounds.
     """
     bases, base = list(materials), particles.material.copy()
     for name in np.unique(columns.get("law", np.array([], str))).tolist():
@@ -208,7 +210,7 @@ def with_properties(
 
 
 def _find_or_add(name: str, bases: list[AnyMaterial]) -> int:
-    """Return the index of a material of a law, which is added with defaults if there is none."""
+    """Return the index of a material of a law; if there is none, add one with default values."""
     for number, section in enumerate(bases):
         if section.law == name:
             return number
@@ -221,14 +223,14 @@ def _find_or_add(name: str, bases: list[AnyMaterial]) -> int:
 
 
 def _with_values(base: AnyMaterial, values: dict[str, float]) -> AnyMaterial:
-    """Return a material with those of the values that it has fields for."""
+    """Return a material with the given values, ignoring values for which it has no field."""
     fields = {name: value for name, value in values.items() if name in type(base).model_fields}
     same = all(getattr(base, name) == value for name, value in fields.items())
     return base if same else base.model_copy(update=fields)
 
 
 def _check_extremes(kinds: NDArray, names: list[str], bases: list[AnyMaterial]) -> None:
-    """Raise InputError if a column's smallest or largest value is beyond its field's bounds."""
+    """Raise InputError if a column's smallest or largest value is outside its field's bounds."""
     for number, section in enumerate(bases):
         rows = kinds[kinds[:, 0] == number]
         for column, name in enumerate(names, 1):
@@ -252,17 +254,17 @@ def stiffness_fractions(
     crop: Crop = WHOLE,
     listed: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64] | None:
-    """Return the fraction of its material's E that each particle has [P]; None if all have 1.
+    """Return the factor on E of each particle [P], relative to its material; None if all are 1.
 
     Args:
         particles: The particles that move.
         means: The object's Gaussians [N,3], m.
-        scene: Names the stiffness and the materials.
-        crop: Where the object is in its picture.
-        listed: Fractions [P] of a file of properties, which multiply those of the stiffness.
+        scene: The scene, with its stiffness and materials.
+        crop: Position of the object in its picture.
+        listed: Fractions [P] from a file of properties, multiplied by those of the stiffness.
 
     Raises:
-        InputError: If no material of the scene has an E that may vary, or none can be that soft.
+        InputError: No material has an E that may vary, or a fraction of E is below a law's bounds.
     """
     if scene.stiffness is None and listed is None:
         return None
@@ -281,7 +283,7 @@ def stiffness_fractions(
 
 
 def _refuse_too_soft(section: AnyMaterial, fraction: float) -> None:
-    """Raise InputError if a fraction of E is beyond the bounds of a material."""
+    """Raise InputError if a fraction of E is outside the bounds of a material."""
     softened = {**section.model_dump(), "E": getattr(section, "E", 0.0) * fraction}
     try:
         type(section).model_validate(softened)

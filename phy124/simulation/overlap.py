@@ -1,4 +1,4 @@
-"""Objects that would overlap at the start: contact stops approaching bodies, it separates none."""
+"""Checks for overlap at the start: contact stops approaching bodies, but does not separate any."""
 
 from __future__ import annotations
 
@@ -17,33 +17,35 @@ from phy124.particles import Particles
 from phy124.scene import Scene
 
 DEEPEST = 1.0
-"""Largest overlap at the start [cells], as surfaces are only known to within a cell."""
+"""Largest allowed overlap at the start [cells]: surfaces are only known to within a cell."""
 MOST = 0.1
-"""Largest fraction of the material that may be deeper inside a wall; less is reported in a note."""
+"""Largest fraction of the material that may start deeper than `DEEPEST` inside a wall; smaller
+fractions are reported in a note.
+"""
 
 
 class Buried(NamedTuple):
-    """A wall with material behind it at the start."""
+    """A wall with material behind its surface at the start."""
 
     kind: str
     fraction: float
-    """Fraction of the material subject to the wall that is more than `DEEPEST` cells behind it."""
+    """Fraction of the affected material that is more than `DEEPEST` cells behind the surface."""
     depth: float
     """Depth of the deepest particle [m]."""
 
     @property
     def what(self) -> str:
-        """Fraction and depth as a clause."""
+        """Fraction and depth as a clause of a message."""
         return (
             f"{self.fraction:.1%} of the material starts inside it, up to {self.depth:.2g} m deep"
         )
 
 
 def refuse_buried(boundaries: Sequence[Boundary], model: Model) -> None:
-    """Refuse an object that starts inside a flat wall.
+    """Check that an object does not start inside a flat wall.
 
     Raises:
-        InputError: More than `MOST` of it does.
+        InputError: More than the fraction `MOST` of the material does.
     """
     for wall in find_buried(boundaries, model):
         if wall.fraction > MOST:
@@ -53,14 +55,14 @@ def refuse_buried(boundaries: Sequence[Boundary], model: Model) -> None:
 
 
 def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
-    """Return a sentence for each flat wall that a little of the material starts inside."""
+    """Return a note for each flat wall inside which a little of the material starts."""
     return [
         f"The {wall.kind}: {wall.what}, and stays there." for wall in find_buried(boundaries, model)
     ]
 
 
 def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried]:
-    """Yield the flat walls that have material behind them at the start."""
+    """Yield the flat walls that have material behind their surface at the start."""
     moves = model.moves
     for boundary in boundaries:
         for wall in boundary.parts():
@@ -80,15 +82,15 @@ def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried
 
 
 def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
-    """Refuse material inside a rigid solid at the start, where it would stay.
+    """Check that no material is inside a rigid solid at the start, where it would stay.
 
     Args:
         solids: The rigid solids.
         x: Positions of all particles [P,3], m.
-        scene: Defines the size of a cell.
+        scene: The scene, which defines the size of a cell.
 
     Raises:
-        InputError: Some material is inside; the message says how deep.
+        InputError: Some material is inside; the message gives the depth.
     """
     for solid in solids:
         deepest = solid.depth(x).max(initial=-np.inf)
@@ -99,10 +101,10 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
 
 
 def refuse_objects(objects: Sequence[Particles], scene: Scene) -> None:
-    """Refuse objects that overlap.
+    """Check that objects do not overlap.
 
     Raises:
-        InputError: Two overlap; the message says which, and by how much.
+        InputError: Two objects overlap; the message names them and gives the overlap.
     """
     cells = [
         np.unique(np.floor(particles.x / scene.spacing).astype(np.int64), axis=0)

@@ -1,4 +1,4 @@
-"""Brings objects, and their surroundings with them, to the scene's size and height."""
+"""Scaling, rotation and placement of objects, together with their surroundings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from phy124.scene import Scene
 
 
 def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
-    """Return which of `count` Gaussians are the object and not its surroundings [count]."""
+    """Return a mask of the Gaussians of the object, without its surroundings [count]."""
     belonging = np.ones(count, bool)
     for part in scene.parts:
         if part.surroundings and part.gaussians is not None:
@@ -25,7 +25,7 @@ def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
 
 
 def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> Gaussians:
-    """Return Gaussians scaled and rotated; only the object, and no surroundings, is shifted."""
+    """Return Gaussians scaled and rotated; surroundings are not shifted with the object."""
     body = scene.object
     standing = gaussians.transform(*placing(gaussians, scene, belonging))
     if any(body.turn):
@@ -38,7 +38,7 @@ def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> G
 def shift(
     gaussians: Gaussians, chosen: NDArray[np.bool_], offset: tuple[float, float, float]
 ) -> Gaussians:
-    """Move the chosen Gaussians by an offset [m]; axes whose offset is zero keep their bits."""
+    """Move the chosen Gaussians by an offset [m]; coordinates with zero offset stay bit for bit."""
     if not any(offset):
         return gaussians
     means = gaussians.means.copy()
@@ -50,26 +50,26 @@ def shift(
 def placing(
     gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the scale, then the offset [3] m, that bring the object to its size on z = 0."""
+    """Return the scale and offset [3], m, that give the object its size and put it on z = 0."""
     object_ = gaussians if belonging.all() else gaussians.select(belonging)
     return size_transform(object_, scene.object.size)
 
 
 def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
-    """Raise the objects that stand on another object until they touch it.
+    """Raise the objects that stand on another object until they touch that object.
 
     Args:
         placed: Each object in its place above the floor.
-        scene: Defines which object stands on which, and with what lift.
+        scene: The scene, which defines the object under each object, and the lift.
 
     Raises:
-        InputError: An object is not above the object that it stands on.
+        InputError: An object is not above the object on which it stands.
     """
     raised = list(placed)
     objects, names = scene.every_object, scene.names
     waiting = [index for index, body in enumerate(objects) if body.on in names]
     while waiting:
-        # Lower objects first; the scene has no circles.
+        # Lower objects first; a valid scene has no cycles.
         index = next(i for i in waiting if names.index(objects[i].on) not in waiting)
         waiting.remove(index)
         below = raised[names.index(objects[index].on)]
@@ -85,14 +85,14 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
 
 
 def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
-    """Return the smallest gap between two objects [m] over squares; None if no square has both."""
+    """Return the smallest vertical gap of two objects over common squares [m]; None without any."""
     tops, bottoms = _heights(below, cell, 1.0), _heights(above, cell, -1.0)
     gaps = [-bottoms[at] - tops[at] for at in tops.keys() & bottoms.keys()]
     return min(gaps, default=None)
 
 
 def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, int], float]:
-    """Return the largest height over each square; with sign -1 the lowest height, negated."""
+    """Return the largest height over each square; for sign -1 the lowest height, negated."""
     squares = np.floor(gaussians.means[:, :2] / cell).astype(int)
     reach = np.sqrt(gaussians.covariances()[:, 2, 2])
     height = sign * gaussians.means[:, 2] + reach
@@ -103,7 +103,7 @@ def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, 
 
 
 def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Particles:
-    """Return the object's particles, whose Gaussians are numbered among all Gaussians."""
+    """Return the object's particles, with their Gaussians numbered among all Gaussians."""
     if belonging.all():
         return particles
     gaussian = particles.gaussian
@@ -112,7 +112,7 @@ def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Part
 
 
 def renumber_parts(scene: Scene, survivors: NDArray[np.bool_] | None) -> Scene:
-    """Return the scene whose parts use the numbers of Gaussians after some were dropped."""
+    """Return the scene with the parts' Gaussians renumbered after some Gaussians were dropped."""
     if survivors is None or survivors.all():
         return scene
     before = np.concatenate([[0], np.cumsum(survivors)])

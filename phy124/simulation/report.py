@@ -1,4 +1,4 @@
-"""The report of a run as plain data; phy124.pipeline.report_keys documents its keys."""
+"""The report of a run as plain data; phy124.pipeline.report_keys documents the keys."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from phy124.simulation import bodies, overlap
 from phy124.simulation.setup import Setup
 
 Run = Any
-"""A `Simulation`, which is built on this module."""
+"""A `Simulation`; that class is defined in a module that imports this one."""
 
 
 def report_run(run: Run) -> dict[str, Any]:
-    """Return what a run did."""
+    """Return the report of a run: its results, cost and notes."""
     setup, solver = run.setup, run.solver
     clock, particles = solver.clock, setup.particles
     effects = Effects.of(
@@ -65,7 +65,7 @@ def report_run(run: Run) -> dict[str, Any]:
 
 
 def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
-    """Return what is known once the clip is whole: its Gaussians and their shapes."""
+    """Return the report's entries that need the complete clip: Gaussians and their shapes."""
     look, count = setup.appearance, len(clip.opacities)
     return {
         "gaussians": count,
@@ -76,7 +76,7 @@ def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
 
 
 def _sections(run: Run) -> Iterator[dict[str, Any]]:
-    """Yield the section of each observer, and the defaults of observers that the run lacks."""
+    """Yield the report section of each observer, and default sections for absent observers."""
     frames = run.frames if run.setup.keep else ()
     yield from (observer.report(frames) for observer in run.observers)
     present = {type(observer) for observer in run.observers}
@@ -84,7 +84,7 @@ def _sections(run: Run) -> Iterator[dict[str, Any]]:
 
 
 def _objects(run: Run) -> dict[str, Any]:
-    """Return the counts of each object, and the centre of its particles at rest [m]."""
+    """Return counts and mass of each object, and the centre of its particles at rest [m]."""
     rows, particles, shown = {}, run.setup.particles, run.setup.shown
     for index, name in enumerate(run.scene.names):
         inside, seen = particles.body == index, shown.object_id == index
@@ -102,7 +102,7 @@ def _objects(run: Run) -> dict[str, Any]:
 
 
 def _substep(run: Run) -> dict[str, Any]:
-    """Return how long the substeps were and what limited them."""
+    """Return the mean length of the substeps and the limits that determined them."""
     clock, asked, sleep = run.solver.clock, run.scene.time.substep, run.find(Sleep)
     taken = max(sum(clock.limiters.values()), 1)
     mean = (clock.time - (sleep.skipped if sleep else 0) / run.scene.time.fps) / taken
@@ -117,7 +117,7 @@ def _substep(run: Run) -> dict[str, Any]:
 
 
 def _notes(run: Run) -> list[str]:
-    """Return what the user should know about the materials and about how the run went."""
+    """Return notes for the user about the materials and the course of the run."""
     scene, stiff = run.scene, note_stiffest_part(run.scene)
     return [
         *(note for section in scene.materials for note in section.notes()),
@@ -132,7 +132,7 @@ def _notes(run: Run) -> list[str]:
 
 
 def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
-    """Yield what the files of a run lack if its scene has users' classes without a name."""
+    """Yield notes on a run's files if the scene has users' classes without a registered name."""
     for name, group in classes.items():
         yield (
             f"{name} is defined by your program only: the clip can be filmed again, but the run "
@@ -142,7 +142,7 @@ def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
 
 
 def _cfl_note(run: Run) -> list[str]:
-    """Return a sentence if a large fraction of the elastic limit only shortened the substeps."""
+    """Return a note if a large fraction of the elastic limit only shortened the substeps."""
     clock = run.solver.clock
     cfl, taken = run.scene.resolution.fraction, sum(clock.limiters.values())
     if cfl <= CFL or 2 * clock.limiters.get("viscous", 0) <= taken:

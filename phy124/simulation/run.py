@@ -36,12 +36,12 @@ class Stopped(RuntimeError):
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
         self.remedies = tuple(remedies)
-        """Changes to the scene, each of which helps by itself."""
+        """Changes to the scene, each of which is a remedy by itself."""
         super().__init__(f"{why} {advise(remedies)}".strip())
 
 
 class Interrupted(Cancelled):
-    """A run was cancelled; its frames so far are good, and `resume` can save its state."""
+    """A run was cancelled; its frames so far are valid, and its state can be saved."""
 
     def __init__(self, run: Simulation) -> None:
         self.run = run
@@ -49,13 +49,14 @@ class Interrupted(Cancelled):
 
 
 class Simulation:
-    """One run; iterate over it to get its frames. Leave the loop to pause, iterate again to go on.
+    """One run, which yields its frames by iteration. A loop that is left early pauses the run.
 
-    `phy124.pipeline.resume` saves a paused run and continues it later, bit for bit.
+    A new loop continues with the next frame. `phy124.pipeline.resume` saves a paused run and
+    continues it later, bit for bit.
     """
 
     def __init__(self, setup: Setup) -> None:
-        """Compile what is missing, and build the solver and its observers.
+        """Compile missing kernels, and build the solver and its observers.
 
         Raises:
             InputError: An object starts inside a wall, a force acts on no particle, or a wall is
@@ -79,36 +80,36 @@ class Simulation:
                 threads=len(self.solver.workers),
             )
         self.count = 0
-        """Number of frames so far."""
+        """Number of frames computed so far."""
         self.frames: list[Frame] = []
         self.rotations: list[NDArray] = []
-        """Rotations of the Gaussians of each frame [N,4] wxyz, if their colours need them."""
+        """Rotations of the Gaussians in each frame [N,4] wxyz, if their colours depend on them."""
         self.poses: list[NDArray] = []
         """Centre [m] and orientation (wxyz) of each free solid in every frame [F,7]."""
         self.retried: list[int] = []
-        """Frames that were tried again with half the substep."""
+        """Indices of the frames that were repeated with half the substep."""
         self.stopped: str | None = None
         self.remedies: tuple[Remedy, ...] = ()
-        """Reason and remedies, if it has stopped."""
+        """Reason of a stop and remedies; None and empty unless the run has stopped."""
         self.remarks: list[str] = []
         """Further notes for the report."""
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames in order, starting where an earlier loop left off.
+        """Yield the frames in order, starting after the last computed frame.
 
         Raises:
-            Stopped: A frame is wrong, or the run has taken twice its time budget.
-            Cancelled: `progress` raised it.
+            Stopped: A frame is wrong, or the run has used twice its time budget.
+            Cancelled: Raised by `progress`.
         """
         while self.count < self.scene.time.frames:
             yield self.step()
 
     def step(self) -> Frame:
-        """Return the next frame, also after the last frame of the scene.
+        """Return the next frame, even beyond the last frame of the scene.
 
         Raises:
-            Stopped: The frame is wrong, or the run has taken twice its time budget.
-            Cancelled: `progress` raised it.
+            Stopped: The frame is wrong, or the run has used twice its time budget.
+            Cancelled: Raised by `progress`.
         """
         index, timing, context = self.count, self.scene.time, self.setup.context
         time = index / timing.fps
@@ -128,7 +129,7 @@ class Simulation:
         return frame
 
     def change(self, scene: Scene) -> None:
-        """Go on under the forces and boundaries of another scene, from the next substep on.
+        """Continue under the forces and boundaries of another scene, from the next substep on.
 
         Raises:
             InputError: One of them does not fit the object or the grid; nothing has changed.
@@ -141,17 +142,17 @@ class Simulation:
             observer.change(scene)
 
     def find(self, kind: type[Kind]) -> Kind | None:
-        """Return the observer of a class, or None if the scene does not call for it."""
+        """Return the observer of a class, or None if the scene does not require it."""
         return find(self.observers, kind)
 
     def run(self, each: Callable[[Frame], object] = lambda frame: None) -> Clip:
-        """Return all frames as a clip; if the run stops early, the good frames and the reason.
+        """Return all frames as a clip; after an early stop, the valid frames and the reason.
 
         Args:
             each: Function called with every frame as soon as it is computed.
 
         Raises:
-            Interrupted: The run was cancelled; its state is that after the last frame.
+            Interrupted: The run was cancelled; its state is the state after the last frame.
         """
         try:
             for frame in self:
@@ -167,10 +168,10 @@ class Simulation:
         return self.clip()
 
     def clip(self) -> Clip:
-        """Return the frames so far.
+        """Return the frames so far as a clip.
 
         Raises:
-            ValueError: They were not kept.
+            ValueError: The frames were not kept.
         """
         setup = self.setup
         if not setup.keep:
@@ -191,7 +192,7 @@ class Simulation:
         return report_run(self)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from, without the frames: arrays and plain data."""
+        """Return the state from which to continue, without frames, as arrays and plain data."""
         return {
             "count": self.count,
             "retried": list(self.retried),
@@ -215,7 +216,7 @@ class Simulation:
 
     @one_at_a_time
     def _make_frame(self, index: int, time: float) -> Frame:
-        """Deform the Gaussians, and let the observers add to the frame."""
+        """Return a frame: deform the Gaussians, then add the results of observers and scenery."""
         state, scenery = self.solver.state, self.setup.scenery
         frame = Frame(index, time, scenery.moving)
         if self.setup.shapes:
@@ -229,14 +230,14 @@ class Simulation:
         return scenery.whole(frame, self.poses, self.solver.free.motions())
 
     def _repeat_frame(self, index: int, time: float) -> Frame:
-        """Return the last frame again: nothing has moved since."""
+        """Return the last frame with a new index and time, since nothing has moved."""
         if self.rotations:
             self.rotations.append(self.rotations[-1])
         return replace(self.frames[-1], index=index, time=time)
 
     @one_at_a_time
     def _advance(self, index: int, until: float) -> None:
-        """Take substeps up to a frame's time; after a failure, once more with half the substep."""
+        """Take substeps up to a frame's time; after a failure, repeat once with half the length."""
         with self.setup.context.watch.stage("simulate"), self.spent.counting():
             start = (index - 1) / self.scene.time.fps
             run_timed(self.solver.timings, "watchdog", lambda: self.before_frame(start))
@@ -251,7 +252,7 @@ class Simulation:
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
-        """Within this context, substeps are half as long and limits are measured often."""
+        """Halve the substeps and measure limits often within this context."""
         clock = self.solver.clock
         usual = clock.cfl, clock.ceiling, clock.measure_every
         clock.cfl, clock.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
@@ -262,7 +263,7 @@ class Simulation:
             clock.cfl, clock.ceiling, clock.measure_every = usual
 
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
-        """Try a frame; return its violation, or None. A violation resets the state."""
+        """Attempt a frame; return its violation, after which the state is reset, or None."""
         solver = self.solver
         run_timed(solver.timings, REPAIR, lambda: solver.repair.begin(solver.clock))
         solver.pairs.begin()
@@ -287,7 +288,7 @@ class Simulation:
         return problem
 
     def before_frame(self, time: float) -> None:
-        """Prepare the observers for a frame that starts at this time [s]."""
+        """Prepare the observers for a frame that starts at a time [s]."""
         for observer in self.observers:
             observer.before_frame(time)
 
@@ -302,15 +303,15 @@ class Simulation:
             observer.after_substep()
 
     def after_attempt(self) -> Violation | None:
-        """Return the first violation that an observer finds at the end of a frame."""
+        """Return the first violation that an observer reports at the end of a frame."""
         return next(filter(None, (o.after_attempt() for o in self.observers)), None)
 
     def checkpoint(self) -> dict[str, Any]:
-        """Return what `roll_back` needs to undo substeps."""
+        """Return the state from which `roll_back` can undo substeps."""
         return {"solver": self.solver.snapshot(), "observers": snapshots(self._summing)}
 
     def roll_back(self, checkpoint: dict[str, Any]) -> None:
-        """Return to a checkpoint: the solver, and the sums that grow within substeps."""
+        """Return to a checkpoint: restore the solver, and the observers' sums over substeps."""
         self.solver.restore(checkpoint["solver"])
         restore_all(self._summing, checkpoint["observers"])
 
@@ -319,7 +320,7 @@ class Simulation:
         return [o for o in self.observers if o.in_substeps or o.in_gathers]
 
     def _follower(self, index: int) -> Callable[[], None]:
-        """Return a function for after each substep: it reports, checks, and limits the time."""
+        """Return a function to call after each substep: observers, time budget, progress."""
         budget, frames = self.scene.time.budget, self.scene.time.frames
         progress, solver = self.setup.context.progress, self.solver
 
@@ -339,7 +340,7 @@ class Simulation:
 
 
 class Spent:
-    """Processor time of the simulation's busiest thread [s], without time taken by other programs.
+    """CPU time of the simulation's busiest thread [s], which excludes other programs.
 
     On a GPU, whose time is not measured per program, wall-clock time is used.
     """
@@ -353,12 +354,12 @@ class Spent:
         """
         self._team, self._on_cpu = team, device == "cpu"
         self.before = 0.0
-        """Seconds in earlier contexts."""
+        """Time spent in earlier `counting` contexts [s]."""
         self._start = self._now()
 
     @contextmanager
     def counting(self) -> Iterator[None]:
-        """Within this context time counts; the same thread must enter and leave it."""
+        """Count time within this context; the same thread must enter and leave it."""
         self._start = self._now()
         try:
             yield
@@ -367,12 +368,12 @@ class Spent:
             self._start = self._now()
 
     def total(self) -> float:
-        """Return seconds so far; call it from the thread that counts."""
+        """Return the time counted so far [s]; call it from the thread that counts."""
         pairs = zip(self._now(), self._start, strict=True)
         return self.before + max(now - start for now, start in pairs)
 
     def _now(self) -> list[float]:
-        """Return a clock of each thread [s], whose differences count."""
+        """Return one clock reading per thread [s]; differences of readings are the time used."""
         if not self._on_cpu:
             return [time.perf_counter()]
         return [time.thread_time(), *self._team.seconds[1:]]

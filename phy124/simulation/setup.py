@@ -1,4 +1,4 @@
-"""Setup: a scene made ready to run. Objects are placed, particles made, and bad input is refused.
+"""Setup: a scene ready to run. Objects are placed, particles made, and bad input is rejected.
 
 setup = prepare(gaussians, Scene.named("press"))
 for frame in Simulation(setup):
@@ -37,30 +37,30 @@ from phy124.simulation.placing import belongs
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Everything that determines a run; it may be run many times."""
+    """Everything that determines a run; a setup may be run many times."""
 
     source: Gaussians
-    """The Gaussians from which it was made."""
+    """The Gaussians from which the setup was made."""
     crop: Crop
-    """Where the object is in the picture that the masks of parts were painted on."""
+    """Position of the object in the picture on which the masks of parts were painted."""
     scene: Scene
-    """The scene."""
+    """The scene, as given."""
     solid_scene: Scene
-    """The scene in which objects with a path are walls, too."""
+    """The scene with objects on a path added as walls."""
     cleaned_scene: Scene
-    """The scene whose parts name the Gaussians that are left after cleaning."""
+    """The scene whose parts refer to the Gaussians that are left after cleaning."""
     cleaning: list[str]
-    """Sentences about Gaussians that were changed or dropped."""
+    """Messages about Gaussians that were changed or dropped."""
     gaussians: Gaussians
-    """The cleaned Gaussians, at rest in their place, m."""
+    """The cleaned Gaussians at rest, in their position in the scene [m]."""
     appearance: Appearance
-    """How they are shown, grains included."""
+    """Appearance of the Gaussians, including grains."""
     particles: Particles
-    """Particles of the solver at rest, in the order of its slabs."""
+    """Particles of the solver at rest, in the order of the solver's slabs."""
     materials: Sequence[AnyMaterial]
     """Materials of the particles."""
     stiffness: NDArray[np.float64] | None
-    """Fraction of its material's E that each particle has [P]; None: all of it."""
+    """Factor on E of each particle, relative to its material [P]; None if all are 1."""
     free: tuple[FreeBody, ...]
     """Props that move freely as rigid solids."""
     scenery: Scenery
@@ -70,21 +70,21 @@ class Setup:
     context: RunContext
     """Device, threads, progress and stopwatch; particles are ordered for its threads."""
     threads: int
-    """CPU threads that the run uses."""
+    """Number of CPU threads of the run."""
     along: int
     """Axis along which the particles are ordered."""
     keep: bool
     """Whether all frames are kept."""
     shapes: bool
-    """Whether frames show where the Gaussians are; otherwise they show them at rest."""
+    """Whether frames have deformed Gaussians; otherwise they show the Gaussians at rest."""
     changes: bool
-    """Whether forces, boundaries and stiffness may change while it runs."""
+    """Whether forces, boundaries and stiffness may change during the run."""
     observers: tuple[type[Observer], ...]
-    """Classes of observers; those that the scene calls for observe the run."""
+    """Classes of observers; those that the scene requires observe the run."""
 
     @property
     def shown(self) -> Gaussians:
-        """All Gaussians at rest, grains included."""
+        """All Gaussians at rest, including grains."""
         return self.appearance.gaussians
 
     @cached_property
@@ -98,7 +98,7 @@ class Setup:
 
     @property
     def subject(self) -> Subject:
-        """Decides which observers the run has."""
+        """The properties of the run that determine its observers."""
         return Subject(self.solid_scene, self.materials, self.changes)
 
 
@@ -117,15 +117,15 @@ def prepare(
     """Place the objects of a scene, make their particles and estimate the cost.
 
     Args:
-        gaussians: The object at any size, standing upright, facing +x; or several, distinguished by
-            `object_id`. Missing objects are shapes or copies of the first.
+        gaussians: The object at any size, standing upright, facing +x; or several objects,
+        distinguished by `object_id`. Missing objects are shapes or copies of the first object.
         scene: Materials, forces, boundaries and accuracy.
         context: Device, threads, progress and stopwatch.
-        crop: Where the object is in the picture that the masks of parts were painted on.
-        along: Axis along which particles are ordered; None: as suits the number of threads.
-        keep: Keep all frames for a clip; otherwise the frames may exceed the memory.
-        shapes: Deform the Gaussians of each frame.
-        changes: Allow `Simulation.change`.
+        crop: Position of the object in the picture on which the masks of parts were painted.
+        along: Axis along which particles are ordered; None: chosen by the number of threads.
+        keep: Whether to keep all frames for a clip; if not, the frames may exceed the memory.
+        shapes: Whether to deform the Gaussians of each frame.
+        changes: Whether to allow `Simulation.change`.
         observers: Classes of observers to choose from.
 
     Raises:
@@ -173,7 +173,7 @@ def prepare(
 
 
 def slab_axis(particles: Particles, threads: int) -> int:
-    """Return the axis to order particles along: x, or the longest for several threads."""
+    """Return the axis along which to order particles: x, or the longest for several threads."""
     return int(np.argmax(np.ptp(particles.x, axis=0))) if threads > 1 else 0
 
 
@@ -184,14 +184,14 @@ def sort_for_slabs(
     dx: float,
     axis: int,
 ) -> tuple[Particles, NDArray | None]:
-    """Return particles sorted by layers of cells, so that a slab is a run of them in memory.
+    """Return particles sorted by layers of cells, so that a slab is contiguous in memory.
 
     Args:
-        particles: They are sorted by law, and along x within each law; the laws stay in order.
+        particles: Particles sorted by law, and along x within each law; the order of laws is kept.
         materials: Materials of the particles.
         stiffness: Values for each particle [P], or None.
         dx: Thickness of a layer [m].
-        axis: The axis across the layers; 0: they stay in their order.
+        axis: The axis across the layers; for 0 the order is not changed.
     """
     if axis == 0:
         return particles, stiffness
@@ -206,7 +206,7 @@ def sort_for_slabs(
 
 
 def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
-    """Return the scene whose cost is estimated: for a file of properties, its fastest material."""
+    """Return the scene for the cost estimate: with a file of properties, its fastest material."""
     if scene.properties is None:
         return scene
     fastest = max(materials, key=lambda section: section.wave_speed())

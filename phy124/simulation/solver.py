@@ -85,7 +85,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> Solver:
 
 
 def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
-    """Return arguments of `Solver.bind`: what acts on the state, wrapped by the observers."""
+    """Return the arguments of `Solver.bind`: forces and boundaries, wrapped by the observers."""
     forces: Sequence[Attachable] = scene.acting
     walls: Sequence[Attachable] = scene.boundaries
     for observer in observers:
@@ -99,7 +99,8 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
 def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     """Yield the kernels that a run of a scene launches in one thread.
 
-    Forces on a part of the object are left out: their modules take 0.3 s each.
+    Kernels of grabs and wrenches on a part of the object are omitted: their modules take 0.3 s
+    each.
     """
     precision = scene.resolution.precision
     real = PRECISIONS[precision]
@@ -121,25 +122,25 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
 
 
 def scheme_of(scene: Scene) -> Scheme:
-    """Return how velocities come back from the grid of a scene."""
+    """Return a scene's grid-to-particle transfer scheme."""
     accuracy = scene.resolution
     return Scheme(accuracy.passes, accuracy.share, accuracy.rpic_damping)
 
 
 def number_bodies(body: NDArray | None) -> NDArray | None:
-    """Return bodies numbered without gaps [P]: scenery has a number in the scene, no particles."""
+    """Return body indices without gaps [P], since scenery has a scene index but no particles."""
     return None if body is None else np.unique(body, return_inverse=True)[1].reshape(-1)
 
 
 def _pairs(names: Sequence[str], scene: Scene) -> Iterator[Pair]:
-    """Yield how the bodies of these names touch."""
+    """Yield the contact of each pair of the named bodies."""
     for first, second in combinations(range(len(names)), 2):
         contact = find_pair(scene.pairs, names[first], names[second])
         yield Pair(first, second, contact.friction, contact.contact == "sticky")
 
 
 def _initial_motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDArray, NDArray]:
-    """Return velocities [P,3], m/s, and their gradients [P,3,3], 1/s, of the rigid motion at 0."""
+    """Return velocities [P,3], m/s, and gradients [P,3,3], 1/s, of the initial rigid motions."""
     if particles.body is None:
         return _rigid_motion(x, particles.mass, scene.object)
     v, C = np.zeros((len(x), 3)), np.zeros((len(x), 3, 3))
@@ -151,7 +152,7 @@ def _initial_motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDA
 
 
 def _rigid_motion(x: NDArray, mass: NDArray, body: Object) -> tuple[NDArray, NDArray]:
-    """Return velocities and their gradients of one object."""
+    """Return velocities and their gradients of one object's rigid motion."""
     wx, wy, wz = body.spin
     gradient = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
     centre = (mass[:, None] * x).sum(axis=0) / mass.sum()
