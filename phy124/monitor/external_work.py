@@ -82,7 +82,7 @@ class ExternalWork(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for the balance; if all forces are uniform and steady, nothing is summed."""
+        """Return the row for the balance, which sums nothing for uniform, steady forces alone."""
         scene, why = (
             subject.scene,
             "checks.balance is off: an explosion shows only once values are NaN",
