@@ -54,7 +54,7 @@ class ExtraInputs:
     views: OtherViews = NO_VIEWS
     """Cut-outs of the other views, which `cut_views` creates."""
     sent: tuple[Path, ...] = ()
-    """Pictures of the other views as they were sent."""
+    """Pictures of the other views before the cut-out."""
     reading: Reading = NO_READING
     """Orientation of the file of Gaussians."""
     photographed: Photographed = NOT_PHOTOGRAPHED

@@ -1,7 +1,7 @@
-"""Jobs behind the page's buttons, which survive a lost connection, and their limits.
+"""Jobs behind the page's buttons, and their limits; a job survives a lost connection.
 
-This module does not depend on the layout. Everything slow is a job in a queue (demo.line): one
-queue is for the device, and one for cutting out pictures.
+This module does not depend on the page's layout. All slow work is a job in a queue (demo.line):
+there is a queue for the device, and a queue for cutting out pictures.
 """
 
 from __future__ import annotations
@@ -51,20 +51,20 @@ from .work import (
 from .work.order import count_of, order_of
 
 CUTTERS = 2
-"""Number of pictures that are cut out at the same time."""
+"""Number of pictures that are cut out in parallel."""
 
 
 @dataclass
 class Studio:
-    """The state shared by all visitors: limits, folders, forecasts, queues."""
+    """State shared by all visitors: limits, folders, forecasts, queues."""
 
     settings: Settings
     visitors: Visitors
     forecaster: Estimator = field(default_factory=lambda: Estimator(DEVICE.locked))
     work: Callable[[Order], Iterator[Any]] = steps
-    """The function that runs an order; on ZeroGPU it is wrapped by `spaces.GPU`."""
+    """Function that carries out an order; on ZeroGPU it is wrapped by `spaces.GPU`."""
     searches: deque[float] = field(default_factory=lambda: deque(maxlen=5))
-    """Durations of the last searches for an object [s]."""
+    """Durations of the last segmentations [s]."""
     warm: threading.Event = field(default_factory=threading.Event)
     """Set once all kernels are loaded."""
 
@@ -83,12 +83,12 @@ class Studio:
 
     @property
     def forks(self) -> bool:
-        """Whether jobs run in a forked process; then Warp must not start in this process."""
+        """Whether jobs run in a forked process; Warp must then not start in this process."""
         return self.work is not steps
 
     @property
     def search_seconds(self) -> float | None:
-        """Median duration of a search for an object [s]; None before the first."""
+        """Median duration of a segmentation [s]; None before the first."""
         return median(self.searches) if self.searches else None
 
     def take(self, name: str, sent: Any, pick: Point | None = None) -> Job:
@@ -97,10 +97,10 @@ class Studio:
         Args:
             name: The visitor's name.
             sent: The path of the upload in the request.
-            pick: A point on the object, if the picture has several.
+            pick: A point on the object, if the picture shows several objects.
 
         Raises:
-            InputError: It is not an upload of this visitor, or the queue is full.
+            InputError: The path is no upload of this visitor, or the queue is full.
         """
         upload = self._upload(name, sent)
         if not is_file_of_gaussians(upload):
@@ -139,11 +139,11 @@ class Studio:
             name: The visitor's name.
             picture: The path of the upload in the request.
             strokes: Brush strokes that correct the cut-out.
-            pick: A point on the object, if the picture has several.
-            kind: "cut" for the front picture, "view" for any other.
+            pick: A point on the object, if the picture shows several objects.
+            kind: "cut" for the front picture, "view" for other pictures.
 
         Raises:
-            InputError: It is not an upload of this visitor, or the queue is full.
+            InputError: The path is no upload of this visitor, or the queue is full.
         """
         upload = self._upload(name, picture)
         check_picture(upload, self.settings)
@@ -158,7 +158,7 @@ class Studio:
                 path, doubts, searched = cut_once(visitor, shown, strokes, pick, deadline)
             except InputError as error:
                 if error.field == "image":
-                    job.subject = ""  # it cannot be opened, so it cannot be shown
+                    job.subject = ""  # the picture cannot be opened and therefore cannot be shown
                 raise
             if searched:
                 self.searches.append(time.monotonic() - start)
@@ -168,13 +168,13 @@ class Studio:
         return self._submit(visitor, job, self.cuts, work)
 
     def forecast(self, name: str, source: Source | None, data: Any, extras: Any = None) -> str:
-        """Forecast a run, in words.
+        """Return the forecast of a run as a sentence.
 
         Args:
             name: The visitor's name.
-            source: The object's source, if it still exists.
+            source: The object's source; None if it no longer exists.
             data: The scene as plain data.
-            extras: Optional inputs besides the front picture, by option.
+            extras: Optional inputs in addition to the front picture, by option.
 
         Raises:
             InputError: The run would be refused.
@@ -187,13 +187,13 @@ class Studio:
         return self._describe(estimate, name, source, scene, extras)
 
     def refine(self, name: str, source: Source | None, data: Any, extras: Any = None) -> str | None:
-        """Forecast a run by a probe; None unless the Gaussians exist and the device is free.
+        """Return a forecast by a probe; None unless the Gaussians exist and the device is free.
 
         Args:
             name: The visitor's name.
-            source: The object's source, if it still exists.
+            source: The object's source; None if it no longer exists.
             data: The scene as plain data.
-            extras: Optional inputs besides the front picture, by option.
+            extras: Optional inputs in addition to the front picture, by option.
 
         Raises:
             InputError: The run would be refused.
@@ -223,13 +223,13 @@ class Studio:
     def _describe(
         self, estimate: Estimate, name: str, source: Source | None, scene: Scene, extras: Any
     ) -> str:
-        """Describe a forecast, with the error measured on this scene if there is one."""
+        """Describe a forecast, with the error measured on this scene, if any."""
         about = (name, source, scene, extras)
         promise = promise_of(scene, self.thickness(*about), self.study(*about))
         return replace(estimate, promise=promise).sentence
 
     def check_extras(self, name: str, extras: Any) -> ExtraInputs:
-        """Validate a visitor's optional inputs besides the front picture; raises InputError."""
+        """Validate a visitor's inputs in addition to the front picture; raises InputError."""
         return extras_of(self.visitors, self.settings, name, extras)
 
     def run(
@@ -240,17 +240,17 @@ class Studio:
         extras: Any = None,
         limits: Settings | None = None,
     ) -> Job:
-        """Start the whole chain.
+        """Start a run: generation, simulation and filming.
 
         Args:
             name: The visitor's name.
             source: The object's source.
             data: The scene as plain data.
-            extras: Optional inputs besides the front picture, by option.
-            limits: Limits of this run; None: the page's.
+            extras: Optional inputs in addition to the front picture, by option.
+            limits: Limits of this run; None: the limits of the page.
 
         Raises:
-            InputError: Something in the request cannot be used.
+            InputError: The source, the scene or an input is invalid.
         """
         visitor, source, scene = self.resolve(name, source, data, limits)
         self._check_time(source, scene)
@@ -272,10 +272,10 @@ class Studio:
             name: The visitor's name.
             source: The object's source.
             data: The scene as plain data.
-            extras: Optional inputs besides the front picture, by option.
+            extras: Optional inputs in addition to the front picture, by option.
 
         Raises:
-            InputError: Something in the request cannot be used.
+            InputError: The source, the scene or an input is invalid.
         """
         visitor, source, scene = self.resolve(name, source, data)
         levels = grids(scene)
@@ -298,9 +298,9 @@ class Studio:
 
         Args:
             name: The visitor's name.
-            source: The object's source, if it still exists.
+            source: The object's source; None if it no longer exists.
             scene: The scene.
-            extras: Optional inputs besides the front picture, by option.
+            extras: Optional inputs in addition to the front picture, by option.
         """
         visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
@@ -315,9 +315,9 @@ class Studio:
 
         Args:
             name: The visitor's name.
-            source: The object's source, if it still exists.
+            source: The object's source; None if it no longer exists.
             scene: The scene.
-            extras: Optional inputs besides the front picture, by option.
+            extras: Optional inputs in addition to the front picture, by option.
         """
         visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
@@ -332,9 +332,9 @@ class Studio:
 
         Args:
             name: The visitor's name.
-            source: The object's source, if it still exists.
+            source: The object's source; None if it no longer exists.
             scene: The scene.
-            extras: Optional inputs besides the front picture, by option.
+            extras: Optional inputs in addition to the front picture, by option.
         """
         ready = self._ready(name, source, scene, extras)
         return self.forecaster.study(
@@ -354,10 +354,10 @@ class Studio:
             name: The visitor's name.
             source: The object's source.
             data: The scene as plain data.
-            limits: Limits of this request; None: the page's.
+            limits: Limits of this request; None: the limits of the page.
 
         Raises:
-            InputError: There is no source, or no such scene.
+            InputError: The source no longer exists, or the scene is invalid.
         """
         visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
@@ -365,18 +365,18 @@ class Studio:
         return visitor, source, self._scene(visitor, data, limits)
 
     def _scene(self, visitor: Visitor | None, data: Any, limits: Settings | None = None) -> Scene:
-        """Validate the scene, which may name the visitor's uploads but no other files."""
+        """Validate a scene, which may name uploads of the visitor but no other files."""
         return scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
 
     def _ready(self, name: str, source: Source | None, scene: Scene, extras: Any) -> dict[str, Any]:
-        """Return the stages done for this visitor, as arguments for the forecast."""
+        """Return the stages already done for this visitor, as arguments of the forecast."""
         visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
             return {}
         return stages_done(self.order((visitor, source, scene), self.check_extras(name, extras)))
 
     def _compiling(self, scene: Scene) -> float:
-        """Time until a scene's kernels are compiled [s]; 0 while a run may be compiling them."""
+        """Return the time to compile a scene's kernels [s]; 0 if a run may be doing this now."""
         if self.forks or not DEVICE.acquire(blocking=False):
             return 0.0
         try:
@@ -385,7 +385,7 @@ class Studio:
             DEVICE.release()
 
     def count(self, source: Source | None) -> int:
-        """Number of Gaussians of an object."""
+        """Return the number of Gaussians of an object."""
         return count_of(source, self.settings)
 
     def _check_time(self, source: Source | None, scene: Scene) -> None:
@@ -393,7 +393,7 @@ class Studio:
         check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
     def order(self, asked: tuple[Visitor, Source, Scene], extras: ExtraInputs) -> Order:
-        """Make an order without a stop file; raises InputError for unsuitable inputs."""
+        """Create an order without a stop file; raises InputError for unsuitable inputs."""
         return order_of(*asked, extras, self.settings)
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:
@@ -413,13 +413,13 @@ class Studio:
                 close_now(events)
                 visitor.trim(self.visitors.room)
         if done is not None:
-            job.tell(done)  # after its storage is released: the visitor may ask for files at once
+            job.tell(done)  # after `writing`: the visitor may ask for more files at once
             visitor.thickness[str(made_gaussians(order))] = done.report.get("thickness")
             if "simulate" not in job.progress.reused:
                 self.forecaster.learn(done.report, order.scene, load)
 
     def warm_up(self) -> None:
-        """Load all kernels and measure this machine with small runs; started in a thread."""
+        """Load all kernels, and calibrate the forecast with small runs; called in a thread."""
         from .warm import example_run, search_seconds, tiny_run, warm_up
 
         if self.settings.warm_up:

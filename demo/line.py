@@ -1,6 +1,6 @@
-"""A queue of jobs, first come, first served, and the messages that end them.
+"""A queue of jobs in order of arrival, and the messages that end the jobs.
 
-Jobs continue when their visitor disconnects. A job is found by its name, which cannot be guessed.
+Jobs continue when their visitor disconnects. A job is identified by a name that cannot be guessed.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ SERVER = {
     Kind.MEMORY: "This server has too little memory for that. Choose a coarser accuracy.",
     Kind.DISK: "The disk of this server is full. Try again later.",
 }
-"""Kind of failure -> message for the visitor; `FAILED` for all others."""
+"""Kind of failure -> message for the visitor; `FAILED` for all other kinds."""
 
 
 class Job:
-    """A visitor's job: its progress, its end, and whether it has been asked to stop."""
+    """A visitor's job: its progress, its result, and a request to stop."""
 
     def __init__(
         self,
@@ -41,17 +41,17 @@ class Job:
     ) -> None:
         self.kind = kind
         self.subject = subject
-        """The file that it works on."""
+        """Path of the file on which the job works."""
         self.name = secrets.token_urlsafe(18)
         self.stop = stop
-        """A file whose existence asks the job to stop."""
+        """File whose existence asks the job to stop."""
         self.progress = Progress(expected=expected, names=stages)
         self.line: Line | None = None
         self._changed = threading.Condition()
 
     @property
     def over(self) -> bool:
-        """Whether it has ended in any way."""
+        """Whether the job has ended, successfully or not."""
         return self.progress.state not in ("waiting", "running")
 
     def tell(self, event: object) -> None:
@@ -61,12 +61,12 @@ class Job:
             self._changed.notify_all()
 
     def end(self, state: str, message: str = "", result: object = None) -> None:
-        """End the job; only the first call counts.
+        """End the job; later calls have no effect.
 
         Args:
             state: done, stopped, refused, full or failed.
             message: A sentence for the visitor.
-            result: What the job has made.
+            result: Result of the job.
         """
         with self._changed:
             if not self.over:
@@ -75,31 +75,31 @@ class Job:
             self._changed.notify_all()
 
     def wait(self, seconds: float) -> bool:
-        """Wait for the end for at most `seconds`; returns whether it is over."""
+        """Wait for the end for up to `seconds`; return whether the job is over."""
         with self._changed:
             self._changed.wait_for(lambda: self.over, seconds)
             return self.over
 
     def cancel(self) -> None:
-        """Remove the job from the queue, or ask it to stop if it runs."""
+        """Remove the job from the queue, or ask it to stop if it is running."""
         if self.line is not None and self.line.drop(self):
             self.end("stopped", STOPPED)
         elif not self.over and self.stop.parent.is_dir():
             self.stop.touch()
 
     def check(self) -> None:
-        """Raise Cancelled if the job was asked to stop."""
+        """Raise Cancelled if the job has been asked to stop."""
         if self.stop.exists():
             raise Cancelled
 
     @property
     def place(self) -> int:
-        """Number of jobs before this one; 0 once it has started."""
+        """Number of jobs that start before this job; 0 once it has started."""
         return 0 if self.line is None else self.line.place(self)
 
 
 class Line:
-    """A queue of jobs, and the threads that run them."""
+    """A queue of jobs, and the threads that run the jobs."""
 
     def __init__(self, name: str, *, workers: int, most: int) -> None:
         self.name, self.workers, self.most = name, workers, most
@@ -113,11 +113,11 @@ class Line:
 
     @property
     def running(self) -> int:
-        """Number of jobs that are running."""
+        """Number of running jobs."""
         return len(self._running)
 
     def submit(self, job: Job, work: Callable[[Job], None]) -> Job:
-        """Put a job at the end of the queue.
+        """Append a job to the queue.
 
         Raises:
             InputError: Too many jobs are waiting.
@@ -135,13 +135,13 @@ class Line:
         return job
 
     def place(self, job: Job) -> int:
-        """Number of jobs to be started before this one; 0 once it has started."""
+        """Return the number of jobs before this job; 0 once it has started."""
         with self._changed:
             names = [waiting.name for waiting, _ in self._waiting]
         return names.index(job.name) + self.running if job.name in names else 0
 
     def drop(self, job: Job) -> bool:
-        """Remove a job from the queue; returns False if it has been started."""
+        """Remove a job from the queue; return False if it has started."""
         with self._changed:
             entry = next((entry for entry in self._waiting if entry[0] is job), None)
             if entry is None:
@@ -164,7 +164,7 @@ class Line:
             try:
                 work()
             except BaseException as problem:
-                # The thread must survive any exception, to run the next jobs.
+                # The thread must survive any exception, because it runs the next jobs.
                 end(job, problem)
             job.end("failed", FAILED)
             with self._changed:
@@ -172,7 +172,7 @@ class Line:
 
 
 def run_guarded(job: Job, work: Callable[[Job], None]) -> None:
-    """Run a job; if it is refused or cancelled, end it with a message."""
+    """Run a job; end it with a message if it raises an exception."""
     job.progress.begin()
     try:
         job.check()
@@ -184,7 +184,7 @@ def run_guarded(job: Job, work: Callable[[Job], None]) -> None:
 
 
 def end(job: Job, problem: BaseException) -> None:
-    """End a job that raised an exception; errors of the server are logged."""
+    """End a job that raised an exception; log errors of the server."""
     state, message = describe_failure(problem)
     if state == "failed":
         LOG.error("a job failed", exc_info=problem)
@@ -192,7 +192,7 @@ def end(job: Job, problem: BaseException) -> None:
 
 
 def describe_failure(problem: BaseException) -> tuple[str, str]:
-    """Return the final state of a job that raised an exception, and the visitor's message."""
+    """Return the final state of a job that raised an exception, and the message to the visitor."""
     kind = failure(problem).kind
     if kind is Kind.STOPPED:
         return "stopped", STOPPED
@@ -208,5 +208,5 @@ def user_message(error: InputError) -> str:
 
 
 def api_message(error: InputError) -> str:
-    """Return an error's message for a program, beginning with the field."""
+    """Return an error's message for a program; it begins with the field."""
     return f"{error.field}: {user_message(error)}"

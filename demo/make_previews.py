@@ -1,7 +1,7 @@
-"""Make the looping pictures on the preset cards and material chips from the pipeline itself.
+"""Render the animated previews of the preset cards and material chips with the pipeline.
 
-Run `python -m demo.make_previews` again when presets or their physics have
-changed; it takes some seconds for each.
+Run `python -m demo.make_previews` again after changes of presets or their physics. Each preview
+takes some seconds.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ OBJECTS = {
     "snow": "teddy", "water": "pear", "jelly": "cupcake", "wind": "sunflower", "foam": "mushroom",
     "land_on_cushion": "pear", "bury": "chick", "stack": "cupcake",
 }  # fmt: skip
-"""Preset -> example picture; all others use the duck."""
+"""Preset -> example picture; all other presets use the duck."""
 FALL = 36
-"""Number of frames of a material's chip: it lands but does not topple."""
+"""Number of frames of a material's preview: the object lands but does not topple."""
 FRAMES = {"water": 11}
-"""Fewer frames for materials that would spread beyond their card."""
+"""Number of frames for materials that would otherwise spread beyond their card."""
 LONGEST = 24
-"""Largest number of pictures in a loop; longer clips are subsampled."""
+"""Largest number of pictures in a preview; longer clips are subsampled."""
 SIZE, CHIP = 200, 96
-"""Sides of a preset's picture and of a material's [pixels]."""
+"""Width and height of a preset's and of a material's preview [pixels]."""
 
 
 def main() -> None:
-    """Make the previews of the presets and materials that are named, or of all."""
+    """Render the previews of the presets and materials named on the command line, or of all."""
     parser = argparse.ArgumentParser(description=__doc__)
     materials = [f"material_{name}" for name in SUBSTANCES]
     parser.add_argument("names", nargs="*", default=[*preset_names(), *materials])
@@ -63,7 +63,7 @@ def main() -> None:
 
 
 def substance_scene(name: str) -> Scene:
-    """Return the scene of a material's chip: a fall to the ground."""
+    """Return the scene of a material's preview: a fall to the ground."""
     drop = Scene.named("drop").replaced({"accuracy": "draft", "material": SUBSTANCES[name]})
     return drop.replaced({"time.frames": FRAMES.get(name, FALL)})
 
@@ -75,7 +75,7 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
         scene: The scene.
         example: Name of the example picture.
         path: The file to write.
-        size: Side of the picture [pixels].
+        size: Width and height of the preview [pixels].
     """
     cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
     clip = Simulation(prepare(make("relief")(cutout, seed=0, progress=silent), scene)).run()
@@ -97,9 +97,9 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
 
 
 def _film(clip: Clip, view: View, step: int) -> list[Image.Image]:
-    """Draw every `step`-th frame and a pause, with shadow, walls and shine.
+    """Render every `step`-th frame and a final pause, with shadow, walls and gloss.
 
-    The background is transparent, to fit a light and a dark page.
+    The background is transparent, because the page may be light or dark.
     """
     camera = still_camera(clip, view, "front")
     frames, shine = list(clip.frames())[::step], make_shine(clip, view)
@@ -111,7 +111,7 @@ def _film(clip: Clip, view: View, step: int) -> list[Image.Image]:
 
 
 def _draw_on(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view: View) -> Pictures:
-    """Draw the frames on a shade of grey."""
+    """Render the frames on a shade of grey."""
     colour = (grey, grey, grey)
     plain = {"background": colour, "gradient": None, "picture": None}
     stage = make_stage(clip, view.model_copy(update=plain))
@@ -128,7 +128,7 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
 
 
 def _telling(images: list[Image.Image]) -> list[Image.Image]:
-    """Rotate the loop to start with the frame that differs most from the first."""
+    """Rotate the loop so that it starts with the frame that differs most from the first."""
     pixels = np.array([np.asarray(image, np.int16) for image in images])
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))
     start = int(changed.argmax())

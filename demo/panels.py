@@ -1,4 +1,4 @@
-"""The page's panels: gr.HTML components, with scripts in static/ and phy124/io/viewer/."""
+"""Panels of the page: gr.HTML components with scripts in static/ and phy124/io/viewer/."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .handlers import Handler
 
 HEAD = '<script src="phy124/static/server.js"></script>'
 MARK = "mark"
-"""Key of the mark in a value."""
+"""Key of the mark in a panel's value."""
 
 
 HEAD += '<script src="phy124/static/page.js"></script>'
@@ -49,12 +49,12 @@ PLAYER = (
 
 
 def scene() -> gr.HTML:
-    """The scene editor; its value is a scene as plain data; "change" reports a new one."""
+    """Create the scene editor; its value is a scene as plain data; "change" sends a new scene."""
     return _panel("scene", EDITOR, events="'change'")
 
 
 def picture() -> gr.HTML:
-    """The picture, its cut-out, the brush, and examples.
+    """Create the panel of the picture, its cut-out, the brush, and examples.
 
     Events: "choose" names an uploaded file or an example, "correct" carries brush strokes, "cut"
     reports the end of a cut-out.
@@ -63,7 +63,7 @@ def picture() -> gr.HTML:
 
 
 def extras() -> gr.HTML:
-    """Optional inputs besides the front picture; its value holds them by option.
+    """Create the panel of optional inputs; its value holds the inputs by option.
 
     Events: "choose" names a picture uploaded for an option, "view" reports the end of its cut-out,
     "change" a new value. Handlers set an answer, or the orientations of a file of Gaussians, as the
@@ -73,7 +73,7 @@ def extras() -> gr.HTML:
 
 
 def others() -> gr.HTML:
-    """Pictures of the scene's further objects; empty if no object waits for a picture.
+    """Create the panel for pictures of further objects; empty if no object needs a picture.
 
     Events: "choose" names a picture uploaded for an object, "view" reports the end of its cut-out.
     Handlers set an answer as the value; the scene holds the pictures.
@@ -82,17 +82,17 @@ def others() -> gr.HTML:
 
 
 def progress() -> gr.HTML:
-    """Progress bars and the run so far; the events "finished" and "again" report its end."""
+    """Create the panel of progress and frames so far; "finished" and "again" report the end."""
     return _panel("progress", HEAD, events="'finished' 'again'")
 
 
 def viewer() -> gr.HTML:
-    """The 4D viewer."""
+    """Create the panel that shows moving Gaussians in 3D."""
     return _panel("viewer", PLAYER)
 
 
 def touch() -> gr.HTML:
-    """The live run; its value holds the ticket or a message.
+    """Create the panel of the live run; its value holds the ticket or a message.
 
     Events: "begin" asks for a live run, "save" for the clip of its session.
     """
@@ -100,7 +100,7 @@ def touch() -> gr.HTML:
 
 
 def forecast() -> gr.HTML:
-    """The forecast as HTML; the event "measure" asks for the error of the scene."""
+    """Create the forecast as HTML; the event "measure" asks to measure the scene's error."""
     return gr.HTML(
         "",
         js_on_load="Phy124.forecast(element, trigger); // 'measure'",
@@ -111,22 +111,22 @@ def forecast() -> gr.HTML:
 
 
 def history() -> gr.HTML:
-    """Earlier results; the event "show" selects one."""
+    """Create the list of earlier results; the event "show" selects a result."""
     return _panel("history", HEAD, events="'show'")
 
 
 def videos() -> gr.HTML:
-    """The videos side by side."""
+    """Create the panel that shows the videos side by side."""
     return _panel("videos", HEAD)
 
 
 def takeaway() -> gr.HTML:
-    """Links to files, and buttons for those made on demand (the event "prepare")."""
+    """Create the download panel; the event "prepare" asks for a file that is made on demand."""
     return _panel("takeaway", HEAD, events="'prepare'")
 
 
 def fit() -> gr.HTML:
-    """A fit of the result to a video; its value holds the offer or the finished fit.
+    """Create the panel of fits to a video; its value holds the offer or the finished fit.
 
     Events: "begin" names an uploaded video, "stop" cancels its fit, "ended" reports its end.
     """
@@ -134,10 +134,10 @@ def fit() -> gr.HTML:
 
 
 def _panel(name: str, head: str, events: str = "") -> gr.HTML:
-    """Make a panel that is drawn by the function `name` of the script object `Phy124`."""
+    """Create a panel that is drawn by the function `name` of the script object `Phy124`."""
     call = f"Phy124.{name}(element, props, watch, trigger);"
     value: Any = None
-    # Gradio searches the script's text for names of events.
+    # Gradio searches the script's text for event names.
     return gr.HTML(
         value,
         html_template="",
@@ -149,10 +149,10 @@ def _panel(name: str, head: str, events: str = "") -> gr.HTML:
 
 
 def mark_answers(page: Any) -> None:
-    """Mark the answers of all handlers to the panels of a `gr.Blocks`, so that no two are equal.
+    """Mark all answers of handlers to the panels of a `gr.Blocks`, so that no two are equal.
 
-    Gradio does not send a panel a value that equals the previous one: after a second, equal refusal
-    the panel would wait forever. Handlers do not see the marks.
+    Gradio does not send a panel a value that equals the previous value. Without marks, a panel
+    would wait forever after a second, equal refusal. Handlers do not see the marks.
     """
     for event in page.fns.values():
         panels = [isinstance(block, gr.HTML) for block in event.outputs]
@@ -161,7 +161,7 @@ def mark_answers(page: Any) -> None:
 
 
 def _marking(handle: Handler, panels: list[bool]) -> Handler:
-    # Gradio makes new components for each session, so the handlers are wrapped instead.
+    # Gradio creates new components for each session; therefore the handlers are wrapped instead.
     @wraps(handle)
     def marking(*arguments: Any) -> Any:
         answer = handle(*map(_unmark, arguments))

@@ -1,7 +1,7 @@
-"""Inputs for programs; they pass on uploads undecoded, so that limits are checked first.
+"""Components for uploads of programs; the uploads stay undecoded until the limits are checked.
 
-Gradio would decode a picture before any check, fetch it from any URL, and accept data: URLs beyond
-its `max_file_size`.
+Gradio itself would decode a picture before any check, fetch it from any URL, and accept data: URLs
+beyond its `max_file_size`.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ FETCHES_NOTHING = "This page fetches nothing. Send the file itself."
 
 
 class Sent(ImageData):
-    """A program's picture; anything but a file is refused with a message."""
+    """A picture from a program; anything but a file is refused with a message."""
 
     name: ClassVar[str] = "image"
     """Name of the argument."""
 
-    # Not a pydantic validator, whose exceptions would be wrapped and not shown to the program.
+    # Not a pydantic validator: its exceptions would be wrapped and not shown to the program.
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Sent:
         """Validate the picture; raises gr.Error if it is no file."""
@@ -42,11 +42,11 @@ class Sent(ImageData):
 
 
 def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
-    """A `gr.Image` whose value is the path of the uploaded file, undecoded.
+    """Create a `gr.Image` whose value is the path of the uploaded file, undecoded.
 
     Args:
-        studio: Stores pictures that are part of a request.
-        label: Name of the argument, which refusals begin with.
+        studio: Stores pictures that are sent inside a request.
+        label: Name of the argument, with which refusals begin.
         options: Options of `gr.Image`.
     """
 
@@ -69,7 +69,7 @@ def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
 
 
 class SentVideo(FileData):
-    """A program's video; anything but a file is refused with a message."""
+    """A video from a program; anything but a file is refused with a message."""
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> SentVideo:
@@ -81,7 +81,7 @@ class SentVideo(FileData):
 
 
 def film(**options: Any) -> gr.File:
-    """A `gr.File` whose value is the path of the uploaded video, undecoded."""
+    """Create a `gr.File` whose value is the path of the uploaded video, undecoded."""
     file = gr.File(**options)
     file.data_model = SentVideo
 
@@ -98,7 +98,7 @@ def film(**options: Any) -> gr.File:
 
 
 def _describe_as_file(component: Any, name: str) -> Any:
-    """Describe a component as a file in the API, without a URL."""
+    """Describe a component as a file without a URL in the API."""
     example = {"path": name, "meta": {"_type": "gradio.FileData"}}
     component.api_info = FileData.model_json_schema
     component.example_payload = lambda: example
@@ -106,17 +106,17 @@ def _describe_as_file(component: Any, name: str) -> Any:
 
 
 def refusal(text: str) -> gr.Error:
-    """Make an error for a program; it is not logged, since it is no fault of the server."""
+    """Create an error for a program; it is not logged, because it is no error of the server."""
     return gr.Error(text, print_exception=False)
 
 
 def fetch_nothing(page: gr.Blocks) -> None:
-    """Prevent a page from downloading URLs that a request contains."""
+    """Prevent the page from downloading URLs in a request."""
 
     async def refuse(url: str) -> Any:
         raise refusal(f"file: {FETCHES_NOTHING}")
 
-    # Gradio copies unchanged panels for each session, so the module's function is replaced, too.
+    # Gradio copies unchanged panels for each session; the module's function is replaced, too.
     processing_utils.async_ssrf_protected_get = refuse
     for block in page.blocks.values():
         moved = block.async_move_resource_to_block_cache

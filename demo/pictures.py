@@ -29,20 +29,20 @@ from .settings import Settings
 from .visitors import Visitor, key
 
 HOW = "cutout"
-"""Key of the PNG text that describes how the picture was cut out."""
+"""Key of the PNG text that stores the method and quality of a cut-out."""
 Fraction = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
 
 
 def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
-    """Check a picture's size in bytes and pixels from its header, without decoding it.
+    """Check a picture's file size and number of pixels from its header, without decoding it.
 
     Args:
         path: The picture.
         settings: The page's limits.
-        field: Its name in error messages.
+        field: Name of the picture in error messages.
 
     Raises:
-        InputError: It is too large, or it is not a picture.
+        InputError: The picture is too large, or the file is no picture.
     """
     size = path.stat().st_size
     if size > settings.max_bytes:
@@ -54,7 +54,7 @@ def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
 
 
 def is_shown(picture: Path) -> bool:
-    """Whether browsers can show a picture."""
+    """Return whether browsers can show a picture."""
     with open(picture, "rb") as file:
         return read_kind(file.read(HEAD)) != "HEIC"
 
@@ -74,16 +74,16 @@ def viewable(picture: Path, deadline: Deadline = PATIENT) -> Path:
 def cut_out(
     picture: Path, path: Path, pick: Point | None = None, deadline: Deadline = PATIENT
 ) -> tuple[str, ...]:
-    """Write the cut-out of a picture; returns reasons to doubt it.
+    """Write the cut-out of a picture; return reasons to doubt it.
 
     Args:
         picture: The picture.
         path: The PNG to write.
-        pick: A point on the object, if the picture has several.
-        deadline: When to give up.
+        pick: A point on the object, if the picture shows several objects.
+        deadline: Time limit.
 
     Raises:
-        InputError: No object can be found in it.
+        InputError: No object is found in the picture.
     """
     cut = foreground(open_image(picture, deadline=deadline), pick=pick, deadline=deadline)
     _save(cut, path)
@@ -91,7 +91,7 @@ def cut_out(
 
 
 def cutout_file(visitor: Visitor, picture: Path, *more: Any) -> Path:
-    """Return the path of a visitor's cut-out of a picture; `more` are further dependencies."""
+    """Return the path of a visitor's cut-out; its name depends on the picture and on `more`."""
     return visitor.folder / "cutouts" / f"{key(picture.read_bytes(), *more)}.png"
 
 
@@ -102,16 +102,16 @@ def cut_once(
     pick: Point | None,
     deadline: Deadline,
 ) -> tuple[Path, tuple[str, ...], bool]:
-    """Cut out an upload once, and correct the cut-out by strokes.
+    """Cut out an upload unless its cut-out exists, and correct the cut-out by strokes.
 
-    Returns the cut-out, doubts about it, and whether the object had to be searched for.
+    Return the cut-out, doubts about it, and whether the object had to be segmented.
 
     Args:
         visitor: The upload's visitor.
         upload: The picture.
         strokes: The brush strokes.
-        pick: A point on the object, if the picture has several.
-        deadline: When to give up.
+        pick: A point on the object, if the picture shows several objects.
+        deadline: Time limit.
     """
     place = pick or ()
     first = cutout_file(visitor, upload, *place)
@@ -133,16 +133,16 @@ def correct_cutout(
     path: Path,
     deadline: Deadline = PATIENT,
 ) -> None:
-    """Write the cut-out, corrected by brush strokes.
+    """Write a cut-out that is corrected by brush strokes.
 
-    Painted pixels are certain; near the strokes, the outline follows the edges of the picture.
+    Painted pixels are as painted; near the strokes, the outline follows the edges of the picture.
 
     Args:
         picture: The picture.
-        first: The cut-out to start from, if there is one.
+        first: The cut-out to start from, if any.
         strokes: The brush strokes.
         path: The PNG to write.
-        deadline: When to give up.
+        deadline: Time limit.
     """
     image = make_solid(open_image(picture, deadline=deadline))
     marks = np.asarray(paint(tuple(strokes), image.size))
@@ -151,7 +151,7 @@ def correct_cutout(
         with Image.open(first) as cut:
             alpha = np.array(cut.getchannel("A"))
     if not has_alpha(image):
-        # If the outline is not ready in time, the strokes still count.
+        # If the outline takes too long, the painted pixels are still applied.
         with suppress(Unfinished):
             rgb = np.asarray(image.convert("RGB"))
             alpha = np.array(isolated.run(apply_marks, rgb, alpha, marks, deadline=deadline))
@@ -161,13 +161,13 @@ def correct_cutout(
 
 
 def how_cut(picture: Image.Image) -> dict[str, Any] | None:
-    """Return how a picture was cut out, if `cut_out` or `correct_cutout` wrote it."""
+    """Return method and quality of a cut-out that this module wrote, else None."""
     text = picture.info.get(HOW)
     return text and json.loads(text)
 
 
 def cut_by(path: Path) -> str:
-    """Return the title of the method that made a cut-out; empty if unknown."""
+    """Return the title of a cut-out's method; empty if unknown."""
     with Image.open(path) as picture:
         how = how_cut(picture)
     return title_of(how["method"]) if how else ""
@@ -185,10 +185,10 @@ def _save(cut: Cutout, path: Path) -> None:
 
 
 class Stroke(Section):
-    """A line painted on the picture; lengths are fractions of its longer side."""
+    """A line painted on the picture; lengths are fractions of the picture's longer side."""
 
     keep: bool
-    """Whether the painted area belongs to the object."""
+    """True if the painted area belongs to the object."""
     width: float = Field(gt=0, le=0.5)
     points: tuple[tuple[Fraction, Fraction], ...] = Field(min_length=1, max_length=2000)
 
@@ -198,7 +198,7 @@ PLACE = TypeAdapter(tuple[Share, Share])
 STROKES = TypeAdapter(Annotated[list[Stroke], Field(max_length=200)])
 UNREAD = "These strokes cannot be read."
 POINTS = 20_000
-"""Largest number of points of all strokes together."""
+"""Largest number of points in all strokes together."""
 
 
 def read_strokes(data: Any) -> list[Stroke]:
@@ -218,10 +218,10 @@ def read_strokes(data: Any) -> list[Stroke]:
 
 
 def read_place(data: Any) -> Point | None:
-    """Read a point of the picture, as fractions of width and height; None for [].
+    """Read a point of the picture, as fractions of width and height; None if empty.
 
     Raises:
-        InputError: If it is something else.
+        InputError: The data is neither a point nor empty.
     """
     if data is None or data == []:
         return None
@@ -237,7 +237,7 @@ def read_place(data: Any) -> Point | None:
 
 
 def paint(strokes: list[Stroke] | tuple[Stroke, ...], size: tuple[int, int]) -> Image.Image:
-    """Paint the strokes: 0 nothing, 1 remove, 2 keep; later strokes cover earlier ones."""
+    """Paint the strokes: 0 nothing, 1 remove, 2 keep; later strokes cover earlier strokes."""
     marks = Image.new("L", size)
     draw, side = ImageDraw.Draw(marks), max(size)
     for stroke in strokes:

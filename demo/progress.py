@@ -1,4 +1,4 @@
-"""The events of a job, and its progress as the page shows it."""
+"""Events of a job, and the job's progress as the page shows it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MEASURING = {"generate": "Picture to 3D", "measure": "Grids"}
 
 @dataclass
 class Progress:
-    """What the progress panel shows."""
+    """Content of the progress panel."""
 
     state: str = "waiting"
     """waiting or running, then done, stopped, refused, full or failed."""
@@ -31,14 +31,14 @@ class Progress:
     stages: dict[str, Step] = field(default_factory=dict)
     reused: list[str] = field(default_factory=list)
     glimpses: list[bytes] = field(default_factory=list)
-    """Small pictures of the frames so far."""
+    """Small JPEGs of the frames so far."""
     live: list[str] = field(default_factory=list)
     """Files of the frames so far, for the viewer."""
     result: Any = None
     """Result of the job."""
 
     def take(self, event: Any) -> None:
-        """Process an event of the job; ignores None, which means that time has passed."""
+        """Process an event of the job; None means only that time has passed."""
         if isinstance(event, Step):
             self.stages[event.stage] = event
         elif isinstance(event, Reused):
@@ -55,7 +55,7 @@ class Progress:
         self.state, self.start = "running", time.monotonic()
 
     def data(self, seen: int = 0) -> dict[str, Any]:
-        """Plain data for the page, with the pictures from index `seen`."""
+        """Return plain data for the page, with the frames from index `seen` on."""
         return {
             "state": self.state,
             "message": self.message,
@@ -81,7 +81,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Step:
-    """The progress of a stage."""
+    """Progress of a stage."""
 
     stage: str
     done: int
@@ -91,14 +91,14 @@ class Step:
 
 @dataclass(frozen=True)
 class Glimpse:
-    """A small JPEG of the frame just simulated."""
+    """A small JPEG of the frame that was just simulated."""
 
     picture: bytes
 
 
 @dataclass(frozen=True)
 class Live:
-    """A file with the frame just simulated, for the viewer."""
+    """A file with the frame that was just simulated, for the viewer."""
 
     file: str
 
@@ -112,18 +112,18 @@ class Reused:
 
 @dataclass(frozen=True)
 class Done:
-    """The end of a run."""
+    """End of a run, with its folders."""
 
     clip: Path
     """Folder of the clip, its Gaussians and its scene."""
     films: Path
     """Folder of the videos, the player's pack and the report."""
     study: Path
-    """The file for the measured error of this scene."""
+    """File for the error measured on this scene."""
 
     @property
     def exports(self) -> Path:
-        """Folder of the formats that are made on demand."""
+        """Folder of formats that are made on demand."""
         return self.films.parent.parent / "exports" / self.films.name
 
     @property
@@ -134,7 +134,7 @@ class Done:
 
 @dataclass(frozen=True)
 class Measured:
-    """The end of a study of the scene's error."""
+    """End of a study of the scene's error."""
 
     study: Path
     """File of a `demo.studies.Measurement`."""
@@ -145,7 +145,7 @@ Tell = Callable[[Event], None]
 
 
 def close_now(events: Iterator[Any]) -> None:
-    """Close the generator of a job's events now, not when it is garbage collected."""
+    """Close the generator of a job's events now, instead of at garbage collection."""
     close = getattr(events, "close", None)
     if close is not None:
         close()

@@ -1,9 +1,9 @@
-"""Costs of a run's stages on this machine: measured at start, corrected by finished runs.
+"""Costs of a run's stages on this machine: measured at the start, corrected by finished runs.
 
-A substep, a frame and a video each have a fixed cost and a cost per particle or pixel. Both are
-measured before the first visitor comes. After that, finished runs correct the costs per particle
-and pixel. No visitor can distort them: runs too small to show a cost are ignored, and the median of
-the last runs is used, limited to a factor of the first measurement.
+A substep, a frame and a video each have a fixed cost and a cost per particle or pixel. All costs
+are measured before the first visitor comes; finished runs then correct the costs per particle and
+pixel. No visitor can distort the costs: runs that are too small to show a cost are ignored, and the
+median of the last runs is used, limited to a factor of the first measurement.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from phy124.budget.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2
-"""Longest time to read existing Gaussians [s]."""
+"""Time up to which the Gaussians count as read from a file, not generated [s]."""
 SPREAD = 3.0
-"""Largest factor between learned costs and those measured at start, up or down."""
+"""Largest ratio of a learned cost to the cost measured at the start, or its inverse."""
 WINDOW = 5
-"""Number of runs in the median."""
+"""Number of runs from which the median is computed."""
 FIXED = 0.7
-"""Largest fraction of a usual run's time that fixed costs may explain."""
+"""Largest fraction of a usual run's time that is attributed to fixed costs."""
 MINIMUM = 0.2
-"""Smallest work of a run that counts, relative to the first measurement."""
+"""Smallest work of a run that corrects a cost, relative to the first measurement."""
 
 
 class Learned:
@@ -35,7 +35,7 @@ class Learned:
     def __init__(self) -> None:
         self.now = Rates()
         self.measured: Rates | None = None
-        """The rates of the first measurement; None before it."""
+        """Rates of the first measurement; None before it."""
         self._first: Work | None = None
         self._seen: dict[str, deque[float]] = {}
         self._lock = threading.Lock()
@@ -43,7 +43,7 @@ class Learned:
     def calibrate(
         self, small: tuple[dict[str, Any], Scene], usual: tuple[dict[str, Any], Scene]
     ) -> None:
-        """Measure the rates from the reports of a tiny and a usual run."""
+        """Compute the rates from the reports of a tiny and a usual run."""
         (little, spent_little), (much, spent) = _observe(*small), _observe(*usual)
         substep = _per(spent_little["simulate"], little.substeps) or self.now.substep
         video = _per(spent_little["film"], little.videos) or self.now.video
@@ -56,7 +56,7 @@ class Learned:
         with self._lock:
             self.now = self.measured = replace(fixed, **costs)
             self._first = much
-            # Twice, so that the first run alone does not decide.
+            # Entered twice, so that the first run of a visitor alone does not determine the median.
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def learn(self, report: dict[str, Any], scene: Scene) -> None:
@@ -79,12 +79,12 @@ class Learned:
 
     @property
     def minimum(self) -> Rates:
-        """The smaller of the built-in and measured rates."""
+        """The smallest of built-in, measured and current rates."""
         return Rates().minimum(self.measured or self.now).minimum(self.now)
 
 
 def _observe(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, float]]:
-    """Return the work of a finished run, and the seconds of each stage."""
+    """Return the work of a finished run, and the time of each stage [s]."""
     spent = {stage["name"]: stage["seconds"] for stage in report["stages"]}
     spent["film"] = spent.get("render", 0.0) + spent.get("encode", 0.0)
     for name in ("generate", "simulate", "deform"):
@@ -95,13 +95,13 @@ def _observe(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, floa
 
 
 def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, float]:
-    """The variable costs of a run, excluding the fixed ones."""
+    """Return the costs per unit of work of a run, after subtracting fixed costs."""
     fixed = {
         "particle": rates.substep * work.substeps + rates.node * work.nodes,
         "pixel": rates.video * work.videos,
     }
     costs = {
-        # Existing Gaussians are read quickly and do not count.
+        # Gaussians that are read from a file take little time and do not count.
         "generate": spent["generate"] if spent["generate"] > READ else None,
         "particle": _per(spent["simulate"] - fixed["particle"], work.particles),
         "frame": _per(spent["deform"], work.frames),
@@ -111,12 +111,12 @@ def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, fl
 
 
 def _per(seconds: float, amount: float) -> float | None:
-    """Seconds per unit, or None if that cannot be determined."""
+    """Return seconds per unit, or None if they cannot be determined."""
     return seconds / amount if amount > 0 and seconds > 0 else None
 
 
 def _at_most(fraction: float, seconds: float, amount: float, cost: float) -> float:
-    """Limit a cost per unit, so that it explains at most a fraction of the time.
+    """Limit a cost per unit so that it explains at most a fraction of the time.
 
     Args:
         fraction: The largest fraction.

@@ -1,4 +1,4 @@
-"""Formats a run's report as HTML: stage times, effects that ran or were left out, stability."""
+"""Format a run's report as HTML: stage times, effects that ran or were left out, stability."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def as_html(
         report: The content of report.json.
         scene: The scene as plain data.
         predicted: Predicted time [s].
-        stops: Time and error of the named accuracies.
-        study: The errors measured on this scene, if any.
+        stops: Time and error of each named accuracy.
+        study: Errors measured on this scene, if any.
     """
     promise, parts = promise_of(Scene.from_data(scene), report.get("thickness"), study, report), []
     if report.get("stopped"):
@@ -62,7 +62,7 @@ def _accuracy(
 
 
 def _pareto(report: dict[str, Any], promise: Promise, stops: Sequence[Stop]) -> str:
-    """Plot of error over time for the named accuracies and this run."""
+    """Plot error over time for the named accuracies and this run."""
     reached = promise.error
     known = [(stop, stop.error) for stop in stops if stop.error]
     if not known or not reached:
@@ -91,14 +91,14 @@ def _pareto(report: dict[str, Any], promise: Promise, stops: Sequence[Stop]) -> 
 
 
 def _scale(values: Sequence[float], start: float, end: float) -> Any:
-    """Return a function from values to positions on a logarithmic axis."""
+    """Return a function that maps values to positions on a logarithmic axis."""
     low, high = math.log(min(values)), math.log(max(values))
     span = (high - low) or 1.0
     return lambda value: start + (end - start) * (math.log(value) - low) / span
 
 
 def _anchor(x: float) -> str:
-    """Text anchor that keeps a label at `x` inside the plot."""
+    """Return the text anchor that keeps a label at `x` inside the plot."""
     return "start" if x < WIDTH / 3 else "end" if x > 2 * WIDTH / 3 else "middle"
 
 
@@ -113,7 +113,7 @@ def _stages(report: dict[str, Any]) -> str:
 
 
 def _cut_out(report: dict[str, Any]) -> str:
-    """How the object was cut out of its picture, and reasons to doubt it."""
+    """Format the method of the cut-out, and reasons to doubt it."""
     cutout = report.get("cutout")
     if not cutout:
         return ""
@@ -127,7 +127,7 @@ def _cut_out(report: dict[str, Any]) -> str:
 
 
 def _file(report: dict[str, Any]) -> str:
-    """How a file of Gaussians was read, and what was removed from it."""
+    """Format the kind and orientation of a file of Gaussians, and what was removed from it."""
     file = report.get("file")
     if not file:
         return ""
@@ -137,7 +137,7 @@ def _file(report: dict[str, Any]) -> str:
 
 
 def _objects(report: dict[str, Any]) -> str:
-    """Sources of several objects, and the largest force between each pair."""
+    """Format the sources of several objects, and the largest force of each pair."""
     rows = []
     for name, body in (report.get("objects") or {}).items():
         cutout = (report.get("sources") or {}).get(name, {}).get("cutout")
@@ -170,7 +170,7 @@ def _motion(report: dict[str, Any]) -> str:
 
 
 def _effects(report: dict[str, Any]) -> str:
-    """The effects that ran, with the time of each stage of a substep."""
+    """Format the effects that ran, with the time of each stage of a substep."""
     rows = [
         (stage["name"], f"{stage['seconds']:.2f} s in {stage['launches']:,}")
         for stage in report.get("substep_stages", [])
@@ -199,7 +199,7 @@ def _table(rows: Sequence[tuple[str, Any]]) -> str:
 
 
 def _plot(x: Sequence[float], y: Sequence[float], label: str) -> str:
-    """A small plot labelled with its extremes."""
+    """Return a small plot labelled with its extremes."""
     low, high, span = min(y), max(y), (x[-1] - x[0]) or 1.0
     height = (high - low) or 1.0
     top, bottom = 16, HEIGHT - 14

@@ -1,4 +1,4 @@
-"""Limits of the storage for visitors' files, and uploads without a known visitor."""
+"""Limits of disk space for visitors' files, and uploads whose visitor is unknown."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from pathlib import Path
 from phy124.errors import InputError
 
 EACH = 64
-"""Largest number of uploads per address; the oldest are dropped."""
+"""Largest number of waiting uploads per address; the oldest are removed."""
 ARRIVED = 600.0
-"""Longest time between an upload and the request that uses it [s]."""
+"""Longest time between an upload and the request that names it [s]."""
 
 
 @dataclass(frozen=True)
 class Room:
-    """Limits of the stored files, in number, size and time."""
+    """Limits of number, size and age of stored files."""
 
     visitors: int = 64
     clips: int = 3
-    """Number of results of one visitor."""
+    """Number of results per visitor."""
     grace: float = 900.0
-    """Time for which silent visitors are kept [s]."""
+    """Time after which the files of a silent visitor are removed [s]."""
     each: float = 1e9
-    """Files of one visitor [bytes]."""
+    """Size of the files of a visitor [bytes]."""
     all: float = 8e9
-    """Files of all visitors [bytes]."""
+    """Size of the files of all visitors [bytes]."""
     address: int = 32
-    """Number of visitors of one address."""
+    """Number of visitors per address."""
 
     @property
     def runs(self) -> float:
-        """Limit of uploads, runs and exports; the rest is for new visitors' pictures [bytes]."""
+        """Limit for uploads, runs and exports [bytes]; the rest is for new visitors' pictures."""
         return 0.9 * self.all
 
     @property
     def arrivals(self) -> float:
-        """Limit of uploads whose visitor is not known yet [bytes]."""
+        """Limit for uploads whose visitor is not known yet [bytes]."""
         return 0.25 * self.all
 
 
 def all_taken(size: float, each: float, remedy: str) -> InputError:
-    """The error of a visitor whose storage is full, or too small for `size` [bytes]."""
+    """Return the error that a visitor's disk space is full, or too small for `size` [bytes]."""
     limit = "Your storage on this server is full."
     if size > each:
         sizes = f"{size / 1e6:,.0f} MB; your files may take {each / 1e6:,.0f} MB"
@@ -58,7 +58,7 @@ def all_taken(size: float, each: float, remedy: str) -> InputError:
 
 
 def is_plain_file(path: Path) -> bool:
-    """Whether the path is a regular file, and no link."""
+    """Return whether the path is a regular file and no link."""
     try:
         return stat.S_ISREG(os.lstat(path).st_mode)
     except (OSError, ValueError):
@@ -66,7 +66,7 @@ def is_plain_file(path: Path) -> bool:
 
 
 def size_of(folder: Path) -> int:
-    """Size of all files in a folder [bytes]."""
+    """Return the size of all files in a folder [bytes]."""
     return sum(_sizes(folder))
 
 
@@ -88,7 +88,7 @@ def newest_first(folder: Path) -> list[Path]:
 
 
 def change_time(path: Path) -> float:
-    """Time of a file's last change [s]; 0 if it is gone."""
+    """Return the time of a file's last change [s]; 0 if the file is gone."""
     try:
         return path.stat().st_mtime
     except OSError:
@@ -113,11 +113,11 @@ class _Upload:
 class Arrivals:
     """Uploads of programs without cookies, kept until a request names them.
 
-    They have little storage, and a limit per address. Callers hold the lock of `demo.visitors`.
+    Their disk space is small, and limited per address. Callers hold the lock of `demo.visitors`.
     """
 
     def __init__(self, folder: Path, room: Room) -> None:
-        """Make the folder; `room` limits its size."""
+        """Create the folder; `room` limits its size."""
         self.folder, self._room = folder, room
         self._uploads: dict[str, _Upload] = {}
         """Uploads by file name, the oldest first."""
@@ -132,7 +132,7 @@ class Arrivals:
         return sum(upload.size for upload in self._uploads.values())
 
     def announce(self, address: str, size: int, suffix: str) -> Path:
-        """Return the path for an upload; drops older uploads beyond the limits."""
+        """Return the path for an upload; remove older uploads beyond the limits."""
         of_address = [name for name, u in self._uploads.items() if u.address == address]
         for name in of_address[: len(of_address) + 1 - EACH if len(of_address) >= EACH else 0]:
             self._drop(name)
@@ -143,14 +143,14 @@ class Arrivals:
         return self.folder / name
 
     def hand_over(self, path: Path) -> int:
-        """Move an upload to `path` in its visitor's folder; returns its size."""
+        """Move an upload to `path` in its visitor's folder; return its size."""
         upload = self._uploads.pop(path.name, None)
         with suppress(OSError, ValueError):
             os.rename(self.folder / path.name, path)
         return upload.size if upload else 0
 
     def drop(self) -> bool:
-        """Remove the oldest upload of the address with most bytes; returns whether one existed."""
+        """Remove the oldest upload of the address with most bytes; return whether there was one."""
         if not self._uploads:
             return False
         sizes: Counter[str] = Counter()
@@ -161,7 +161,7 @@ class Arrivals:
         return True
 
     def sweep(self) -> None:
-        """Remove uploads that were not used in time."""
+        """Remove uploads that no request has named in time."""
         for name in [n for n, u in self._uploads.items() if time.time() - u.at > ARRIVED]:
             self._drop(name)
 

@@ -1,4 +1,4 @@
-"""Starts the page with its routes and middleware, and ends it."""
+"""Start the page with its routes and middleware, and end it."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ if TYPE_CHECKING:
 FOLDER = Path(__file__).parent
 LOG = logging.getLogger("phy124.web")
 SLACK = 64_000
-"""Size of a request in addition to the upload itself [bytes]."""
+"""Allowance for a request's size in addition to the upload itself [bytes]."""
 GONE = (
     '<!doctype html><html lang="en"><title>phy124</title>'
     "<p>This result is no longer kept. Ask whoever sent the link to make it again.</p></html>"
 )
-"""Page of a link whose result is gone."""
+"""Page for a link whose result has been removed."""
 DIGITS = 9
-"""Largest number of digits read from a URL; Python refuses to parse thousands."""
+"""Largest number of digits read from a URL, because Python refuses to parse thousands."""
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SWEEP = 5.0
 """Interval between two checks for visitors who have left [s]."""
 NAMES = ("NO_PROXY", "no_proxy")
-"""Programs read either; both have to say the same."""
+"""Environment variables for hosts without a proxy; programs read either of the two."""
 
 
 def prepare(settings: Settings, root: Path) -> None:
@@ -97,7 +97,7 @@ class Assets(StaticFiles):
     """Static files that a browser may cache for an hour."""
 
     def file_response(self, *arguments: Any, **options: Any) -> Response:
-        """The response of StaticFiles, with a maximum age."""
+        """Return the response of StaticFiles, with a maximum age."""
         answer = super().file_response(*arguments, **options)
         answer.headers["cache-control"] = "public, max-age=3600"
         return answer
@@ -116,7 +116,7 @@ def shared_route(visitors: Visitors) -> Callable[[Request], Awaitable[Response]]
 
 
 def routes(studio: Studio) -> list[BaseRoute]:
-    """The page's own routes: uploads, jobs, live runs, scripts, pictures, the scenes, health."""
+    """Return the page's own routes: uploads, jobs, live runs, scripts, pictures, scenes, health."""
     from .catalogue import catalogue
 
     offered = json.dumps(catalogue(studio.settings)).encode()
@@ -131,7 +131,7 @@ def routes(studio: Studio) -> list[BaseRoute]:
         )
 
     async def progress(request: Request) -> Response:
-        """The progress of a job; the request counts as a sign of life."""
+        """Return the progress of a job; the request shows that the visitor is still there."""
         job = studio.visitors.job(request.path_params["name"])
         if job is None:
             return JSONResponse({"state": "gone"}, 404)
@@ -140,7 +140,7 @@ def routes(studio: Studio) -> list[BaseRoute]:
         return JSONResponse({**data, "place": job.place}, headers={"cache-control": "no-store"})
 
     async def here(request: Request) -> Response:
-        """Note that a page is open; tells it whether its visitor's files still exist."""
+        """Note that a page is open; answer whether its visitor's files still exist."""
         visitor = studio.visitors.find(cookie_of(request) or "")
         data = {"known": visitor is not None, "visitor": visitor and visitor.folder.name}
         return JSONResponse(data, headers={"cache-control": "no-store"})
@@ -161,13 +161,13 @@ def routes(studio: Studio) -> list[BaseRoute]:
 
 
 def doors(studio: Studio, connections: int) -> list[Middleware]:
-    """The middleware that each request passes, in order.
+    """Return the middleware that each request passes, in order.
 
     Args:
-        studio: What all visitors share.
+        studio: State shared by all visitors.
         connections: Largest number of connections.
     """
-    # Not before Gradio's environment is prepared.
+    # Imported here, because it imports Gradio, whose environment must be prepared first.
     from .sessions import Asked
 
     settings, space = studio.settings, os.environ.get("SPACE_HOST", "")
@@ -187,8 +187,8 @@ def doors(studio: Studio, connections: int) -> list[Middleware]:
 
 
 def launch(page: Any, studio: Studio, **options: Any) -> None:
-    """Serve the page with everything that a public server needs, until the process is to end."""
-    # Not before Gradio's environment is prepared.
+    """Serve the page with the protections of a public server, until the process is to end."""
+    # Imported here, because it imports Gradio, whose environment must be prepared first.
     from .sessions import Sessions
 
     settings = studio.settings
@@ -198,8 +198,8 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         server_name=settings.host,
         server_port=settings.port,
         share=False,
-        quiet=True,  # else Gradio advises to share the page publicly
-        _frontend=False,  # else it gives up if its own first answer takes 3 s on a busy machine
+        quiet=True,  # otherwise Gradio advises to share the page publicly
+        _frontend=False,  # otherwise Gradio gives up if its own page takes 3 s on a busy machine
         show_error=False,
         max_file_size=settings.max_file_bytes,
         allowed_paths=[],
@@ -219,10 +219,10 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
     print(f"The page is at {page.local_url}", flush=True)  # at once, even into a file
     _remove_cors(page.app)
     sessions = page.app.state_holder = page.state_holder = Sessions(page, studio.visitors)
-    # uvicorn looks this up for each new connection.
+    # uvicorn reads this attribute for each new connection.
     page.server.config.http_protocol_class = partial(Patient, most=connections)
     page.server.config.ws_max_size = LARGEST_MESSAGE
-    # What is sent is dense already.
+    # The data sent is already compressed or dense.
     page.server.config.ws_per_message_deflate = False
     try:
         while page.server.thread.is_alive():
@@ -248,12 +248,12 @@ def _sweep(studio: Studio) -> None:
     try:
         studio.visitors.sweep()
     except OSError:
-        # The page continues, and tries again some seconds later.
+        # The page continues; the next sweep tries again.
         LOG.exception("silent visitors could not be removed")
 
 
 def end_on_signals() -> None:
-    """Let SIGTERM end the page like Ctrl-C, so that no files are left."""
+    """Make SIGTERM end the page like Ctrl-C, which removes all files."""
     import signal
 
     def end(number: int, _: Any) -> None:
@@ -264,10 +264,10 @@ def end_on_signals() -> None:
 
 
 def reach_itself(host: str) -> None:
-    """Let this process reach the page at `host` without a proxy, as Gradio does when it starts.
+    """Make this process reach the page at `host` without a proxy, as Gradio does when it starts.
 
     Proxies that httpx cannot use, such as SOCKS without its package, are removed with a warning,
-    since Gradio's client would fail to start.
+    because Gradio's client would fail to start.
     """
     known = ",".join(filter(None, (os.environ.get(name) for name in NAMES))).split(",")
     excepted = [*(name.strip() for name in known), *LOOPBACK, host]
@@ -280,7 +280,7 @@ def reach_itself(host: str) -> None:
 
 
 def _problem() -> str:
-    """Return why httpx cannot use the proxies; empty if it can."""
+    """Return why httpx cannot use the proxies; empty if it can use them."""
     import httpx
 
     try:

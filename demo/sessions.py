@@ -1,7 +1,7 @@
-"""Limits the number and size of Gradio's sessions.
+"""Limit the number and size of Gradio's sessions.
 
-Gradio keeps up to 10,000 sessions until the server ends. Any request with a new name begins one,
-which takes 0.3 MB and 0.1 s for a description of the page that is used only for deep links.
+Gradio keeps up to 10,000 sessions until the server ends. Any request with a new name starts a
+session; its description of the page, used only for deep links, takes 0.3 MB and 0.1 s.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from .visitors import Visitors
 
 ADDRESS = 64
-"""Number of sessions per address; each open page has its session."""
+"""Number of sessions per address; each open page has a session."""
 UNCLAIMED = 60.0
 """Time after which a session without a known visitor is removed [s]."""
 ASKER: ContextVar[tuple[str | None, str]] = ContextVar("ASKER", default=(None, ""))
-"""Cookie and address of the request that is being answered."""
+"""Cookie and address of the current request."""
 
 
 class Asked:
-    """Records the visitor and address of the request being answered."""
+    """Records visitor and address of the current request."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -74,7 +74,7 @@ class Sessions(StateHolder):
         self._origins: dict[str, _Origin] = {}
 
     def __getitem__(self, session_id: str) -> SessionState:
-        """Return the session of a name, a new one if necessary; counts as a use."""
+        """Return the session of a name, created if necessary; the call counts as a use."""
         with self.lock:
             if session_id not in self.session_data:
                 cookie, address = ASKER.get()
@@ -94,7 +94,7 @@ class Sessions(StateHolder):
                     self._remove(name)
 
     def _make_room(self, address: str) -> None:
-        """Remove a session of a full address: of an absent visitor, or of one with most."""
+        """Remove a session of a full address: of an absent visitor, or of the visitor with most."""
         origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:
             return

@@ -1,6 +1,6 @@
-"""Settings of the hosted page, one typed class read from `PHY124_*` environment variables.
+"""Settings of the hosted page, declared in a class and read from `PHY124_*` environment variables.
 
-The table in docs/guide/hosting.md is written from this class by `python -m demo.settings`.
+`python -m demo.settings` writes the table in docs/guide/hosting.md from this class.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from .room import Room
 
 PREFIX = "PHY124_"
 ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
-"""Gradio's variables; those with our prefix take precedence."""
+"""Gradio's own variables; variables with the prefix PHY124_ take precedence."""
 
 
 class Settings(Section):
-    """Limits for visitors, and where the page listens."""
+    """Limits for visitors, and the address of the page."""
 
     AS_TEXT = True
 
@@ -93,10 +93,10 @@ class Settings(Section):
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> Settings:
-        """Read the settings from the variables `PHY124_MAX_FRAMES` and so on.
+        """Read the settings from environment variables such as `PHY124_MAX_FRAMES`.
 
         Raises:
-            InputError: A variable has an invalid value; it names the variable.
+            InputError: A variable has an invalid value; the error names the variable.
         """
         environment = os.environ if environment is None else environment
         values = {
@@ -108,7 +108,7 @@ class Settings(Section):
             if PREFIX + name.upper() in environment
         }
         if "SPACE_ID" in environment:
-            # A Hugging Face Space reaches the page from outside its container.
+            # A Hugging Face Space connects to the page from outside its container.
             values.setdefault("host", "0.0.0.0")
         try:
             return cls.model_validate(values)
@@ -126,7 +126,7 @@ class Settings(Section):
 
     @property
     def too_large(self) -> str:
-        """The limit stated for a larger upload."""
+        """Message for a picture above the size limit."""
         return f"The picture is larger than the {self.max_upload_mb:g} MB that this page takes."
 
     @property
@@ -136,13 +136,13 @@ class Settings(Section):
 
     @property
     def file_too_large(self) -> str:
-        """The limit stated for a larger file."""
+        """Message for a file above the size limit."""
         most = self.max_file_bytes / 1e6
         return f"The file is larger than the {most:g} MB that this page takes."
 
     @property
     def make_smaller(self) -> str:
-        """The remedy for a larger upload."""
+        """Remedy for a picture above the size limit."""
         return "Save it as JPEG or reduce it to 2000 pixels."
 
     @property

@@ -26,7 +26,7 @@ from .settings import Settings
 MEMORY = 3 << 30
 """Memory limit of the process that reads a file [bytes]."""
 SIZE = 192
-"""Side of the pictures [pixels]."""
+"""Width and height of the pictures [pixels]."""
 SMALLER = "Reduce the file in a splat editor, for example SuperSplat."
 
 
@@ -38,31 +38,31 @@ class Cutout:
     picture: str
     """The uploaded picture in a format that browsers can show."""
     doubts: tuple[str, ...] = ()
-    """Reasons to doubt the cut-out; shown once."""
+    """Reasons to doubt the cut-out; shown only once."""
     by: str = ""
-    """Title of the method that cut it out."""
+    """Title of the method of segmentation."""
     pick: Point | None = None
-    """The point on it that was clicked."""
+    """Point on the object that the visitor clicked."""
 
 
 @dataclass(frozen=True)
 class GaussianFile:
-    """A file of Gaussians that has been read (`demo.source`)."""
+    """A file of Gaussians that has been read."""
 
     path: str
-    """The Gaussians kept from the file, as a PLY in the file's axes."""
+    """PLY with the Gaussians kept from the file, in the file's axes."""
     format: str
-    """Title of its format."""
+    """Title of the file's format."""
     count: int
     """Number of Gaussians in `path`."""
     axes: Axes
-    """Its axes that most likely point up and to the front."""
+    """The file's axes that most likely point up and to the front."""
     notes: tuple[str, ...] = ()
     """Sentences about the removed Gaussians."""
 
     @property
     def pictures(self) -> Path:
-        """The folder with a picture of each orientation, by `way`."""
+        """Folder with a picture of each orientation, named by `way`."""
         return Path(self.path).parent
 
     @property
@@ -72,7 +72,7 @@ class GaussianFile:
 
 
 def way(up: str, front: str) -> str:
-    """Name of the picture of an orientation."""
+    """Return the file name of an orientation's picture."""
     return f"{up}_{front}.webp"
 
 
@@ -80,12 +80,12 @@ Source = Cutout | GaussianFile
 
 
 def is_there(source: Source | None) -> bool:
-    """Whether there is a source whose file still exists."""
+    """Return whether there is a source whose file still exists."""
     return source is not None and Path(source.path).exists()
 
 
 def missing(source: Source | None) -> InputError:
-    """Make the error of a request without a picture, or whose file was removed."""
+    """Return the error of a request without a picture, or whose picture was removed."""
     if source is None:
         return InputError("image", "none", "There is no picture yet.", "Choose one first.")
     limit = "Your picture is no longer kept here."
@@ -96,7 +96,7 @@ def check_file(path: Path, settings: Settings) -> None:
     """Check the size of a file of Gaussians.
 
     Raises:
-        InputError: It is too large.
+        InputError: The file is too large.
     """
     most = max(settings.max_file_mb, settings.max_upload_mb)
     if path.stat().st_size > most * 1e6:
@@ -109,12 +109,12 @@ def open_gaussians(path: Path, out: Path, count: int, deadline: Deadline) -> Gau
 
     Args:
         path: The file.
-        out: The folder to make, with the kept Gaussians and pictures of them.
+        out: The folder to create, with the kept Gaussians and their pictures.
         count: Largest number of Gaussians to keep.
-        deadline: When to give up.
+        deadline: Time limit.
 
     Raises:
-        InputError: It cannot be read.
+        InputError: The file cannot be read within the limits.
     """
     try:
         return isolated.run(_open_gaussians, path, out, count, deadline=deadline, memory=MEMORY)
@@ -141,14 +141,14 @@ def _open_gaussians(path: Path, out: Path, count: int) -> GaussianFile:
             temporary.write_bytes(ply.encode(kept))
     axes = likely_axes(path, file.axes)
     stored = str(out / "gaussians.ply")
-    # Versions of a format are not distinguished.
+    # Versions of a format are not distinguished in its title.
     title = recognise(path).title.rstrip(" 0123456789")
     return GaussianFile(stored, title, len(kept), axes, tuple(notes))
 
 
 def _draw(gaussians: Gaussians, folder: Path) -> None:
-    """Draw all orientations."""
-    renderer = Renderer(device="cpu")  # Not on a GPU, which a run may be using.
+    """Render all orientations."""
+    renderer = Renderer(device="cpu")  # not on a GPU, which a run may be using
     for up in candidates(None):
         for reading in candidates(up.up):
             assert reading.up is not None and reading.front is not None

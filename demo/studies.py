@@ -16,7 +16,7 @@ GRIDS = (12, 16, 24)
 
 
 class Level(BaseModel):
-    """One grid."""
+    """Result of a study on one grid."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -24,32 +24,32 @@ class Level(BaseModel):
     seconds: float
     """Time of the simulation and of the Gaussians' shapes [s]."""
     error: float | None
-    """Error as a fraction of the object's size; None if the grids do not converge, or this one
-    is torn."""
+    """Error as a fraction of the object's size; None if the grids do not converge, or if the object
+    may be torn on this grid."""
     torn: bool
 
     @property
     def name(self) -> str:
-        """Its name in the table."""
+        """Name of the grid in the table."""
         return f"D/{self.cells}"
 
 
 class Measurement(BaseModel):
-    """The errors of several grids for a scene, whatever its own grid is."""
+    """Errors of several grids for a scene, independent of the scene's own grid."""
 
     model_config = ConfigDict(frozen=True)
 
     levels: tuple[Level, ...]
     order: float | None
     why_not: str
-    """Why errors are missing."""
+    """Reason why errors are missing."""
     skipped: tuple[str, ...]
     until: float | None = None
     """Time up to which the errors hold [s]; None: the whole motion."""
 
     @classmethod
     def of(cls, report: Report) -> Measurement:
-        """The part of a study that is stored."""
+        """Return the part of a study's report that is stored."""
         levels = tuple(
             Level(cells=row.cells, seconds=row.seconds, error=row.error, torn=bool(row.torn))
             for row in report.rows
@@ -64,7 +64,7 @@ class Measurement(BaseModel):
         )
 
     def promise(self, cells: int) -> Promise:
-        """Return the error on a grid; none is promised if the object may have torn on any grid."""
+        """Return the error on a grid; there is none if the object may be torn on any grid."""
         torn = [level.name for level in self.levels if level.torn]
         if torn:
             return promises.refuse_promise(f"{promises.torn(torn)}.")
@@ -85,7 +85,7 @@ class Measurement(BaseModel):
         return f'<table class="stops">{"".join(rows)}</table>'
 
     def rows(self) -> list[dict[str, float | str | bool | None]]:
-        """Grid, seconds and error, for programs."""
+        """Return grid, time and error of each level, for programs."""
         return [{"name": level.name, **level.model_dump()} for level in self.levels]
 
 

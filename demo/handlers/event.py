@@ -1,4 +1,4 @@
-"""Reads the data of Gradio's events, and makes links to files."""
+"""Read the data of Gradio's events, and create links to files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Handler = Callable[..., Any]
 
 
 def data_of(event: gr.EventData) -> dict[str, Any]:
-    """Return the data that a panel sent with an event; empty if malformed."""
+    """Return the data that a panel sent with an event; empty if it is malformed."""
     return event._data if isinstance(event._data, dict) else {}
 
 
@@ -28,15 +28,15 @@ def job_of(studio: Studio, request: gr.Request, event: gr.EventData) -> Job | No
 
 
 def table_of(value: Any) -> dict[str, Any]:
-    """Return a panel's value in a request; empty if malformed."""
+    """Return a panel's value in a request; empty if it is malformed."""
     return value if isinstance(value, dict) else {}
 
 
 def path_of(file: Any) -> Any:
-    """Return the path of a file's data; None if it is no file."""
+    """Return the path in the data of a file; None if it is no file."""
     return file.get("path") if isinstance(file, dict) else None
 
 
 def file_of(path: Path) -> dict[str, Any]:
-    """Make a link to a file for the page; the name of its folder cannot be guessed."""
+    """Return a link to a file for the page; the name of its folder cannot be guessed."""
     return FileData(path=str(path), orig_name=path.name, size=path.stat().st_size).model_dump()

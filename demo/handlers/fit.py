@@ -1,4 +1,4 @@
-"""Events of a fit to a video: its offer, start, stop and end."""
+"""Events of a fit to a video: offer, start, stop and end."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .event import Handler, data_of, file_of, job_of, table_of
 from .results import takeaway_of
 
 DIGITS = 3
-"""Significant digits of a softness."""
+"""Number of significant digits of a stiffness."""
 
 
 def on_result_shown(studio: Studio) -> Handler:
-    """Handle a new result on the page: offer a fit of it, or show its newest fit."""
+    """Handle a new result on the page: offer a fit of it, or show its latest fit."""
 
     def offer(done: Done | None, request: gr.Request) -> dict[str, Any]:
         return _panel(studio, done, studio.visitors.find(visitor_of(request)))
@@ -33,7 +33,7 @@ def on_result_shown(studio: Studio) -> Handler:
 
 
 def on_fit_begin(studio: Studio) -> Handler:
-    """Handle "begin" of the fit panel: start a fit to an uploaded video, or refuse."""
+    """Handle "begin" of the fit panel: start a fit to an uploaded video, or refuse it."""
 
     def start(
         done: Done | None, shown: Any, event: gr.EventData, request: gr.Request
@@ -49,7 +49,7 @@ def on_fit_begin(studio: Studio) -> Handler:
 
 
 def on_fit_stop(studio: Studio) -> Handler:
-    """Handle "stop" of the fit panel: cancel this visitor's fit only."""
+    """Handle "stop" of the fit panel: cancel only the fit of this visitor."""
 
     def stop(request: gr.Request) -> None:
         visitor = studio.visitors.find(visitor_of(request))
@@ -61,7 +61,7 @@ def on_fit_stop(studio: Studio) -> Handler:
 
 
 def on_fit_end(studio: Studio) -> Handler:
-    """Handle "ended" of the fit panel: show the result or why it failed, and offer its files."""
+    """Handle "ended" of the fit panel: show the result with its files, or why the fit failed."""
 
     def show(done: Done | None, event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
         visitor, job = studio.visitors.find(visitor_of(request)), job_of(studio, request, event)
@@ -76,7 +76,7 @@ def on_fit_end(studio: Studio) -> Handler:
 
 
 def _panel(studio: Studio, done: Done | None, visitor: Visitor | None) -> dict[str, Any]:
-    """Return the panel's value for a result."""
+    """Return the fit panel's value for a result."""
     try:
         offer = studio.fits.offer(done)
     except InputError as error:
@@ -93,7 +93,7 @@ def _panel(studio: Studio, done: Done | None, visitor: Visitor | None) -> dict[s
 
 
 def _is_of(job: Job, done: Done) -> bool:
-    """Whether a job is an unfinished fit of this result."""
+    """Return whether a job is an unfinished fit of this result."""
     return not job.over and job.subject == str(done.clip)
 
 

@@ -1,6 +1,6 @@
-"""Events of pictures: choose, correct by a click or the brush, show the cut-out.
+"""Events of pictures: choose one, correct it by a click or the brush, show its cut-out.
 
-A file of Gaussians may replace the picture; it is shown in all orientations.
+Instead of a picture, a visitor may send a file of Gaussians; the page shows it in all orientations.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FORGOTTEN = "The server no longer has this picture. Choose it once more."
 
 
 def on_choose(studio: Studio) -> Handler:
-    """Handle "choose" of the picture panel: start to cut out a picture or to read a file."""
+    """Handle "choose" of the picture panel: start to cut out a picture, or to read a file."""
 
     def choose(event: gr.EventData, request: gr.Request) -> tuple[Any, Any, Any]:
         path, example = data_of(event).get("upload"), data_of(event).get("example")
@@ -69,7 +69,7 @@ def on_cut_end(studio: Studio) -> Handler:
     def show(shown: Any, source: Any, event: gr.EventData, request: gr.Request) -> tuple[Any, ...]:
         job = job_of(studio, request, event)
         if job is None or not job.over:
-            # Not skipped: the panel sends no other event until this one is answered.
+            # An answer is needed: until it arrives, the panel sends no other event.
             return {**table_of(shown), "job": None, "message": FORGOTTEN}, source, gr.skip()
         made = job.progress.result
         if made is None:
@@ -84,7 +84,7 @@ def on_cut_end(studio: Studio) -> Handler:
 
 
 def show_source(made: Source) -> dict[str, Any]:
-    """Return the object's source as the picture panel's value."""
+    """Return the picture panel's value for the object's source."""
     picture = file_of(Path(made.picture))
     if isinstance(made, Cutout):
         return {"picture": picture, "cutout": file_of(Path(made.path)), "by": made.by}
@@ -93,14 +93,14 @@ def show_source(made: Source) -> dict[str, Any]:
 
 
 def ways(made: GaussianFile) -> dict[str, Any]:
-    """Return a file's orientations as the extras panel's value."""
+    """Return the extras panel's value: the orientations of a file."""
     pictures = {path.stem: file_of(path) for path in sorted(made.pictures.glob("*.webp"))}
     ups = [reading.model_dump(include=set(AXES)) for reading in candidates(None)]
     return {"ways": {**made.axes._asdict(), "ups": ups, "pictures": pictures}}
 
 
 def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
-    """Return the running job for the picture panel, with the usual seconds of a search."""
+    """Return the picture panel's value for a running job, with the usual duration [s]."""
     if job.kind == "read":
         return {"job": job.name, "reads": True}
     seconds = studio.search_seconds
@@ -108,7 +108,7 @@ def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
 
 
 def _picture(job: Job) -> dict[str, Any] | None:
-    """Return the picture being cut out, once there is one that browsers can show."""
+    """Return the picture that is being cut out, if browsers can show it."""
     path = Path(job.subject)
     shows = job.kind == "cut" and path.is_file() and is_shown(path)
     return file_of(path) if shows else None
@@ -158,7 +158,7 @@ def on_choose_object(studio: Studio) -> Handler:
 
 
 def on_view_cut(studio: Studio) -> Handler:
-    """Handle "view" of these panels: show the finished cut-out, or why it failed."""
+    """Handle "view" of the extras and objects panels: show the finished cut-out, or an error."""
 
     def show(event: gr.EventData, request: gr.Request) -> Any:
         job = job_of(studio, request, event)
@@ -173,6 +173,6 @@ def on_view_cut(studio: Studio) -> Handler:
 
 
 def _answer(event: gr.EventData, **values: Any) -> dict[str, Any]:
-    """Answer the event of an option; the panel ignores answers to an earlier event."""
+    """Answer an event, naming its option; the panel ignores answers to earlier events."""
     asked = {name: value for name, value in data_of(event).items() if name in ("option", "ask")}
     return {"answer": {**asked, **values}}

@@ -1,4 +1,4 @@
-"""Events after a run: show its results, restore earlier ones, make files on demand."""
+"""Events after a run: show its results, restore earlier results, create files on demand."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from .run import busy_buttons, follow_job, forecast_of, idle_buttons
 NOT_SHOWN = [gr.skip()] * 5
 """Leaves the result panels unchanged."""
 SHARE = "share"
-"""Kind of a request for a link, instead of a format."""
+"""Value of `kind` that asks for a link instead of a format."""
 REPORT, TAKEAWAY = 2, 3
-"""Indices of the report and of the take-away panel among the result panels."""
+"""Indices of the report and of the download panel among the result panels."""
 GONE = "The result is no longer stored. Generate it again."
 FORGOTTEN = {"message": GONE}, {"runs": []}
-"""Take-away panel and history after a visitor's files were removed."""
+"""Values of download panel and history after a visitor's files were removed."""
 FILES = {
     "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
     "gaussians.ply": ("3DGS PLY, at rest", f"Opens in {FORMATS['ply'].opens_in}"),
@@ -62,7 +62,7 @@ def on_job_end(studio: Studio) -> Handler:
         source: Any, scene: Any, extras: Any, shown: Any, event: gr.EventData, request: gr.Request
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), job_of(studio, request, event)
-        # Showing an earlier result does not affect the buttons of a current run.
+        # An earlier result does not affect the buttons of a run in progress.
         buttons = (gr.skip(), gr.skip()) if data_of(event).get("earlier") else idle_buttons()
         if job is not None and isinstance(job.progress.result, Measured) and source and scene:
             line = forecast_of(studio, name, source, scene, extras, opened=True)
@@ -70,7 +70,7 @@ def on_job_end(studio: Studio) -> Handler:
         if job is None and not _is_there(shown):
             return gr.skip(), None, *buttons, *NOT_SHOWN[:TAKEAWAY], *FORGOTTEN
         if job is None or not job.over or not _is_there(job.progress.result):
-            # Not skipped: the history sends no other event until this one is answered.
+            # An answer is needed: until it arrives, the history sends no other event.
             runs = {"runs": _earlier(studio, name, shown)}
             return gr.skip(), gr.skip(), *buttons, *NOT_SHOWN[:-1], runs
         return gr.skip(), job.progress.result, *buttons, *results(studio, name, job)
@@ -79,7 +79,7 @@ def on_job_end(studio: Studio) -> Handler:
 
 
 def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
-    """Return the result panels with a new report of the shown run; the others stay."""
+    """Return the result panels with a new report of the run shown; the others do not change."""
     panels: list[Any] = list(NOT_SHOWN)
     visitor = studio.visitors.find(name)
     if visitor is not None and _is_there(shown):
@@ -93,7 +93,7 @@ def _is_there(done: Any) -> bool:
 
 
 def on_load(studio: Studio) -> Handler:
-    """Handle the opening of the page: show everything that this visitor has."""
+    """Handle the opening of the page: restore everything that this visitor has."""
 
     def greet(request: gr.Request) -> tuple[Any, ...]:
         visitor = studio.visitors.find(visitor_of(request))
@@ -132,7 +132,7 @@ def _restore_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
 
 
 def results(studio: Studio, name: str, job: Job) -> list[Any]:
-    """Return the values of viewer, videos, report, take-away panel and history."""
+    """Return the values of viewer, videos, report, download panel and history."""
     done: Done = job.progress.result
     clip = Clip.load(done.clip / "clip.safetensors")
     films = [{"name": path.stem, "file": file_of(path)} for path in _films(done)]
@@ -160,7 +160,7 @@ def report_of(studio: Studio, job: Job) -> str:
 
 
 def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, Any]]:
-    """List the results of a visitor, the newest first, each once."""
+    """List a visitor's results, the newest first, without duplicates."""
     visitor, seen, runs = studio.visitors.find(name), set(), []
     for job in reversed(list(visitor.jobs.values()) if visitor else []):
         done = job.progress.result
@@ -191,7 +191,7 @@ def _films(done: Done) -> list[Path]:
 
 
 def on_prepare(studio: Studio) -> Handler:
-    """Handle "prepare" of the take-away panel: make a format or a link."""
+    """Handle "prepare" of the download panel: create a format or a link."""
 
     def prepare(
         done: Done | None, shown: Any, event: gr.EventData, request: gr.Request
@@ -217,9 +217,9 @@ def on_prepare(studio: Studio) -> Handler:
 
 
 def takeaway_of(done: Done) -> dict[str, Any]:
-    """Return the take-away panel's value: files of a result, and formats made on demand.
+    """Return the download panel's value: files of a result, and formats made on demand.
 
-    Handlers add what was "asked" for; the panel ignores answers for another result.
+    Handlers add the request as "asked"; the panel ignores answers for another result.
     """
     files, offers = [], []
     frames, gaussians = read_shape(done.clip / "clip.safetensors")

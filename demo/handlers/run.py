@@ -46,15 +46,15 @@ def forecast_of(
     *,
     opened: bool = False,
 ) -> str:
-    """Return the forecast of a run as HTML, or why it is refused.
+    """Return the forecast of a run as HTML, or the refusal.
 
     Args:
         studio: The state shared by all visitors.
         name: The visitor's name.
-        source: The object's source, if it still exists.
+        source: The object's source; None if it no longer exists.
         data: The scene as plain data.
-        extras: Optional inputs besides the front picture, by option.
-        opened: Whether the table of accuracies is unfolded.
+        extras: Optional inputs in addition to the front picture, by option.
+        opened: Whether the table of accuracies is open.
     """
     try:
         text = studio.forecast(name, source, data, extras)
@@ -64,7 +64,7 @@ def forecast_of(
 
 
 def show_refusal(error: InputError) -> str:
-    """Format a refusal in place of a forecast."""
+    """Format a refusal, which is shown in place of a forecast."""
     return f'<p class="refused">{escape(api_message(error))}</p>'
 
 
@@ -78,21 +78,21 @@ def with_stops(
     *,
     opened: bool = False,
 ) -> str:
-    """Format a forecast as one line of HTML that unfolds to a table of the named accuracies.
+    """Format a forecast as a line of HTML that opens a table of the named accuracies.
 
-    Below it is the error measured on this scene, or a button to measure it.
+    Below the line is the error measured on this scene, or a button to measure it.
 
     Args:
         studio: The state shared by all visitors.
         name: The visitor's name.
-        source: The object's source, if it still exists.
+        source: The object's source; None if it no longer exists.
         data: The scene as plain data.
-        extras: Optional inputs besides the front picture, by option.
+        extras: Optional inputs in addition to the front picture, by option.
         text: The forecast.
-        opened: Whether the line is unfolded.
+        opened: Whether the table is open.
 
     Raises:
-        InputError: Something in the request cannot be used.
+        InputError: The scene or an input is invalid.
     """
     visitor = studio.visitors.find(name)
     scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
@@ -123,7 +123,7 @@ def _error_line(
     extras: Any,
     study: Measurement | None,
 ) -> str:
-    """Format the error measured on this scene, or a button to measure it."""
+    """Format the error measured on this scene, a button to measure it, or nothing."""
     promise = promise_of(scene, studio.thickness(name, source, scene, extras), study)
     if study is not None:
         return f'<p class="measured">{promise.measured}</p>'
@@ -136,7 +136,7 @@ def _error_line(
 
 
 def on_refine(studio: Studio) -> Handler:
-    """Handle a change of the scene, later: return a forecast by a probe if possible."""
+    """Handle the end of a series of changes: return a forecast by a probe if possible."""
 
     def refine(source: Source | None, scene: Any, extras: Any, request: gr.Request) -> str:
         if not scene:
@@ -144,7 +144,7 @@ def on_refine(studio: Studio) -> Handler:
         name = visitor_of(request)
         try:
             text = studio.refine(name, source, scene, extras)
-            # Not skipped: the probe of an older scene may have been shown meanwhile.
+            # An answer is needed: the probe of an older scene may have been shown meanwhile.
             text = text or studio.forecast(name, source, scene, extras)
             return with_stops(studio, name, source, scene, extras, text)
         except InputError as error:
@@ -154,7 +154,7 @@ def on_refine(studio: Studio) -> Handler:
 
 
 def on_generate(studio: Studio) -> Handler:
-    """Handle Generate: start a run that the progress panel follows, or refuse."""
+    """Handle Generate: start a run, or refuse it; the progress panel follows the run."""
 
     def start(
         source: Source | None, scene: Any, extras: Any, request: gr.Request
@@ -185,22 +185,22 @@ def on_measure(studio: Studio) -> Handler:
 
 
 def follow_job(job: Job) -> dict[str, Any]:
-    """Return the progress panel's value for a job, which the panel follows."""
+    """Return the progress panel's value for a job; the panel then follows the job."""
     return {**job.progress.data(), "job": job.name, "kind": job.kind}
 
 
 def idle_buttons() -> tuple[Any, Any]:
-    """The buttons while nothing runs: Generate is enabled, Cancel is hidden."""
+    """Return the buttons for no job: Generate is enabled, Cancel is hidden."""
     return gr.update(interactive=True), gr.update(visible=False)
 
 
 def busy_buttons() -> tuple[Any, Any]:
-    """The buttons during a job: Generate is disabled, Cancel is visible."""
+    """Return the buttons for a running job: Generate is disabled, Cancel is visible."""
     return gr.update(interactive=False), gr.update(visible=True)
 
 
 def on_cancel(studio: Studio) -> Handler:
-    """Handle Cancel: stop this visitor's jobs."""
+    """Handle Cancel: stop the jobs of this visitor."""
 
     def stop(request: gr.Request) -> None:
         visitor = studio.visitors.find(visitor_of(request))
@@ -227,7 +227,7 @@ def on_touch(studio: Studio) -> Handler:
 
 
 def on_save(studio: Studio) -> Handler:
-    """Handle "save" of the touch panel: start the run of a live run's session."""
+    """Handle "save" of the touch panel: start a run that repeats the live run's session."""
 
     def save(source: Any, extras: Any, request: gr.Request) -> tuple[Any, ...]:
         name = visitor_of(request)

@@ -1,9 +1,8 @@
 """Live runs: a visitor grabs and throws the object in the viewer, over a WebSocket.
 
-    browser (static/touch.js) <-> relay (this server) <-> process (phy124.live), one for each run
-
-The process makes the Gaussians, chooses a grid that runs in real time on this machine, and steps.
-It sends the nodes of the lattice that carry the Gaussians; the browser binds the Gaussians to them.
+    browser (static/touch.js) <-> relay (this server) <-> process (phy124.live), one per run
+The process makes the Gaussians, chooses a grid that runs in real time on this machine, and
+simulates. It sends the nodes of the lattice to which the browser binds the Gaussians.
 """
 
 from .relay import socket_route

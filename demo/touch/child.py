@@ -1,7 +1,7 @@
-"""The process of one live run; it is started by its path, and ends when its pipe is closed.
+"""The process of a live run; it is started by its path, and ends when its pipe is closed.
 
 Standard input carries two pickles, `sys.path` and (function, arguments), then lines of text. The
-function reads them from a `Line`, and answers by messages: a letter, the length (uint32,
+function reads the lines from a `Line`, and answers by messages: a letter, the length (uint32,
 little-endian), and the content.
 """
 
@@ -16,11 +16,11 @@ import threading
 from collections import deque
 
 WAITING = 256
-"""Largest number of unread lines; the oldest are dropped."""
+"""Largest number of unread lines; when it is exceeded, the oldest are dropped."""
 
 
 class Line:
-    """The pipe to the server."""
+    """Pipe to the server."""
 
     def __init__(self, answers: int) -> None:
         self._answers = answers
@@ -34,16 +34,16 @@ class Line:
             data = data[os.write(self._answers, data) :]
 
     def take_messages(self) -> list[str]:
-        """Return the lines since the last call."""
+        """Return the lines received since the last call."""
         self._any.clear()
         return [self._heard.popleft() for _ in range(len(self._heard))]
 
     def wait(self, seconds: float) -> None:
-        """Wait for a line for at most `seconds`."""
+        """Wait for a line for up to `seconds`."""
         self._any.wait(seconds)
 
     def listen(self) -> None:
-        """Read lines until the peer closes the pipe, then exit."""
+        """Read lines until the server closes the pipe, then exit."""
         for line in sys.stdin.buffer:
             self._heard.append(line.decode("utf-8", "replace"))
             self._any.set()
@@ -52,10 +52,10 @@ class Line:
 
 def main() -> None:
     """Call the function that the server sends."""
-    # Ctrl-C reaches the whole process group; the server ends this process.
+    # Ctrl-C reaches the whole process group, but the server ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.dup(1)
-    os.dup2(2, 1)  # libraries print to standard error
+    os.dup2(2, 1)  # what libraries print goes to standard error
     sys.path[:] = pickle.load(sys.stdin.buffer)
     function, arguments = pickle.load(sys.stdin.buffer)
     line = Line(answers)

@@ -1,6 +1,6 @@
-"""Encodes a live run for the browser: a binding once, then the lattice and walls of each frame.
+"""Encode a live run for the browser: a binding once, then lattice and walls of each frame.
 
-A binding has the constant data of each Gaussian, a frame the data of each node; both are
+A binding holds the constant data of each Gaussian, a frame the data of each node. Both are
 little-endian and planar (array after array):
 
     binding  position at rest [N,3] float32, covariance at rest [N,6] float32 (xx xy xz yy yz zz),
@@ -8,7 +8,7 @@ little-endian and planar (array after array):
              uint16, their weights [N,8] uint8, colour and opacity [N,4] uint8
     frame    box of the nodes [2,3] float32, positions in it [P,3] uint16, F [P,9] int16
 
-The frame of the walls follows (`Walls`). A node takes 24 bytes per frame.
+The encoded walls follow (`Walls`). A node takes 24 bytes per frame.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from phy124.rendering.stage.solids import floor_heights, place_walls
 from phy124.simulation.deform import CARRIERS, carriers
 
 MOST = 5000
-"""Largest number of nodes; at 24 frames per second they take 2.9 MB/s."""
+"""Largest number of nodes; at 24 frames per second they need 2.9 MB/s."""
 REACH = 8.0
-"""Largest entry of F; larger ones are clipped."""
+"""Largest magnitude of an entry of F; larger entries are clipped."""
 
 
 class Lattice:
-    """The nodes of a live run that carry its visible Gaussians."""
+    """Nodes of a live run to which its visible Gaussians are bound."""
 
     def __init__(self, live: Live, most: int = MOST) -> None:
-        """Bind the Gaussians to at most `most` of the nearest particles."""
+        """Bind the Gaussians to the nearest particles, of which at most `most` are used."""
         look, rest = live.look, live.rest
-        # In random order, so that the first Gaussians are a fair sample.
+        # In random order: the first Gaussians are then a fair sample of all.
         order = np.random.default_rng(0).permutation(len(look.gaussians))
         self.gaussians, moves = look.gaussians.select(order), look.moves[order]
         stretch = np.ones(len(order), np.float32)
@@ -43,7 +43,7 @@ class Lattice:
         self._stretch = np.minimum(stretch[order], 1e6)
         self.nodes, near, self.weights = _bound(self.gaussians, rest, most)
         self.neighbours = near.astype("<u2")
-        # Gaussians at rest have no node.
+        # Gaussians that do not move have no node.
         self.weights[~moves] = 0
         self.rest = rest[self.nodes]
         self._live = live
@@ -71,7 +71,7 @@ class Lattice:
 def _bound(
     gaussians: Gaussians, rest: NDArray, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """Return the particles that carry the Gaussians, and for each Gaussian eight with weights."""
+    """Return the particles that carry the Gaussians, and eight carriers with weights for each."""
     nodes = np.arange(len(rest))
     near, weights = carriers(gaussians.means, rest)
     used = np.unique(near)
@@ -84,10 +84,10 @@ def _bound(
 
 
 class Walls:
-    """The floor of a live run and its other boundaries, as solids that move without turning.
+    """The floor of a live run and its other boundaries, as solids that move without rotation.
 
-    A frame is the height of the floor and the displacement of each solid, float32; NaN for a
-    missing floor or solid.
+    A frame holds the height of the floor and the displacement of each solid, float32; NaN if a
+    floor or solid is absent.
     """
 
     def __init__(self, live: Live) -> None:
@@ -99,13 +99,13 @@ class Walls:
 
     @property
     def floor(self) -> float | None:
-        """Height of the floor now [m]; None without one."""
+        """Current height of the floor [m]; None without a floor."""
         if not self._floors:
             return None
         return float(floor_heights(self._floors, self._live.rest, np.array([self._live.time]))[0])
 
     def data(self) -> list[dict[str, Any]]:
-        """The solids at rest, as plain data."""
+        """Return the solids at rest, as plain data."""
         solids = [wall.solid() for wall in self._others]
         return [
             {

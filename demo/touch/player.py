@@ -1,4 +1,4 @@
-"""The process of a live run: makes the object, steps, and applies the visitor's hand."""
+"""The process of a live run: make the object, simulate, and apply the visitor's inputs."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from .table import FPS, shorten_session
 REST = 0.25
 """Interval between two checks for messages during a pause [s]."""
 PREPARING = 120.0
-"""Longest time to cut out other views of the object [s]."""
+"""Time limit for cutting out other views of the object [s]."""
 RATE = 1.6
-"""Real-time factor required of the grid, so that a browser on the same machine has time left; it
-makes the grid a tenth coarser."""
+"""Real-time factor that the grid must reach, above 1 to leave time for a browser on the same
+machine; this makes the grid a tenth coarser."""
 TEXT, BINDING, FRAME, SESSION = b"t", b"b", b"f", b"s"
 """First letters of messages: plain data for the page, a binding, a frame, a session."""
 HEAD = struct.Struct("<IIff")
-"""Head of a frame: its number, the last message's number, its time [s], the real-time factor."""
+"""Head of a frame: its index, the last message's number, its time [s], the real-time factor."""
 
 
 @dataclass(frozen=True)
 class Play:
-    """The order and the limits of a live run."""
+    """Order and limits of a live run."""
 
     order: Order
     most: Settings
@@ -46,7 +46,7 @@ class Play:
 
 
 def play(what: Play, line: Line) -> None:
-    """Play until the pipe is closed."""
+    """Run until the pipe is closed."""
     try:
         player = Player(what, line)
     except InputError as error:
@@ -56,7 +56,7 @@ def play(what: Play, line: Line) -> None:
 
 
 class Player:
-    """One live run and the messages of its visitor."""
+    """A live run, controlled by the messages of its visitor."""
 
     def __init__(self, what: Play, line: Line) -> None:
         """Make the object, choose a grid and send the binding to the browser.
@@ -83,7 +83,7 @@ class Player:
         line.tell(BINDING, self._head(chosen.sentence) + self._lattice.binding())
 
     def frame(self) -> None:
-        """Process messages, send the next frame, and wait until another one is due."""
+        """Process messages, send the next frame, and wait until another frame is due."""
         for message in _newest_targets(self._line.take_messages()):
             self._do(message)
         if self._paused:
@@ -96,7 +96,7 @@ class Player:
         self._clock.wait()
 
     def _do(self, message: dict[str, Any]) -> None:
-        """Carry out a message, or answer why that is impossible."""
+        """Carry out a message, or send the reason of a refusal."""
         seq, value = message.get("seq"), message.get("value")
         self._heard = seq % 2**32 if isinstance(seq, int) else self._heard
         try:
@@ -133,7 +133,7 @@ class Player:
         self._pause(False)
 
     def _save(self, _: Any) -> None:
-        """Send the session as a scene, shortened to its limits."""
+        """Send the session as a scene, shortened to the limits."""
         self._paused = True
         scene = self.live.session()
         kept = shorten_session(scene, self._what.most)
@@ -144,13 +144,13 @@ class Player:
         _say(self._line, kind="saved", text=text)
 
     def _tell_notes(self) -> None:
-        """Send the engine's new notes."""
+        """Send new notes of the live run."""
         for note in self.live.notes[self._sent_notes :]:
             _say(self._line, kind="said", text=note)
         self._sent_notes = len(self.live.notes)
 
     def _head(self, text: str) -> bytes:
-        """Encode the numbers before a binding as JSON, padded to a multiple of four bytes."""
+        """Encode the head of a binding as JSON, padded to a multiple of four bytes."""
         head = {
             "splats": len(self._lattice.gaussians),
             "nodes": len(self._lattice.nodes),
@@ -166,7 +166,7 @@ class Player:
 
 
 def _newest_targets(lines: list[str]) -> list[dict[str, Any]]:
-    """Return the messages in order; of consecutive targets only the last."""
+    """Return the messages in order; of consecutive targets only the last is kept."""
     messages: list[dict[str, Any]] = []
     for message in map(json.loads, lines):
         if messages and message["do"] == "to" == messages[-1]["do"]:

@@ -1,7 +1,7 @@
-"""Relays messages between a browser and the process of its live run, within limits.
+"""Relay messages between a browser and the process of its live run, within limits.
 
-A browser acknowledges each drawn frame. At most two frames are in transit; of those that
-arrive meanwhile only the newest is kept, so a slow browser skips frames.
+A browser acknowledges each rendered frame. Up to two frames are in transit. Of the frames that
+arrive meanwhile only the newest is kept: a slow browser skips frames.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ CHILD = Path(__file__).with_name("child.py")
 ON_THE_WAY = 2
 """Largest number of frames in transit."""
 PENDING = 1 << 16
-"""Size of unread messages to the process beyond which new ones are dropped [bytes]."""
+"""Size of unread messages to the process above which new messages are dropped [bytes]."""
 LARGEST = 1 << 26
 """Largest size of a message from the process [bytes]."""
 SAYINGS = 32
-"""Number of unsent sentences beyond which new ones are dropped."""
+"""Number of unsent sentences above which new sentences are dropped."""
 PARTING = 10.0
-"""Time for the last sentence to reach a browser [s]."""
+"""Time limit for sending the last sentence to a browser [s]."""
 BROKEN = "The live run failed. Start it again."
 IDLE = "It ended, because it was not touched for {:g} minutes."
 OVER = "A live run lasts {:g} minutes here. Start another one."
@@ -50,9 +50,9 @@ REPLACED = "It ended, because you started another one."
 GONE = 4404
 """Close code of a socket without a live run."""
 WORDS = ("grab", "to", "release", "gravity", "soften", "speed", "pause", "reset", "save", "seen")
-"""Values of the field `do` of a message."""
+"""Allowed values of a message's field `do`."""
 PER_SECOND, AT_ONCE = 150.0, 300.0
-"""Messages per second, and largest burst. A pointer sends one per screen refresh."""
+"""Messages per second, and largest burst. A pointer sends a message per screen refresh."""
 LARGEST_MESSAGE = 1024
 """Largest length of a browser's message [bytes]."""
 NOT_UNDERSTOOD = "The page sent an invalid message. Reload it."
@@ -79,19 +79,19 @@ def socket_route(table: Table, settings: Settings) -> WebSocketRoute:
 
 
 async def _part(socket: WebSocket, text: str) -> None:
-    """Say the last sentence, and close."""
+    """Send the last sentence, and close the socket."""
     await socket.send_text(json.dumps({"kind": "ended", "text": text}))
     await socket.close()
 
 
 def _call(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
-    """Call a function in an event loop that may have ended, from any thread."""
+    """Call a function in an event loop from any thread; do nothing if the loop has ended."""
     with suppress(RuntimeError):
         loop.call_soon_threadsafe(act)
 
 
 async def _closed(process: asyncio.subprocess.Process, tasks: list[asyncio.Task[None]]) -> None:
-    """Wait for the end of a process, and drain its pipes so that they are closed."""
+    """Wait for the end of a process, and read its pipes to the end, which closes them."""
     await asyncio.gather(*tasks, return_exceptions=True)
     assert process.stdin is not None
     process.stdin.close()
@@ -99,17 +99,17 @@ async def _closed(process: asyncio.subprocess.Process, tasks: list[asyncio.Task[
 
 
 class Relay:
-    """One live run between a browser and its process."""
+    """Connection of a live run's browser with its process."""
 
     def __init__(self, socket: WebSocket, ticket: Ticket, settings: Settings) -> None:
         self._socket, self._ticket, self._settings = socket, ticket, settings
         self._frame: bytes | None = None
-        """The newest unsent frame."""
+        """The newest frame that has not been sent."""
         self._texts: asyncio.Queue[str] = asyncio.Queue(SAYINGS)
         self._binding: bytes | None = None
         self._news = asyncio.Event()
         self._sent = self._seen = 0
-        """Number of frames sent, and of frames acknowledged."""
+        """Number of frames sent, and number of frames acknowledged."""
         self._budget = Budget()
         self._touched = self._begun = time.monotonic()
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
@@ -131,22 +131,22 @@ class Relay:
                 task.cancel()
             with suppress(ProcessLookupError):
                 process.kill()
-            # Even if this task is cancelled repeatedly.
+            # Shielded, because this task may be cancelled repeatedly.
             with CancelScope(shield=True):
                 await _closed(process, tasks)
         await self._goodbye(last)
 
     def _end(self, text: str) -> None:
-        """End the run; only the first message counts."""
+        """End the run; later calls have no effect."""
         if not self._ended.done():
             self._ended.set_result(text)
 
     async def _guarded(self, part: Coroutine[Any, Any, str]) -> None:
-        """Run a part of the work; its end ends the run."""
+        """Run a task of the relay; the end of any task ends the run."""
         try:
             self._end(await part)
         except (WebSocketDisconnect, RuntimeError):
-            # The browser disconnected, perhaps during a send.
+            # The browser has disconnected, perhaps while data was sent.
             self._end("")
         except (asyncio.IncompleteReadError, OSError):
             self._end(BROKEN)
@@ -162,7 +162,7 @@ class Relay:
             await asyncio.wait_for(_part(self._socket, text), PARTING)
 
     async def _hear(self, process: asyncio.subprocess.Process) -> str:
-        """Receive from the process; of frames, only the newest is kept."""
+        """Receive messages from the process; of unsent frames, only the newest is kept."""
         assert process.stdin is not None and process.stdout is not None
         order = self._ticket.order
         gaussians = order.gaussians * len(order.scene.names)
@@ -205,7 +205,7 @@ class Relay:
                 await self._socket.send_bytes(FRAME + frame)
 
     async def _listen(self, process: asyncio.subprocess.Process) -> str:
-        """Receive from the browser; refuse invalid messages with a sentence."""
+        """Receive messages from the browser; answer invalid messages with a sentence."""
         assert process.stdin is not None
         while True:
             received = await self._socket.receive()
@@ -225,13 +225,13 @@ class Relay:
                 process.stdin.write(json.dumps(message).encode() + b"\n")
 
     def _acknowledge(self, count: Any) -> None:
-        """Note that the browser has drawn frame `count` or skipped earlier ones."""
+        """Note that the browser has rendered frame `count`, or skipped earlier frames."""
         if isinstance(count, int):
             self._seen = min(max(count, self._seen), self._sent)
         self._news.set()
 
     async def _watch(self) -> str:
-        """End the run when it is idle for too long or its time is up."""
+        """End the run when it has been idle too long or its time is over."""
         idle, longest = self._settings.touch_idle_minutes, self._settings.touch_minutes
         while True:
             now = time.monotonic()
@@ -244,12 +244,12 @@ class Relay:
 
 
 class Refused(Exception):
-    """A message is refused."""
+    """A browser's message is refused."""
 
     def __init__(self, text: str = "") -> None:
         super().__init__(text)
         self.text = text
-        """Message for the visitor; empty if it was sent before."""
+        """Sentence for the visitor; empty if it was already sent."""
 
 
 class Budget:
@@ -278,7 +278,7 @@ def parse_message(text: str, budget: Budget) -> dict[str, Any]:
     """Parse a browser's message.
 
     Raises:
-        Refused: It is too long, invalid, or exceeds the budget.
+        Refused: The message is too long or invalid, or exceeds the budget.
     """
     budget.spend()
     if len(text) > LARGEST_MESSAGE:
