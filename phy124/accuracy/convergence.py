@@ -170,7 +170,11 @@ def _squares(rows: NDArray, apart: NDArray) -> NDArray[np.float64]:
 
 
 def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
-    """Return the RMS distances [L,L] between L results, each the positions [...,3] of points."""
+    """Return the RMS distances [L,L] between L results.
+
+    Args:
+        results: Positions [...,3] of the same points in each result.
+    """
     apart = np.zeros((len(results), len(results)))
     for i, j in combinations(range(len(results)), 2):
         gap = results[i].astype(np.float64) - results[j]

@@ -159,7 +159,7 @@ def _measure_fraction(threads: int) -> float:
 def _spin(seconds: float) -> float:
     """Return the fraction of a core that this thread gets while it spins.
 
-    It spins for `seconds`, or longer if it has got too little CPU time for a measurement.
+    It spins for `seconds`, or longer if it has received too little CPU time for a measurement.
     """
     start, start_cpu, passed, ran = time.perf_counter(), time.thread_time(), 0.0, 0.0
     while passed < seconds or (ran < ENOUGH * seconds and passed < LONGEST * seconds):

@@ -1,4 +1,4 @@
-"""Goal: the maximum error or time of a run, and the error message for a time that is too short."""
+"""Defines the goal of a run, a maximum error or time, and the error for too short a time."""
 
 from __future__ import annotations
 

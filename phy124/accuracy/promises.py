@@ -100,7 +100,10 @@ def bar_speed(section: AnyMaterial) -> float:
 
 
 def find_difference(scene: Scene) -> str:
-    """Describe a feature of forces, walls or materials that no measured scene has; else empty."""
+    """Describe a feature of the forces, walls or materials that no measured scene has.
+
+    The result is empty if there is no such feature.
+    """
     for force in scene.acting:
         if force.kind not in MEASURED_FORCES:
             return f"a force of the kind {force.kind}"
@@ -120,7 +123,7 @@ def find_difference(scene: Scene) -> str:
 
 
 def _plate_speed(wall: Any, size: float) -> float:
-    """Return the largest speed of a press on an object of this size [m/s]; else 0.
+    """Return the largest speed of a press on an object of this size [m/s]; 0 for other walls.
 
     The position of the press follows a cosine in time.
     """
@@ -150,11 +153,17 @@ WORDS: dict[Motion, str] = {
 }
 """Kind of motion -> its description in messages."""
 MARGIN = 1.25
-"""Factor by which a scene's duration, severity, `yielding` or damping may exceed its limit."""
+"""Maximum ratio of a scene's duration, severity or `yielding` to the measured value.
+
+It is also the maximum ratio of the measured damping to the scene's damping.
+"""
 NEARBY = 0.02
 """Maximum excess of Poisson's ratio over the measured value."""
 NEARLY = 0.8
-"""Fraction of the scene's object's thickness at which measured objects count as equally thick."""
+"""Minimum thickness of measured objects that count as equally thick.
+
+It is relative to the thickness of the scene's object.
+"""
 FEWEST = 6
 """Minimum number of measured objects for a bound; if too few are thick enough, the thickest are
 used."""

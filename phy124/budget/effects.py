@@ -22,7 +22,7 @@ NODE = 1.8
 SPLINE = 157
 """Time per particle for gradients of the weights [ns]; no vectorised kernel computes them."""
 STATIC = "static Gaussians"
-"""Name of the effect that parts of the scene never move."""
+"""Name of the effect for parts of the scene that never move."""
 DENSE = 100**3
 """Number of nodes of the dense grid in PhysGaussian's scenes."""
 

@@ -17,7 +17,7 @@ from phy124.runtime.memory import free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""Ratio of the two fastest materials' wave speeds above which a note names the faster one."""
+"""Minimum ratio of the largest wave speed to the second largest for a note on the stiffest part."""
 MEMORY_FRACTION = 0.8
 """Maximum fraction of the free memory that a run may use."""
 FARTHEST_CELLS = 1e5
@@ -119,7 +119,7 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return the remedies that pass `fits`, from proposals for a run `excess` times too long."""
+    """Return the proposed remedies that pass `fits`, for a run `excess` times over its budget."""
     fitting = []
     for remedy in _propose_remedies(scene, excess):
         try:

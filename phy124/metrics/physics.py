@@ -21,12 +21,12 @@ class Physics:
     volume_highest: float
     """Largest total volume of the Gaussians over time, relative to the first frame."""
     momentum_residual: float | None
-    """Mean difference between the centre's displacement rate and its velocity.
+    """Mean difference between the rate of the centre's displacement and the centre's velocity.
 
     It is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean speed. x
-    and v are averaged over all Gaussians. The value is the absolute one [m/s] if all velocities are
-    zero. A path that curves between two frames, as in a collision, makes the residual larger than
-    zero. Velocities that do not match the motion make it larger still.
+    and v are means over all Gaussians. If all velocities are zero, the mean is not divided [m/s].
+    The residual is larger than zero if the path curves between two frames, as in a collision, and
+    larger still if the velocities do not match the motion. None without velocities.
     """
     travelled: float
     """Length of the centre's path, in object sizes; 0 for a frozen clip."""

@@ -6,8 +6,8 @@ l, the standard error is 1 / sqrt(l). An interval is the sum of a bootstrap over
 measurements and the effect of the grid's error.
 
 Each bootstrap draw selects G of the G groups, with replacement, and makes one Gauss-Newton step
-from the fitted point. Such a step needs no simulation. Errors common to a group, as of a badly
-tracked point, widen the interval because the groups are drawn as a whole.
+from the fitted point. Such a step needs no simulation. Errors that are common to a group, such as
+those of a badly tracked point, widen the interval because each group is drawn as a whole.
 """
 
 from __future__ import annotations
@@ -144,14 +144,15 @@ DEAD = 1e-3
 It is the change of the measurements over the value's range, divided by the measurements' norm.
 """
 ALIKE = 0.12
-"""Smallest singular value of the normalised effects below which values are not determined
-separately.
+"""Minimum singular value of the values' normalised effects on the measurements.
 
-It is 0 if the effects of two values on the measurements have the same direction, and 1 if they are
-orthogonal; 0.12 is a correlation of 0.986. Below this limit, errors of the model, such as grid
-errors, resemble the difference between the effects. Example: the effects of E and density on a
-pressed duck differ only by damping if no force is known. The singular value is then 0.04 to 0.08 on
-grids of 16 and 20 cells. For E and nu, it is 0.93.
+The singular value is 0 if the effects of two values have the same direction, and 1 if they are
+orthogonal; 0.12 means a correlation of 0.986. Below this limit, errors of the model, such as grid
+errors, resemble the difference between the effects, so the values cannot be separated.
+
+For example, the effects of E and density on a pressed duck differ only by damping if no force is
+known. The singular value is then 0.04 to 0.08 on grids of 16 and 20 cells. For E and nu, it is
+0.93.
 """
 SHARE = 0.3
 """Minimum component of a value in the weakest direction for the value to count as undetermined."""
@@ -221,7 +222,9 @@ def suggest_experiment(names: Sequence[str]) -> str:
 
 
 def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind | None:
-    """Return values that even exact measurements of this kind would not determine; None: no such.
+    """Return values that even exact measurements of this kind would not determine.
+
+    The result is None if there are no such values.
 
     Args:
         names: Names of the values [P].
@@ -250,7 +253,8 @@ def find_undetermined(
         names: Names of the values [P].
         errors: Half-width of the interval due to the measurements' errors, as a fraction of the
             range [P].
-        model: Half-width of the interval due to the finest grid's error, likewise [P].
+        model: Half-width of the interval due to the finest grid's error, as a fraction of the
+            range [P].
         directions: Covariance of the values [P,P].
     """
     worst = int(np.argmax(errors + model))

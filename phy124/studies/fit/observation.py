@@ -92,7 +92,7 @@ class Observation(Protocol):
     measured: Values
     """Measured values [M]."""
     groups: Groups
-    """Group of each measurement, from 0 [M]; errors in a group, as of a point, are correlated."""
+    """Group of each measurement, from 0 [M]; errors within a group are correlated."""
     last: float
     """Time of the last measurement [s]."""
 

@@ -170,8 +170,7 @@ def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float)
 class Vortex:
     """A ring with a manufactured motion (Kamojjala et al. 2015).
 
-    Each circle in the ring rotates forth and back in one second, by an angle that depends on its
-    radius.
+    In one second, each circle in the ring rotates by an angle that depends on its radius, and back.
     """
 
     amplitude: float = 0.1

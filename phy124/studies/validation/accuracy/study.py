@@ -107,7 +107,7 @@ class Report:
     promises: dict[str, str]
     """Name of a preset -> a sentence about whether its error bound holds in this scene."""
     until: float | None = None
-    """Time up to which the errors hold [s], if the motions separate later; None: always."""
+    """Time up to which the errors hold [s]; None: the whole motion."""
     closest: float | None = None
     """Distance between the two finest levels, relative to the object's size; None with one level.
     """
@@ -358,7 +358,9 @@ class Study:
         known: dict[str, float],
         frames: int,
     ) -> Row:
-        """Return a row with its difference from the finest level and its error; torn rows are kept.
+        """Return a row with its difference from the finest level and its error.
+
+        A torn row is returned unchanged.
 
         Args:
             row: The row.

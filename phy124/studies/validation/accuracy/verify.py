@@ -26,7 +26,7 @@ class Verdict:
     quantity: str
     """Name of the quantity whose error is measured."""
     value: float
-    """Error on the finest grid."""
+    """Measured error: that on the finest grid, or the largest error on all grids."""
     limit: float
     """Maximum permitted error."""
     levels: tuple[int, ...] = ()
@@ -64,7 +64,7 @@ def verify(*, fine: bool = True) -> Iterator[Verdict]:
 def free_fall(fine: bool) -> Iterator[Verdict]:
     """Check that a thrown body follows the exact parabola up to rounding.
 
-    This requires that the first substep applies only half of the acceleration (leapfrog).
+    This requires that the first substep updates velocities by half a substep only (leapfrog).
     """
     time = 0.4 if fine else 0.2
     for precision, limit in (("float64", 1e-12), ("float32", 5e-5)):

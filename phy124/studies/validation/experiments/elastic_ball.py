@@ -147,8 +147,8 @@ class Elements:
 
         Args:
             u: Displacements [2N], optionally followed by other unknowns.
-            mu: First Lame parameter mu, over E.
-            lam: Second Lame parameter lambda, over E.
+            mu: Shear modulus mu, divided by E.
+            lam: Lame parameter lambda, divided by E.
 
         Returns:
             The forces [2N], and the derivatives of each element's forces [M,8,8].

@@ -32,7 +32,9 @@ def moments(edges: Sequence[float]) -> NDArray[np.float64]:
 
 
 def find_turns(times: NDArray, spins: NDArray) -> Values:
-    """Return the times of the first two flips [s], at which the spin about the axis is zero.
+    """Return the times of the first two flips [s].
+
+    At a flip, the spin about the axis of intermediate inertia is zero.
 
     Args:
         times: Times of the samples [T], s.

@@ -43,7 +43,10 @@ def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return Poisson's ratio, and the exact stress / (E strain) for three kinds of sides."""
+    """Return Poisson's ratio, and the exact stress / (E strain).
+
+    The stress is that of a block with free sides, with held sides, and under hydrostatic pressure.
+    """
     axial = 1 - STRAIN
     free = find_root(lambda lateral: stress(axial, lateral)[1], 1.0, 1.02)
     return tuple(
@@ -98,7 +101,7 @@ def _plate(axis: int, *, moves: bool) -> HalfSpace:
 
 
 def measure(cells: int, nu: float) -> Values:
-    """Measure Poisson's ratio, and stress / (E strain) with free, held and pressed sides."""
+    """Measure Poisson's ratio, and stress / (E strain) for the three cases of `publish`."""
     free, ratio = press(cells, 1, 0, nu)
     confined, _ = press(cells, 1, 2, nu)
     bulk, _ = press(cells, 3, 0, nu)

@@ -96,7 +96,7 @@ def run(cells: int) -> Values:
 
 
 def control(cells: int) -> Values:
-    """Measure the run-out of the three lowest columns, with a far too large angle of friction."""
+    """Measure the run-out of the three lowest columns, with too large an angle of friction."""
     some = [collapse(cells, aspect, 50.0) for aspect in ASPECTS[:3]]
     return (*some, *[math.nan] * (len(ASPECTS) - len(some)))
 

@@ -70,7 +70,7 @@ def units(setting: Setting) -> list[Check]:
 def free_fall(setting: Setting) -> list[Check]:
     """Check that a falling body follows the exact parabola up to rounding.
 
-    This requires that the first substep applies only half of the acceleration (leapfrog).
+    This requires that the first substep updates velocities by half a substep only (leapfrog).
     """
     x = block()
     s = body(x, setting, forces=[Gravity()])

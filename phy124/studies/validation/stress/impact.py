@@ -91,7 +91,7 @@ def check_impacts(setting: Setting) -> list[Check]:
 
 
 def release(setting: Setting) -> list[Check]:
-    """Check that a body recovers its shape from 4 times and from a twentieth of its height."""
+    """Check that a body recovers its shape after an axial stretch of 4 and of 0.05."""
     checks = []
     for name, F in (("stretch 4", np.diag([1, 1, 4.0])), ("squeeze 0.05", np.diag([1, 1, 0.05]))):
         rest = block(8, 0.25)
@@ -125,7 +125,7 @@ def push_hard(setting: Setting) -> list[Check]:
     region = Region(lower=tuple(chosen - 1e-3), upper=tuple(chosen + 1e-3))
     s = body(x, setting, forces=[ParticleForce(f=(1e6 * weight, 0, 0), region=region)])
     s.advance(1e-3)
-    # Velocities are half a substep behind positions, so they contain the impulse only up to then.
+    # Velocities are half a substep behind positions, so they lack the last half substep's impulse.
     impulse = 1e6 * weight * (s.clock.time - s.clock.last_dt / 2)
     momentum = diagnose(s).momentum
     return [

@@ -72,7 +72,7 @@ def _sound(gaussians: Gaussians) -> bool:
 
 
 def below_zero(setting: Setting) -> list[Check]:
-    """Check that a body moves alike at the grid's origin, at negative and at positive coordinates.
+    """Check that a body's motion is equal at positive and negative coordinates and at the origin.
 
     Cell indices must be rounded down, not towards zero.
     """
@@ -95,7 +95,8 @@ def below_zero(setting: Setting) -> list[Check]:
 def sizes(setting: Setting) -> list[Check]:
     """Check that Gaussians keep their scales without deformation.
 
-    They are 1 nm to 1 km large, and include needles with an aspect ratio of 10,000 and flat shapes.
+    Their sizes are 1 nm, 1 m and 1 km. Their shapes include flat ones, and needles with an aspect
+    ratio of 10,000.
     """
     rng = np.random.default_rng(0)
     shapes = np.array([[1, 1, 1], [1, 1e-4, 1e-4], [1, 1, 1e-2], [1, 0.3, 1e-3]])
