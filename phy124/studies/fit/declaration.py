@@ -61,14 +61,15 @@ class Fit(Section):
     )
     object: str | None = Field(
         default=None,
-        description="Picture or file of Gaussians, or a clip at rest with its scene; a clip as "
-        "the target brings its own.",
+        description="Picture or file of Gaussians, or a clip whose first frame shows the object at "
+        "rest; default: the object of the target, if that is a clip.",
     )
     scene: str | None = Field(
-        default=None, description="Preset or .toml file; a clip brings its own."
+        default=None,
+        description="Preset or .toml file; default: the scene of the clip, if any, or else press.",
     )
     set: dict[str, Any] = Field(
-        default={}, description="Other values of the scene by their dotted path."
+        default={}, description="Other values of the scene, by dotted path."
     )
     find: dict[str, Range] = Field(
         min_length=1,
@@ -77,31 +78,35 @@ class Fit(Section):
     )
     forces: str | None = Field(
         default=None,
-        description="A .csv file of the forces measured on walls: time, wall, fx, fy, fz.",
+        description="A .csv file of measured forces on walls, with columns time, wall, fx, fy, fz.",
     )
     side: str = Field(
-        default="front", description="Side or camera of the view that saw pixels and videos."
+        default="front", description="View or camera that recorded the pixels or the video."
     )
     fps: float | None = Field(
         default=None,
         gt=0,
         le=1000,
-        description="Pictures per second of a video or folder; default: those of the file, else of "
-        "the scene [1/s].",
+        description="Frames per second of a video or folder; default: the rate in the file, or "
+        "else the scene's rate [1/s].",
     )
     align: bool = Field(
         default=False,
-        description="Align a video's first picture with the object at rest (unknown camera).",
+        description="Align a video's first frame with the object at rest, for an unknown camera.",
     )
-    gaussians: int | None = Field(default=None, ge=1, description="Largest number of Gaussians.")
+    gaussians: int | None = Field(default=None, ge=1, description="Maximum number of Gaussians.")
     grids: tuple[Cells, ...] = Field(
         default=(16, 24),
         min_length=1,
         max_length=4,
-        description="Cells across the object: searched on the first, refined on the others.",
+        description="Cells across the object: the first grid for the search, others to refine.",
     )
-    seconds: float = Field(default=300.0, ge=1, le=1e7, description="Largest duration [s].")
-    seed: int = Field(default=0, ge=0, le=2**31 - 1, description="Seed of search and intervals.")
+    seconds: float = Field(
+        default=300.0, ge=1, le=1e7, description="Maximum duration of the fit [s]."
+    )
+    seed: int = Field(
+        default=0, ge=0, le=2**31 - 1, description="Seed of the search and the intervals."
+    )
 
     @field_validator("grids")
     @classmethod

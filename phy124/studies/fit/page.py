@@ -31,8 +31,7 @@ from phy124.studies.fit.video import Film
 
 WIDTH, HEIGHT, TOP, BOTTOM, MARGIN = 300, 110, 6, 92, 6
 COLOURS = ("#d55e00", "#0072b2")
-"""Colours of pixels only in the video and only in the fitted scene, as `ONLY_SEEN`, `ONLY_FITTED`.
-"""
+"""CSS colours of pixels only in the video (`ONLY_SEEN`) and only in the fit (`ONLY_FITTED`)."""
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">

@@ -55,7 +55,7 @@ class Range(Counted):
 
     first: Number = Field(description="The first value.")
     last: Number = Field(description="The last value.")
-    count_: int = Field(alias="count", ge=1, le=1_000_000, description="How many values.")
+    count_: int = Field(alias="count", ge=1, le=1_000_000, description="Number of values.")
     spacing: Literal["linear", "log"] = Field(
         default="linear", description="Linear or logarithmic spacing."
     )
@@ -80,7 +80,7 @@ class Range(Counted):
 class Uniform(Section):
     """A uniform distribution between two numbers, such as `{ uniform = [0.1, 0.4] }`."""
 
-    uniform: tuple[Number, Number] = Field(description="Least and largest value.")
+    uniform: tuple[Number, Number] = Field(description="Smallest and largest value.")
 
     @model_validator(mode="after")
     def _check_order(self) -> Uniform:
@@ -95,7 +95,7 @@ class Uniform(Section):
 class LogUniform(Section):
     """A distribution with a uniform logarithm, such as `{ log_uniform = [1e4, 1e6] }`."""
 
-    log_uniform: tuple[Number, Number] = Field(description="Least and largest value, above 0.")
+    log_uniform: tuple[Number, Number] = Field(description="Smallest and largest value, above 0.")
 
     @model_validator(mode="after")
     def _check_order(self) -> LogUniform:
@@ -114,7 +114,7 @@ class Choice(Section):
 
     choice: tuple[Any, ...] = Field(min_length=1, description="The values.")
     weights: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] | None = Field(
-        default=None, description="How often each is drawn, in proportion; None: equally often."
+        default=None, description="Relative frequency of each value; None: all equally frequent."
     )
 
     @model_validator(mode="after")
@@ -215,7 +215,7 @@ class Sweep(Section):
         default=("relief",), min_length=1, description="Generators of the Gaussians."
     )
     gaussians: int | None = Field(
-        default=None, ge=1, description="Largest number of Gaussians; None: no limit."
+        default=None, ge=1, description="Maximum number of Gaussians; None: no limit."
     )
     scene: str = Field(
         default="press", description="Preset or .toml file on which all clips are based."
@@ -229,17 +229,17 @@ class Sweep(Section):
         default=None,
         ge=1,
         le=10_000_000,
-        description="Number of clips, drawn evenly over all axes (Sobol); None: all combinations.",
+        description="Number of clips, sampled evenly from all axes; None: all combinations.",
     )
     seed: int = Field(
-        default=0, ge=0, le=2**31 - 1, description="Seed of the shift of all samples."
+        default=0, ge=0, le=2**31 - 1, description="Seed of the samples' random shift."
     )
     films: bool = Field(default=False, description="Whether to make videos, too.")
     archive: int | None = Field(
         default=None,
         ge=1,
         le=100_000,
-        description="Number of clips per tar file, as WebDataset reads them; None: no tar files.",
+        description="Number of clips per tar file for WebDataset; None: no tar files.",
     )
 
     @classmethod

@@ -109,8 +109,7 @@ class Report:
     until: float | None = None
     """Time up to which the errors hold [s]; None: the whole motion."""
     closest: float | None = None
-    """Distance between the two finest levels, relative to the object's size; None with one level.
-    """
+    """Distance between the two finest levels, in object sizes; None with only one level."""
     interrupted: bool = False
     """Whether a cancellation or an error ended the study before all settings had been run."""
 
@@ -163,8 +162,7 @@ class Study:
     on_row: Callable[[Row], None] = lambda row: None
     """Called with the row of each finished setting, before errors are known."""
     keep: bool = False
-    """Whether the finished settings are evaluated if `progress` cancels or a later setting fails.
-    """
+    """Whether finished settings are evaluated after a cancellation or a failed later setting."""
     ended: Exception | None = field(default=None, init=False)
     """The exception that ended the study early while `keep` was true; otherwise None."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)

@@ -22,8 +22,7 @@ from phy124.studies.validation.bodies import plane, sheet
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 LENGTH, THICKNESS = 1.2, 0.1
-"""Size of the beam [m]. It is one particle wide, since with nu = 0 nothing varies over the width.
-"""
+"""Size of the beam [m]. It is one particle wide: with nu = 0, nothing varies across its width."""
 E, DENSITY = 1e6, 1000.0
 STIFFNESS = E * THICKNESS**3 / 12
 """Bending stiffness E I per metre of width [N m]."""

@@ -15,8 +15,7 @@ from phy124.studies.validation.bodies import lattice, mean_along
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
-"""Slope tan(angle) of the incline, and coefficient of friction; in the last case, nothing slides.
-"""
+"""Slope tan(angle) and coefficient of friction of each case; the last block does not slide."""
 SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
 """Edge of the block [m], and the durations of settling and sliding [s]."""
 SAMPLES = 41
