@@ -304,7 +304,7 @@ def test_a_budget_that_is_too_small_is_refused():
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["points.csv", "--object", "o.ply"], "nothing is to be found"),
+        (["points.csv", "--object", "o.ply"], "there is no value to find"),
         (["points.csv", "--find", "material.E=1..2"], "no object is given"),
         (["gone.mp4", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "it is missing"),
         (["points.csv", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "until 9 s"),

@@ -8,12 +8,12 @@ import warp as wp
 
 from phy124.kernels import (
     collide,
-    external_work,
+    forces,
     grid,
     measure,
-    push,
     timestep,
     transfer,
+    work,
 )
 from phy124.materials import FixedCorotated, NeoHookean, Sand
 from phy124.mpm import free
@@ -73,7 +73,7 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
         "merge": grid.make_merge(wp.float32),
         "measure": measure.make_measure(NeoHookean().device_law, wp.float32),
         "timestep": timestep.make_timestep(wp.float32),
-        "accelerate": push.make_accelerate(wp.float32, True),
+        "accelerate": forces.make_accelerate(wp.float32, True),
         "contact": collide.make_contact("box", "separate", True, wp.float32),
     }
     for name, kernel in kernels.items():
@@ -85,7 +85,7 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
     ("kernel", "numbers"),
     [
         (measure.make_measure(NeoHookean().device_law, wp.float32), 9),
-        (external_work.make_wall_sums(wp.float32), 2 * external_work.GIVEN),
+        (work.make_wall_sums(wp.float32), 2 * work.GIVEN),
     ],
     ids=["measure", "wall sums"],
 )

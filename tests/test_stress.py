@@ -122,7 +122,7 @@ SABOTAGE = {
     32: Sabotage("a free solid gives momentum and loses none", "kernels/free/exchange.py",
                  "(at3(trial, WALLS) - J) / mass", "at3(trial, WALLS) / mass"),
     33: Sabotage("walls take every body for a straight one", "kernels/columns.py",
-                 "NARROWING = wp.constant(1.45)", "NARROWING = wp.constant(0.0)"),
+                 "NARROWING = wp.constant(1.55)", "NARROWING = wp.constant(0.0)"),
     34: Sabotage("bodies touch half a cell too late", "kernels/pairs.py",
                  "return is_closed(here, more)",
                  "return is_closed(here + type(here)(0.5), more)"),

@@ -258,7 +258,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         # Next to a tip or a hair, the body squeezes material through the wall: a column that the
         # wall does not push yet must hold this material back.
         if wp.isinf(loose):
-            if wp.min(m[1], m[2]) > real(0.0):
+            if not come and wp.min(m[1], m[2]) > real(0.0):
                 last = n + 2 * step
                 wanted = hold_back(xyz(q2) - wall, xyz(q1) - wall, normal)
                 if wp.static(flat):

@@ -73,7 +73,7 @@ def coulomb(along: Any, pressed: Any, friction: Any):
     return friction * pressed / wanted
 
 
-NARROWING = wp.constant(1.45)
+NARROWING = wp.constant(1.55)
 """Exponent that relates the mass ratios of successive node pairs: 1.1 to 1.3 for an edge, 1.2 to
 1.6 for a cone.
 """

@@ -24,7 +24,7 @@ from phy124.boundaries import Ground, Sphere
 from phy124.forces import Gravity
 from phy124.materials import NeoHookean
 from phy124.monitor.external_work import ExternalWork
-from phy124.mpm import Solver, slabs
+from phy124.mpm import Solver, workers
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
@@ -47,7 +47,7 @@ def body(name: str, threads: int, *, ball: bool = False) -> Solver:
     x = cloud(count, size=1.0, corner=0.0, dx=1 / cells) * sides
     axis = int(np.argmax(sides))
     if axis and threads > 1:  # as Simulation orders them
-        x = x[np.argsort(slabs.layers(x, axis, 1 / cells), kind="stable")]
+        x = x[np.argsort(workers.layers(x, axis, 1 / cells), kind="stable")]
     work, volume = ExternalWork(), np.full(count, np.prod(sides) / count)
     wall = Sphere(centre=(sides[0] / 2, sides[1] / 2, -0.2), radius=0.22) if ball else Ground()
     s = make_solver(
@@ -121,13 +121,13 @@ def halo() -> None:
         "water": ("water", {}),
         "press": ("press", {}),
     }
-    usual = slabs.NODES
+    usual = workers.NODES
     for name, (preset, changes) in scenes.items():
         scene = Scene.named(preset).replaced({"accuracy.cells": 20, "time.frames": 30, **changes})
         for threads in (2, 4, 16):
             row: dict[str, Any] = {"scene": name, "threads": threads}
             for label, nodes in (("as it is", usual), ("cut anew early", 0), ("never", 10**9)):
-                slabs.NODES = nodes
+                workers.NODES = nodes
                 run, shares, most = (
                     Simulation(prepare(bar(), scene, RunContext(threads=threads))),
                     [],
@@ -143,7 +143,7 @@ def halo() -> None:
                     "lists": any(len(part.chosen) for part in run.solver.slabs.parts),
                 }
             print(json.dumps(row), flush=True)
-    slabs.NODES = usual
+    workers.NODES = usual
 
 
 def bar() -> Any:

@@ -28,7 +28,7 @@ def test_side_picture_is_cut_out_and_sets_the_depth(visit, tmp_path):
     visit.choose(frames=2)
     page.get_by_label("Film it in the photograph, too").check()
     visit.generate()
-    page.get_by_text("The picture from the side says already").first.wait_for()
+    page.get_by_text("The picture from the side determines the object").first.wait_for()
     page.get_by_role("button", name="Remove: depth").click()
     visit.generate()
     visit.finished()

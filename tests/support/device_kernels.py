@@ -12,14 +12,13 @@ from phy124.kernels import (
     contacts,
     deform,
     diagnostics,
-    external_work,
+    forces,
     grid,
     measure,
     profile,
-    push,
-    soundness,
     timestep,
     transfer,
+    work,
 )
 from phy124.kernels.splat import blend, project, shadow, stage
 from phy124.kernels.splat.arrange import arrange
@@ -68,18 +67,18 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
     makers = (
         grid.make_update, grid.make_merge, grid.make_grid_speed, profile.make_sampler,
         measure.make_measure_speeds, timestep.make_timestep,
-        soundness.make_reset, soundness.make_limit_total,
-        soundness.make_apart, ballistic.make_hide, ballistic.make_fly,
+        diagnostics.make_reset, diagnostics.make_limit_total,
+        diagnostics.make_apart, ballistic.make_hide, ballistic.make_fly,
         contacts.make_contact_copy, contacts.make_contact_reach, contacts.make_contacts,
-        external_work.make_push_copy, external_work.make_push_sums,
-        external_work.make_push_sums_v, external_work.make_wall_copy,
-        external_work.make_wall_sums, external_work.make_uniform_sums,
-        push.make_zone, push.make_drag, push.make_attract, push.make_set_velocity,
+        work.make_push_copy, work.make_push_sums,
+        work.make_push_sums_v, work.make_wall_copy,
+        work.make_wall_sums, work.make_uniform_sums,
+        forces.make_zone, forces.make_drag, forces.make_attract, forces.make_set_velocity,
         deform.make_carry,
     )  # fmt: skip
     for make in makers:
         yield make.__name__.removeprefix("make_"), make(real)
-    yield "accelerate", push.make_accelerate(real, True)
+    yield "accelerate", forces.make_accelerate(real, True)
     for shape, response in product(collide.SHAPES, ("separate", "sticky")):
         yield f"contact {shape}, {response}", collide.make_contact(shape, response, True, real)
     for shape in ("box", "cylinder", "half_space"):
