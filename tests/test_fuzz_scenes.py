@@ -232,7 +232,7 @@ OUTCOMES: Counter[str] = Counter()
 
 def most_are_complete() -> None:
     """Refused or out of time proves nothing, so most must run to their end."""
-    assert OUTCOMES["complete"] >= 2 / 3 * sum(OUTCOMES.values()), OUTCOMES
+    assert OUTCOMES["complete"] > sum(OUTCOMES.values()) / 2, OUTCOMES
 
 
 @settings(max_examples=30, derandomize=True, **COMMON)
