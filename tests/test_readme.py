@@ -17,7 +17,8 @@ def test_python_example_films_a_duck(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     quick = code[1].replace('{"view', '{"accuracy": {"cells": 8}, "time.frames": 2, "view')
     exec(quick.replace('.png")', '.png", count=500)'), {})
-    assert len(capsys.readouterr().out.strip("[ ]\n").split()) == 2, "a height for each frame, nothing of Warp's"
+    heights = capsys.readouterr().out.strip("[ ]\n").split()
+    assert len(heights) == 2, "a height for each frame, nothing of Warp's"
     assert Path("out/python/front.mp4").is_file()
 
 
