@@ -3,7 +3,6 @@
 Each boundary is a section of the scene file. A boundary becomes one stage of the substep (a
 container becomes one stage per wall, a gripper two stages), launched only over the nodes that its
 shape can reach.
-becomes one per wall, a gripper two), launched over the nodes its shape can reach and no others.
 """
 
 from typing import Annotated

@@ -142,7 +142,6 @@ def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: An
     node, or from the first node and the node in front of it (mass `above`) if a body at the wall
     does not reach the third node. Mass behind the three nodes (`beyond`) means that material has
     passed through the wall.
-    three nodes has got through.
     """
     zero = type(above)(0.0)
     if m[1] <= zero:
@@ -235,7 +234,7 @@ class Response(NamedTuple):
     acts: Any
     """`(m, above, beyond, u, lightest, full)`: whether material has reached the wall."""
     ratios: Any
-    """`(distances, across) -> g`: ratios of the velocities in a column to that of its first node.
+    """`(distances, across) -> g`: ratios of the column's velocities to the first node's velocity.
     """
     pushes: Any
     """`(pressed)`: whether the wall acts, from the impulse per mass along its normal."""

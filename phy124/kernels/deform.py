@@ -232,7 +232,7 @@ def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
 
 @wp.func
 def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
-    """Return the axes of a Gaussian of plastic or fluid material, more equal the longer it is.
+    """Return the axis lengths of a plastic or fluid Gaussian, made more equal the longer it is.
 
     A ball of radius sqrt(a b), where a and b are the two longest axes, covers as much of a frame as
     the Gaussian does.
@@ -427,7 +427,7 @@ def turn_of_material(
 
 @cache
 def make_carry(real: Any):
-    """Kernel: centres and deformation gradients of the Gaussians, from particles of a precision.
+    """Kernel: computes centres and F of the Gaussians from particles of one precision.
 
     x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carrying particles i. The F of
     plastic or fluid material grows without bound, so for such material the arms F_i (X_g - X_i) are

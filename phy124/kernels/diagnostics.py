@@ -140,7 +140,7 @@ def make_totals(law: Law, real: Any):
 
 @cache
 def make_energies(law: Law, real: Any):
-    """Kernel: kinetic plus elastic energy of each particle [J], to locate a particle."""
+    """Kernel: computes kinetic plus elastic energy of each particle [J], to locate a particle."""
     energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 
@@ -163,7 +163,7 @@ def make_energies(law: Law, real: Any):
 
 @cache
 def make_probe(law: Law, real: Any):
-    """Kernel: stress, modulus, energy and return mapping of a law for individual states."""
+    """Kernel: evaluates stress, modulus, energy and return mapping of a law for single states."""
     t = types(real)
     stress, modulus, energy, project = law.stress, law.modulus, law.energy, law.project
     plastic = project is not None

@@ -164,7 +164,7 @@ def forget(
 
 @cache
 def make_centre(real: Any):
-    """Kernel: X and V of a group of particles, while its track is active."""
+    """Kernel: computes X and V of a group of particles while its track is active."""
 
     @kernel(f"phy124_held_centre_{real.__name__}", real)
     def centre(first, each, stride, chosen, share: Doubles, slot, values, x, v, means_out):
@@ -185,7 +185,7 @@ def make_centre(real: Any):
 
 @cache
 def make_second(real: Any):
-    """Kernel: the second moments of a group about X, divided by its mass [m^2]."""
+    """Kernel: computes the second moments of a group about X, divided by its mass [m^2]."""
 
     @kernel(f"phy124_held_second_{real.__name__}", real)
     def second(first, each, stride, chosen, share: Doubles, slot, values, x, means, second_out):
@@ -203,7 +203,7 @@ def make_second(real: Any):
 
 @cache
 def make_draw(real: Any):
-    """Kernel: a spring and a damper pull X to a moving target."""
+    """Kernel: pulls X to a moving target with a spring and a damper."""
     t = types(real)
 
     @kernel(f"phy124_held_draw_{real.__name__}", real)
@@ -224,7 +224,7 @@ def make_draw(real: Any):
 
 @cache
 def make_wrench(real: Any):
-    """Kernel: a force at X, and a torque about X as if the group were rigid."""
+    """Kernel: applies a force at X, and a torque about X as if the group were rigid."""
     t = types(real)
 
     @kernel(f"phy124_held_wrench_{real.__name__}", real)
@@ -258,8 +258,7 @@ def make_wrench(real: Any):
 
 @cache
 def make_vortex(real: Any):
-    """Kernel: v += kick b(x, t), with the b that makes a given motion exact (manufactured
-    solution).
+    """Kernel: v += kick b(x, t), where b makes a given motion exact (manufactured solution).
 
     The motion is the generalised vortex of Kamojjala, Brannon, Sadeghirad, Guilkey 2015 (doi
     10.1007/s00366-013-0342-x): each radius of a ring rotates by beta(R, t) = h(R) g(t) about z,

@@ -17,7 +17,7 @@ from phy124.kernels.reduction import raise_to
 
 @wp.func
 def row_in_grid(box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i), i: int, j: int):
-    """Return the index in a window's nodes of the first node of row (i, j) of a box."""
+    """Return the index of the first node of row (i, j) of a box among a window's nodes."""
     low = box[0]
     size = window[1]
     return ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
@@ -25,7 +25,7 @@ def row_in_grid(box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
 
 @wp.func
 def row_in_copy(box: wp.array(dtype=wp.vec3i), i: int, j: int):
-    """Return the index in a copy of a box's nodes of the first node of row (i, j)."""
+    """Return the index of the first node of row (i, j) of a box in a copy of its nodes."""
     count = box[1]
     return (i * count[1] + j) * count[2]
 
@@ -126,7 +126,7 @@ def make_merge(real: Any):
 
 @cache
 def make_grid_speed(real: Any):
-    """Kernel: the largest squared speed of nodes with mass, used for step rejection."""
+    """Kernel: computes the largest squared speed of nodes with mass, for step rejection."""
     t = types(real)
 
     @kernel(f"phy124_grid_speed_{real.__name__}", real)

@@ -128,7 +128,7 @@ def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, p
 
 @cache
 def make_sampler(real: Any):
-    """Kernel: value and rate of every track at the current time; slot 0: uniform acceleration.
+    """Kernel: samples value and rate of every track now; slot 0 is the uniform acceleration.
 
     The fourth component of a value is 1 while the track is active.
     """

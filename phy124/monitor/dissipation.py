@@ -119,7 +119,7 @@ class Dissipation(Observer):
         return {"sums": self._sums.numpy().tolist(), "stress": wp.clone(self._stress)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; if the number of workers differs, the first worker gets all."""
+        """Return to a snapshot; if the number of workers differs, all sums go to the first one."""
         assert self._sums is not None
         rows = np.array(snapshot["sums"])
         if rows.shape != self._sums.shape:

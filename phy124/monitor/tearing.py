@@ -41,9 +41,8 @@ REACH = 1.5
 LOOSE, FLAKE = 2e-3, 8
 """Smallest fraction of the elastic particles, and smallest number, that a separated piece has."""
 ALONE, STURDY = 1.0, 1e9
-"""Spacing at rest [cells] above which a particle has no neighbours; a stretch that is never
-reached.
-"""
+"""`ALONE`: spacing at rest [cells] above which a particle has no neighbours. `STURDY`: a stretch
+that is never reached."""
 FAR = 4096
 """Number of cubes along an axis above which empty space is removed before labelling."""
 MOST = 50_000_000

@@ -163,7 +163,7 @@ class Watchdog(Observer):
         return problem
 
     def diagnose(self, problem: str) -> Violation:
-        """Return the violation for a problem that stopped the solver and its particle."""
+        """Return the violation for a problem that stopped the solver; it names a particle."""
         broken = broken_particles(self.state)
         if len(broken):
             return Violation(f"{problem}, first {self._who(int(broken[0]))}", self._unstable())

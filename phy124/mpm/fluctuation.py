@@ -43,7 +43,7 @@ def usable_rpic(scheme: Scheme, cfl: float) -> float:
     """Return the rate at which a scheme damps C [1/s].
 
     Raises:
-        ValueError: Substeps of the fraction `cfl` of the elastic limit are too long for damping.
+        ValueError: Substeps of the fraction `cfl` of the elastic limit are unstable with damping.
     """
     if scheme.rpic > 0 and cfl > beside_rpic(1.0):
         raise ValueError(f"RPIC needs a model with cfl up to 0.707, and this one has {cfl:g}")

@@ -45,7 +45,7 @@ def refuse_buried(boundaries: Sequence[Boundary], model: Model) -> None:
     """Check that an object does not start inside a flat wall.
 
     Raises:
-        InputError: More than the fraction `MOST` of the material does.
+        InputError: More than the fraction `MOST` of the material starts inside a wall.
     """
     for wall in find_buried(boundaries, model):
         if wall.fraction > MOST:

@@ -41,7 +41,7 @@ class Stopped(RuntimeError):
 
 
 class Interrupted(Cancelled):
-    """A run was cancelled; its frames so far are valid, and its state can be saved."""
+    """A run was cancelled; its frames so far are valid, and `resume` can save its state."""
 
     def __init__(self, run: Simulation) -> None:
         self.run = run

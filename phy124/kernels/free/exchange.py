@@ -57,7 +57,7 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @cache
 def make_begin(real: Any):
-    """Kernel of one thread: kicks a body once per substep; its state is the first solution."""
+    """Kernel of one thread: kicks a body once per substep; its motion is the first solution."""
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):
