@@ -37,13 +37,14 @@ PER_AXIS = 4
 With 2, as in scenes, a beam that has moved by several cells would be softer by a further 10 %.
 """
 TOO_SOFT = (
-    "Beams that bend over several cells are a few per cent too soft on every grid; with a tip "
-    "that moves by two cells (PL²/EI = 0.2) the drop is correct. The stress balances the load, "
-    "but F contains too little of the bending, because it follows an affine fit of the motion "
-    "instead of its gradient. At PL²/EI = 1, with 2 cells across and 8, 4 and 2 particles per "
-    "cell and axis, the bending of the positions exceeds that of F by 7, 13 and 29 %, and the "
-    "drop is 1.9, 5.8 and 14 % too large. With accuracy.gradient = spline the bending differs by "
-    "0, 1 and 9 %, and the drop by -0.4, 0.8 and 7.3 %."
+    "Beams whose tip moves by several cells are a few per cent too soft on every grid. If "
+    "the tip moves by only two cells (PL²/EI = 0.2), the deflection is correct. The "
+    "stress balances the load, but the bending in F is too small, because F follows an "
+    "affine fit of the motion instead of the motion's gradient. For PL²/EI = 1, 2 cells "
+    "across the thickness, and 8, 4 and 2 particles per cell and axis, the bending of the "
+    "positions exceeds the bending in F by 7, 13 and 29 %. The deflection is then 1.9, "
+    "5.8 and 14 % too large. With accuracy.gradient = spline, the bending differs by 0, 1 "
+    "and 9 %, and the deflection by -0.4, 0.8 and 7.3 %."
 )
 REST = 1.6
 """Time for each load, in periods of the beam's first bending mode."""
@@ -212,9 +213,10 @@ ELASTICA = Experiment(
     name="elastica",
     title="Elastica: a dead weight on the end of a cantilever",
     source="Euler's elastica by elliptic integrals, as tabulated by Bisshopp and Drucker 1945",
-    measured="Drop of the tip over the length, at rest, for seven weights. "
-    "Theory for small bending is wrong by 11 % at PL²/EI = 1 and by 311 % at 10.",
-    band="from a slender beam to one with twice the shear of this one, 12 times as long as thick",
+    measured="Tip deflection divided by the length, at rest, for seven weights. The linear theory "
+    "of small bending overestimates it by 11 % at PL²/EI = 1 and by 311 % at 10.",
+    band="from a slender beam to a beam with twice the shear of this beam, which is 12 times "
+    "as long as thick",
     published=partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI"),
     run=partial(measure_drops, loads=TIP_LOADS, bending=load_tip),
     control=partial(measure_drops, loads=TIP_LOADS, bending=load_tip, stiffer=1.2),
@@ -236,17 +238,17 @@ SPLINE_ELASTICA = replace(
         measure_drops, loads=TIP_LOADS, bending=load_tip, stiffer=1.2, gradient="spline"
     ),
     seconds=150,
-    reason="Few cells make the beam slightly too stiff, few particles make it slightly too soft. "
-    "With 8 particles per cell and axis the first drop is 1.0, 0.7 and 0.5 % too small on 2, 3 "
-    "and 4 cells, so it converges. With 4 both errors cancel, which the extrapolation cannot "
-    "detect.",
+    reason="Few cells make the beam slightly too stiff, and few particles make it slightly too "
+    "soft. With 8 particles per cell and axis, the deflection at the smallest load is "
+    "1.0, 0.7 and 0.5 % too small on 2, 3 and 4 cells, so it converges. With 4 particles, "
+    "the two errors cancel, which the extrapolation cannot detect.",
 )
 HEAVY_ELASTICA = replace(
     ELASTICA,
     name="heavy-elastica",
     title="Heavy elastica: a cantilever under its own weight",
     source="θ'' = −β (1 − s) cos θ, integrated numerically",
-    measured="Drop of the tip over the length, at rest, for three strengths of gravity.",
+    measured="Tip deflection divided by the length, at rest, for three strengths of gravity.",
     published=partial(make_band, OWN_LOADS, heavy_elastica_drop, "ρgAL³/EI"),
     run=partial(measure_drops, loads=OWN_LOADS, bending=load_all),
     control=partial(measure_drops, loads=OWN_LOADS, bending=load_all, stiffer=1.4),

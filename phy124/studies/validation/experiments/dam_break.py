@@ -134,25 +134,29 @@ def control(cells: int) -> Values:
 EXPERIMENT = Experiment(
     name="dam-break",
     title="Dam break: a column of water twice as high as wide",
-    source="Martin and Moyce 1952: columns 1.125 and 2.25 inch wide (as digitised by PySPH), "
-    "and tables 2 and 6 (as kept by Ocellaris)",
-    measured="Front over the column's width a, and height left at the wall over the first one, at "
-    "T = t √(2g/a), heights at T/√2; the front ends at the first gap wider than a cell.",
-    band="fronts: between the lowest and highest of the three sets; heights: ±0.02, what the steps "
-    "of the table leave open",
+    source="Martin and Moyce 1952: columns that are 1.125 and 2.25 inch wide (as digitised by "
+    "PySPH), and tables 2 and 6 (as published with Ocellaris)",
+    measured="Position of the front divided by the column's width a, and height of the water at "
+    "the wall divided by the initial height. Dimensionless times are T = t √(2g/a) for "
+    "the front and T/√2 for the height. The front ends at the first gap wider than a "
+    "cell.",
+    band="fronts: between the lowest and the highest of the three data sets; heights: ±0.02, "
+    "since the table's heights have steps of 0.05 to 0.06",
     published=publish,
     run=run,
     control=control,
     mistake="a paste of 20 Pa s instead of water",
     grids=(16, 24, 36),
     across="the column's width",
-    reason="Heights and the speed of the front are correct, but the front is a quarter to a third "
-    "of a width ahead, nearly all of it before T = 1.2. The main cause is the floor, which is "
-    "smooth here. With a floor that holds the water (`contact = sticky`) the front deviates by +6, "
-    "0 and -3 % at T = 1.2, 2 and 3 with 24 cells, +9, +4 and +2 % with 36, and +11, +7 and +5 % "
-    "with 54. Such a floor holds a layer of about a cell, while the boundary layer of the "
-    "experiment (Blasius, after 1.5 widths) is 0.036 widths thick, which is a cell of a grid with "
-    "28. The rest is present from the start, since the simulated water is released at once.",
+    reason="Heights and the speed of the front are correct, but the front is a quarter to a "
+    "third of a width ahead. Nearly all of this lead arises before T = 1.2. Its main "
+    "cause is the floor, which has no friction here. With a no-slip floor (`contact = "
+    "sticky`), the front deviates by +6, 0 and -3 % at T = 1.2, 2 and 3 with 24 cells, by "
+    "+9, +4 and +2 % with 36 cells, and by +11, +7 and +5 % with 54 cells. A no-slip "
+    "floor stops a layer of about one cell. The boundary layer of the experiment "
+    "(Blasius, after 1.5 widths) is 0.036 widths thick, as thick as a cell of a grid with "
+    "28 cells. The rest of the lead is present from the start, since the simulated water "
+    "is released instantly.",
     quick=True,
     seconds=15,
 )

@@ -127,12 +127,13 @@ def control(cells: int) -> Values:
 EXPERIMENT = Experiment(
     name="hertz",
     title="Hertz: force on a pressed ball, and time of contact of one that bounces",
-    source="finite elements of the whole neo-Hookean ball, which have Hertz's law (1882) as their "
-    "limit for small depths (`phy124/studies/validation/experiments/elastic_ball.py`)",
-    measured="Force on the plate, from the impulses that the wall gives, at two depths, each the "
-    "mean of two places of the plate between the nodes; time in which a bouncing ball turns from "
-    "half its speed down to half its speed up. All values are relative to Hertz's theory, which "
-    "treats both bodies as half-spaces of small strain.",
+    source="finite elements of the whole neo-Hookean ball, which approach Hertz's law (1882) for "
+    "small depths (`phy124/studies/validation/experiments/elastic_ball.py`)",
+    measured="The force on the plate at two depths, from the plate's impulses; each force is the "
+    "mean for two positions of the plate between nodes. Also the time in which a bouncing "
+    "ball's velocity changes from half the initial speed downwards to half of it upwards. "
+    "All values are relative to Hertz's theory, which treats both bodies as half-spaces "
+    "with small strain.",
     band="forces: ±5 %; time: ±1 %",
     published=publish,
     run=run,

@@ -90,9 +90,9 @@ EXPERIMENT = Experiment(
     name="incline",
     title="Incline: Coulomb's friction",
     source="Coulomb: a = g (sin θ − μ cos θ), or rest",
-    measured="Acceleration of a block in units of gravity; the incline lies along the grid "
-    "(gravity is tilted) or across it (the wall is).",
-    band="±0.002 g: the block still rocks",
+    measured="Acceleration of a block in units of gravity. The incline is aligned with the grid "
+    "(gravity is tilted) or oblique to it (the wall is tilted).",
+    band="±0.002 g, since the block still rocks slightly",
     published=publish,
     run=run,
     control=control,

@@ -135,9 +135,10 @@ EXPERIMENT = Experiment(
     name="middle-axis",
     title="Free spin about the middle axis",
     source="Euler's equations for a rigid body, integrated numerically",
-    measured="A free `rigid` box of 0.6 × 0.4 × 0.2 m spins about the axis of middle inertia and "
-    "turns over: when its spin about that axis is zero for the first and second time, and what 4 s "
-    "leave of kinetic energy and angular momentum (with what APIC keeps in C).",
+    measured="A free `rigid` box of 0.6 × 0.4 × 0.2 m spins about its axis of intermediate inertia "
+    "and flips repeatedly. Measured are the first two times at which its spin about this "
+    "axis is zero, and the fractions of kinetic energy and angular momentum that remain "
+    "after 4 s. The angular momentum includes the part that APIC stores in C.",
     band="±1 % in time; energy to 1 %, angular momentum to 0.01 %",
     published=publish,
     run=run,

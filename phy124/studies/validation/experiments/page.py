@@ -118,18 +118,20 @@ def _draw_rows(axes: Any, outcome: Outcome) -> None:
 PathLike = str | os.PathLike[str]
 HEAD = """# Comparison with published experiments
 
-`phy124 validate` repeats experiments and theories of others with the solver that makes the clips
+`phy124 validate` repeats published experiments and theories with the solver that makes the clips
 (`phy124/studies/validation/experiments/`), and `phy124 validate --docs` writes this page.
 `phy124 accuracy --verify` tests whether the equations are solved correctly
 ([accuracy](accuracy.md)); this page tests whether they describe real materials.
 
-- **Three grids** per experiment, and Richardson's value for a grid without error. Its estimated
-  error is its distance from the finest grid's value, plus the scatter. If the grids do not
-  converge, the value is the finest grid's, and the error is the spread.
-- **A band**: the range that sources or theory allow. A value counts as inside if its error reaches
-  the band; the table marks such values.
-- **A control** with a deliberate mistake, on the coarsest grid: at least one quantity must leave
-  its band by more than that grid's error. Otherwise the comparison would prove nothing.
+- **Grids**: Each experiment runs on three grids, whose values are extrapolated to zero grid
+  spacing (Richardson). The error of the extrapolated value is estimated as its distance from the
+  finest grid's value, plus the scatter. If the grids do not converge, the finest grid's value is
+  used, and its error is the spread of the three values.
+- **Band**: the range of values that is permitted by the sources or the theory. A value also counts
+  as inside if the band is within the value's error; the table marks such values.
+- **Control**: a run with a deliberate mistake, on the coarsest grid. At least one of its quantities
+  must be outside the band by more than this grid's error. Otherwise the experiment could not detect
+  the mistake, and agreement would prove nothing.
 - **Values outside their band** are marked, with the reason if it is known.
 """
 

@@ -121,10 +121,11 @@ def control(cells: int) -> Values:
 EXPERIMENT = Experiment(
     name="pressed-block",
     title="Pressed block: Poisson's ratio and bulk response",
-    source="the neo-Hookean law in closed form; at small strain ν, E, E(1−ν)/(1+ν)(1−2ν) and "
-    "E/(1−2ν)",
-    measured="A block between smooth plates is pressed by 1 %: with free sides, with held sides, "
-    "from all sides. Strains from the particles, forces from the impulses that a plate gives.",
+    source="the neo-Hookean law in closed form; for small strain, it gives ν, E, "
+    "E(1−ν)/(1+ν)(1−2ν) and E/(1−2ν)",
+    measured="A block between smooth plates is compressed by 1 % in three ways: with free sides, "
+    "with held sides, and hydrostatically. Strains are measured from the particles, and "
+    "forces from the impulses of a plate.",
     band="±0.5 %",
     published=publish,
     run=run,

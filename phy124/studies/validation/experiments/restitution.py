@@ -151,11 +151,13 @@ def control(cells: int) -> Values:
 EXPERIMENT = Experiment(
     name="restitution",
     title="Restitution of a damped ball",
-    source="the force F + (η/μ) dF/dt (Kuwabara and Kono 1987; exact for a quasi-static ball of "
-    "ν = 0), integrated numerically; F by finite elements of the whole ball, as in `hertz`",
-    measured="Speed of a ball's centre after a slow bounce over that before, without and with "
-    "viscosity η; t is Hertz's time of contact. It is pressed by 12 % of its radius.",
-    band="±2 %: the theory is for no waves",
+    source="numerical integration of the motion under the force F + (η/μ) dF/dt (Kuwabara and "
+    "Kono 1987; exact for a quasi-static ball with ν = 0); F comes from finite elements "
+    "of the whole ball, as in `hertz`",
+    measured="Coefficient of restitution in a slow bounce: the speed of the ball's centre after "
+    "the bounce divided by its speed before, without and with viscosity η. The floor "
+    "indents the ball by 12 % of its radius. t is Hertz's contact time.",
+    band="±2 %, since the theory neglects waves in the ball",
     published=publish,
     run=run,
     control=control,

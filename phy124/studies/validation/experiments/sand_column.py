@@ -106,9 +106,10 @@ EXPERIMENT = Experiment(
     title="Sand columns: run-out in a channel, in both regimes",
     source="Lube et al. 2005 (sand, rice, sugar) and Lajeunesse et al. 2005 (glass beads), as "
     "compared by Lagrée, Staron and Popinet 2011",
-    measured="How far the end of the heap comes to lie, in widths of the column, up to the first "
-    "gap wider than a cell: 1.2 a to 1.8 a in low columns, 1.9 to 2.3 a^(2/3) in high ones.",
-    band="from 0.9 of Lube's law to Lajeunesse's",
+    measured="Run-out of the heap in widths of the column, measured up to the first gap wider than "
+    "a cell. For an aspect ratio a, experiments give 1.2 a to 1.8 a for low columns, and "
+    "1.9 a^(2/3) to 2.3 a^(2/3) for high columns.",
+    band="from 0.9 times the run-out by Lube's law to the run-out by Lajeunesse's law",
     published=publish,
     run=run,
     control=control,

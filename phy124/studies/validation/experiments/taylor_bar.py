@@ -70,11 +70,12 @@ def control(cells: int) -> Values:
 EXPERIMENT = Experiment(
     name="taylor-bar",
     title="Taylor bar: copper at 227 m/s against a rigid wall",
-    source="Foulk et al. 2021 (7.22 mm), Simo 1992 (7.12 mm), Zienkiewicz et al. 1998 (7.11 mm); "
-    "lengths of Sierra/SM and Carina (21.42 to 21.48 mm), as kept with Carina's benchmark",
-    measured="Length of the bar and radius of the face that struck, 80 µs after the impact, of a "
-    "quarter of the bar between two planes of symmetry; no friction.",
-    band="between the lowest and highest of the codes",
+    source="radii of Foulk et al. 2021 (7.22 mm), Simo 1992 (7.12 mm) and Zienkiewicz et al. "
+    "1998 (7.11 mm); lengths from the codes Sierra/SM and Carina (21.42 to 21.48 mm), as "
+    "published with Carina's benchmark",
+    measured="Length of the bar and radius of its impact face, 80 µs after the impact. A quarter "
+    "of the bar is simulated between two symmetry planes, without friction.",
+    band="between the lowest and the highest published value",
     published=publish,
     run=run,
     control=control,

@@ -75,8 +75,8 @@ EXPERIMENT = Experiment(
     name="terminal-speed",
     title="Terminal speed in `wind`",
     source="dv/dt = rate (u − v) − g",
-    measured="Way of a soft block that falls through a stream against it, upwards, and its speed "
-    "at the end.",
+    measured="Upward displacement and final velocity of a soft block that falls through an upward "
+    "stream.",
     band="±0.2 %",
     published=publish,
     run=run,
