@@ -1,6 +1,6 @@
-"""Limits the traffic of each address: requests that compute, uploads, and open streams.
+"""Limit the traffic of each address: requests that compute, uploads, and open streams.
 
-A single request may cost tenths of a second, so only a few are processed at the same time.
+A single request may take tenths of a second; therefore only a few are processed in parallel.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COMPUTES = re.compile(r"/gradio_api/(?:run|api|call|queue)\b")
-"""URLs to which a POST may cost more than 0.2 s of a core."""
+"""URLs to which a POST request may take more than 0.2 s of a core."""
 TOGETHER, EACH = 4, 2
-"""Largest number of such requests at the same time, in total and per address."""
+"""Largest number of such requests in parallel, in total and per address."""
 UPLOADS = re.compile(r"/gradio_api/upload\b")
-"""URLs of uploads, which occupy the disk until they are complete."""
+"""URLs of uploads, which occupy disk space until they are complete."""
 RECEIVED, RECEIVED_EACH = 64, 8
-"""Largest number of uploads at the same time, in total and per address."""
+"""Largest number of parallel uploads, in total and per address."""
 PRESENT = 64
 """Largest number of unfinished requests per address; more are refused."""
 LONGEST = 60.0
@@ -37,7 +37,7 @@ TOO_MANY = "Too many requests from your address are waiting here. Try again in a
 STREAMED = re.compile(r"/gradio_api/(?:heartbeat|queue/data|call|upload_progress)\b")
 """URLs that are answered by streams."""
 STREAMS_EACH, STREAMS_ADDRESS = 16, 64
-"""Largest number of streams per cookie and per address; a page has one or two."""
+"""Largest number of streams per cookie and per address; a page needs one or two."""
 LIFE = 7200.0
 """Time after which a stream ends unless its page is open [s]; the page may reconnect."""
 TOO_MANY_STREAMS = "Too many streams are open here. Close some pages."
@@ -45,14 +45,14 @@ TOO_MANY_STREAMS = "Too many streams are open here. Close some pages."
 
 @dataclass
 class _Address:
-    """The requests of one address."""
+    """Unfinished requests of an address."""
 
     turns: anyio.Semaphore
     present: int = 0
 
 
 class Turns:
-    """Queues requests; those of one address also wait for each other."""
+    """Queues requests; requests of the same address also wait for each other."""
 
     def __init__(
         self,
@@ -65,9 +65,9 @@ class Turns:
 
         Args:
             app: The application.
-            at: URLs of the requests to queue; others are passed on at once.
-            together: Largest number of requests at the same time.
-            each: Largest number of them per address.
+            at: URLs of the requests to queue; other requests are passed on at once.
+            together: Largest number of parallel requests.
+            each: Largest number of parallel requests per address.
         """
         self.app, self.at, self.each = app, at, each
         self._turns = anyio.Semaphore(together)
@@ -86,7 +86,7 @@ class Turns:
 
     @asynccontextmanager
     async def _turn(self, name: str) -> AsyncIterator[bool]:
-        """Wait for a turn of an address; yields whether it came in time."""
+        """Wait for an address's turn; yield whether the turn came in time."""
         address = self._addresses.setdefault(name, _Address(anyio.Semaphore(self.each)))
         if address.present >= PRESENT:
             yield False
@@ -117,10 +117,10 @@ class Streams:
         """
         self.app, self.most, self.here = app, most, here
         self._open: list[_Stream] = []
-        """The oldest first."""
+        """Open streams, the oldest first."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on; too many streams of a cookie end its oldest, others get 429."""
+        """Pass a request on; above the limit per cookie the oldest stream ends, else answer 429."""
         asked = scope["type"] == "http" and scope["method"] == "GET"
         if not asked or not STREAMED.match(scope["path"]):
             return await self.app(scope, receive, send)
@@ -150,7 +150,7 @@ class Streams:
 
 
 class _Stream:
-    """One stream, which can be ended by the server."""
+    """A stream that the server can end."""
 
     def __init__(self, request: HTTPConnection, send: Send) -> None:
         self.cookie, self.address = cookie_of(request), address_of(request)

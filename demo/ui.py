@@ -1,4 +1,4 @@
-"""The page's layout: picture, scene and Generate on the left, the results on the right."""
+"""Layout of the page: picture, scene and Generate on the left, results on the right."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ QUIET: dict[str, Any] = {
     "show_progress": "hidden",
     "api_visibility": "private",
 }
-"""Options of events that are answered at once. Gradio drops an event while the previous one is
-unanswered, which is right for a button that is pressed twice."""
+"""Options of events that are answered at once. Gradio drops a further event until the previous one
+is answered, as a button that is pressed twice requires."""
 EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
-"""Options of events that must not be dropped, since each has different data."""
+"""Options of events that must not be dropped, because each has different data."""
 LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
-"""Options of events without data: the latest state is answered last."""
+"""Options of events without data: after the last event the latest state is answered."""
 MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42" aria-hidden="true">
 <g fill="none" stroke="#0f766e" stroke-width="2.4"><ellipse cx="15" cy="27" rx="11" ry="9"/>
 <ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>
@@ -40,7 +40,7 @@ MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42"
 
 
 def open_studio(settings: Settings, root: Path) -> Studio:
-    """Make the state shared by all visitors; on ZeroGPU, jobs are wrapped to get a GPU."""
+    """Create the state shared by all visitors; on ZeroGPU, jobs are wrapped to get a GPU."""
     work = steps
     if find_spec("spaces") is not None:
         import spaces  # pyright: ignore[reportMissingImports]
@@ -92,7 +92,7 @@ def build(studio: Studio) -> gr.Blocks:
 
 
 def theme() -> themes.Base:
-    """Make a theme with system fonts only, so that nothing is downloaded."""
+    """Return a theme with system fonts only: nothing is downloaded."""
     return themes.Base(
         primary_hue="teal",
         neutral_hue="slate",
@@ -169,7 +169,7 @@ def _wire_run(
     forecast: Any,
     results: list[Any],
 ) -> list[Any]:
-    """Connect the run's events; returns those after which another result may be shown."""
+    """Connect the run's events; return the events after which another result may be shown."""
     start, started = handlers.on_generate(studio), [progress, go, cancel]
     for again in (go.click, progress.again):
         again(start, asked, started, **QUIET)
@@ -181,7 +181,7 @@ def _wire_run(
 
 
 def _wire_fit(studio: Studio, done: Any, fit: Any, takeaway: Any, shows: list[Any]) -> None:
-    # Not done.change: Gradio does not report changes of a state after an event without its queue.
+    # Not done.change: Gradio reports no change of a state after an event without its queue.
     for shown in shows:
         shown.then(handlers.on_result_shown(studio), done, fit, **LAST)
     fit.begin(handlers.on_fit_begin(studio), [done, fit], fit, **EACH)

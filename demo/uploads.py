@@ -1,6 +1,6 @@
-"""The route that stores uploads (pictures, videos, files of Gaussians) in their visitor's folder.
+"""Store uploads (pictures, videos, files of Gaussians) in their visitor's folder.
 
-It replaces Gradio's route, whose uploads belong to no visitor.
+This route replaces Gradio's route, whose uploads belong to no visitor.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 ADDRESS = "/gradio_api/upload"
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", ".avif", *FILMS, *endings()}
-"""Suffixes that uploads keep; others are removed."""
+"""Suffixes that uploads keep; other suffixes are removed."""
 NOT_READ = {
     ".ksplat": "Save it as .ply or .spz with the program it comes from, or convert it with"
     " splat-transform, and send that.",
 }
-"""Suffixes of unreadable files, and the remedy."""
+"""Suffix of unreadable files -> remedy."""
 MOST = 4
-"""Largest number of files in one request."""
+"""Largest number of files in a request."""
 
 
 def upload_route(studio: Studio) -> Route:
@@ -56,7 +56,7 @@ def upload_route(studio: Studio) -> Route:
 
 async def _keep(studio: Studio, request: Request, part: UploadFile) -> str:
     limits = studio.settings
-    # Pictures have a lower limit, which is checked where they are used.
+    # Pictures have a lower limit, which is checked when they are used.
     if (part.size or 0) > limits.max_file_bytes:
         raise InputError("image", "large", limits.file_too_large, SMALLER)
     suffix = Path(part.filename or "").suffix.lower()

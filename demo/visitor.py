@@ -1,4 +1,4 @@
-"""One visitor: the folder, the jobs, and which results are kept."""
+"""A visitor: the folder, the jobs, and the rules for removing old results."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ if TYPE_CHECKING:
     from .line import Job
 
 STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "exports", "studies", "fits")
-"""Folders of results (`demo.visitors`)."""
+"""Folders of stage results (see `demo.visitors`)."""
 UPLOADS = 8
 """Number of uploads kept per visitor."""
 
 
 class Visitor:
-    """One visitor's folder and jobs."""
+    """Folder and jobs of a visitor."""
 
     def __init__(self, folder: Path, address: str = "") -> None:
         self.folder, self.address = folder, address
         self.used = 0
-        """Size of the files when last measured [bytes]."""
+        """Size of the files at the last measurement [bytes]."""
         self.promised = 0.0
         """Size of files being written [bytes]."""
         self.seen = time.time()
         self.forecasts: dict[str, float] = {}
-        """Key of a scene -> time predicted by a probe [s]."""
+        """Key of a scene -> time forecast by a probe [s]."""
         self.thickness: dict[str, float | None] = {}
         """File of an object's Gaussians -> local thickness relative to the object's size."""
         self.jobs: dict[str, Job] = {}
-        """The newest jobs by name, in the order of their start."""
+        """The latest jobs by name, in the order of their start."""
         self.shared: dict[str, Path] = {}
-        """Files that anyone with the link may see, by the link's token."""
+        """Token of a link -> the file that anyone with the link may see."""
         for stage in ("uploads", *STAGES):
             (folder / stage).mkdir(parents=True, exist_ok=True)
 
@@ -62,17 +62,17 @@ class Visitor:
 
     @property
     def silence(self) -> float:
-        """Time since the last sign of life [s]."""
+        """Time since the visitor's last request [s]."""
         return time.time() - self.seen
 
     def remember(self, job: Job, most: int = 8) -> None:
-        """Keep a job for the page, and drop the oldest finished ones beyond `most`."""
+        """Store a job, and remove the oldest finished jobs beyond `most`."""
         self.jobs[job.name] = job
         for name in [n for n, j in self.jobs.items() if j.over][: max(0, len(self.jobs) - most)]:
             del self.jobs[name]
 
     def latest(self, *kinds: str) -> Job | None:
-        """Return the newest job of these kinds."""
+        """Return the latest job of these kinds, or None."""
         return next((j for j in reversed(list(self.jobs.values())) if j.kind in kinds), None)
 
     def stop(self) -> None:
@@ -81,11 +81,11 @@ class Visitor:
             job.cancel()
 
     def touch(self) -> None:
-        """Note a sign of life."""
+        """Note that the visitor is still there."""
         self.seen = time.time()
 
     def share(self, path: Path) -> str:
-        """Return the token of a link to a file, the same each time; it cannot be guessed."""
+        """Return the token of a link to a file, always the same token; it cannot be guessed."""
         for token, known in self.shared.items():
             if known == path:
                 return token
@@ -96,7 +96,7 @@ class Visitor:
     def new_stop_file(self) -> Path:
         """Return the path of a file whose existence asks a job to stop.
 
-        It is a file because the job may run in another process (on ZeroGPU).
+        A file is used because the job may run in another process (on ZeroGPU).
         """
         return self.folder / f"stop-{secrets.token_hex(8)}"
 
@@ -106,7 +106,7 @@ class Visitor:
         return self.used
 
     def trim(self, room: Room) -> None:
-        """Remove all but the newest results of each stage, and more if storage is short."""
+        """Remove all but the latest results of each stage, and more if disk space is short."""
         for stage in ("uploads", *STAGES):
             entries = newest_first(self.folder / stage)
             # A clip may have films of several views; cut-outs and uploads are small.
@@ -119,9 +119,9 @@ class Visitor:
         self.give_up(room.each)
 
     def give_up(self, most: float, keep: Collection[Path] = ()) -> bool:
-        """Remove exports, then results, the oldest first, until files take at most `most` bytes.
+        """Remove exports, then results, the oldest first, until at most `most` bytes are left.
 
-        The newest of each stage and those in `keep` stay. Returns whether that suffices.
+        The latest result of each stage and paths in `keep` stay. Return whether this suffices.
         """
         for path in self._oldest():
             if self.measure() <= most:
@@ -131,7 +131,7 @@ class Visitor:
         return self.measure() <= most
 
     def _oldest(self) -> Iterator[Path]:
-        """Yield what may be removed, in this order."""
+        """Yield the paths that may be removed, in the order of removal."""
         if not self.busy:
             yield self.folder / "live"
         yield from sorted((self.folder / "exports").glob("*/*"), key=change_time)

@@ -1,9 +1,9 @@
-"""The files of each visitor: a folder with a name that cannot be guessed, which contains caches.
+"""Files of visitors: each has a folder with a name that cannot be guessed; it contains caches.
 
-A stage's result is stored under a key of everything it depends on, so a stage runs again exactly
-when something it depends on has changed:
+The result of a stage is stored under a key of all its inputs. A stage therefore runs again exactly
+when an input has changed. Each line names a path and its inputs:
 
-    uploads/NAME                  pictures, videos and files of Gaussians, unchanged
+    uploads/NAME                  pictures, videos and files of Gaussians, as sent
     cutouts/KEY.png               picture, brush strokes
     objects/NAME/                 file of Gaussians
     gaussians/KEY.safetensors     cut-out or file, generator, seed
@@ -13,8 +13,8 @@ when something it depends on has changed:
     studies/KEY.json              Gaussians and the scene without its view and grid
     fits/CLIP-KEY/                clip, video, and options of the fit
 
-A folder is kept while its visitor gives signs of life (an open page does every minute), and for a
-grace period after the last one.
+A folder is kept while its visitor sends requests (an open page does every minute), and for a grace
+period after the last request.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ if TYPE_CHECKING:
     from .line import Job
 
 AWAY = 150.0
-"""Silence after which a page counts as closed [s]; an open one reports every minute."""
+"""Time without requests after which a page counts as closed [s]; open pages send one a minute."""
 UNUSED = 16
-"""Largest number of idle visitors per address; the longest silent ones are removed."""
+"""Largest number of idle visitors per address; the visitor that was silent longest is removed."""
 UNFINISHED = 3
-"""Largest number of unfinished jobs of one visitor."""
+"""Largest number of unfinished jobs per visitor."""
 FULL = "Too many visitors are here at once."
 OF_ADDRESS = "Too many visitors from your address are here at once."
 
@@ -59,13 +59,13 @@ class Visitors:
         self._lock = threading.RLock()
         self._known: dict[str, Visitor] = {}
         self._leaving: list[Visitor] = []
-        """Removed visitors whose jobs have not stopped yet."""
+        """Removed visitors whose jobs are still running."""
 
     def __len__(self) -> int:
         return len(self._known)
 
     def find(self, name: str) -> Visitor | None:
-        """Return the visitor of a name, or None; counts as a sign of life."""
+        """Return the visitor of a name, or None; the call counts as a request of the visitor."""
         with self._lock:
             visitor = self._known.get(name)
             if visitor is not None:
@@ -73,16 +73,16 @@ class Visitors:
             return visitor
 
     def has(self, name: str) -> bool:
-        """Whether a visitor is known; does not count as a sign of life."""
+        """Return whether a visitor is known, without counting as a request of the visitor."""
         return name in self._known
 
     def is_here(self, name: str | None) -> bool:
-        """Whether the page of a visitor is open; does not count as a sign of life."""
+        """Return whether a visitor's page is open, without counting as a request."""
         visitor = self._known.get(name or "")
         return visitor is not None and visitor.silence < AWAY
 
     def job(self, name: str) -> Job | None:
-        """Return the job of a name, which cannot be guessed; counts as a sign of life."""
+        """Return the job of a name, which cannot be guessed; counts as a request of its visitor."""
         with self._lock:
             visitor = next((v for v in self._known.values() if name in v.jobs), None)
             if visitor is None:
@@ -91,16 +91,16 @@ class Visitors:
             return visitor.jobs[name]
 
     def find_shared(self, token: str) -> Path | None:
-        """Return the file of a link while its visitor's files are kept; no sign of life."""
+        """Return the file of a link, or None; does not count as a request of the visitor."""
         with self._lock:
             paths = (v.shared[token] for v in self._known.values() if token in v.shared)
             path = next(paths, None)
         return path if path is not None and path.exists() else None
 
     def get(self, name: str, address: str = "") -> Visitor:
-        """Return the visitor of a name, a new one if it is not known.
+        """Return the visitor of a name, created if necessary.
 
-        `address` is where the request comes from; empty if unknown.
+        `address` is the address of the request; empty if unknown.
 
         Raises:
             InputError: There are too many visitors.
@@ -115,7 +115,7 @@ class Visitors:
 
     @property
     def used(self) -> float:
-        """Size of all files, including those being written [bytes], as last measured."""
+        """Size of all files at the last measurement, including files being written [bytes]."""
         with self._lock:
             visitors = [*self._known.values(), *self._leaving]
             return sum(v.used + v.promised for v in visitors) + self.arrivals.size
@@ -129,10 +129,10 @@ class Visitors:
             name: The visitor's name; None if the visitor is not known yet.
             data: The content, or a file that contains it.
             suffix: The suffix of the file's name.
-            address: Where it comes from; empty if unknown.
+            address: Address of the request; empty if unknown.
 
         Raises:
-            InputError: It exceeds the storage.
+            InputError: The upload exceeds the disk space.
         """
         file = io.BytesIO(data) if isinstance(data, bytes) else data
         size = file.seek(0, os.SEEK_END)
@@ -150,7 +150,7 @@ class Visitors:
             try:
                 _write(path, file)
             except FileNotFoundError:
-                # The folder was removed meanwhile, for the storage of another visitor.
+                # The folder was removed meanwhile, to free disk space for another visitor.
                 raise _full(len(self)) from None
         return path
 
@@ -158,7 +158,7 @@ class Visitors:
     def writing(
         self, visitor: Visitor, size: float, keep: Collection[Path] = (), most: float | None = None
     ) -> Iterator[None]:
-        """Reserve storage for a visitor's files while they are written; removes older ones.
+        """Reserve disk space for files while they are written; remove older files if necessary.
 
         Args:
             visitor: The visitor.
@@ -167,7 +167,7 @@ class Visitors:
             most: Limit of all files [bytes]; None: the limit for runs.
 
         Raises:
-            InputError: They exceed the storage.
+            InputError: The files exceed the disk space.
         """
         each = self.room.each
         fits = size <= each and visitor.give_up(each - size - visitor.promised, keep)
@@ -187,12 +187,12 @@ class Visitors:
         """Return the visitor's upload at a path that a request names.
 
         Raises:
-            InputError: It is no upload of the visitor; the message does not say whether it exists.
+            InputError: The path is no upload of the visitor; the message hides whether it exists.
         """
         visitor = self.get(name)
         path = visitor.folder / "uploads" / Path(str(requested)).name
         if str(requested) == str(self.arrivals.folder / path.name):
-            # The first request for an upload moves it here; later ones find it here.
+            # The first request for an upload moves it to this path; later requests find it there.
             with self._lock:
                 visitor.used += self.arrivals.hand_over(path)
         elif str(requested) != str(path):
@@ -204,11 +204,11 @@ class Visitors:
         return path
 
     def check_work(self, visitor: Visitor, most: int) -> None:
-        """Check that a visitor, and the visitor's address, may have another job.
+        """Check that a visitor, and the visitor's address, may start another job.
 
         Args:
             visitor: The visitor.
-            most: Largest number of waiting jobs; one address may have half of them.
+            most: Largest number of waiting jobs; an address may have up to half of them.
 
         Raises:
             InputError: There are too many unfinished jobs.
@@ -224,7 +224,7 @@ class Visitors:
             raise InputError("queue", "full", limit, "Try again soon.")
 
     def remove(self, name: str) -> None:
-        """Stop a visitor's jobs and remove the folder."""
+        """Stop a visitor's jobs, and remove the folder."""
         with self._lock:
             visitor = self._known.pop(name, None)
         if visitor is not None:
@@ -244,7 +244,7 @@ class Visitors:
             remove(visitor.folder)
 
     def sweep(self) -> None:
-        """Remove silent visitors and unclaimed files, and measure the others."""
+        """Remove silent visitors and unclaimed files, and measure the remaining visitors' files."""
         with self._lock:
             silent = [n for n, v in self._known.items() if v.silence > self.room.grace]
         for name in silent:
@@ -267,10 +267,10 @@ class Visitors:
         remove(self.root)
 
     def _admit(self, address: str) -> None:
-        """Make a place for a new visitor.
+        """Check that there is a place for a new visitor; if necessary, remove an idle visitor.
 
         Raises:
-            InputError: All places are taken, in total or for this address.
+            InputError: All places are occupied, in total or for this address.
         """
         present = [(n, v) for n, v in self._known.items() if address and v.address == address]
         idle = [(n, v) for n, v in present if not v.has_begun]
@@ -282,17 +282,17 @@ class Visitors:
             self._make_room()
 
     def _claim(self, size: float, most: float) -> None:
-        """Free storage for `size` bytes, by dropping unclaimed uploads, then idle visitors.
+        """Free `size` bytes of disk space by removing unclaimed uploads, then idle visitors.
 
         Raises:
-            InputError: That does not suffice.
+            InputError: The removals do not free enough.
         """
         while self.used + size > most:
             if not self.arrivals.drop():
                 self._make_room()
 
     def _make_room(self) -> None:
-        """Remove an idle visitor, of the address with most idle visitors.
+        """Remove an idle visitor from the address with most idle visitors.
 
         Raises:
             InputError: No visitor is idle.
@@ -319,7 +319,7 @@ def _write(path: Path, file: BinaryIO) -> None:
 
 
 def key(*parts: Any) -> str:
-    """Hash parts (bytes or JSON-like data) to a name."""
+    """Return a hash of parts (bytes or JSON-like data), for use as a name."""
     digest = hashlib.sha256()
     for part in parts:
         data = part if isinstance(part, bytes) else json.dumps(part, sort_keys=True).encode()

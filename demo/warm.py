@@ -1,5 +1,5 @@
-"""Warm up: load every kernel that the presets use, so that the first visitor does not wait, and
-measure this machine, so that the first forecast is right.
+"""Warm up: load every kernel that the presets use, which spares the first visitor the wait, and
+measure this machine, which makes the first forecast right.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ EXAMPLE = Path(__file__).parent / "examples/duck.png"
 
 
 def warm_up(device: str) -> None:
-    """Compile and load what all presets need."""
+    """Compile and load the kernels of all presets."""
     scenes = [Scene.named(name) for name in preset_names()]
     warm(scenes, RunContext(device=pick_device(device)))
 
 
 def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
-    """Report and scene of a run of hardly any work, which shows fixed costs."""
+    """Return report and scene of a run with hardly any work, which shows the fixed costs."""
     few = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 2}
     scene = Scene.named("press").replaced({**few, "view.size": 32, "view.views": ["front"]})
     with tempfile.TemporaryDirectory() as folder:
@@ -40,7 +40,7 @@ def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
 
 
 def example_run(device: str) -> tuple[dict[str, Any], Scene]:
-    """Report and scene of a short clip of an example, which shows costs per particle and pixel."""
+    """Return report and scene of a short run, which shows the costs per particle and pixel."""
     short = {"accuracy": "draft", "time.frames": 5, "view.views": ["front"]}
     scene = Scene.named("press").replaced(short)
     with tempfile.TemporaryDirectory() as folder:
@@ -49,7 +49,7 @@ def example_run(device: str) -> tuple[dict[str, Any], Scene]:
 
 
 def search_seconds() -> float:
-    """How long it takes here to find the object of a photograph."""
+    """Measure the time to segment the object of a photograph on this machine [s]."""
     with Image.open(EXAMPLE) as example:
         photograph = Image.new("RGBA", example.size, "white")
         photograph.alpha_composite(example.convert("RGBA"))

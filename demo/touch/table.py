@@ -1,6 +1,6 @@
 """Tickets for live runs: one per visitor, a limit for the server, and limits of saved sessions.
 
-A place is taken when a page shows its ticket; unused tickets take none.
+A ticket occupies a place from when a page shows it; unused tickets occupy none.
 """
 
 from __future__ import annotations
@@ -20,14 +20,16 @@ from ..settings import Settings
 from ..work import Order
 
 WAITS = 60.0
-"""Time in which a page must show its ticket [s]."""
+"""Time within which a page must show its ticket [s]."""
 FULL = "This server cannot run more live runs at the same time."
 FPS = 24.0
 """Frames per second of a live run."""
 ROOM, TIME = 0.5, 0.1
-"""Largest size of a clip relative to a visitor's storage, and duration relative to a run's time."""
+"""Largest size of a clip relative to a visitor's disk space, and its longest duration relative to
+
+the time limit of a run."""
 FORCES = 64
-"""Forces and boundaries: one per grab, and one per change of gravity."""
+"""Smallest limit of forces and boundaries: each grab and each change of gravity needs one."""
 
 
 def nothing() -> None:
@@ -36,7 +38,7 @@ def nothing() -> None:
 
 @dataclass
 class Ticket:
-    """The right to one live run."""
+    """The right to a live run."""
 
     visitor: str
     """The visitor's name."""
@@ -45,27 +47,27 @@ class Ticket:
     """A name that cannot be guessed."""
     created: float = field(default_factory=time.monotonic)
     taken: bool = False
-    """Whether a page has shown it."""
+    """Whether a page has shown the ticket."""
     end: Callable[[], None] = nothing
-    """Ends the run, from any thread."""
+    """Ends the run; may be called from any thread."""
     session: dict[str, Any] | None = None
     """The session as a scene; None before it is saved."""
 
     @property
     def lost(self) -> bool:
-        """Whether no page showed it in time."""
+        """Whether no page has shown the ticket in time."""
         return not self.taken and time.monotonic() - self.created > WAITS
 
 
 class Table:
-    """All tickets of a server; thread-safe."""
+    """All tickets of the server; thread-safe."""
 
     def __init__(self, most: int) -> None:
         self.most = most
         """Largest number of live runs at the same time."""
         self._lock = threading.Lock()
         self._tickets: dict[str, Ticket] = {}
-        """Tickets by visitor."""
+        """Visitor -> ticket."""
 
     def __len__(self) -> int:
         return len(self._tickets)
@@ -85,10 +87,10 @@ class Table:
         return ticket
 
     def take(self, visitor: str | None, name: str) -> Ticket | None:
-        """Take a place for a visitor's ticket; None if it is unknown or was already shown.
+        """Occupy a place for a visitor's ticket; return None if it is unknown or was already shown.
 
         Raises:
-            InputError: Others have taken all places since the ticket was made.
+            InputError: All places have been occupied since the ticket was made.
         """
         with self._lock:
             ticket = self._tickets.get(visitor or "")
@@ -99,7 +101,7 @@ class Table:
             return ticket
 
     def _refuse_more(self) -> None:
-        """Raise InputError if all places are taken."""
+        """Raise InputError if all places are occupied."""
         taken = sum(ticket.taken for ticket in self._tickets.values())
         if taken >= self.most:
             raise InputError("touch", taken, FULL, "Try again in a few minutes.")
@@ -128,7 +130,7 @@ class Table:
 
 
 def limits_of(settings: Settings, gaussians: int) -> Settings:
-    """Return the limits for saving a live run of an object with N Gaussians."""
+    """Return the limits for saving a live run of an object with `gaussians` Gaussians."""
     room = ROOM * 1e6 * settings.max_visitor_mb / (BYTES_PER_GAUSSIAN * max(gaussians, 1))
     frames = int(min(room, TIME * FPS * settings.max_seconds))
     most = {"max_frames": max(settings.max_frames, frames)}
@@ -137,12 +139,12 @@ def limits_of(settings: Settings, gaussians: int) -> Settings:
 
 
 def shorten_session(scene: Scene, most: Settings) -> Scene:
-    """Shorten a session to its limits, without forces that begin after its end."""
+    """Shorten a session to its limits, without forces that begin after its new end."""
     begun = sorted(_start(force) for force in scene.forces)
     spare = most.max_forces - len(scene.boundaries)
     frames = min(scene.time.frames, most.max_frames)
     if len(begun) > spare:
-        # It ends before the first force beyond the limit.
+        # The session then ends before the first force beyond the limit.
         frames = min(frames, max(round(begun[spare] * scene.time.fps) + 1, 2))
     if frames == scene.time.frames:
         return scene

@@ -1,10 +1,9 @@
-"""The job of one click: cut-out -> Gaussians -> clip -> films, each stage only if needed.
+"""The job of a click on Generate: cut-out -> Gaussians -> clip -> films, with stages as needed.
 
-An order with grids is instead: cut-out -> Gaussians -> the error of the scene.
-
-`steps` runs it in a thread and yields events. When asked to stop, it ends with `Cancelled` within
-one substep or drawn frame. Orders and events can be pickled, because on ZeroGPU all of this runs in
-a forked process.
+The job of an order with grids is: cut-out -> Gaussians -> error of the scene.
+`steps` runs a job in a thread and yields events. When it is asked to stop, it raises `Cancelled`
+within a substep or a rendered frame. Orders and events can be pickled, because on ZeroGPU the job
+runs in a forked process.
 """
 
 from __future__ import annotations
@@ -51,11 +50,11 @@ __all__ = [
 
 
 def steps(order: Order) -> Iterator[Event | None]:
-    """Run an order; yields events, and None after `BEAT` seconds without one.
+    """Carry out an order; yield its events, and None after `BEAT` seconds without an event.
 
     Raises:
         Cancelled: The stop file appeared.
-        InputError: An input cannot be used, or the time is up.
+        InputError: An input is invalid, or the time is over.
     """
     events: queue.SimpleQueue[Event | BaseException] = queue.SimpleQueue()
     thread = threading.Thread(target=_run, args=(order, events), name="work", daemon=True)
@@ -78,7 +77,7 @@ def steps(order: Order) -> Iterator[Event | None]:
 
 
 def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
-    """Run the job in this thread; its last event is the result or the exception."""
+    """Carry out the order in this thread; the last event is the result or the exception."""
     try:
         order = replace(order, device=pick_device(order.device))
         with hold_device(order):

@@ -1,4 +1,4 @@
-"""Films a clip: videos, the player's pack, an animated picture, the film in the photograph."""
+"""Film a clip: videos, the player's pack, an animated picture, the film in the photograph."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .limits import FILMING, Limits
 from .order import Order
 
 MOVING = 320
-"""Side of the animated WebP [pixels]."""
+"""Width and height of the animated WebP [pixels]."""
 
 
 def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
@@ -34,10 +34,10 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         order: The order.
         clips: Folder of the clip.
         out: The folder to write.
-        limits: Time limit and events.
+        limits: Time limit, and receiver of events.
     """
     clip, watch = Clip.load(clips / "clip.safetensors"), Stopwatch()
-    # The page plays MP4 files; other formats are made on demand (demo/exports.py).
+    # The page shows MP4 files; other formats are made on demand (demo/exports.py).
     view = order.scene.view
     stage = "plain" if view.stage == "transparent" else view.stage
     view = view.model_copy(update={"formats": ("mp4",), "outputs": (), "stage": stage})
@@ -82,7 +82,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
 def _videos(
     clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
 ) -> list[str]:
-    """Write the videos in turn; returns the sides for which no time was left."""
+    """Write the videos one after the other; return the sides for which no time was left."""
     left_out = []
     for number, side in enumerate(view.sides):
         if number and limits.spent > FILMING:
@@ -107,8 +107,9 @@ def _videos(
 def _in_photograph(
     clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
 ) -> dict[str, Any]:
-    """Write the film in the photograph if it is requested and time is left; returns its entry of
-    the report.
+    """Write the film in the photograph if it is requested and time is left.
+
+    Return the entry of the report, empty without a film.
     """
     if order.photograph is None or limits.spent > FILMING:
         return {}
@@ -117,7 +118,7 @@ def _in_photograph(
         limits.tell(Step("render", done, total, "composed"))
 
     with watch.stage("compose"):
-        # No larger than the other videos.
+        # The film is not larger than the other videos.
         with order.picture() as cutout, open_image(order.photograph) as opened:
             opened.thumbnail(view.size)
             photograph = Photograph.of(opened, cutout)

@@ -1,4 +1,4 @@
-"""Ends a job when it is asked to stop or its time is up."""
+"""Stop a job when the visitor cancels it or its time is over."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from ..progress import Event
 from .order import Order
 
 SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
-"""Fractions of a run's time after which no frame is simulated, no video is started, and the run
+"""Fractions of the time limit after which no frame is simulated, no video is started, and the run
 fails."""
 SOFT, FEW = 1e4, 8
-"""Stiffness [Pa] and number of frames below which no smaller value is suggested."""
+"""Stiffness [Pa] and number of frames below which no reduction is suggested."""
 DEVICE = threading.Lock()
-"""Held by the job that uses the device."""
+"""Lock held by the job that uses the device."""
 BEAT = 0.2
-"""Longest interval between two events [s]; a generator can be closed at each."""
+"""Longest interval between two events [s]; a generator of events can be closed at each event."""
 
 
 class Limits:
-    """Ends a job when it is asked to stop or its time is up."""
+    """Passes events on, and stops a job when it is cancelled or its time is over."""
 
     def __init__(self, order: Order, put: Callable[[Event], None]) -> None:
         self.order, self.put = order, put
@@ -37,7 +37,7 @@ class Limits:
 
         Raises:
             Cancelled: The job was asked to stop.
-            InputError: It has taken far too long.
+            InputError: The job has taken far too long.
         """
         if self.order.stop.exists():
             raise Cancelled
@@ -47,7 +47,7 @@ class Limits:
         self.put(event)
 
     def tell_simulating(self, event: Event) -> None:
-        """Pass an event on while simulating; raises Stopped when time is up, which keeps frames."""
+        """Pass a simulation's event on; after the time limit raise Stopped, which keeps frames."""
         self.tell(event)
         if self.spent > SIMULATING:
             raise Stopped(
@@ -57,7 +57,7 @@ class Limits:
 
     @property
     def spent(self) -> float:
-        """Fraction of the time that has been used."""
+        """Fraction of the time limit that has been used."""
         return (time.monotonic() - self.start) / max(self.order.seconds, 1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Makes Gaussians from a cut-out, and a clip of their motion, by `phy124.pipeline`."""
+"""Make Gaussians from a cut-out, and a clip of their motion, with `phy124.pipeline`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .shows import glimpses, lives
 
 
 def gaussians_of(order: Order, path: Path, tell: Tell = lambda event: None) -> Gaussians:
-    """Return the Gaussians of an order's objects, made if they do not exist yet."""
+    """Return the Gaussians of an order's objects; make them if they do not exist yet."""
     if path.exists():
         tell(Reused("generate"))
         return Clip.load(path).frame(0).gaussians
@@ -51,7 +51,7 @@ def gaussians_of(order: Order, path: Path, tell: Tell = lambda event: None) -> G
 def _make_gaussians(
     order: Order, generator: Any, cutout: Image.Image, number: int, tell: Tell
 ) -> Gaussians:
-    """Make the Gaussians of picture `number` of an order."""
+    """Generate the Gaussians from picture `number` of an order."""
 
     def progress(_: str, done: int, total: int) -> None:
         tell(Step("generate", number * total + done, (1 + len(order.others)) * total))
@@ -63,13 +63,13 @@ def _make_gaussians(
 def simulate(
     gaussians: Gaussians, order: Order, out: Path, limits: Limits, watch: Stopwatch
 ) -> None:
-    """Simulate; write a folder with the clip, its Gaussians, its scene and the report.
+    """Simulate, and write a folder with the clip, its Gaussians, its scene and the report.
 
     Args:
         gaussians: The object.
         order: The order.
         out: The folder to write.
-        limits: Time limit and events.
+        limits: Time limit, and receiver of events.
         watch: Records the durations of the stages.
     """
     watching = Watching(order, limits)
@@ -111,7 +111,7 @@ def _hide_folders(out: Path, order: Order) -> None:
 
 
 class Watching:
-    """Shows a visitor the frames of a run, and measures them."""
+    """Shows the frames of a run to the visitor, and records its stability."""
 
     def __init__(self, order: Order, limits: Limits) -> None:
         self.order, self.limits = order, limits
@@ -119,11 +119,11 @@ class Watching:
         self.note = "preparing"
         names = ("time", "min_J", "max_speed", "kinetic_energy")
         self.motion: dict[str, list[float]] = {name: [] for name in names}
-        """Measures of stability for each frame, in SI units."""
+        """Quantities of each frame that show stability, in SI units."""
         limits.tell(Step("simulate", 0, order.scene.time.frames, self.note))
 
     def progress(self, stage: str, done: int, total: int) -> None:
-        """Report the progress of the run; raises the exception that ends it."""
+        """Report the progress of the run; an exception raised here stops the run."""
         if stage == "compile":
             note = f"compiling, {done} of {total}"
             self.limits.tell(Step("simulate", 0, self.order.scene.time.frames, note))
@@ -131,10 +131,10 @@ class Watching:
         self.limits.tell_simulating(Step("simulate", done, total, self.note))
 
     def see(self, run: Simulation, frame: Frame) -> None:
-        """Show a frame, and measure the particles in their current state.
+        """Show a frame, and record the current state of the particles.
 
         Raises:
-            InputError: There are more particles than a run may have here.
+            InputError: There are more particles than the page allows.
         """
         self.note = f"{run.solver.clock.substeps} substeps"
         if len(run.setup.particles) > self.order.max_particles:
@@ -150,7 +150,7 @@ class Watching:
             show(frame)
 
     def end(self) -> None:
-        """Report the end of the run, even if its time was up."""
+        """Report the end of the simulation, even if its time was over."""
         frames = self.order.scene.time.frames
         self.limits.tell(Step("simulate", frames, frames, self.note))
 

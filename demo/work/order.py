@@ -1,4 +1,4 @@
-"""The order of one click, and the files it makes."""
+"""The order of a click, and the files that it makes."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from ..visitors import Visitor, key
 from .others import Other, others_of
 
 VIEWED = ("view", "accuracy", "description")
-"""Fields of a scene that its motion's stored errors do not depend on."""
+"""Fields of a scene that do not affect the stored errors of its motion."""
 
 VECTOR, BYTES_SHOWN, BYTES_AT_REST = 12, 10, 200
-"""Bytes per Gaussian: of a vector, of a frame for the viewer, and at rest."""
+"""Bytes per Gaussian: for a vector, for a frame in the viewer, and for the object at rest."""
 BYTES_OF_FILMS = 2_000_000
 """Approximate size of a run's videos [bytes]."""
 COMPOSING, EACH = 210, 1800
-"""Cost of matching camera and colours to a photograph: number of pictures of its size, plus number
-of pixels per Gaussian."""
+"""Cost of matching camera and colours to a photograph: equivalent number of rendered pictures, plus
+number of pixels per Gaussian."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """The order of one click."""
+    """Everything that a job needs to know after a click."""
 
     folder: Path
     """The visitor's folder."""
@@ -44,34 +44,34 @@ class Order:
     """The cut-out, a picture with alpha; None for a file of Gaussians."""
     scene: Scene
     stop: Path
-    """The file whose existence asks the job to stop."""
+    """File whose existence asks the job to stop."""
     seconds: float
     """Longest wall-clock time [s]."""
     max_particles: int
     generator: str = "relief"
     """Name of the generator, or the file of Gaussians."""
     gaussians: int = GAUSSIANS
-    """Number of Gaussians that `relief` makes from each picture."""
+    """Number of Gaussians that `relief` generates from each picture."""
     extras: ExtraInputs = NO_EXTRAS
-    """Optional inputs besides the picture or file."""
+    """Optional inputs in addition to the picture or file."""
     others: tuple[Other, ...] = ()
-    """The further objects that have pictures."""
+    """Further objects that have pictures."""
     photograph: Path | None = None
-    """The picture to film the object in, too, in a format that browsers can show."""
+    """Picture in which the object is also filmed, in a format that browsers can show."""
     device: str = "auto"
     threads: int | None = None
     """CPU threads; None: one per free core."""
     about: tuple[tuple[str, str], ...] = ()
     """Further entries of the report."""
     levels: tuple[int, ...] = ()
-    """Grids to measure the scene's error on; if empty, the scene is filmed instead."""
+    """Cells across the object of the grids for an error study; if empty, the scene is filmed."""
 
     def picture(self) -> Image.Image:
         """Open the cut-out, or an empty picture."""
         return Image.open(self.cutout) if self.cutout else Image.new("RGBA", (1, 1))
 
     def cut_views(self, deadline: Deadline) -> None:
-        """Make the cut-outs of all other pictures that do not exist yet; raises InputError."""
+        """Create all missing cut-outs of further pictures; raises InputError."""
         self.extras.cut_views(deadline)
         for other in self.others:
             other.make_cutout(deadline)
@@ -87,9 +87,9 @@ def folders(order: Order) -> tuple[Path, Path]:
 
 
 def stages_done(order: Order) -> dict[str, Any]:
-    """Return which stages of an order are done, as arguments for the forecast.
+    """Return which stages of an order are done, as arguments of the forecast.
 
-    `composed` is the cost of filming in the photograph, as a number of drawn pixels.
+    `composed` is the cost of filming in the photograph, as an equivalent number of rendered pixels.
     """
     clips, films = ((folder / "report.json").exists() for folder in folders(order))
     pictures = (order.cutout is not None) + len(order.others)
@@ -125,7 +125,7 @@ def made_gaussians(order: Order) -> Path:
 
 
 def made_by(order: Order) -> tuple[Path, ...]:
-    """Return the folders and files that an order makes or uses."""
+    """Return the folders and files that an order writes or reads."""
     return *folders(order), made_gaussians(order)
 
 
@@ -149,7 +149,7 @@ def bytes_to_write(order: Order) -> float:
 
 
 def study_file(order: Order) -> Path:
-    """Return the file of the errors of an order's scene, the same for every grid."""
+    """Return the file for the errors of an order's scene; it is the same for every grid."""
     physics = {name: value for name, value in order.scene.data().items() if name not in VIEWED}
     resolution = order.scene.resolution.model_dump(mode="json", exclude={"cells", "precision"})
     name = key(made_gaussians(order).name, physics, resolution)
@@ -159,17 +159,17 @@ def study_file(order: Order) -> Path:
 def order_of(
     visitor: Visitor, source: Source, scene: Scene, extras: ExtraInputs, limits: Settings
 ) -> Order:
-    """Make the order of a request, without a stop file.
+    """Create the order of a request, without a stop file.
 
     Args:
         visitor: The visitor.
         source: The object's source.
-        scene: The scene; regions may be in the units of a file.
-        extras: Optional inputs besides the front picture.
+        scene: The scene; its regions may be in the units of a file.
+        extras: Optional inputs in addition to the front picture.
         limits: The page's limits.
 
     Raises:
-        InputError: An extra input does not suit the object, or a region contains nothing of it.
+        InputError: An input does not suit the object, or a region contains no part of it.
     """
     each = limits.room.each
     size = bytes_of(scene, count_of(source, limits) * len(scene.names))

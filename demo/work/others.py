@@ -19,7 +19,7 @@ from ..visitors import Visitor
 
 @dataclass(frozen=True)
 class Other:
-    """A further object and its picture."""
+    """A further object with its picture."""
 
     index: int
     """Index among the objects; the first object is 0."""
@@ -27,10 +27,10 @@ class Other:
     picture: Path
     """The uploaded picture."""
     cutout: Path
-    """The cut-out, which `make_cutout` makes; the file name stands for its content."""
+    """The cut-out, which `make_cutout` creates; its file name identifies its content."""
 
     def make_cutout(self, deadline: Deadline) -> None:
-        """Make the cut-out, unless it exists.
+        """Create the cut-out, unless it exists.
 
         Raises:
             InputError: The picture shows no object.
@@ -46,7 +46,7 @@ class Other:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Entries of the report about the object's source."""
+        """Entries of the report about the source of the object."""
         with Image.open(self.cutout) as cutout:
             return {"generator": "relief", HOW: how_cut(cutout)}
 
@@ -61,7 +61,7 @@ def others_of(visitor: Visitor, scene: Scene) -> tuple[Other, ...]:
 
 
 def with_crops(scene: Scene, others: tuple[Other, ...]) -> Scene:
-    """Return the scene with the crop of each of these objects in its picture."""
+    """Return the scene, with each of these objects' crop of its picture."""
     objects = list(scene.objects)
     for other in others:
         with Image.open(other.cutout) as cutout:

@@ -1,4 +1,4 @@
-"""Shows a motion while it is computed: small pictures, and frames for the viewer."""
+"""Show a motion while it is computed: small pictures, and frames for the viewer."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from ..progress import Glimpse, Live, Tell
 from .order import Order
 
 GLIMPSE = 224
-"""Side of the pictures shown while the simulation runs [pixels]."""
+"""Width and height of the pictures shown during the simulation [pixels]."""
 SHOWN = 12_000
-"""Number of Gaussians for the viewer while the simulation runs."""
+"""Number of Gaussians in the viewer during the simulation."""
 ROOMY = 2.4
-"""Distance of the camera while the simulation runs, in object sizes."""
+"""Camera distance during the simulation, in object sizes."""
 
 
 def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
@@ -52,7 +52,7 @@ def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
 
 
 def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
-    """Return a function that sends frames to the viewer during the run: fewer, larger Gaussians."""
+    """Return a function that sends frames with fewer, larger Gaussians to the viewer."""
     folder = order.folder / "live" / order.stop.name
     shutil.rmtree(folder.parent, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -97,7 +97,7 @@ def _stage(frame: Frame, scene: Scene, rest: np.ndarray) -> Stage | None:
 
 
 def _camera(frame: Frame, scene: Scene) -> Camera:
-    """Place a camera with some margin, since the motion is not known yet."""
+    """Place a camera with a margin, because the motion is not known yet."""
     rest = Clip.from_frames([frame])
     clip = Clip(**{**vars(rest), "scene": scene.data()})
     usual = {"size": (GLIMPSE, GLIMPSE), "fit": False}

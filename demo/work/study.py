@@ -1,4 +1,4 @@
-"""Measures the error of a scene by its motion on a few coarse grids."""
+"""Measure the error of a scene by comparing its motion on a few coarse grids."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .others import with_crops
 
 
 def measure(order: Order, limits: Limits) -> Measured:
-    """Run a scene on the grids of an order.
+    """Simulate an order's scene on its grids, and store the errors.
 
     Raises:
         InputError: Too few grids were finished in time.

@@ -1,8 +1,8 @@
-"""Turns a 3DGS capture of a real place into an object that stands on the floor found in it.
+"""Turn a 3DGS capture of a real place into an object that stands on the detected floor.
 
-The floor is scenery: it is visible and never moves. What the object touches is the scene's ground,
-at the same height. The object's longest side is the scene's `object.size`, whatever the file's
-unit.
+The floor is scenery: it is visible but never moves. The object itself touches the scene's ground,
+which is at the same height. The object's longest side becomes the scene's `object.size`, whatever
+the file's unit.
 """
 
 from __future__ import annotations
@@ -27,42 +27,42 @@ from phy124.schema.region import EVERYWHERE, PartRegion
 from phy124.simulation.placing import placing
 
 VISIBLE = 0.1
-"""Opacity from which a Gaussian is used to find the floor."""
+"""Smallest opacity of the Gaussians from which the floor is detected."""
 NEIGHBOURS = 8
 USUAL, LONG = 6.0, 3.0
-"""A floater's 8th neighbour is at least this many times as far as the median of all Gaussians, and
-as far as the Gaussian is long."""
+"""A floater's distance to its 8th neighbour is at least the first number times the median distance
+of all Gaussians, and at least the second number times its own largest standard deviation."""
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Gaussians ready to be simulated, and the scene to simulate them in."""
+    """Gaussians ready to be simulated, with their scene."""
 
     gaussians: Gaussians
-    """The Gaussians of the object, followed by those of the floor."""
+    """Gaussians of the object, followed by those of the floor."""
     scene: Scene
-    """The scene with the floor as a static part and all regions in metres."""
+    """The scene with the floor as a static part, and all regions in metres."""
     cleaning: list[str]
-    """Sentences about Gaussians that were left out."""
+    """Sentences about dropped Gaussians."""
     about: dict[str, Any]
-    """The rotation of the file and the detected floor, for the report."""
+    """Entries of the report: the file's rotation and the detected floor."""
     notes: tuple[str, ...] = ()
-    """Sentences about parts of the file that are ignored or read in an unusual way."""
+    """Sentences about parts of the file that are ignored or interpreted."""
 
 
 def capture(
     file: PlyFile, scene: Scene, *, count: int | None = None, progress: Progress = silent
 ) -> Capture:
-    """Read a file for a scene; stand the object on its floor if its `reading` asks for that.
+    """Read a file for a scene; place the object on its floor if the file's `reading` requests this.
 
     Args:
-        file: The file and how to read it.
+        file: The file, and how to interpret it.
         scene: The scene to prepare.
-        count: Largest number of Gaussians to keep; None for all.
+        count: Largest number of Gaussians to keep; None: all.
         progress: Called as in `phy124.progress`.
 
     Raises:
-        InputError: If the file cannot be read, or no floor is found.
+        InputError: The file cannot be read, or no floor is found.
     """
     opened = file.open(progress)
     opened = opened._replace(gaussians=thin(opened.gaussians, count, seed=scene.seed))
@@ -75,10 +75,10 @@ def capture(
 
 
 def adapt_scene(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
-    """Return the scene as `capture` changes it; the file is read only if the scene depends on it.
+    """Return the scene as `capture` adapts it; the file is read only if the result depends on it.
 
     Raises:
-        InputError: If the file cannot be read, or no floor is found.
+        InputError: The file cannot be read, or no floor is found.
     """
     if file.reading.floor or in_file_units(scene):
         return capture(file, scene, count=count).scene
@@ -86,19 +86,20 @@ def adapt_scene(file: PlyFile, scene: Scene, *, count: int | None = None) -> Sce
 
 
 def in_file_units(scene: Scene) -> bool:
-    """Return whether the region of some part is in the units of the object's file."""
+    """Return whether any part's region is in the units of the object's file."""
     return any(part.region and part.region.units == "file" for part in scene.parts)
 
 
 @dataclass(frozen=True)
 class _Read:
-    """Gaussians in the default place and size: x = scale * rotation @ (y - origin) + offset, where
-    y is a position in the file.
+    """Gaussians at the default position and size.
+
+    A position y in the file becomes x = scale * rotation @ (y - origin) + offset.
     """
 
     gaussians: Gaussians
     count: int
-    """Number of Gaussians of the object, which come first."""
+    """Number of Gaussians of the object; they precede those of the floor."""
     rotation: NDArray[np.float64]
     scale: float
     offset: NDArray[np.float64]
@@ -117,7 +118,7 @@ def _alone(opened: Opened, name: str) -> _Read:
 
 
 def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
-    """Return the object upright on its floor, whose height becomes z = 0, without floaters."""
+    """Return the upright object without floaters, on its floor at z = 0."""
     every = opened.gaussians
     visible = every.means[every.opacities >= VISIBLE]
     floor = find_floor(visible, np.array([0.0, 0.0, 1.0]) if has_up else None)
@@ -147,7 +148,7 @@ def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
 
 
 def find_floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return which Gaussians are floaters [N]: few others are near, relative to their size."""
+    """Return a mask of the floaters [N]: Gaussians that are far from others for their size."""
     few = min(NEIGHBOURS, len(gaussians) - 1)
     means = gaussians.means.astype(np.float64)
     near = scipy.spatial.KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
@@ -155,7 +156,7 @@ def find_floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _describe_floor(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, Any]:
-    """Return the floor for the report, in the file's axes and units."""
+    """Return the report's entry about the floor, in the file's axes and units."""
     return {
         "normal": (opened.rotation.T @ floor.normal).tolist(),
         "offset": floor.offset + float(floor.normal @ opened.rotation @ opened.origin),
@@ -167,7 +168,7 @@ def _describe_floor(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> di
 
 
 def _with_floor(scene: Scene, read: _Read) -> Scene:
-    """Return the scene with the floor's Gaussians as a static part of the surroundings."""
+    """Return the scene with the floor's Gaussians as a static part that belongs to no object."""
     if read.count == len(read.gaussians):
         return scene
     floor = Part(static=True, surroundings=True, gaussians=(read.count, len(read.gaussians)))
@@ -179,7 +180,7 @@ def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) ->
 
     Args:
         scene: The scene.
-        read: The Gaussians in the default place and size.
+        read: The Gaussians at the default position and size.
         origin: Position in the file that was moved to the origin.
     """
     if not in_file_units(scene):
@@ -204,7 +205,7 @@ def _shift(region: PartRegion, origin: tuple[float, float, float]) -> PartRegion
     """Return the region relative to an origin, in the file's axes and units."""
     if not any(origin):
         return region
-    # The corners are in axes that may be turned.
+    # The corners are given in the region's own, rotated axes.
     shift = rotation_matrices(np.array([region.turn]))[0].T @ origin
     ends = {name: tuple(getattr(region, name) - shift) for name in ("lower", "upper")}
     return region.model_copy(update=ends)
@@ -217,7 +218,7 @@ def _region_in_metres(
     offset: NDArray[np.float64],
     number: int,
 ) -> PartRegion:
-    """Return the box or cylinder of a part, rotated with the file's axes and shifted along them."""
+    """Return the box or cylinder of a part, rotated with the file's axes and shifted, in metres."""
     # The region's own rotation comes first: rotation @ (scale * turn @ box) + offset.
     both = rotation @ rotation_matrices(np.array([region.turn]))[0]
     corners = scale * np.array([region.lower, region.upper]) + both.T @ offset

@@ -1,8 +1,9 @@
-"""The floor: the plane that most of a captured scene lies on, found by random sampling (RANSAC).
+"""The floor: the plane on which most of a captured scene lies, found by random sampling (RANSAC).
 
-Fischler and Bolles 1981, "Random sample consensus": of planes through three random points each, the
-one near most points wins. It is then fitted to its own points by least squares; their scatter
-decides how far off a point may be and still belong to it.
+Fischler and Bolles 1981, "Random sample consensus": each trial plane passes through three random
+points, and the plane with most points near it is chosen. This plane is then fitted to its points by
+least squares. The scatter of these points determines the distance within which a point belongs to
+the plane.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 
 TRIALS = 2000
-"""Number of planes tried: a floor with a fifth of all points is missed with odds of 1e-7."""
+"""Number of trial planes: a floor with a fifth of all points is missed with probability 1e-7."""
 SAMPLE = 4000
-"""Number of points that planes are tested on."""
+"""Number of points for which trial planes are tested."""
 THICKNESS = 0.02
-"""Initial tolerance around a plane, in spreads of the scene."""
+"""Initial distance within which points belong to a plane, relative to the scene's spread."""
 SIGMAS = 3.0
-"""Final tolerance, in standard deviations of the floor's own points."""
+"""Final distance within which points belong to the floor, in standard deviations of its points."""
 MIN_FRACTION = 0.1
 """Smallest fraction of the points that a floor must contain."""
 NEAR = 0.7071
-"""Cosine of the largest angle between the floor's normal and the given up direction."""
+"""Cosine of the largest angle between the floor's normal and a known up direction."""
 
 Vectors = NDArray[np.float64]
 
@@ -39,28 +40,28 @@ class Floor:
     offset: float
     """Distance from the origin along the normal, in the file's units."""
     tolerance: float
-    """Points closer than this are on the floor, in the file's units."""
+    """Largest distance of a point that belongs to the floor, in the file's units."""
 
     def heights(self, points: NDArray) -> Vectors:
-        """Signed heights [N] of points [N,3] above the floor."""
+        """Return signed heights [N] of points [N,3] above the floor."""
         return points.astype(np.float64) @ self.normal - self.offset
 
     def holds(self, points: NDArray) -> NDArray[np.bool_]:
-        """Which points [N,3] are on the floor or below it [N]."""
+        """Return a mask [N] of the points [N,3] on the floor or below it."""
         return self.heights(points) <= self.tolerance
 
 
 def find_floor(points: NDArray, up: Vectors | None = None, *, seed: int = 0) -> Floor:
-    """The floor of a scene, in any units and orientation.
+    """Find the floor of a scene, in any units and orientation.
 
     Args:
         points: Centres of the visible Gaussians [N,3].
-        up: The approximate up direction, if known: steeper planes, such as walls, are not tried. If
-            None, up is the side on which more points are.
-        seed: Of the random samples.
+        up: Approximate up direction, if known; planes that are too steep, such as walls, are
+            then left out. None: up is the side of the plane with more points.
+        seed: Seed of the random samples.
 
     Raises:
-        InputError: If no plane contains enough points, or none extends beyond what stands on it.
+        InputError: No plane contains enough points, or the plane is smaller than what stands on it.
     """
     x = np.asarray(points, np.float64)
     middle = np.median(x, axis=0)
@@ -107,7 +108,7 @@ def _near(x: Vectors, normal: Vectors, offset: float, tolerance: float) -> int:
 
 
 def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
-    """Return the least-squares plane of the points near it, and its tolerance."""
+    """Return the least-squares plane of the points near it, and the final distance limit."""
     tolerance = THICKNESS
     for _ in range(12):
         on = x[np.abs(x @ normal - offset) <= tolerance]
@@ -134,7 +135,7 @@ def _check(x: Vectors, floor: Floor) -> None:
 
 
 def _spread(x: Vectors) -> float:
-    """Median distance from the middle, 0 for no points; insensitive to outliers."""
+    """Return the median distance from the middle, 0 without points; outliers have little effect."""
     return float(np.median(np.linalg.norm(x, axis=1))) if len(x) else 0.0
 
 

@@ -1,7 +1,8 @@
-"""Draw the moving object back into the photograph that it was made from.
+"""Film the moving object inside the photograph from which it was made.
 
-Generators assume a camera straight in front of the object. Its zoom and shift are matched to the
-photograph. The hole that the object leaves is filled in; object and shadow are drawn over it.
+Generators assume a camera straight in front of the object. Zoom and shift of this camera are
+matched to the photograph. The object is removed from the photograph by inpainting; the moving
+object and its shadow are drawn over the result.
 """
 
 from __future__ import annotations
@@ -43,16 +44,15 @@ def compose(
 
     Args:
         clip: The clip of the object made from the photograph.
-        view: Gives the filter and the playback rate.
+        view: View that defines the filter and the playback rate.
         photograph: The photograph.
         folder: An existing folder.
-        context: Device, and progress, which is called as ("compose", pictures done, pictures in
-            all).
+        context: Device, and progress: called as ("compose", pictures done, total pictures).
         **fields: `device` and `progress`, if there is no context.
 
     Returns:
         The file, and the PSNR of its first picture inside the object [dB]: `psnr`, and
-        `psnr_before` for the colours and sizes before they were matched.
+        `psnr_before` before colours and sizes were matched.
     """
     context = RunContext.of(context, **fields)
     device, progress = context.device, context.progress

@@ -1,4 +1,4 @@
-"""Fits the colours and sizes of Gaussians to the photograph."""
+"""Fit the colours and sizes of Gaussians to the photograph."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from phy124.rendering.render import BLACK, MAX_PAIRS, Renderer, runs
 ROUNDS = 12
 """Number of corrections."""
 SIZES = (1.0, 0.8)
-"""Relative splat sizes to try: generators let splats overlap more than necessary."""
+"""Relative sizes of splats to try: generators let splats overlap more than necessary."""
 AROUND = 9
-"""Side of the square of pixels that bound a Gaussian's colour [px]."""
+"""Width of the square of pixels whose colours bound a Gaussian's colour [px]."""
 BEHIND = 0.03
-"""Tolerance behind the visible surface for a Gaussian to count as seen, in depths of the object."""
+"""Distance behind the visible surface within which Gaussians count as visible, in object depths."""
 
 
 @dataclass(frozen=True, eq=False)
 class ColourMatch:
-    """The best match of Gaussians to a photograph."""
+    """Colours and sizes of Gaussians that match a photograph best."""
 
     psnr: float
-    """PSNR of their picture inside the object [dB]."""
+    """PSNR of the rendered picture inside the object [dB]."""
     sh: Array
-    """Harmonics [N,K,3]."""
+    """Coefficients of the harmonics [N,K,3]."""
     sizes: Array
-    """Sizes relative to the original ones [N]."""
+    """Sizes of the Gaussians relative to their original sizes [N]."""
 
 
 def match_colours(
@@ -46,13 +46,13 @@ def match_colours(
     device: str = "cpu",
     each: Callable[[], object] = lambda: None,
 ) -> ColourMatch:
-    """Fit colours and sizes to the photograph; Gaussians that the camera does not see keep theirs.
+    """Fit colours and sizes to the photograph; Gaussians hidden from the camera are unchanged.
 
     Args:
         gaussians: The object as the photograph shows it.
         camera: The photograph's camera.
         photograph: The photograph.
-        device: Warp's name of the device that draws.
+        device: Warp's name of the rendering device.
         each: Called before each correction; may raise Cancelled.
     """
     renderer = Adjoint(device=device)
@@ -76,14 +76,14 @@ def _fit_colours(
     photograph: Photograph,
     each: Callable[[], object],
 ) -> Gaussians:
-    """Fit colours by least squares, within bounds from the photograph's nearby pixels.
+    """Fit colours by least squares, within bounds from nearby pixels of the photograph.
 
-    With W mapping colours to pixels, a Gaussian's mean residual, W^T r / W^T 1, is added to its
+    Let W map colours to pixels. Each step adds a Gaussian's mean residual, W^T r / W^T 1, to its
     colour (SIRT), with Nesterov's momentum.
     """
     photo, inside = photograph.rgb / np.float32(255), photograph.alpha[..., None] > 0.9
     pixels, _ = camera.project(gaussians.means[seen].astype(float))
-    # Without these bounds, rings appear at edges.
+    # Without these bounds, rings would appear at edges.
     lowest = sample_maps(scipy.ndimage.minimum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
     highest = sample_maps(scipy.ndimage.maximum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
     now = ahead = gaussians.sh[seen, 0]
@@ -98,7 +98,7 @@ def _fit_colours(
 
 
 def _recolour(gaussians: Gaussians, seen: NDArray[np.bool_], colours: NDArray) -> Gaussians:
-    """Set the constant harmonics of the Gaussians that are seen."""
+    """Set the constant harmonics of the visible Gaussians."""
     sh = gaussians.sh.copy()
     sh[seen, 0] = colours
     return replace(gaussians, sh=sh)
@@ -107,7 +107,7 @@ def _recolour(gaussians: Gaussians, seen: NDArray[np.bool_], colours: NDArray) -
 def _seen(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph
 ) -> NDArray[np.bool_]:
-    """Mask of the Gaussians that the camera sees inside the object [N], from a depth picture."""
+    """Return a mask of the Gaussians that the camera sees inside the object [N], by their depth."""
     pixels, depths = camera.project(gaussians.means.astype(float))
     depths = (depths - depths.min()) / max(float(np.ptp(depths)), 1e-9)
     g, grey = gaussians, np.repeat(depths[:, None], 3, axis=1)
@@ -120,7 +120,7 @@ def _seen(
 
 
 def sample_maps(maps: NDArray, pixels: NDArray) -> NDArray[np.float32]:
-    """Interpolate maps [H,W,C] at pixel positions [N,2]; returns [N,C], clamped at the border."""
+    """Interpolate maps [H,W,C] at pixel positions [N,2], clamped at the border; return [N,C]."""
     places = pixels[:, ::-1].T - 0.5
     channels = [
         scipy.ndimage.map_coordinates(maps[..., c], places, order=1, mode="nearest")
@@ -130,7 +130,7 @@ def sample_maps(maps: NDArray, pixels: NDArray) -> NDArray[np.float32]:
 
 
 class Adjoint(Renderer):
-    """A renderer that also sums pixel values per Gaussian: the transpose of drawing."""
+    """A renderer that also sums pixel values per Gaussian: the transpose of rendering."""
 
     def sums(
         self, gaussians: Gaussians, camera: Camera, values: NDArray

@@ -1,4 +1,4 @@
-"""A photograph, its object's outline, and the camera that took it."""
+"""A photograph, the outline of its object, and the camera that took the photograph."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from phy124.imaging.image import open_image
 from phy124.rendering.render import BLACK, Renderer
 
 CUTOUT = "cutout.png"
-"""File in the folder of a run whose alpha shows where in the photograph the object is."""
+"""File in a run's folder; its alpha shows the position of the object in the photograph."""
 LARGEST = 1024
-"""Longest side of the pictures [pixels]."""
+"""Longest side of a photograph [pixels]; larger ones are reduced."""
 MARGIN = 0.015
-"""Width of the rim that is inpainted with the object, in longest sides of the photograph."""
+"""Width of the rim that is inpainted with the object, relative to the photograph's longest side."""
 HOLE = 320
-"""Longest side at which holes are inpainted [pixels]; a larger one is slower and no better."""
+"""Longest side at which holes are inpainted [pixels]; larger is slower and no better."""
 DISTANCES = (2.0, 1.6, 3.0)
-"""Camera distances to try, in sizes of the silhouette: of relief, of LGM, and of a longer lens."""
+"""Camera distances to try, in sizes of the silhouette: relief's, LGM's, and a longer lens's."""
 RIM = 0.008
-"""Width of the rim around the object that is compared, too, in longest sides of the photograph."""
+"""Width of the rim compared with the object, relative to the photograph's longest side."""
 ROUNDS = (False, False, False, True, True)
-"""Whether each correction of the camera compares only the object and its rim."""
+"""For each correction of the camera: whether it compares only the object and its rim."""
 
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A photograph and where its object is."""
+    """A photograph, and the area that its object covers."""
 
     rgb: NDArray[np.uint8]
-    """[H,W,3]"""
+    """Colours [H,W,3]."""
     alpha: NDArray[np.float32]
     """Fraction of each pixel that the object covers [H,W], 0..1."""
 
     @classmethod
     def of(cls, picture: Image.Image, cutout: Image.Image) -> Photograph:
-        """Combine a picture (white where it is transparent) with its cut-out, of any sizes.
+        """Combine a picture (white where it is transparent) with its cut-out; sizes may differ.
 
         Raises:
             InputError: The cut-out is empty.
@@ -91,14 +91,14 @@ def match(
     device: str = "cpu",
     each: Callable[[], object] = lambda: None,
 ) -> tuple[Camera, float]:
-    """Align pictures of the object with the photograph.
+    """Align a rendered picture of the object with the photograph.
 
-    Returns the photograph's camera, and the PSNR of its picture inside the object [dB].
+    Return the photograph's camera, and the PSNR of the rendered picture inside the object [dB].
 
     Args:
         gaussians: The object as the photograph shows it.
         photograph: The photograph.
-        device: Warp's name of the device that draws.
+        device: Warp's name of the rendering device.
         each: Called before each correction; may raise Cancelled.
     """
     renderer = Renderer(device=device)
@@ -120,7 +120,7 @@ def likeness(
     """Return the PSNR of a rendered picture against the photograph inside the object [dB].
 
     Args:
-        renderer: Draws the picture.
+        renderer: The renderer.
         gaussians: The object.
         camera: The camera to compare.
         photograph: The reference.
@@ -159,8 +159,9 @@ def _camera(eye: Any, target: Any, size: tuple[int, int], focal: float, shift: A
 def _correct_camera(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph, near: bool
 ) -> Camera:
-    """Zoom and shift the camera by aligning its picture with the photograph (ECC, Evangelidis and
-    Psarakis 2008).
+    """Correct the camera's zoom and shift by aligning its picture with the photograph.
+
+    The alignment is ECC (Evangelidis and Psarakis 2008).
     """
     import cv2
 
@@ -176,7 +177,7 @@ def _correct_camera(
         )
     except cv2.error:
         return camera
-    # A pixel p of the photograph is the picture's at scale p + offset; centres are at + 1/2.
+    # Pixel p of the photograph is pixel scale * p + offset of the picture; centres are at + 1/2.
     scale = float(np.sqrt(abs(np.linalg.det(warp[:, :2]))))
     if not 0.5 < scale < 2:
         return camera
@@ -188,7 +189,7 @@ def _correct_camera(
 
 
 def _near(photograph: Photograph) -> NDArray[np.uint8]:
-    """Mask of the object and its rim [H,W]; excludes flat ends that are drawn as arcs beyond it."""
+    """Return a mask of the object and a thin rim [H,W]; flat ends may be rendered beyond it."""
     import cv2
 
     reach = max(1, round(RIM * max(photograph.alpha.shape)))
@@ -197,11 +198,11 @@ def _near(photograph: Photograph) -> NDArray[np.uint8]:
 
 
 def photograph_of(picture: str | os.PathLike[str], folder: Path) -> Photograph:
-    """Return the photograph that a clip was made from, with the position of the object in it.
+    """Return the photograph from which a clip was made, with the object's outline.
 
     Args:
         picture: The photograph.
-        folder: The folder of the clip's run, which has its cut-out.
+        folder: The folder of the clip's run, which contains the cut-out.
 
     Raises:
         InputError: The photograph or its cut-out cannot be opened, or there is no cut-out.

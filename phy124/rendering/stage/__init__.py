@@ -1,5 +1,6 @@
 """The stage: floor, contact shadow, boundaries and backdrop, drawn around the object.
 
-`frame` holds it as plain data, `build` makes it once per clip from the scene's boundaries
-(`solids`), the Gaussians' shadow (`shadow`) and the view's background; `draw` uploads it.
+`frame` describes the stage of a frame as plain data. `build` creates the stage of a clip from the
+scene's boundaries (`solids`), the shadow of the Gaussians (`shadow`) and the view's background.
+`draw` uploads the stage and renders it.
 """

@@ -1,4 +1,4 @@
-"""Builds the stage of a clip: the surroundings of the object in each frame."""
+"""Build the stage of a clip: the surroundings of the object in each frame."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from phy124.rendering.stage.solids import floor_heights, place_walls
 from phy124.scene import Scene, View
 
 SAMPLE = 1024
-"""Number of Gaussians whose paths decide the extent of the shadow map."""
+"""Number of Gaussians whose paths determine the extent of the shadow map."""
 OUTLIERS = (0.5, 99.5)
-"""Percentiles of their positions in each frame that the map covers."""
+"""Percentiles of these Gaussians' positions in each frame that the map covers."""
 ROOM = 0.9
-"""Margin of the map around them, in heights of the object."""
+"""Margin of the map around these positions, in heights of the object."""
 LARGEST = 4.0
-"""Half the map's largest side, in object sizes."""
+"""Half of the map's largest side, in object sizes."""
 PICTURE_SIDE = 1280
 """Longest side of the backdrop picture in a player [pixels]."""
 
 
 @dataclass(eq=False)
 class Stage:
-    """The surroundings of the object by frame; each frame's are kept from view to view."""
+    """The surroundings of the object in each frame; computed frames are reused in further views."""
 
     backdrop: Backdrop
     heights: NDArray[np.float64]
@@ -44,11 +44,11 @@ class Stage:
     walls: tuple[tuple[Solid, NDArray[np.float64], NDArray[np.bool_]], ...]
     """Solid, displacement [T,3] m, and presence [T] of each boundary."""
     caster: Caster | None
-    """Makes shadows; None without a floor."""
+    """Computes the shadows; None without a floor."""
     shadowing: NDArray[np.bool_] | None = None
     """Mask of the Gaussians that cast a shadow [N]; None: all."""
     pool: float = POOL
-    """Extra brightness of the floor in the middle."""
+    """Additional brightness in the middle of the floor."""
     frames: dict[int, StageFrame] = field(default_factory=dict)
 
     def at(self, frame: Frame) -> StageFrame:
@@ -78,13 +78,13 @@ class Stage:
 def make_stage(
     clip: Clip, view: View, *, rest: NDArray | None = None, device: str = "cpu"
 ) -> Stage | None:
-    """Build the stage of a clip; None if there is only the object before one colour.
+    """Build the stage of a clip; None if the view shows the object before a plain background.
 
     Args:
         clip: The clip.
-        view: Says which stage and background to draw.
-        rest: Positions of the object at rest [N,3], m; None: as in the first frame.
-        device: Warp's name of the device that makes the shadows.
+        view: View that defines stage and background.
+        rest: Positions of the object at rest [N,3], m; None: those of the first frame.
+        device: Warp's name of the device that computes the shadows.
 
     Raises:
         InputError: The picture for the background cannot be opened.
@@ -95,7 +95,7 @@ def make_stage(
         return None
     background = backdrop(view)
     rest = np.asarray(clip.means[0][clip.object_mask] if rest is None else rest)
-    # Column-major order, in which extremes are several times faster.
+    # Column-major order, in which minimum and maximum are several times faster.
     rest = np.asfortranarray(rest[_finite(rest)], np.float64)
     if view.stage == "plain" or not len(rest):
         return Stage(background, np.zeros(len(clip)), (), None)
@@ -111,14 +111,14 @@ def make_stage(
 
 
 def _finite(points: NDArray) -> NDArray[np.bool_]:
-    """Mask of the finite points among [N,3]."""
+    """Return a mask of the finite points among [N,3]."""
     return np.asarray(np.isfinite(np.asfortranarray(points)).all(axis=1))
 
 
 def _boundaries(clip: Clip) -> Sequence[Boundary]:
-    """Boundaries of a clip's scene, except plug-ins that this program does not know.
+    """Return the boundaries of a clip's scene, without plug-ins that this program does not know.
 
-    It knows plug-ins that are registered, and those whose class it has defined.
+    Known plug-ins are those that are registered, and those whose class this program defines.
     """
     defined = {kind.model_fields["kind"].default: kind for kind in _kinds(Boundary)}
     known: list[Any] = []
@@ -132,7 +132,7 @@ def _boundaries(clip: Clip) -> Sequence[Boundary]:
 
 
 def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
-    """All subclasses that name their kind."""
+    """Yield all subclasses that name their kind."""
     for kind in base.__subclasses__():
         if "kind" in kind.model_fields:
             yield kind
@@ -156,7 +156,7 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
 
 
 def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Glass]:
-    """Optical depth of glass solids, at the height of their lowest point, split over two layers."""
+    """Yield the optical depth of glass solids at their lowest height, split over two layers."""
     for solid in solids:
         x, y, z = solid.centre.tolist()
         *reach, down = (np.abs(solid.axes.T) @ solid.half + solid.radius).tolist()
@@ -173,7 +173,7 @@ def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Gla
 
 
 def _capsule_mask(solid: Solid, x: Array, y: Array) -> Array:
-    """1 under a capsule, else 0, for positions relative to its centre."""
+    """Return 1 under a capsule, else 0, for positions relative to the capsule's centre."""
     ax, ay = solid.axes[0, :2]
     along = x * ax + y * ay
     near = np.clip(along / max(ax * ax + ay * ay, 1e-12), -solid.half[0], solid.half[0])
@@ -182,7 +182,7 @@ def _capsule_mask(solid: Solid, x: Array, y: Array) -> Array:
 
 
 def backdrop(view: View) -> Backdrop:
-    """The backdrop of a view: a colour, a gradient of two, or the user's picture.
+    """Return the backdrop of a view: a colour, a gradient of two colours, or the user's picture.
 
     Raises:
         InputError: The picture cannot be opened.
@@ -194,8 +194,9 @@ def backdrop(view: View) -> Backdrop:
 
 
 def pack_stage(stage: Stage | None, clip: Clip) -> tuple[dict[str, Any], NDArray[np.uint8]] | None:
-    """Return a clip's stage as the player reads it (phy124/io/viewer/stage.js): plain data, and
-    shadow maps [T,cells,cells], where 255 means no light.
+    """Return a clip's stage in the format of the player (phy124/io/viewer/stage.js).
+
+    It consists of plain data, and of shadow maps [T,cells,cells], where 255 means no light.
     """
     if stage is None:
         return None
@@ -225,7 +226,7 @@ def pack_stage(stage: Stage | None, clip: Clip) -> tuple[dict[str, Any], NDArray
 
 
 def _data_url(picture: NDArray[np.uint8]) -> str:
-    """The picture as a data URL, reduced to at most `PICTURE_SIDE` pixels."""
+    """Return the picture as a data URL, reduced to at most `PICTURE_SIDE` pixels."""
     image = Image.fromarray(picture)
     image.thumbnail((PICTURE_SIDE, PICTURE_SIDE))
     with io.BytesIO() as file:

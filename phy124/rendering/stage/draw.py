@@ -1,4 +1,4 @@
-"""Uploads a stage for the kernels and draws it."""
+"""Upload a stage for the kernels, and render it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from phy124.kernels.splat.arrange import arrange
 from phy124.rendering.stage.frame import Backdrop, StageFrame, bounds
 
 NO_SHADE = np.zeros((2, 2), np.uint16)
-"""The shadow map for a stage without a floor."""
+"""Shadow map of a stage without a floor."""
 
 
 class Uploaded:
@@ -29,18 +29,18 @@ class Uploaded:
         self.shade = wp.array(levels, dtype=wp.uint16, device=device, copy=False)
         self._numbers: Any = wp.array(shown.table, dtype=float, device=device)
         kind: Any = glass.Solid
-        # An alias of `_numbers`, which keeps the memory. A structured NumPy array would be simpler,
-        # but with several threads Warp sometimes rejects its type as different from the struct's.
+        # An alias of `_numbers`, which owns the memory. A structured NumPy array would be
+        # simpler, but with several threads Warp sometimes rejects the array's type.
         self.solids = wp.array(
             ptr=self._numbers.ptr, shape=len(shown.solids), dtype=kind, device=device
         )
 
 
 class Surroundings:
-    """The stage on a device; a renderer keeps it from picture to picture."""
+    """The stage on a device; a renderer reuses it for all pictures."""
 
     among: int
-    """Number of solids among the Gaussians."""
+    """Number of solids between Gaussians, neither behind nor in front of all."""
 
     def __init__(self, device: Any, *, simd: bool) -> None:
         """Start empty on a Warp device; `simd` draws 16 pixels at a time on a CPU."""
@@ -51,7 +51,7 @@ class Surroundings:
         self._counts = wp.zeros(3, dtype=int, device=device)
 
     def look(self, shown: StageFrame, view: Any, means: Array) -> None:
-        """Upload a stage and order its solids for a `screen.View` and Gaussians at means [N,3]."""
+        """Upload a stage and sort its solids for a `screen.View` and Gaussians at means [N,3]."""
         count, uploaded = len(shown.solids), self._uploaded.get(shown)
         if uploaded is None:
             uploaded = self._uploaded[shown] = Uploaded(shown, self.device)
@@ -65,14 +65,14 @@ class Surroundings:
             self._before, self.among, _ = self._counts.numpy().tolist()
 
     def tint(self, means: wp.array, splats: wp.array) -> None:
-        """Tint splats that are seen through glass among them."""
+        """Tint splats that are seen through a glass solid."""
         kernel = stage.tint_splats_simd if self.simd else stage.tint_splats
         threads = math.ceil(len(means) / 16) if self.simd else len(means)
         inputs = [self._view, self._before, self._before + self.among, *self._solids, means]
         wp.launch(kernel, threads, inputs=inputs, outputs=[splats], device=self.device)
 
     def inputs(self) -> list[Any]:
-        """Arguments of the drawing kernels, from `setting` to `outlines`."""
+        """Return arguments of the rendering kernels, from `setting` to `outlines`."""
         key = self._backdrop, self._view.width, self._view.height
         if self._picture is None or self._picture[0] != key:
             pixels = wp.array(picture(*key), dtype=wp.vec3, device=self.device, copy=False)
@@ -81,13 +81,13 @@ class Surroundings:
         return [shown.setting, shown.shade, self._picture[1], self._before, *self._solids]
 
     def draw(self, image: wp.array, coverage: wp.array) -> None:
-        """Draw the stage behind Gaussians, given their light on black and their coverage."""
+        """Render the stage behind Gaussians, from their light on black and their coverage."""
         view, inputs = self._view, [self._view, *self.inputs(), coverage]
         threads = view.width * view.height
         wp.launch(stage.draw_setting, threads, inputs=inputs, outputs=[image], device=self.device)
 
     def _allocate(self, count: int) -> tuple[Any, Any]:
-        """Return the arrays for the ordered solids and their outlines, kept by count."""
+        """Return arrays for the sorted solids and their outlines, reused for equal counts."""
         if count not in self._arrays:
             kinds: tuple[Any, Any] = glass.Solid, glass.Outline
             solids, outlines = (wp.empty(count, dtype=kind, device=self.device) for kind in kinds)
@@ -96,7 +96,7 @@ class Surroundings:
 
 
 def setting(shown: StageFrame) -> Any:
-    """Backdrop and floor, a `stage.Setting`."""
+    """Return backdrop and floor as a `stage.Setting`."""
     packed, floor = stage.Setting(), shown.floor
     packed.top, packed.bottom = wp.vec3(*shown.backdrop.top), wp.vec3(*shown.backdrop.bottom)
     packed.floor, packed.reach, packed.cells = int(floor is not None), 1.0, 0
@@ -108,9 +108,9 @@ def setting(shown: StageFrame) -> Any:
 
 
 def picture(backdrop: Backdrop, width: int, height: int) -> NDArray[np.float32]:
-    """Return the middle of the backdrop's picture, scaled to fill the frame [H*W,3], 0..1.
+    """Return the backdrop's picture, cropped and scaled to fill the frame [H*W,3], 0..1.
 
-    Empty if the backdrop has no picture.
+    The array is empty if the backdrop has no picture.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""A stage at one instant, as plain data that renderer and player both draw."""
+"""The stage of a frame, as plain data that both renderer and player draw."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Colour = tuple[float, float, float]
 Box = tuple[Array, Array]
 """Lowest and highest corner [3], m."""
 TOGETHER = 64
-"""Points per row when extremes are computed: wide rows are faster."""
+"""Points per row in the computation of minimum and maximum: wide rows are faster."""
 POOL = 0.5
-"""Extra brightness of a studio's floor in the middle, for a grey of 1/2."""
+"""Additional brightness in the middle of a studio's floor, for a grey of 1/2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,19 +36,19 @@ class Floor:
     """A level floor that fades into the backdrop, and the shadow on it."""
 
     height: float
-    """Height, m."""
+    """Height of the floor, m."""
     middle: tuple[float, float]
-    """Centre of the square that the shadow map covers, m."""
+    """Centre of the square that is covered by the shadow map, m."""
     reach: float
     """Half the side of that square, m."""
     shade: Array
     """Fraction of the light that the shadow removes [cells along x, cells along y]."""
     pool: float = POOL
-    """Extra brightness in the middle, for a grey of 1/2."""
+    """Additional brightness in the middle of the floor, for a grey of 1/2."""
 
     @cached_property
     def levels(self) -> NDArray[np.uint16]:
-        """The shade as kernels read it; 65535 means no light."""
+        """`shade` as kernels read it; 65535 means no light."""
         return (self.shade * 65535 + 0.5).astype(np.uint16)
 
     @cached_property
@@ -76,13 +76,13 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class StageFrame:
-    """Everything around the object at one instant."""
+    """The surroundings of the object in a frame."""
 
     backdrop: Backdrop
     floor: Floor | None = None
     solids: tuple[Solid, ...] = ()
     box: Box | None = None
-    """A box around all Gaussians, if known; decides the drawing order of solids."""
+    """A box around all Gaussians, if known; it determines the drawing order of solids."""
 
     @cached_property
     def table(self) -> Array:
@@ -95,7 +95,7 @@ class StageFrame:
 
 
 def bounds(points: Array) -> Box:
-    """Return the corners of the box around points [N,3]; not finite if a point is not."""
+    """Return the corners of the box around points [N,3]; not finite if any point is not finite."""
     if not len(points):
         return np.full(3, np.nan, np.float32), np.full(3, np.nan, np.float32)
     even = len(points) // TOGETHER * TOGETHER

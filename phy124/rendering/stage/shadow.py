@@ -1,15 +1,15 @@
-"""The shadow of Gaussians on the floor, from their own projection along the light.
+"""The shadow of Gaussians on the floor, computed by projecting them along the light.
 
 The floor is lit by a soft lamp above and by the sky of a room. Gaussians are projected along the
-lamp's direction, as splats are (Zwicker et al. 2001), into layers by height; seen from the floor a
-layer hides those above. A layer at height h then dims
+lamp's direction, as splats are (Zwicker et al. 2001), into layers by height; seen from the floor, a
+layer hides the layers above it. A layer at height h then dims
 
 - the lamp: by its coverage, blurred by a Gaussian of standard deviation `SOFTNESS` h, the lamp's
   image through a hole at that height;
 - the sky: by its coverage weighted with h^2 / (pi (h^2 + r^2)^2), the part of a uniform sky's light
   that comes through it (ambient occlusion).
 
-Both are convolutions, so that a map costs one Fourier transform for each layer and one back.
+Both are convolutions: a map takes one Fourier transform per layer, and one inverse transform.
 """
 
 from __future__ import annotations
@@ -30,45 +30,45 @@ from phy124.gaussians import Array, Gaussians
 from phy124.kernels.splat.shadow import cover, cover_simd
 
 CELLS = 128
-"""Cells along a side of the map."""
+"""Number of cells along a side of the shadow map."""
 LAYERS = 7
 """Number of layers; the height of layer i is proportional to i^2."""
 SLOPE = (-0.30, 0.22)
 """Displacement of the lamp's rays along x and y per metre of descent: from the front, left, above.
 """
 SOFTNESS = 0.25
-"""Standard deviation of the lamp's image, per metre of height."""
+"""Standard deviation of the penumbra of the lamp, per metre of height."""
 LAMP, SKY = 0.22, 0.32
-"""Fractions of the floor's light from the lamp and the sky; the rest casts no shadow."""
+"""Fractions of the floor's light from lamp and sky; the remaining light casts no shadow."""
 SAMPLE = 65536
 """Largest number of Gaussians that cast shadows; larger objects are subsampled and widened."""
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255
-"""Shade that is halved; fainter shade vanishes, since the sky's shadow extends without limit."""
+"""Shade that is halved; fainter shade vanishes, because the sky's shadow has no limit."""
 UNSEEN = 0.1 / 255
-"""Smallest shade that is kept."""
+"""Smallest shade that is not set to zero."""
 FAINTEST = 1e-4
-"""Smallest response of a layer at a frequency that is kept."""
+"""Smallest frequency response of a layer that is not left out."""
 EDGE = 0.1
 """Fraction of the map at each border over which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array | float]
-"""Cells of a layer, and the optical depth added to them."""
+"""Cells of a layer, and the optical depth that is added to them."""
 
 
 def covering(device: str) -> tuple[Any, int]:
-    """Return the kernel that covers the floor, and its number of Gaussians per thread."""
+    """Return the kernel that projects Gaussians, and its number of Gaussians per thread."""
     return (cover_simd, 16) if wp.get_device(device).is_cpu else (cover, 1)
 
 
 @dataclass(frozen=True)
 class Caster:
-    """Makes the shadow maps of a clip: one square of the floor for all frames."""
+    """Computes the shadow maps of a clip, on the same square of the floor for all frames."""
 
     middle: tuple[float, float]
     """Centre of the square, m."""
     reach: float
-    """Half its side, m."""
+    """Half the side of the square, m."""
     tallest: float
     """Height of the highest layer above the floor, m."""
     device: str = "cpu"
@@ -84,29 +84,29 @@ class Caster:
         return self.tallest * np.linspace(0, 1, LAYERS) ** 2
 
     def layer(self, height: float) -> tuple[int, float]:
-        """Return the layer below a height, and the fraction that belongs to the layer above."""
+        """Return the layer below a height, and the fraction assigned to the layer above."""
         level = (LAYERS - 1) * min(height / self.tallest, 1.0) ** 0.5
         layer = min(int(level), LAYERS - 2)
         return layer, level - layer
 
     def shade(self, gaussians: Gaussians, floor: float, glass: Iterable[Glass] = ()) -> Array:
-        """Fraction of the light that the shadow removes [CELLS,CELLS], along x and y.
+        """Return the fraction of light that the shadow removes [CELLS,CELLS], along x and y.
 
         Args:
-            gaussians: The objects in the light.
+            gaussians: The Gaussians that cast the shadow.
             floor: Height of the floor, m.
-            glass: Optical depth of the boundaries.
+            glass: Optical depths of the boundaries.
         """
         depth = self._depth(gaussians, floor)
         for cells, dark in glass:
             depth[cells] += dark
-        # Most rows of cells are empty, and skipped.
+        # Most rows of cells are empty and are skipped.
         rows = np.flatnonzero(depth.sum(axis=0).any(axis=1))
         covered = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
         depth = depth[:, covered]
         below, open = np.zeros_like(depth[0]), np.ones_like(depth[0])
         total, along_y = np.zeros((2, CELLS, CELLS // 2 + 1), np.complex64)
-        # The floor sees each layer through those below it. A layer fits into the cache.
+        # The floor sees a layer through all layers below it. A single layer fits into the cache.
         for layer, response in zip(depth, self._response, strict=True):
             below += layer
             through = np.exp(-below)
@@ -121,7 +121,7 @@ class Caster:
         return shade
 
     def _depth(self, gaussians: Gaussians, floor: float) -> Array:
-        """Optical depth of the Gaussians in each layer."""
+        """Return the optical depth of the Gaussians in each layer."""
         step = max(1, math.ceil(len(gaussians) / SAMPLE))
         layers = wp.zeros((LAYERS, CELLS, CELLS), dtype=float, device=self.device)
 
@@ -143,7 +143,7 @@ class Caster:
     def _response(self) -> list[NDArray[np.complex64]]:
         """Frequency response of each layer [CELLS,K], K <= CELLS/2+1.
 
-        Higher layers are smoother, so they need fewer frequencies along y.
+        Higher layers are smoother and need fewer frequencies along y.
         """
         kx = 2 * np.pi * scipy.fft.fftfreq(CELLS, self.cell)[:, None]
         ky = 2 * np.pi * scipy.fft.rfftfreq(CELLS, self.cell)[None, :]
@@ -160,7 +160,7 @@ class Caster:
 
     @cached_property
     def _window(self) -> Array:
-        """1 inside, falling to 0 at the borders [CELLS,CELLS]."""
+        """Window that is 1 inside and falls to 0 at the borders [CELLS,CELLS]."""
         inwards = (np.arange(CELLS) + 0.5) / CELLS
         side = np.clip(np.minimum(inwards, 1 - inwards) / EDGE, 0, 1)
         side = side * side * (3 - 2 * side)
@@ -173,7 +173,7 @@ class Caster:
         return self.middle[0] + along, self.middle[1] + along
 
     def within(self, x: float, y: float, reach_x: float, reach_y: float) -> tuple[slice, slice]:
-        """Rows and columns of the cells around a position.
+        """Return rows and columns of the cells around a position.
 
         Args:
             x: Position along x, m.

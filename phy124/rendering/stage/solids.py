@@ -16,52 +16,52 @@ from phy124.mpm.tracks import Track
 from phy124.rendering.stage.frame import Solid
 
 LEVEL = 0.999
-"""Cosine of the steepest slope of a plane that counts as a floor."""
+"""Cosine of the largest slope at which a plane counts as a floor."""
 THICK = 0.04
-"""Drawn thickness of a wall or plate, in object sizes; in the scene it is zero."""
+"""Rendered thickness of a wall or plate, in object sizes; the boundary itself has none."""
 WIDE = 1.1
-"""Drawn width of a wall or plate, in widths of the object; in the scene it is infinite."""
+"""Rendered width of a wall or plate, in object widths; the boundary itself is infinite."""
 MARGIN = 0.02
-"""Margin of a clamp around the clamped part, in object sizes."""
+"""Margin of a rendered clamp around the clamped material, in object sizes."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedWall:
-    """One simple wall of the scene, with its track."""
+    """A simple wall of the scene, with its motion."""
 
     outline: str
-    """Name of its distance function."""
+    """Name of the wall's distance function."""
     shape: NDArray[np.float64]
-    """The three vectors that the distance function reads [3,3], m."""
+    """The three parameter vectors of the distance function [3,3], m."""
     track: Track | None
     holds: bool
-    """Whether it holds the object instead of obstructing it."""
+    """Whether the wall is a clamp, which holds the object instead of obstructing it."""
     span: Corners
-    """The box in which an infinite wall is drawn, m."""
+    """Box within which an infinite wall is rendered, m."""
 
     @property
     def is_floor(self) -> bool:
-        """Whether it is a level plane that faces up."""
+        """Whether the wall is a level plane that faces up."""
         return self.outline == "half_space" and not self.holds and self.shape[1][2] > LEVEL
 
     @property
     def height(self) -> float:
-        """Height of its point at rest, m."""
+        """Height of the wall's reference point at rest, m."""
         return float(self.shape[0][2])
 
     def displacements(self, times: NDArray) -> NDArray[np.float64]:
-        """Displacement at each instant [T,3], m."""
+        """Return the displacement at each time [T,3], m."""
         return np.zeros((len(times), 3)) if self.track is None else self.track.values(times)
 
     def present(self, times: NDArray) -> NDArray[np.bool_]:
-        """Whether it exists at each instant [T]; a clamp may let go."""
+        """Return whether the wall is present at each time [T]; a clamp may end."""
         if self.track is None:
             return np.ones(len(times), bool)
         return (times >= self.track.start) & (times < self.track.end)
 
     def solid(self) -> Solid:
-        """The solid to draw at rest."""
+        """Return the solid to render, at rest."""
         return SHAPES[self.outline](self)
 
 
@@ -75,7 +75,7 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
     low, high = rest.min(axis=0), rest.max(axis=0)
     span = _around(low, high)
     if isinstance(boundary, Container):
-        # The drawn walls end a little above the object, and open sides at 2 object sizes.
+        # Rendered walls end a little above the object; open sides end at 2 object sizes.
         size = float((high - low).max())
         room = size * np.array([2.0, 2.0, 0.1])
         inside = (np.array(boundary.inside.lower), np.array(boundary.inside.upper))
@@ -88,9 +88,9 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
 
 
 def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | None]:
-    """Distance function of a simple wall and its parameters.
+    """Return the distance function of a simple wall, and its parameters.
 
-    A plug-in with another distance function is drawn as its bounding box, if it has one.
+    A plug-in with another distance function is rendered as its bounding box, if it has one.
     """
     with suppress(NotImplementedError, AttributeError):
         if (outline := part.outline()) in SHAPES:
@@ -123,12 +123,12 @@ def _clamped_span(wall: PlacedWall, rest: NDArray) -> Corners:
 
 
 def _around_cylinder(axis: NDArray, sizes: NDArray) -> NDArray[np.float64]:
-    """Half sizes of the box around a cylinder of (radius, half length)."""
+    """Return the half sizes of the box around a cylinder of (radius, half length)."""
     return np.where(np.abs(axis) > 0.5, sizes[1], sizes[0])
 
 
 def _panel(wall: PlacedWall) -> Solid:
-    """An infinite wall: a slab behind its face, as wide as the box in which it is drawn."""
+    """Return an infinite wall as a slab behind its face, as wide as the wall's box."""
     point, normal, _ = wall.shape
     low, high = wall.span
     if wall.holds:
@@ -142,7 +142,7 @@ def _panel(wall: PlacedWall) -> Solid:
 
 
 def _frame_of(normal: NDArray) -> NDArray[np.float64]:
-    """Three axes [3,3]: the normal, a horizontal one if possible, and the third."""
+    """Return three axes [3,3]: the normal, a second that is horizontal if possible, and a third."""
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else np.array([1.0, 0.0, 0.0])
     second = np.cross(up, normal)
     second /= np.linalg.norm(second)
@@ -154,14 +154,14 @@ def _between(low: NDArray, high: NDArray) -> Solid:
 
 
 def _box(wall: PlacedWall) -> Solid:
-    """A box; for a clamp, the box around the clamped points."""
+    """Return a box; for a clamp, the box around the clamped points."""
     if wall.holds:
         return _between(*wall.span)
     return Solid(wall.shape[0], np.eye(3), np.abs(wall.shape[1]))
 
 
 def _cylinder(wall: PlacedWall) -> Solid:
-    """The box around a cylinder, or around the points that it clamps."""
+    """Return the box around a cylinder, or around the points that it clamps."""
     if wall.holds:
         return _between(*wall.span)
     point, axis, sizes = wall.shape
@@ -187,16 +187,16 @@ SHAPES: dict[str, Any] = {
     "sphere": _ball,
     "capsule": _capsule,
 }
-"""Distance function of a boundary -> the solid to draw."""
+"""Distance function of a boundary -> function that returns the solid to render."""
 
 
 def floor_heights(
     walls: Sequence[PlacedWall], rest: NDArray, times: NDArray
 ) -> NDArray[np.float64]:
-    """Height of the floor at each instant [T], m.
+    """Return the height of the floor at each time [T], m.
 
-    The floor is the scene's highest horizontal plane that faces up; without one, it is at the
-    lowest point of the object at rest.
+    The floor is the scene's highest horizontal plane that faces up; without such a plane, it is at
+    the lowest point of the object at rest.
     """
     levels = [wall for wall in walls if wall.is_floor]
     if not levels:

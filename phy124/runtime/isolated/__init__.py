@@ -1,10 +1,10 @@
-"""Runs native third-party code on a user's data in a separate process, which can be killed.
+"""Run native third-party code on a user's data in a separate process, which can be killed.
 
 An endless C++ loop cannot be interrupted from Python, neither by Ctrl-C nor by a thread. The
-process is started from a file of this package, not by `multiprocessing`: a user's script needs no
-`if __name__ == "__main__"`, and it works from any thread and on every platform. The process imports
-nothing but the function's own module. It ends when its time is up, when the wait is interrupted or
-cancelled, and when the process that waits for it dies.
+process is started from a file of this package, not by `multiprocessing`. A user's script therefore
+needs no `if __name__ == "__main__"`, and `run` works from any thread and on every platform. The
+process imports only the function's own module. It ends when its time is over, when the wait is
+interrupted or cancelled, and when the waiting process dies.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 
 
 class Deadline(NamedTuple):
-    """Time limit of isolated code, and a function that may cancel it."""
+    """Time limit of isolated code, and a function that may cancel the code."""
 
     seconds: float = 120.0
     beat: Callable[[], object] = lambda: None
-    """Called ten times a second; an exception it raises ends the wait and the process."""
+    """Called ten times a second; an exception raised by it ends the wait and the process."""
 
 
 PATIENT = Deadline()
-"""Two minutes: a search takes half a second on an otherwise idle machine."""
+"""Two minutes: a segmentation takes half a second on an otherwise idle machine."""
 
 
 class Unfinished(Exception):
-    """The process took too long or crashed; the message is the second half of a sentence."""
+    """The process took too long or crashed; the message is the end of a sentence."""
 
 
 class RemoteTraceback(Exception):
@@ -60,20 +60,20 @@ def run(
 ) -> T:
     """Call a module's function in another process, and return its result.
 
-    Whatever it raises is raised here. Arguments and result may be anything that can be pickled.
+    An exception of the function is raised here, too. Arguments and result must be picklable.
 
     Args:
         function: The function.
         deadline: Time limit and cancellation.
-        memory: Memory that the process may take [bytes], on systems that can limit it; beyond that
-            the function meets a MemoryError.
+        memory: Memory limit of the process [bytes], on systems that support it; above it the
+            function gets a MemoryError.
         arguments: The function's arguments.
 
     Raises:
-        Unfinished: If the time is up, or the process crashed.
+        Unfinished: The time is over, or the process crashed.
     """
     if getattr(sys, "frozen", False) or not sys.executable:
-        # There is no Python that could be started: the program would start itself.
+        # No Python interpreter can be started: the program would start itself.
         return function(*arguments)
     order = pickle.dumps((memory, sys.path)) + pickle.dumps((function, arguments))
     with _log() as log:
@@ -87,7 +87,7 @@ def run(
         try:
             answer = _answer(child, order, deadline)
             if child.wait():
-                # What it wrote, if anything, may be cut short.
+                # The output of a crashed process may be truncated.
                 log.seek(0)
                 raise Unfinished(_breakdown(child.returncode, log))
         finally:
@@ -100,7 +100,7 @@ def run(
 
 
 def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) -> bytes:
-    """Everything the process writes until it ends."""
+    """Return everything that the process writes until it ends."""
     answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_talk, args=(child, order, answers), daemon=True).start()
     end = time.monotonic() + deadline.seconds
@@ -114,20 +114,20 @@ def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) ->
 
 
 def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQueue[bytes]) -> None:
-    """Send the order and read the answer; both may block, so this runs in a thread."""
+    """Send the order and read the answer, in a thread, because both may block."""
     assert child.stdin is not None and child.stdout is not None
     answer = b""
     with suppress(OSError), child.stdin as orders, child.stdout as output:
         orders.write(order)
         orders.flush()
-        # The pipe stays open until the child has ended; closing it ends the child.
+        # The pipe stays open until the child has ended: closing it would end the child.
         answer = output.read()
         child.wait()
     answers.put(answer)
 
 
 def _log() -> IO[bytes]:
-    """Open a file for the process's errors; os.devnull if no temporary file can be made."""
+    """Open a file for the process's error output; os.devnull if there can be no temporary file."""
     try:
         return tempfile.TemporaryFile()
     except OSError:

@@ -1,6 +1,6 @@
-"""The other side of `phy124.runtime.isolated.run`: calls one function and writes its result.
+"""The child process of `phy124.runtime.isolated.run`: call a function and write its result.
 
-It is run by its path, so that it starts without importing anything of phy124.
+The file is run by its path, which imports nothing of phy124.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from contextlib import suppress
 
 def main() -> None:
     """Read an order from standard input, write the pickled result to standard output."""
-    # Ctrl-C reaches the whole process group; the waiting process ends this one.
+    # Ctrl-C reaches the whole process group, but the waiting process ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # libraries print to standard error
+    os.dup2(2, 1)  # what libraries print goes to standard error
     try:
         memory, sys.path[:] = pickle.load(sys.stdin.buffer)
         if memory is not None:
@@ -35,8 +35,8 @@ def main() -> None:
 
 
 def _limit(memory: int) -> None:
-    """Limit the memory of this process permanently [bytes]."""
-    # Each thread of OpenBLAS, which comes with NumPy, would claim tens of megabytes at the start.
+    """Limit the memory of this process from now on [bytes]."""
+    # Otherwise each thread of OpenBLAS, which comes with NumPy, reserves tens of megabytes.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     with suppress(ImportError, OSError, ValueError):  # not on every platform
         import resource
@@ -55,8 +55,8 @@ def _pickle_error(error: Exception) -> bytes:
 
 
 def _end_with_parent() -> None:
-    """Exit at the end of standard input: the waiting process has ended."""
-    # Not through sys.stdin: its lock would be held for ever.
+    """Exit when standard input ends, which shows that the waiting process has ended."""
+    # Not through sys.stdin, whose lock would then be held for ever.
     while os.read(0, 1):
         pass
     os._exit(1)

@@ -1,7 +1,7 @@
-"""Parses a command line into a command; the parser's errors become `InputError`s.
+"""Parse a command line into a command, and convert the parser's errors to `InputError`s.
 
-The parser (tyro) reports the reason of an error to a hook. If its version does not support the
-hook, its own message is shown.
+The parser (tyro) reports errors to a hook. If the installed version does not support the hook, the
+parser's own message is shown.
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ from phy124.schema.arguments.words import (
 )
 
 NARROWEST = 40
-"""Smallest number of columns for which help is laid out."""
+"""Smallest number of columns for which help texts are laid out."""
 SIMILAR = 0.75
 """Similarity of an unknown option to a known one that is suggested instead."""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
+
+"""The parser has already printed the answer, for instance to --help."""
 
 
 class Answered(SystemExit):
@@ -43,17 +45,18 @@ def parse(
     empty: Container[str] = (),
 ) -> Any:
     """Parse a command with its options.
+    arguments: The words after the program's name; an empty list means --help.
 
     Args:
-        arguments: The words after the program's name; none means --help.
-        commands: Name -> class.
-        program: The program's name.
-        description: The first paragraph of `--help`.
-        empty: Names of options that may be empty.
+            arguments: The words after the program's name; none means --help.
+            commands: Name -> class.
+            program: The program's name.
+            description: The first paragraph of `--help`.
+            empty: Names of options that may be empty.
 
     Raises:
-        InputError: The arguments are invalid.
-        Answered: The parser has printed help or a completion script.
+            InputError: The arguments are invalid.
+            Answered: The parser has printed help or a completion script.
     """
     import tyro
 
@@ -111,6 +114,9 @@ def _ensure_width() -> Iterator[None]:
     finally:
         os.environ.pop("COLUMNS", None)
         os.environ.update({} if usual is None else {"COLUMNS": usual})
+
+
+"""Carries an InputError through the parser, which catches ValueError."""
 
 
 class _Refused(Exception):

@@ -1,4 +1,4 @@
-"""Prepares the words of a command line for the parser: homes, `--`, and repeated options."""
+"""Prepare the words of a command line for the parser: home folders, `--`, repeated options."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from phy124.errors import InputError
 
 END = "--"
-"""Ends the options: the words after it are operands, even if they look like options."""
+"""Marks the end of options: later words are operands, even if they look like options."""
 _BEFORE_HOME = re.compile(r"(?:[\w.-]+=)*(?=~)")
-"""What may precede a path in a word: --out=, object.file=, --set=object.file=."""
+"""Text that may precede a path within a word: --out=, object.file=, --set=object.file=."""
 
 
 def expand_home(word: str) -> str:
     """Expand `~` at the start of a path, which shells leave unchanged after an equals sign.
 
-    The word is unchanged if there is no such home folder.
+    The word is unchanged if the home folder does not exist.
     """
     prefix = _BEFORE_HOME.match(word)
     if prefix is None:
@@ -28,7 +28,7 @@ def expand_home(word: str) -> str:
 
 
 def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split the words at `--`; the second list begins with it, and is empty without operands."""
+    """Split the words at `--`; the second list starts with `--`, and is empty without operands."""
     end = list(arguments).index(END) if END in arguments else len(arguments)
     operands = list(arguments[end:])
     return list(arguments[:end]), [] if operands == [END] else operands
@@ -37,12 +37,12 @@ def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
     """Return the words with each option once: lists are joined, equal values are merged.
 
-    argparse, which reads the command line, would silently keep only the last one. Operands are
-    rewritten so that none looks like an option (`-x.png` becomes `./-x.png`), because the parser
-    (tyro) forgets `--` after a positional value.
+    Otherwise argparse, which reads the command line, would silently use only the last value.
+    Operands are rewritten so that none looks like an option (`-x.png` becomes `./-x.png`), because
+    the parser (tyro) ignores `--` after a positional value.
 
     Raises:
-        InputError: If an option is given twice with different values.
+        InputError: An option has two different values.
     """
     if not arguments or arguments[0] not in commands:
         return list(arguments)
@@ -53,7 +53,7 @@ def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list
     single: dict[str, str | None] = {}
     for name, values in _group_by_option(arguments):
         if name in lists:
-            # An option with `=` has a single value; the words after it do not belong to it.
+            # An option with `=` has a single value; later words do not belong to it.
             joined.setdefault(name, []).extend(values)
             continue
         value = values[0] if values else None
@@ -61,7 +61,7 @@ def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list
             limit = f"it is given twice, as {single[name]} and as {value}."
             raise InputError(name.removeprefix("--"), value, limit, "Give it once.")
         if name and value and value.startswith("-") and value != "-h":
-            # Otherwise the value would be read as an option: `--front -y`.
+            # Otherwise the parser would take the value for an option: `--front -y`.
             name, values = f"{name}={value}", values[1:]
         rest += [name, *values] if name else values
     for name, values in joined.items():
@@ -107,7 +107,7 @@ def _strip_annotated(annotation: Any) -> Any:
 
 
 def _group_by_option(arguments: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Return each option with the words after it; words before any option have the name ""."""
+    """Return each option with the words after it; words before any option belong to ""."""
     groups: list[tuple[str, list[str]]] = [("", [])]
     for word in arguments:
         if not word.startswith("--"):
