@@ -128,7 +128,7 @@ class Model:
             "spline", the gradients of the weights.
 
         Raises:
-            ValueError: The particles are not sorted by body and law, or one has no volume.
+            ValueError: The particles are not sorted by body and law, or a particle has no volume.
         """
         real, count = PRECISIONS[precision], len(x)
         if not np.all(np.asarray(volume) > 0):
