@@ -38,9 +38,9 @@ class SteeredOptions(LiveOptions):
 def make_live(
     source: Path, options: SteeredOptions, *, speed: float, velocities: bool
 ) -> tuple[Live, str]:
-    """Make a live run, and a sentence about its accuracy.
+    """Create a live run; return it with a sentence about its accuracy.
 
-    The grid is chosen for this machine, unless the options name an accuracy.
+    The grid is chosen for this machine, unless the options set an accuracy.
 
     Args:
         source: A picture, a file of Gaussians or a clip.

@@ -45,18 +45,17 @@ def parse(
     empty: Container[str] = (),
 ) -> Any:
     """Parse a command with its options.
-    arguments: The words after the program's name; an empty list means --help.
 
     Args:
-            arguments: The words after the program's name; none means --help.
-            commands: Name -> class.
-            program: The program's name.
-            description: The first paragraph of `--help`.
-            empty: Names of options that may be empty.
+        arguments: The words after the program's name; an empty list means --help.
+        commands: Name -> class.
+        program: The program's name.
+        description: The first paragraph of `--help`.
+        empty: Names of options whose value may be empty.
 
     Raises:
-            InputError: The arguments are invalid.
-            Answered: The parser has printed help or a completion script.
+        InputError: The arguments are invalid.
+        Answered: The parser has printed help or a completion script.
     """
     import tyro
 
@@ -80,7 +79,7 @@ def asks_for_commands(arguments: Sequence[str]) -> bool:
 
 @contextmanager
 def _translate_errors(arguments: Sequence[str], commands: Commands, program: str) -> Iterator[None]:
-    """Raise the parser's errors as InputError within this context."""
+    """Within this context, errors of the parser are raised as InputError."""
     try:
         from tyro._errors import on_parse_error
     except ImportError:  # another version of tyro: it prints its own message
@@ -105,7 +104,7 @@ def _translate_errors(arguments: Sequence[str], commands: Commands, program: str
 
 @contextmanager
 def _ensure_width() -> Iterator[None]:
-    """Use at least `NARROWEST` columns within this context; with fewer --help never ends."""
+    """Within this context at least `NARROWEST` columns are used; with fewer, --help never ends."""
     usual = os.environ.get("COLUMNS")
     if shutil.get_terminal_size().columns < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)
@@ -120,7 +119,7 @@ def _ensure_width() -> Iterator[None]:
 
 
 class _Refused(Exception):
-    """Carries an InputError past the parser, which catches ValueError."""
+    """Carries an InputError through the parser, which catches ValueError."""
 
     def __init__(self, error: InputError) -> None:
         self.error = error
