@@ -255,8 +255,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
                 add_rows(changes_out, n, step, m, weight * change, weight)
             return
 
-        # Next to a tip or a hair, the body squeezes material through the wall: a column that the
-        # wall does not push yet must hold this material back.
+        # Next to a tip or a hair, the body squeezes material through the wall. A column holds this
+        # material back until its own material has arrived at the wall.
         if wp.isinf(loose):
             if not come and wp.min(m[1], m[2]) > real(0.0):
                 last = n + 2 * step
