@@ -504,5 +504,5 @@ def why_broken(report: Mapping[str, Any]) -> str:
     if report.get("complete") is False:
         return "the run stopped early."
     if (report.get("capture") or {}).get("coarse"):
-        return "the numbers of its file are too coarse (see the notes)."
+        return "the numbers in its file have too little precision (see the notes)."
     return ""

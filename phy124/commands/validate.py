@@ -157,7 +157,7 @@ def _machine() -> str:
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     busy = f" while others were at work (load {load:.0f})" if load > 1.5 * cores() else ""
     return (
-        f"Seconds are of processor time, of all runs of an experiment together, on {cores()} cores "
+        f"Seconds are CPU time, summed over all runs of an experiment, on {cores()} cores "
         f"of {_processor()}, Python {platform.python_version()}{busy}.\n"
     )
 

@@ -129,9 +129,9 @@ def _notes(problem: Problem, places: tuple[Values, ...]) -> list[str]:
     for name, part in zip(problem.names, places[-1], strict=True):
         if not END < part < 1 - END:
             end = "lower" if part < 0.5 else "upper"
-            notes.append(f"{name} lies at the {end} end of its range: widen it.")
+            notes.append(f"{name} lies at the {end} end of its range: widen the range.")
     if len(problem.grids) == 1:
-        notes.append("With one grid, its error is unknown and not in the intervals.")
+        notes.append("With one grid, the grid's error is unknown and not in the intervals.")
     elif len(places) < len(problem.grids):
         left = ", ".join(map(str, problem.grids[len(places) :]))
         notes.append(f"The time ended before the grid of {left} cells: give more --seconds.")

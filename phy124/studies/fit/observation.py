@@ -48,7 +48,7 @@ def read_table(
         with open(path, newline="", encoding="utf-8-sig") as file:
             lines = [line for line in csv.reader(file) if any(cell.strip() for cell in line)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        limit = f"it cannot be read ({getattr(error, 'strerror', None) or 'it is no text'})."
+        limit = f"it cannot be read ({getattr(error, 'strerror', None) or 'it is not text'})."
         raise InputError(field, path, limit, "Give a .csv file.") from None
     header = [cell.strip().lower() for cell in lines[0]] if lines else []
     columns = next((kind for kind in kinds if set(kind) <= set(header)), None)

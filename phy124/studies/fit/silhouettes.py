@@ -52,7 +52,7 @@ class Silhouettes:
         height, width = film.masks.shape[1:]
         camera = cameras[0]
         if abs(width / height - camera.width / camera.height) > 0.02:
-            limit = f"its pictures, made small, are {width} x {height}, the camera's are "
+            limit = f"its frames, reduced in size, have {width} x {height} pixels; the camera has "
             remedy = f"Add --set view.size=[{width},{height}]."
             asked = f"{limit}{camera.width} x {camera.height}."
             raise InputError("target", f"{len(times)} pictures", asked, remedy)
