@@ -26,7 +26,7 @@ class PlanOptions:
     forecast: bool = False
     """Predict the time before the run, which takes about a second; the report compares both."""
     dry_run: bool = False
-    """Only print the stages, their predicted time and the promised error; write nothing."""
+    """Only print the stages, their predicted time and the error bound; write nothing."""
     max_error: str | None = None
     """Choose the accuracy so that the error is at most this: 2px, 1% (of the size) or 3mm."""
     max_seconds: float | None = None
