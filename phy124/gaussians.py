@@ -46,8 +46,8 @@ class Gaussians:
     Arrays are converted to C-contiguous float32.
 
     Raises:
-            ValueError: Shapes disagree. This is a programming error; readers refuse bad files
-                themselves.
+        ValueError: Shapes disagree. This is a programming error; readers refuse bad files
+            themselves.
     """
 
     means: Array

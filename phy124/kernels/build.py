@@ -30,10 +30,10 @@ def kernel(
     Args:
         module: The module's name.
         real: Precision of the arguments that the signature does not annotate, whose types
-        `arguments.arguments` declares; None if the signature annotates all arguments.
+            `arguments.arguments` declares; None if the signature annotates all arguments.
         width: Number of parameters of the law, if the kernel is built for one.
         seconds: CPU time to compile the module on one core of an AMD EPYC [s], kept as the kernel's
-        attribute; 0 if it is negligible.
+            attribute; 0 if it is negligible.
     """
     flags = wp.config.cpu_compiler_flags
     native = "-march=native" if flags is None else flags

@@ -103,7 +103,7 @@ class Dissipation(Observer):
 
         Args:
             gained: Energy of the body now, minus the energy at the start and the work of all forces
-            and walls [J].
+                and walls [J].
             rubbed: Energy lost to friction at walls [J].
             stored: Elastic energy now, minus the elastic energy at the start [J].
         """

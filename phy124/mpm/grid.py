@@ -90,7 +90,7 @@ class Grid:
 
         Raises:
             Unstable: The particles are already outside the window, so that the grid did not move
-            them, or too far away for nodes to be numbered.
+                them, or too far away for nodes to be numbered.
         """
         if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
             raise Unstable(f"particles flew {FARTHEST:.0e} cells far")

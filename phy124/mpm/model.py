@@ -113,10 +113,10 @@ class Model:
             materials: The materials of the particles.
             dx: Grid spacing [m].
             material: Index into `materials` for each particle [P]; particles of one law must be
-            consecutive. None: all particles have the first material.
+                consecutive. None: all particles have the first material.
             stiffness: Factors on Young's modulus E [P]; None: 1.
             body: Index of each particle's body [P], counted from 0 and increasing; particles of one
-            law must be consecutive in each body. None: all particles are one body.
+                law must be consecutive in each body. None: all particles are one body.
             held: Bodies that never move: other bodies collide with them as with a wall.
             names: Names of the bodies, in order of their indices.
             origin: Position of node (0, 0, 0) [m].
@@ -125,7 +125,7 @@ class Model:
             device: Warp device.
             simd: Whether to use SIMD rows if the device supports them.
             gradient: Source of stress and strain: "affine", the fit around each particle, or
-            "spline", the gradients of the weights.
+                "spline", the gradients of the weights.
 
         Raises:
             ValueError: The particles are not sorted by body and law, or a particle has no volume.

@@ -87,9 +87,9 @@ class Solver:
             planes: Flat walls with which the free solids collide.
             ceiling: Longest substep allowed [s].
             threads: Number of CPU threads; None: as many as there are free cores and enough
-            particles for.
+                particles for.
             graph: Whether to run frames as one graph on the device; None: on CUDA, with one body
-            only.
+                only.
             measure_every: Number of substeps between two measurements of the limits, where safe.
             scheme: The grid-to-particle transfer scheme.
             gathered: Readers of every part of the particles after each gather.
@@ -150,7 +150,7 @@ class Solver:
 
         Raises:
             InputError: The region of a force holds no particle, or a boundary is too thin for the
-            grid; in this case nothing has changed.
+                grid; in this case nothing has changed.
         """
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)

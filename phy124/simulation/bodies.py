@@ -74,10 +74,10 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
 
     Args:
         gaussians: The objects at any size, standing upright, facing +x; without `object_id` they
-        are the first object. Missing objects are shapes or copies of the first object.
+            are the first object. Missing objects are shapes or copies of the first object.
         scene: The scene.
         crop: Position of the first object in the picture on which the masks of its parts were
-        painted.
+            painted.
 
     Raises:
         InputError: The Gaussians cannot be used for this scene.

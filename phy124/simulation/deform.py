@@ -65,19 +65,19 @@ class Deformer:
         Args:
             gaussians: The object at rest, N Gaussians.
             particles: The particles that `make_particles` made from the Gaussians; None: one
-            particle per Gaussian, in order.
+                particle per Gaussian, in order.
             max_stretch: Longest axis allowed, relative to the longest axis at rest, for all
-            Gaussians or for each [N]; used for fluid and plastic material, whose F grows without
-            bound. None: no limit.
+                Gaussians or for each [N]; for fluid and plastic material, whose F grows without
+                bound. None: no limit.
             rounds: Mask of the Gaussians that become balls when they are stretched [N], so that
-            fluids show no needles; None: none do.
+                fluids show no needles; None: none do.
             flows: Mask of the Gaussians of fluid or granular material [N], whose F grows without
-            bound; None: none are.
+                bound; None: none are.
             holds: Largest stretch of each Gaussian's material [N]. If F is larger, the material is
-            torn, and its Gaussians are drawn with this stretch; None: no limit.
+                torn, and its Gaussians are drawn with this stretch; None: no limit.
             device: Warp device of the computation.
             threads: Number of CPU threads that process the Gaussians; it does not change the
-            result.
+                result.
 
         Raises:
             InputError: `max_stretch` is below 1.

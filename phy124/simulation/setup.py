@@ -118,7 +118,7 @@ def prepare(
 
     Args:
         gaussians: The object at any size, standing upright, facing +x; or several objects,
-        distinguished by `object_id`. Missing objects are shapes or copies of the first object.
+            distinguished by `object_id`. Missing objects are shapes or copies of the first object.
         scene: Materials, forces, boundaries and accuracy.
         context: Device, threads, progress and stopwatch.
         crop: Position of the object in the picture on which the masks of parts were painted.
