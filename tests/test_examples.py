@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import phy124
+from phy124.generators import GENERATORS
 from support.pages import ROOT
 
 FOLDER = ROOT / "docs/examples"
@@ -44,6 +45,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "demo").symlink_to(ROOT / "demo")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.setitem(GENERATORS, "ball", None)  # so that it is removed after the test
     monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return tmp_path
