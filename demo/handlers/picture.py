@@ -24,7 +24,6 @@ from .event import Handler, data_of, file_of, job_of, path_of, table_of
 IF_WRONG = "If it is wrong, click the object in your picture, or correct it with the brush."
 FORGOTTEN = "The server no longer has this picture. Choose it once more."
 EXAMPLES = Path(__file__).parents[1] / "examples"
-FORGOTTEN = "The server no longer has this picture. Choose it once more."
 
 
 def on_choose(studio: Studio) -> Handler:

@@ -111,7 +111,7 @@ class Validate:
             raise InputError(
                 "docs",
                 Path.cwd(),
-                "there is no docs/results here.",
+                "there is no docs/lab here.",
                 "Change to the root of a clone, or write with --out FOLDER.",
             )
 

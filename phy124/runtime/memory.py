@@ -54,11 +54,6 @@ def _of_process() -> float:
     return max(0.0, most - taken)
 
 
-try:
-    import resource
-except ImportError:  # Windows
-    resource = None
-
 NEEDED = 1.2e9
 """Measured address space of the libraries, the kernels and a small object [bytes]."""
 THREADS = "OPENBLAS_NUM_THREADS"
