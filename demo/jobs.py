@@ -17,6 +17,7 @@ from statistics import median
 from typing import Any
 
 from phy124.accuracy.probe import seconds_to_compile
+from phy124.budget.cost import GAUSSIANS, USUAL, Work
 from phy124.errors import InputError
 from phy124.imaging.objects import Point
 from phy124.io.formats import is_file_of_gaussians
@@ -62,7 +63,7 @@ class Studio:
     visitors: Visitors
     forecaster: Estimator = field(default_factory=lambda: Estimator(DEVICE.locked))
     work: Callable[[Order], Iterator[Any]] = steps
-    """Function that carries out an order; on ZeroGPU it is wrapped by `spaces.GPU`."""
+    """Function that carries out an order; on ZeroGPU it is demo.zerogpu's."""
     searches: deque[float] = field(default_factory=lambda: deque(maxlen=5))
     """Durations of the last segmentations [s]."""
     warm: threading.Event = field(default_factory=threading.Event)
@@ -70,6 +71,8 @@ class Studio:
 
     def __post_init__(self) -> None:
         most = self.settings.max_queue
+        if self.forks:
+            self.forecaster.learned.assume(USUAL["cuda"], Work.of(Scene.named("press"), GAUSSIANS))
         self.runs = Line("device", workers=1, most=most)
         self.cuts = Line("cut-out", workers=CUTTERS, most=4 * most)
         self.touches = Table(self.settings.max_touch)
@@ -260,9 +263,8 @@ class Studio:
         expected = visitor.forecasts.get(key(scene.data()), usual)
         stages = STAGES if isinstance(source, Cutout) else STAGES | READING
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
-        order = replace(
-            self.order((visitor, source, scene), self.check_extras(name, extras)), stop=job.stop
-        )
+        order = self.order((visitor, source, scene), self.check_extras(name, extras))
+        order = replace(order, stop=job.stop, expected=expected)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def measure(self, name: str, source: Source | None, data: Any, extras: Any = None) -> Job:
@@ -288,7 +290,7 @@ class Studio:
         stages = MEASURING if isinstance(source, Cutout) else MEASURING | READING
         job = Job("measure", visitor.new_stop_file(), expected, stages=stages)
         order = self.order((visitor, source, scene), inputs)
-        order = replace(order, stop=job.stop, levels=levels)
+        order = replace(order, stop=job.stop, expected=expected, levels=levels)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def study(

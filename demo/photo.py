@@ -61,7 +61,7 @@ def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
         if payload is None:
             return None
         if payload.url and payload.url.startswith("data:"):
-            return _save_data_url(payload.url, studio, label)
+            return save_data_url(payload.url, studio, label)
         return payload.path
 
     image.preprocess = preprocess
@@ -130,7 +130,17 @@ def fetch_nothing(page: gr.Blocks) -> None:
         block.async_move_resource_to_block_cache = local
 
 
-def _save_data_url(url: str, studio: Studio, name: str) -> str:
+def save_data_url(url: str, studio: Studio, name: str) -> str:
+    """Store the picture of a data: URL as an upload; return its path.
+
+    Args:
+        url: The URL.
+        studio: Stores the picture.
+        name: Name of the argument, with which refusals begin.
+
+    Raises:
+        gr.Error: The URL is broken or too large, or there is no space.
+    """
     limits = studio.settings
     head, comma, text = url.partition(",")
     if not comma or not head.endswith(";base64"):

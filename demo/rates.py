@@ -59,6 +59,17 @@ class Learned:
             # Entered twice, so that the first run of a visitor alone does not determine the median.
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
+    def assume(self, rates: Rates, work: Work) -> None:
+        """Take rates as measured, where this process cannot measure any; runs correct them.
+
+        Args:
+            rates: The rates.
+            work: Work of a usual run.
+        """
+        with self._lock:
+            self.now = self.measured = rates
+            self._first = work
+
     def learn(self, report: dict[str, Any], scene: Scene) -> None:
         """Correct the rates by a finished run."""
         work, spent = _observe(report, scene)

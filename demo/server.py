@@ -6,11 +6,13 @@ import errno
 import json
 import logging
 import os
+import re
 import socket
 import threading
 import warnings
 from collections.abc import Awaitable, Callable
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,10 +28,11 @@ from phy124.io.html import VIEWER
 from .bodies import BodyLimit
 from .connections import Patient, allow_connections
 from .guard import Doorkeeper, Headed, cookie_of, own_names, split_names
+from .settings import SLACK
 from .source import SMALLER
 from .touch import socket_route
 from .touch.relay import LARGEST_MESSAGE
-from .traffic import RECEIVED, RECEIVED_EACH, UPLOADS, Streams, Turns
+from .traffic import RECEIVED, RECEIVED_EACH, TOOLS, TOOLS_EACH, UPLOADS, Streams, Turns
 from .uploads import ADDRESS, upload_route
 
 if TYPE_CHECKING:
@@ -39,8 +42,6 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).parent
 LOG = logging.getLogger("phy124.web")
-SLACK = 64_000
-"""Allowance for a request's size in addition to the upload itself [bytes]."""
 GONE = (
     '<!doctype html><html lang="en"><title>phy124</title>'
     "<p>This result is no longer kept. Ask whoever sent the link to make it again.</p></html>"
@@ -171,8 +172,7 @@ def doors(studio: Studio, connections: int) -> list[Middleware]:
     from .sessions import Asked
 
     settings, space = studio.settings, os.environ.get("SPACE_HOST", "")
-    # A program may send a picture as a data: URL.
-    other = int(settings.max_bytes * 4 / 3) + SLACK, f"{settings.too_large} {settings.make_smaller}"
+    other = settings.max_body, f"{settings.too_large} {settings.make_smaller}"
     most = settings.max_file_bytes + SLACK, f"{settings.file_too_large} {SMALLER}"
     hosts, origins = own_names(settings.hosts, space), split_names(settings.hosts, space)
     return [
@@ -183,6 +183,9 @@ def doors(studio: Studio, connections: int) -> list[Middleware]:
         Middleware(BodyLimit, uploads=ADDRESS, other=other, most=most),
         Middleware(Turns),
         Middleware(Turns, at=UPLOADS, together=RECEIVED, each=RECEIVED_EACH),
+        Middleware(
+            Turns, at=re.compile(rf"{TOOLS}\b"), together=settings.max_queue, each=TOOLS_EACH
+        ),
     ]
 
 
@@ -207,12 +210,12 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         ssr_mode=False,
         footer_links=["api"],
         enable_monitoring=False,
-        mcp_server=False,
+        mcp_server=False,  # demo/tools.py is used instead
         pwa=False,
         prevent_thread_lock=True,
         app_kwargs={
             "middleware": doors(studio, connections),
-            "routes": routes(studio),
+            "routes": [*routes(studio), *tool_routes(page, studio)],
         },
         **options,
     )
@@ -233,6 +236,19 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         studio.touches.close()
         studio.visitors.close()
         page.close(verbose=False)
+
+
+def tool_routes(page: Any, studio: Studio) -> list[BaseRoute]:
+    """Return the routes of the tools for agents, if they are offered and can be."""
+    if not studio.settings.mcp:
+        return []
+    if find_spec("mcp") is None:
+        LOG.warning("Agents get no tools: the package mcp is not installed.")
+        return []
+    # Imported here, because it takes a second.
+    from .tools import ToolServer
+
+    return ToolServer(page, studio).routes()
 
 
 def _remove_cors(app: Any) -> None:

@@ -18,6 +18,8 @@ from phy124.schema.section import Section
 
 from .room import Room
 
+SLACK = 64_000
+"""Allowance for a request's size in addition to the upload itself [bytes]."""
 PREFIX = "PHY124_"
 ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
 """Gradio's own variables; variables with the prefix PHY124_ take precedence."""
@@ -87,6 +89,7 @@ class Settings(Section):
         default=True,
         description="Load all kernels and measure the machine before the first visitor.",
     )
+    mcp: bool = Field(default=True, description="Offer the endpoints to agents (MCP server).")
     hosts: str = Field(
         default="", description="More host names the page answers to, with commas; * for any."
     )
@@ -123,6 +126,11 @@ class Settings(Section):
     def max_bytes(self) -> int:
         """Largest upload [bytes]."""
         return int(self.max_upload_mb * 1e6)
+
+    @property
+    def max_body(self) -> int:
+        """Largest request with a picture as a data: URL [bytes]."""
+        return int(self.max_bytes * 4 / 3) + SLACK
 
     @property
     def too_large(self) -> str:

@@ -29,6 +29,10 @@ UPLOADS = re.compile(r"/gradio_api/upload\b")
 """URLs of uploads, which occupy disk space until they are complete."""
 RECEIVED, RECEIVED_EACH = 64, 8
 """Largest number of parallel uploads, in total and per address."""
+TOOLS = "/gradio_api/mcp"
+"""URL of the tools for agents, the same as of Gradio's own MCP server."""
+TOOLS_EACH = 4
+"""Largest number of tools that an address may use in parallel."""
 PRESENT = 64
 """Largest number of unfinished requests per address; more are refused."""
 LONGEST = 60.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from .panels import mark_answers
 from .photo import fetch_nothing
 from .settings import Settings
 from .visitors import Visitors
-from .work import steps
+from .zerogpu import work_on_gpu
 
 FOLDER = Path(__file__).parent
 STYLE = '<link rel="stylesheet" href="phy124/static/page.css">'
@@ -41,12 +40,8 @@ MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42"
 
 def open_studio(settings: Settings, root: Path) -> Studio:
     """Create the state shared by all visitors; on ZeroGPU, jobs are wrapped to get a GPU."""
-    work = steps
-    if find_spec("spaces") is not None:
-        import spaces  # pyright: ignore[reportMissingImports]
-
-        work = spaces.GPU(duration=int(settings.max_seconds))(steps)
-    return Studio(settings, Visitors(root / "visitors", settings.room), work=work)
+    visitors = Visitors(root / "visitors", settings.room)
+    return Studio(settings, visitors, work=work_on_gpu(settings.max_seconds))
 
 
 def build(studio: Studio) -> gr.Blocks:

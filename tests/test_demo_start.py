@@ -11,8 +11,10 @@ from threading import Thread
 
 import pytest
 
-from demo.server import check_address, reach_itself
+from demo.jobs import Studio
+from demo.server import check_address, reach_itself, tool_routes
 from demo.settings import Settings
+from demo.visitors import Visitors
 from phy124.errors import InputError
 from support.served import ROOT
 
@@ -30,6 +32,10 @@ def test_a_busy_port_is_said_in_a_sentence(tmp_path):
         )
     assert ended.returncode == 2 and "Traceback" not in ended.stderr
     assert f"port = {port}: Another program listens there." in ended.stderr
+
+
+def test_setting_turns_the_tools_for_agents_off(tmp_path):
+    assert tool_routes(None, Studio(Settings(mcp=False), Visitors(tmp_path))) == []
 
 
 @pytest.mark.parametrize("host", ["no.such.host.invalid", "192.0.2.1"])

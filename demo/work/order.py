@@ -48,6 +48,8 @@ class Order:
     seconds: float
     """Longest wall-clock time [s]."""
     max_particles: int
+    expected: float = 0.0
+    """Forecast wall-clock time [s]."""
     generator: str = "relief"
     """Name of the generator, or the file of Gaussians."""
     gaussians: int = GAUSSIANS

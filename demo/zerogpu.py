@@ -1,0 +1,79 @@
+"""Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, for their forecast time.
+
+ZeroGPU refuses a job whose declared duration exceeds the visitor's remaining quota (anonymous
+visitors have about 120 s a day), and ends a job that takes longer than declared. Therefore each job
+declares its forecast time, which is also its limit. Source: huggingface.co/docs/hub/spaces-zerogpu
+and the package `spaces` 0.51.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from importlib.util import find_spec
+from typing import Any
+
+from phy124.errors import InputError
+
+from .progress import Done, Measured
+from .work import Order, steps
+
+MARGIN = 1.5
+"""Declared time relative to the forecast; a run simulates no frame after 70 % of it."""
+SHORTEST = 15
+"""Shortest declared time, which includes the start of the forked process [s]."""
+COMPILING = 20
+"""Additional time until the first job has ended, for the compilation of CUDA kernels [s]."""
+REMEDY = "Choose a coarser accuracy or fewer frames, sign in to Hugging Face, or try again later."
+
+Work = Callable[[Order], Iterator[Any]]
+
+
+class Durations:
+    """Declares the time of each job."""
+
+    def __init__(self, longest: float) -> None:
+        self.longest = longest
+        self.compiled = False
+        """Whether a job has ended, after which all kernels are probably compiled."""
+
+    def __call__(self, order: Order) -> int:
+        """Return the time to declare for a job [s]."""
+        compiling = 0 if self.compiled else COMPILING
+        asked = max(MARGIN * order.expected, SHORTEST) + compiling
+        return math.ceil(min(asked, self.longest))
+
+
+def work_on_gpu(longest: float) -> Work:
+    """Return the function that carries out orders: `steps`, on ZeroGPU with a GPU.
+
+    Args:
+        longest: Longest time of a job [s].
+
+    Raises:
+        InputError: By the function: ZeroGPU refuses a job.
+    """
+    if find_spec("spaces") is None:
+        return steps
+    import spaces  # pyright: ignore[reportMissingImports]
+
+    durations = Durations(longest)
+    on_gpu: Work = spaces.GPU(duration=durations)(steps)
+    if on_gpu is steps:  # a Space without ZeroGPU
+        return steps
+
+    def work(order: Order) -> Iterator[Any]:
+        import gradio as gr
+
+        order = replace(order, seconds=min(order.seconds, durations(order)))
+        try:
+            for event in on_gpu(order):
+                durations.compiled |= isinstance(event, Done | Measured)
+                yield event
+        except gr.Error as error:
+            raise InputError(
+                "gpu", "refused", f"{error.message.strip().rstrip('.')}.", REMEDY
+            ) from error
+
+    return work
