@@ -41,11 +41,11 @@ def test_neural_generator_is_one_package(tmp_path, monkeypatch):
     *_, last = generators.find_neural_packages()
     monkeypatch.delitem(sys.modules, last.__name__)
     names = {name for package in generators.find_neural_packages() for name in package.GENERATORS}
-    assert names == {"lgm", "lgm-aligned", "dreamgaussian", "cube"}
+    assert names == {"lgm", "lgm-aligned", "dreamgaussian", "triposr", "cube"}
 
 
 def test_weights_of_generators_are_known():
-    assert set(generators.WEIGHTS) == {"lgm", "lgm-aligned", "dreamgaussian"}
+    assert set(generators.WEIGHTS) == {"lgm", "lgm-aligned", "dreamgaussian", "triposr"}
     assert {name for names in generators.WEIGHTS.values() for name in names} <= set(KNOWN)
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.shapes import cover_surface
+from phy124.generators.shapes import choose_triangles, cover_surface
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.content import AGAIN, Y_UP, describe_coarseness, step_of
 from phy124.io.opening import obstacle
@@ -42,8 +42,6 @@ TIME = isolated.Deadline(seconds=60.0)
 """Time limit for reading a mesh."""
 COUNT = 24_000
 """Approximate number of Gaussians, enough to make edges look straight."""
-TRIES = 6
-"""Random candidate points per Gaussian; an evenly spaced subset is kept."""
 SMALLEST = 1e-6
 """Smallest area of a mesh divided by its longest side squared."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]
@@ -208,23 +206,10 @@ def _sample_surface(pieces: list[Trimesh], seed: int) -> Drawn:
     away = np.concatenate([piece.triangles_center for piece in pieces]) - corners.mean(axis=0)
     normals = np.concatenate([piece.face_normals for piece in pieces])
     sign = 1.0 if (areas * (away * normals).sum(axis=1)).sum() >= 0 else -1.0
-    some = np.random.default_rng(seed)
-    chosen = some.choice(len(areas), TRIES * COUNT, p=areas / areas.sum())
-    weights = some.dirichlet((1.0, 1.0, 1.0), len(chosen))
-    points = np.einsum("nc,nci->ni", weights, corners.reshape(-1, 3, 3)[chosen])
-    kept = _apart(points, np.sqrt(areas.sum() / COUNT))
-    chosen, weights = chosen[kept], weights[kept]
-    return points[kept], sign * normals[chosen], _colours(pieces, chosen, weights)
-
-
-def _apart(points: NDArray, width: float) -> NDArray[np.int64]:
-    """Return, for each occupied cube of a grid, the index of the point nearest to its centre."""
-    cubes = np.floor(points / width)
-    off = np.linalg.norm(points / width - cubes - 0.5, axis=1)
-    order = np.lexsort((off, *cubes.T))
-    first = np.ones(len(order), bool)
-    first[1:] = (np.diff(cubes[order], axis=0) != 0).any(axis=1)
-    return order[first]
+    triangles = corners.reshape(-1, 3, 3)
+    chosen, weights = choose_triangles(triangles, COUNT, seed)
+    points = np.einsum("nc,nci->ni", weights, triangles[chosen])
+    return points, sign * normals[chosen], _colours(pieces, chosen, weights)
 
 
 def _colours(

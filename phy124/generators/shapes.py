@@ -12,6 +12,8 @@ from phy124.gaussians import Gaussians, quaternions, spread_directions
 
 COUNT = 8000
 """Approximate number of Gaussians of a shape."""
+TRIES = 6
+"""Random candidate points per point on triangles; an evenly spaced subset is kept."""
 FLATNESS = 0.15
 """Thickness of the surface's Gaussians relative to their width."""
 LIGHT = (0.35, 0.25, 0.9)
@@ -47,8 +49,9 @@ def cover_surface(
     *,
     width: float | None = None,
     bright: NDArray | float = 1.0,
+    shaded: bool = True,
 ) -> Gaussians:
-    """Cover a surface with flat, slightly shaded Gaussians.
+    """Cover a surface with flat Gaussians.
 
     Args:
         points: Centres [N,3], m.
@@ -56,12 +59,47 @@ def cover_surface(
         rgb: Colours [N,3], or one colour for all [3], 0..1.
         width: Standard deviation along the surface [m]; None: derived from the spacing of points.
         bright: Factor on the colours [N].
+        shaded: Whether the surface is slightly shaded by a light from above.
     """
     wide = _spread(points) if width is None else np.full(len(points), width)
     scales = np.stack([wide, wide, FLATNESS * wide], axis=1)
-    lit = AMBIENT + (1 - AMBIENT) * (normals @ LIGHT / np.linalg.norm(LIGHT)).clip(-1, 1)
+    facing = (normals @ LIGHT / np.linalg.norm(LIGHT)).clip(-1, 1)
+    lit = AMBIENT + (1 - AMBIENT) * facing if shaded else np.ones(len(points))
     colours, opacities = ((lit * bright)[:, None] * rgb).clip(0, 1), np.full(len(points), 0.95)
     return Gaussians.from_rgb(points, _facing(normals), scales, opacities, colours)
+
+
+def choose_triangles(
+    corners: NDArray, count: int, seed: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Choose evenly spaced points on triangles: about `count` of them.
+
+    Args:
+        corners: Corners of the triangles [T,3,3].
+        count: Approximate number of points.
+        seed: Seed of the positions.
+
+    Returns:
+        The triangle of each point [N], and its barycentric coordinates [N,3].
+    """
+    sides = corners[:, 1:] - corners[:, :1]
+    areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
+    rng = np.random.default_rng(seed)
+    chosen = rng.choice(len(areas), TRIES * count, p=areas / areas.sum())
+    weights = rng.dirichlet((1.0, 1.0, 1.0), len(chosen))
+    points = np.einsum("nc,nci->ni", weights, corners[chosen])
+    kept = _thin(points, np.sqrt(areas.sum() / count))
+    return chosen[kept], weights[kept]
+
+
+def _thin(points: NDArray, width: float) -> NDArray[np.int64]:
+    """Return, for each occupied cube of a grid, the index of the point nearest to its centre."""
+    cubes = np.floor(points / width)
+    off = np.linalg.norm(points / width - cubes - 0.5, axis=1)
+    order = np.lexsort((off, *cubes.T))
+    first = np.ones(len(order), bool)
+    first[1:] = (np.diff(cubes[order], axis=0) != 0).any(axis=1)
+    return order[first]
 
 
 def _spread(points: NDArray) -> NDArray[np.float64]:

@@ -20,38 +20,12 @@ from phy124.errors import InputError
 from phy124.io.files import writable
 from phy124.progress import Progress, silent
 from phy124.runtime.installation import install_command
+from phy124.weights.catalogue import KNOWN, WeightFile
 
 Verdict = Literal["match", "differs", "unknown", "unchecked", "missing"]
 """Result of checking a file's size and sha256; "unknown" if no sha256 is published."""
 BLOCK = 1 << 22
 """Number of bytes hashed at a time."""
-
-
-@dataclass(frozen=True)
-class WeightFile:
-    """A public file in a repository on huggingface.co."""
-
-    repo: str
-    path: str
-    """Path inside the repository."""
-    licence: str
-    size: int | None = None
-    """Size in bytes; None if it is unknown."""
-    sha256: str | None = None
-    """Checksum; None: `fetch` compares with the checksum that the server states."""
-    shipped: bool = False
-    """Whether this package contains the file."""
-
-    @property
-    def command(self) -> str:
-        """The shell command that downloads the file to the Hugging Face cache."""
-        return f"hf download {self.repo} {self.path}"
-
-    @property
-    def expected(self) -> str:
-        """Expected size and checksum, as text."""
-        size = "size not known" if self.size is None else f"{self.size:,} bytes"
-        return f"{size}, sha256 {self.sha256 or 'not known'}"
 
 
 @dataclass(frozen=True)
@@ -67,86 +41,6 @@ class WeightStatus:
     size: int | None
     """Size of the file on disk [bytes]."""
     verdict: Verdict
-
-
-_U2NET = "Apache-2.0 (U-2-Net; no separate statement for the weights)"
-_IPMV = "CreativeML OpenRAIL"
-_ZERO123 = "MIT, as zero123-xl-diffusers is tagged"
-_MIRROR = "tomjackson2023/rembg"
-_IMAGEDREAM = "ashawkey/imagedream-ipmv-diffusers"
-_ZERO123_REPO = "bennyguo/zero123-xl-diffusers"
-KNOWN: dict[str, tuple[WeightFile, ...]] = {
-    # A mirror with byte-identical files of github.com/danielgatis/rembg/releases/tag/v0.0.0.
-    "u2net": (
-        WeightFile(
-            _MIRROR,
-            "u2net.onnx",
-            _U2NET,
-            175_997_641,
-            "8d10d2f3bb75ae3b6d527c77944fc5e7dcd94b29809d47a739a7a728a912b491",
-        ),
-    ),
-    "u2netp": (
-        WeightFile(
-            _MIRROR,
-            "u2netp.onnx",
-            _U2NET,
-            4_574_861,
-            "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8",
-            shipped=True,
-        ),
-    ),
-    "lgm": (
-        WeightFile(
-            "ashawkey/LGM",
-            "model_fp16_fixrot.safetensors",
-            "MIT",
-            830_126_160,
-            "744d6324656342c64f871308e73db97f0eb51858d94329b30090e986a6d050ab",
-        ),
-    ),
-    "lgm-fp32": (
-        WeightFile(
-            "ashawkey/LGM",
-            "model_fixrot.safetensors",
-            "MIT",
-            1_660_212_248,
-            "186631d0736c4dd933676be5a47d492d4354f796e18526d174535b1ae96f1335",
-        ),
-    ),
-    "imagedream": (
-        WeightFile(
-            _IMAGEDREAM,
-            "unet/diffusion_pytorch_model.safetensors",
-            _IPMV,
-            1_883_435_904,
-            "28d8b241a54125fa0a041c1818a5dcdb717e6f5270eea1268172acd3ab0238e0",
-        ),
-        WeightFile(
-            _IMAGEDREAM,
-            "image_encoder/model.safetensors",
-            _IPMV,
-            1_261_595_704,
-            "2a56cfd4ffcf40be097c430324ec184cc37187f6dafef128ef9225438a3c03c4",
-        ),
-        WeightFile(_IMAGEDREAM, "text_encoder/model.safetensors", _IPMV, 680_820_392),
-        WeightFile(_IMAGEDREAM, "vae/diffusion_pytorch_model.safetensors", _IPMV, 167_335_342),
-    ),
-    "zero123": tuple(
-        WeightFile(_ZERO123_REPO, path, _ZERO123)
-        for path in (
-            "unet/diffusion_pytorch_model.fp16.safetensors",
-            "vae/diffusion_pytorch_model.fp16.safetensors",
-            "image_encoder/model.fp16.safetensors",
-            "clip_camera_projection/diffusion_pytorch_model.fp16.safetensors",
-        )
-    ),
-    "clip": tuple(
-        WeightFile("laion/CLIP-ViT-B-32-laion2B-s34B-b79K", path, "MIT")
-        for path in ("config.json", "model.safetensors")
-    ),
-}
-"""Sets of files, by the name of the network that needs them."""
 
 
 _named: ContextVar[str | os.PathLike[str] | None] = ContextVar("_named", default=None)
@@ -355,7 +249,7 @@ def _download(
             "weights",
             file.repo,
             "the library huggingface_hub is not installed.",
-            f"Run `{install_command('lgm')}`.",
+            f"Run `{install_command('onnx')}`.",
         ) from error
     target = None if folder is None else folder / file.repo.rpartition("/")[2]
     # The library's HTTP client depends on its release; the bases of HfHubHTTPError include the

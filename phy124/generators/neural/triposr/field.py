@@ -1,0 +1,67 @@
+"""Density and colour of TripoSR at points of space, from its triplane.
+
+Each plane holds features on a square grid. The features of a point are those of its projections on
+the planes xy, xz and yz, interpolated bilinearly; a small network decodes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+RADIUS = 0.87
+"""Half the side of the cube that the triplane describes."""
+AXES = ((0, 1), (0, 2), (1, 2))
+"""Horizontal and vertical axis of each plane."""
+CHUNK = 1 << 16
+"""Number of points decoded at a time."""
+Array = NDArray[np.float32]
+Decode = Callable[[Array, Array], tuple[Array, Array]]
+"""`(points [N,3], features [N,C]) -> density [N,1], colour [N,3] in 0..1`; a decoder that samples
+the triplane itself ignores the features."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """Density and colour in the cube of half side `RADIUS`."""
+
+    triplane: Array
+    """Features [3,C,S,S]: planes, channels, vertical and horizontal axis."""
+    decode: Decode
+    samples: bool = True
+    """Whether `decode` needs the features."""
+
+    def __call__(self, points: NDArray) -> tuple[Array, Array]:
+        """Return density [N] and colour [N,3] at points [N,3]."""
+        points = np.ascontiguousarray(points, np.float32)
+        density, colour = np.empty(len(points), np.float32), np.empty((len(points), 3), np.float32)
+        for start in range(0, len(points), CHUNK):
+            part = points[start : start + CHUNK]
+            features = sample_planes(self.triplane, part) if self.samples else part[:, :0]
+            d, c = self.decode(part, features)
+            density[start : start + CHUNK], colour[start : start + CHUNK] = d[:, 0], c
+        return density, colour
+
+
+def sample_planes(triplane: Array, points: Array) -> Array:
+    """Interpolate features [3,C,S,S] at points [N,3]; return [N,3C].
+
+    Pixel centres lie half a pixel inside the cube; beyond them, features fade to zero.
+    """
+    size = triplane.shape[-1]
+    pixels = (points / RADIUS + 1) * (size / 2) - 0.5
+    parts = []
+    for plane, (horizontal, vertical) in zip(triplane, AXES, strict=True):
+        padded = np.pad(plane, ((0, 0), (1, 1), (1, 1))).reshape(len(plane), -1).T
+        x, y = (np.clip(pixels[:, axis], -1, size) + 1 for axis in (horizontal, vertical))
+        column = np.minimum(x.astype(np.int64), size)
+        row = np.minimum(y.astype(np.int64), size)
+        u, v = (x - column)[:, None], (y - row)[:, None]
+        first = row * (size + 2) + column
+        top = padded[first] * (1 - u) + padded[first + 1] * u
+        below = padded[first + size + 2] * (1 - u) + padded[first + size + 3] * u
+        parts.append(top * (1 - v) + below * v)
+    return np.ascontiguousarray(np.concatenate(parts, axis=1), np.float32)

@@ -1,0 +1,116 @@
+"""Runs ONNX networks with onnxruntime on the CPU, and predicts how long they take.
+
+Only the inputs and outputs that a caller names are used, so a file of another network is refused
+before it runs. Nothing is downloaded.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.io.opening import obstacle
+from phy124.runtime.cores import physical_cores
+from phy124.runtime.installation import install_command
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+SIDE = 1024
+"""Side of the matrices whose product measures this machine's speed."""
+
+
+class OnnxNetwork:
+    """An ONNX network in float32 on the CPU.
+
+    Args:
+        path: The .onnx file; a file of external data must be in the same folder.
+        inputs: Names of its inputs, in the order in which they are passed.
+        outputs: Names of the outputs that are returned; None: the first output.
+
+    Raises:
+        InputError: If onnxruntime is not installed, or the file is unreadable or another network.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        inputs: Sequence[str] | None = None,
+        outputs: Sequence[str] | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.session = _open(self.path)
+        known = [node.name for node in self.session.get_inputs()]
+        results = [node.name for node in self.session.get_outputs()]
+        self.inputs = list(inputs or known[:1])
+        self.outputs = list(outputs or results[:1])
+        if set(self.inputs) != set(known) or not set(self.outputs) <= set(results):
+            limit = (
+                f"it maps {', '.join(known)} to {', '.join(results)}; "
+                f"expected are {', '.join(self.inputs)} and {', '.join(self.outputs)}."
+            )
+            remedy = "Choose the file that belongs to this network (`phy124 weights` lists them)."
+            raise InputError("weights", self.path, limit, remedy)
+
+    def __call__(self, *arrays: NDArray[Any]) -> list[NDArray[np.float32]]:
+        """Run the network on arrays in the order of its inputs; return its outputs.
+
+        Raises:
+            InputError: If the shapes do not fit the network.
+        """
+        feeds: Mapping[str, NDArray[Any]] = dict(zip(self.inputs, arrays, strict=True))
+        try:
+            return [np.asarray(out) for out in self.session.run(self.outputs, feeds)]
+        except Exception as error:  # onnxruntime's errors share no other base
+            limit = f"it does not accept these inputs ({str(error).splitlines()[0]})."
+            remedy = "Choose the file that belongs to this network (`phy124 weights` lists them)."
+            raise InputError("weights", self.path, limit, remedy) from error
+
+
+def _open(path: Path) -> InferenceSession:
+    """Open a file in onnxruntime.
+
+    Raises:
+        InputError: If onnxruntime is not installed or the file is unreadable.
+    """
+    if hindrance := obstacle(path):
+        raise InputError("weights", path, hindrance[0], "Run `phy124 weights` to see what exists.")
+    try:
+        import onnxruntime
+    except ImportError as error:
+        limit = "it needs the package onnxruntime, which is not installed."
+        remedy = f"Run `{install_command('onnx')}`."
+        raise InputError("weights", path, limit, remedy) from error
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3  # errors are raised; warnings about the graph are not useful
+    options.enable_mem_pattern = False
+    options.intra_op_num_threads = physical_cores()
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's errors share no other base
+        raise InputError(
+            "weights",
+            path,
+            f"the file is not a readable ONNX network ({str(error).splitlines()[0][:200]}).",
+            "Delete it and fetch it again (`phy124 weights` names the command).",
+        ) from error
+
+
+def multiply_rate() -> float:
+    """Measure the float32 multiply-adds of matrix products, counted as two operations each [1/s].
+
+    This takes a fraction of a second, and includes the current load of the machine.
+    """
+    a = np.ones((SIDE, SIDE), np.float32)
+    np.matmul(a, a)
+    start = time.perf_counter()
+    for _ in range(3):
+        np.matmul(a, a)
+    return 3 * 2 * SIDE**3 / (time.perf_counter() - start)
