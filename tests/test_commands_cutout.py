@@ -77,7 +77,7 @@ def test_a_doubtful_cut_out_is_told_before_the_work(dark, tmp_path, capsys, monk
         (["none.png"], "image = none.png: There is no such file."),
         ([str(DUCK), "--out", "a.jpg"], "out = a.jpg: A cut-out needs a format with transparency."),
         ([str(DUCK), "--out", "no/a.png"], "no file can be written there"),
-        ([str(DUCK), "--method", "magic"], "Choose one of auto, alpha, u2net, u2netp, grabcut."),
+        ([str(DUCK), "--method", "magic"], "birefnet-512, isnet, u2net, u2netp, grabcut."),
     ],
 )
 def test_what_cannot_be_cut_out_leaves_nothing(arguments, sentence, tmp_path, capsys, monkeypatch):

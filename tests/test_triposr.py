@@ -74,6 +74,17 @@ def test_field_is_the_original_one(recorded, network):
     np.testing.assert_allclose(colour, recorded["colour"], atol=1e-5)
 
 
+def test_features_on_a_grid_are_those_of_its_points(recorded):
+    def decode(points, features):
+        del points
+        return features[:, :1] + features[:, 7:8] + features[:, 14:], features[:, :3]
+
+    field = Field(recorded["triplane"], decode)
+    axis = np.linspace(-0.9, 0.9, 9, dtype=np.float32)
+    places = np.argwhere(np.ones((9, 9, 9), bool))
+    np.testing.assert_allclose(field.on_grid(axis)(places), field(axis[places])[0], atol=1e-5)
+
+
 def ball(points, features):
     """A ball of radius 0.5, red on +x and blue elsewhere, whose density decays exponentially."""
     del features

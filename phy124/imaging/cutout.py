@@ -6,6 +6,7 @@ import io
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.imaging import u2net
+from phy124.imaging import salient, u2net
 from phy124.imaging.grabcut import grabcut
 from phy124.imaging.hollow import find_hollow
 from phy124.imaging.image import open_image, open_mask, original_size
@@ -389,12 +390,18 @@ def _applies_always(image: Image.Image) -> bool:
 
 METHODS: dict[str, Method] = {
     "alpha": Method(has_alpha, _keep_alpha, "the picture's own transparency"),
+    **{
+        name: Method(
+            partial(salient.is_available, name), partial(salient.find_alpha, name), network.title
+        )
+        for name, network in salient.NETWORKS.items()
+    },
     "u2net": Method(u2net.is_available, u2net.find_alpha, "U2-Net"),
     "u2netp": Method(_applies_always, u2net.find_alpha_small, "the small U2-Net"),
     "grabcut": Method(_applies_always, _grabcut, "GrabCut"),
 }
 """Segmentation methods by name, best first."""
-NETWORKS = ("u2net", "u2netp")
+NETWORKS = (*salient.NETWORKS, "u2net", "u2netp")
 """Methods that are neural networks."""
 TAKEN_WHOLE = ("alpha", "mask")
 """Methods whose result is kept in all its pieces, since a person made it."""

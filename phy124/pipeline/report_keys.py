@@ -13,7 +13,7 @@ class CutOut(TypedDict):
     """Method and quality of the cut-out, which `cutout.png` shows."""
 
     method: str
-    """alpha, u2net, u2netp, grabcut, mask or brush."""
+    """alpha, birefnet, birefnet-512, isnet, u2net, u2netp, grabcut, mask or brush."""
     coverage: float
     """Fraction of the picture that the object covers."""
     pieces: int

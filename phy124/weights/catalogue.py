@@ -156,17 +156,21 @@ class About:
     """Optional extra of phy124 that runs it."""
     use: str = ANYWHERE
     """Where the weights may be used."""
+    memory: float = 0.0
+    """Memory of a process that runs the network [bytes]; 0: not measured."""
 
 
 ABOUT: dict[str, About] = {
     "u2net": About("cuts objects out: --foreground u2net", 176),
     "u2netp": About("cuts objects out: --foreground u2netp; part of phy124", 5),
-    "isnet": About("cuts objects out, with fine edges: --foreground isnet", 179, "onnx"),
+    "isnet": About(
+        "cuts objects out, with fine edges: --foreground isnet", 179, "onnx", memory=1.5e9
+    ),
     "birefnet-lite": About(
-        "cuts objects out, with the finest edges: --foreground birefnet", 224, "onnx"
+        "cuts objects out, with the finest edges: --foreground birefnet", 224, "onnx", memory=5e9
     ),
     "birefnet-lite-512": About(
-        "cuts objects out, faster and coarser: --foreground birefnet-512", 183, "onnx"
+        "cuts objects out, faster and coarser: --foreground birefnet-512", 183, "onnx", memory=2e9
     ),
     "moge2": About("depth and normals of the front for relief: --depth moge2", 141, "onnx"),
     "depth-anything": About("depth of the front for relief: --depth depth-anything", 99, "onnx"),

@@ -45,23 +45,51 @@ class Field:
             density[start : start + CHUNK], colour[start : start + CHUNK] = d[:, 0], c
         return density, colour
 
+    def on_grid(self, axis: Array) -> Callable[[NDArray[np.int64]], Array]:
+        """Return a function from indices [N,3] of a grid with equal axes to densities [N].
+
+        The features of each plane are interpolated once per grid line, not once per point.
+        """
+        if not self.samples:
+            return lambda places: self(axis[places])[0]
+        first, second = (v.ravel() for v in np.meshgrid(axis, axis, indexing="ij"))
+        planes = [sample_plane(plane, first, second) for plane in self.triplane]
+
+        def decode(places: NDArray[np.int64]) -> Array:
+            density = np.empty(len(places), np.float32)
+            for start in range(0, len(places), CHUNK):
+                part = places[start : start + CHUNK]
+                lines = [part[:, a] * len(axis) + part[:, b] for a, b in AXES]
+                features = [plane[line] for plane, line in zip(planes, lines, strict=True)]
+                d, _ = self.decode(axis[part], np.concatenate(features, axis=1))
+                density[start : start + CHUNK] = d[:, 0]
+            return density
+
+        return decode
+
 
 def sample_planes(triplane: Array, points: Array) -> Array:
-    """Interpolate features [3,C,S,S] at points [N,3]; return [N,3C].
+    """Interpolate features [3,C,S,S] at points [N,3]; return [N,3C]."""
+    parts = [
+        sample_plane(plane, points[:, horizontal], points[:, vertical])
+        for plane, (horizontal, vertical) in zip(triplane, AXES, strict=True)
+    ]
+    return np.concatenate(parts, axis=1)
+
+
+def sample_plane(plane: Array, horizontal: Array, vertical: Array) -> Array:
+    """Interpolate features [C,S,S] at coordinates [N] along the two axes; return [N,C].
 
     Pixel centres lie half a pixel inside the cube; beyond them, features fade to zero.
     """
-    size = triplane.shape[-1]
-    pixels = (points / RADIUS + 1) * (size / 2) - 0.5
-    parts = []
-    for plane, (horizontal, vertical) in zip(triplane, AXES, strict=True):
-        padded = np.pad(plane, ((0, 0), (1, 1), (1, 1))).reshape(len(plane), -1).T
-        x, y = (np.clip(pixels[:, axis], -1, size) + 1 for axis in (horizontal, vertical))
-        column = np.minimum(x.astype(np.int64), size)
-        row = np.minimum(y.astype(np.int64), size)
-        u, v = (x - column)[:, None], (y - row)[:, None]
-        first = row * (size + 2) + column
-        top = padded[first] * (1 - u) + padded[first + 1] * u
-        below = padded[first + size + 2] * (1 - u) + padded[first + size + 3] * u
-        parts.append(top * (1 - v) + below * v)
-    return np.ascontiguousarray(np.concatenate(parts, axis=1), np.float32)
+    size = plane.shape[-1]
+    padded = np.pad(plane, ((0, 0), (1, 1), (1, 1))).reshape(len(plane), -1).T
+    x, y = (
+        np.clip((v / RADIUS + 1) * (size / 2) - 0.5, -1, size) + 1 for v in (horizontal, vertical)
+    )
+    column, row = (np.minimum(v.astype(np.int64), size) for v in (x, y))
+    u, v = (x - column)[:, None], (y - row)[:, None]
+    first = row * (size + 2) + column
+    top = padded[first] * (1 - u) + padded[first + 1] * u
+    below = padded[first + size + 2] * (1 - u) + padded[first + size + 3] * u
+    return (top * (1 - v) + below * v).astype(np.float32)

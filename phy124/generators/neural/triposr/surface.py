@@ -27,6 +27,8 @@ NEAR = 3.0
 """Largest difference of the log density from the surface's at which a coarse vertex is refined."""
 FRAGMENT = 0.01
 """Smallest volume of a separate piece, relative to the largest piece; smaller ones are dropped."""
+BATCH = 1 << 18
+"""Number of points between two reports of progress."""
 COUNT = 40_000
 """Approximate number of Gaussians."""
 Step = Callable[[int, int], None]
@@ -60,7 +62,8 @@ def sample_grid(field: Field, step: Step = lambda done, total: None) -> NDArray[
 
     Away from the surface, the values are interpolated from the coarse grid.
     """
-    coarse = _evaluate(field, _axis(COARSE + 1), step)
+    everywhere = np.argwhere(np.ones((COARSE + 1,) * 3, bool))
+    coarse = _evaluate(field, _axis(COARSE + 1), everywhere, step).reshape((COARSE + 1,) * 3)
     near = np.abs(coarse) < NEAR
     for axis in range(3):  # a surface between two vertices is refined in any case
         ahead = np.diff(coarse > 0, axis=axis)
@@ -75,13 +78,8 @@ def sample_grid(field: Field, step: Step = lambda done, total: None) -> NDArray[
     values = _zoom(coarse, index)
     nearest = np.rint(index).astype(np.int64)
     fine = near[np.ix_(nearest, nearest, nearest)]
-    axis = _axis(size)
     places = np.argwhere(fine)
-    total = len(places)
-    for start in range(0, total, 1 << 18):
-        step(start, total)
-        part = places[start : start + (1 << 18)]
-        values[tuple(part.T)] = _log(field(axis[part])[0])
+    values[tuple(places.T)] = _evaluate(field, _axis(size), places, step)
     return drop_fragments(values)
 
 
@@ -120,16 +118,16 @@ def _axis(size: int) -> NDArray[np.float32]:
     return np.linspace(-RADIUS, RADIUS, size, dtype=np.float32)
 
 
-def _evaluate(field: Field, axis: NDArray, step: Step) -> NDArray[np.float32]:
-    """Return log(density / threshold) on a grid [N,N,N] with equal axes."""
-    size = len(axis)
-    values = np.empty((size,) * 3, np.float32)
-    y, z = (part.ravel() for part in np.meshgrid(axis, axis, indexing="ij"))
-    for i, x in enumerate(axis):
-        step(i, size)
-        density, _ = field(np.stack([np.full_like(y, x), y, z], axis=1))
-        values[i] = _log(density).reshape(size, size)
-    return values
+def _evaluate(
+    field: Field, axis: NDArray, places: NDArray[np.int64], step: Step
+) -> NDArray[np.float32]:
+    """Return log(density / threshold) [N] at indices [N,3] of a grid with equal axes."""
+    decode, total = field.on_grid(axis), len(places)
+    parts = []
+    for start in range(0, total, BATCH):
+        step(start, total)
+        parts.append(_log(decode(places[start : start + BATCH])))
+    return np.concatenate(parts) if parts else np.empty(0, np.float32)
 
 
 def _log(density: NDArray) -> NDArray[np.float32]:

@@ -1,0 +1,128 @@
+"""Segments the salient object by trained networks from ONNX files: BiRefNet-lite and IS-Net.
+
+Zheng et al. 2024, "Bilateral Reference for High-Resolution Dichotomous Image Segmentation"; Qin et
+al. 2022, "Highly Accurate Dichotomous Image Segmentation". Their masks have the network's
+resolution and soft edges, so they are not fitted to the image again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from phy124.imaging.image import is_blank
+from phy124.runtime import isolated
+from phy124.runtime.memory import free_memory
+from phy124.weights.catalogue import ABOUT
+from phy124.weights.onnx import OnnxNetwork
+from phy124.weights.store import is_complete, require
+
+Pixels = NDArray[np.uint8]
+SPARE = 0.8
+"""Largest fraction of the free memory that a network may use if it is chosen by "auto"."""
+
+
+@dataclass(frozen=True)
+class Salient:
+    """A network that maps an image to a mask of its salient object."""
+
+    weights: str
+    """Name of its set of weights."""
+    size: int
+    """Width and height of its input [pixels]."""
+    resize: Callable[[Pixels, int], Pixels]
+    """Resampling of the image [H,W,3] to [size,size,3]."""
+    mean: tuple[float, float, float]
+    std: tuple[float, float, float]
+    """Mean and standard deviation that normalise the colours in 0..1."""
+    finish: Callable[[NDArray[np.float32]], NDArray[np.float32]]
+    """Maps the output [size,size] to the probability of the object, 0..1."""
+    title: str
+    """Name of the network in sentences."""
+
+
+def resize_smoothly(rgb: Pixels, size: int) -> Pixels:
+    """Resize to a square with a bilinear filter that widens when it shrinks the image."""
+    return np.asarray(Image.fromarray(rgb).resize((size, size), Image.Resampling.BILINEAR))
+
+
+def resize_sharply(rgb: Pixels, size: int) -> Pixels:
+    """Resize to a square by linear interpolation of the nearest pixels, rounded down."""
+    fine = cv2.resize(rgb.astype(np.float32), (size, size), interpolation=cv2.INTER_LINEAR)
+    return np.floor(np.asarray(fine) + 1e-3).astype(np.uint8)
+
+
+def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the logistic function of the logits."""
+    return (0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32)
+
+
+def stretch(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Scale values linearly to 0..1; equal values, which mean that nothing is salient, give 0."""
+    low, high = float(values.min()), float(values.max())
+    return (values - low) / (high - low) if high > low else np.zeros_like(values)
+
+
+IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+"""Mean and standard deviation of ImageNet's colours."""
+CENTRED = ((0.5, 0.5, 0.5), (1.0, 1.0, 1.0))
+NETWORKS: dict[str, Salient] = {
+    "birefnet": Salient(
+        "birefnet-lite", 1024, resize_smoothly, *IMAGENET, sigmoid, "BiRefNet-lite"
+    ),
+    "birefnet-512": Salient(
+        "birefnet-lite-512", 512, resize_smoothly, *IMAGENET, sigmoid, "BiRefNet-lite at 512 pixels"
+    ),
+    "isnet": Salient("isnet", 1024, resize_sharply, *CENTRED, stretch, "IS-Net"),
+}
+"""Networks by the name of their segmentation method."""
+
+
+def is_available(name: str, image: Image.Image | None = None) -> bool:
+    """Whether the weights of a network and onnxruntime exist, and enough memory is free."""
+    del image
+    weights = NETWORKS[name].weights
+    complete = find_spec("onnxruntime") is not None and is_complete(weights)
+    return complete and ABOUT[weights].memory < SPARE * free_memory()
+
+
+def find_alpha(
+    name: str, image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
+) -> Pixels:
+    """Segment the salient object of an image by a network; return its alpha [H,W].
+
+    Raises:
+        InputError: If weights or onnxruntime are missing, or the file is another network's.
+    """
+    (path,) = require(NETWORKS[name].weights).values()
+    rgb = np.asarray(image.convert("RGB"))
+    return isolated.run(_find_alpha, name, rgb, path, deadline=deadline)
+
+
+def _find_alpha(name: str, rgb: Pixels, path: Path) -> Pixels:
+    if is_blank(rgb):
+        return np.zeros(rgb.shape[:2], np.uint8)  # a network reports an object in any image
+    return find_mask(rgb, NETWORKS[name], OnnxNetwork(path))
+
+
+def find_mask(rgb: Pixels, network: Salient, run: OnnxNetwork) -> Pixels:
+    """Return the mask [H,W], 0..255, of the salient object in an image [H,W,3]."""
+    (output,) = run(prepare(rgb, network))
+    mask = network.finish(np.asarray(output, np.float32).reshape(output.shape[-2:]))
+    size = rgb.shape[1], rgb.shape[0]
+    full = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_LINEAR))
+    return np.rint(255 * np.clip(full, 0, 1)).astype(np.uint8)
+
+
+def prepare(rgb: Pixels, network: Salient) -> NDArray[np.float32]:
+    """Resize and normalise an image [H,W,3]; return [1,3,size,size]."""
+    small = network.resize(rgb, network.size) / 255
+    normal = (small - np.array(network.mean)) / np.array(network.std)
+    return np.ascontiguousarray(normal.transpose(2, 0, 1)[None], np.float32)
