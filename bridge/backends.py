@@ -108,7 +108,7 @@ def open_sink(
         host = "0.0.0.0" if network else "127.0.0.1"
         return FoxgloveSink(options, duration=duration, host=host, port=port, controls=controls)
     if controls is not None:
-        limit = "A run is not steered through this backend."
+        limit = "This backend cannot steer a run."
         raise InputError("backend", backend, limit, f"Use {', '.join(OWN)}.")
     return _registered_sink(backend, options, duration=duration, network=network, port=port)
 
@@ -135,7 +135,7 @@ def _registered_sink(backend: str, options: Options, **how: Any) -> LiveSink:
         raise
     except Exception as error:
         # Whatever exception foreign code raises: the user can only correct or remove the package.
-        limit = f"the sink registered under this name cannot be made ({error})."
+        limit = f"the sink registered under this name cannot be created ({error})."
         raise InputError("backend", backend, limit, remedy) from error
     needed = ("__enter__", "__exit__", "write", "monotonic", "listen", "show", "audience")
     if absent := [name for name in needed if not hasattr(sink, name)]:

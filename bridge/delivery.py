@@ -56,7 +56,8 @@ class Delivery:
         missing = min(self._open, self._depth)
         self.lost += missing
         log.warning(
-            "A subscriber has not acknowledged the last frames in %g s: it may lack %d of them.",
+            "A subscriber has not acknowledged the last frames for %g "
+            "s: it may have missed %d of them.",
             FAREWELL,
             missing,
         )

@@ -66,7 +66,7 @@ class Discovery:
         if os.environ.get(LOCALHOST_ONLY) == "1":
             reach, peers = "LOCALHOST", ()
         if network and reach in ("LOCALHOST", "OFF"):
-            limit = f"The environment allows no other machine (range {reach})."
+            limit = f"The environment restricts discovery to this machine (range {reach})."
             remedy = f"`unset {LOCALHOST_ONLY}` and `export {RANGE}=SUBNET`, or leave it out."
             raise InputError("network", network, limit, remedy)
         if peers and reach in ("OFF", "SYSTEM_DEFAULT"):
@@ -99,11 +99,11 @@ class Discovery:
             else "nodes on this machine",
             "LOCALHOST": "nodes on this machine",
             "OFF": "nobody",
-            "SYSTEM_DEFAULT": "whomever Cyclone DDS finds by its own settings",
+            "SYSTEM_DEFAULT": "participants that Cyclone DDS finds by its own settings",
         }[self.range]
         also = f" and {', '.join(self.peers)}" if self.peers else ""
         need = "" if self.range == "OFF" else f"; there: `{self.export()}`"
-        return f"Discovery range {self.range}, domain {self.domain}: heard by {who}{also}{need}."
+        return f"Discovery range {self.range}, domain {self.domain}: visible to {who}{also}{need}."
 
     def export(self) -> str:
         """Return the shell command for the receiving machine."""

@@ -90,7 +90,7 @@ class FrameEncoder:
         which = evenly(count, limit)
         if which is None:
             return frame
-        self._announce(f"Sending {limit:,} of {count:,} Gaussians, evenly picked (max_points).")
+        self._announce(f"Sending {limit:,} of {count:,} Gaussians, evenly selected (max_points).")
         velocities = None if frame.velocities is None else frame.velocities[which]
         return replace(frame, gaussians=frame.gaussians.select(which), velocities=velocities)
 

@@ -32,7 +32,7 @@ OPTIONAL = {
 BUFFERS = Path("/proc/sys/net/core")
 SHORT = {
     "rmem_max": "too small for 65,536 points per frame",
-    "rmem_default": "which is all that Fast DDS takes: too small for 32,768 points per frame on a "
+    "rmem_default": "the most that Fast DDS uses: too small for 32,768 points per frame on a "
     "busy machine",
 }
 """System setting of the receive buffer -> consequence of a value below `WANTED_BUFFER`."""
@@ -126,7 +126,7 @@ def _optional(package: str, lacking: str) -> str:
         return f"{package}: ready"
     distro = os.environ.get("ROS_DISTRO", "jazzy")
     name = f"ros-{distro}-{package.replace('_', '-')}"
-    return f"{package}: not installed, so {lacking}; `sudo apt install {name}` brings it"
+    return f"{package}: not installed, so {lacking}; `sudo apt install {name}` installs it"
 
 
 def _beside_ros(name: str, module: str, newest: int) -> str:

@@ -193,8 +193,11 @@ class Pacer:
             with self._lock:
                 self.speed, self._anchor = speed, None
         else:
-            limit = "While the simulation runs there are only play, pause, toggle and speed FACTOR."
-            raise InputError("command", text, limit, "Play the saved clip for the others.")
+            limit = (
+                "While the simulation runs, the only commands are play, "
+                "pause, toggle and speed FACTOR."
+            )
+            raise InputError("command", text, limit, "For the other commands, play the saved clip.")
 
 
 class _DropAnnouncer:
@@ -241,7 +244,7 @@ def number(text: str, values: list[str], known: str = KNOWN) -> float:
 
 def unknown(text: str, known: str = KNOWN) -> InputError:
     """Return the error for an unknown command."""
-    limit = f"Known are: {known}."
+    limit = f"The commands are: {known}."
     return InputError("command", repr(text), limit, "Send one of them.")
 
 

@@ -48,8 +48,8 @@ class Options(Section):
     max_points: int | None = Field(
         default=None,
         ge=1,
-        description=f"Largest number of Gaussians, evenly picked. Default: {LIVE_POINTS} live, "
-        f"all in files. Of splats there are never more than {LIVE_SPLATS} live.",
+        description=f"Largest number of Gaussians, evenly selected. Default: {LIVE_POINTS} live, "
+        f"all in files. Splats are limited to {LIVE_SPLATS} live.",
     )
     ellipsoids: int = Field(
         default=0, ge=0, le=10_000, description="Number of covariance ellipsoids sent as markers."

@@ -56,7 +56,7 @@ RUNNING = {
     "loop": Parameter(True, "Start again after the last frame.", while_running=True),
     "max_points": Parameter(
         LIVE_POINTS,
-        "Largest number of points per frame, evenly picked; 0: the default.",
+        "Largest number of points per frame, evenly selected; 0: the default.",
         POINTS,
         while_running=True,
     ),

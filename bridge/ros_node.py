@@ -43,7 +43,9 @@ def _start(start: Callable[[], Any]) -> Any:
     except (RuntimeError, ValueError) as error:
         said = " ".join(str(error).split())
         limit = f"ROS 2 refuses it ({said})."
-        remedy = "Numbers of one list must all have a point or none; see `ros2 run --help`."
+        remedy = (
+            "Either all numbers of a list have a decimal point, or none; see `ros2 run --help`."
+        )
         raise InputError("--ros-args", " ".join(sys.argv[1:]), limit, remedy) from error
 
 

@@ -108,7 +108,7 @@ def offer_standard(node: Any, controls: Controls, ask: Callable[[str], str | Non
     try:
         kinds = import_module(f"{PACKAGE}.srv")
     except ImportError:
-        log.warning("%s `%s` brings it.", MISSING, INSTALL)
+        log.warning("%s `%s` installs it.", MISSING, INSTALL)
         trigger = import_module("std_srvs.srv").Trigger
         for name, command in FALLBACK.items():
             node.create_service(trigger, f"~/{name}", _serve_trigger(ask, command))

@@ -58,7 +58,7 @@ class LiveOptions:
         """
         if not self.live and self != LiveOptions():
             limit = "Options of a simulation were given, but a saved clip is only played."
-            raise InputError("live", self.live, limit, "Add --live, or leave them out.")
+            raise InputError("live", self.live, limit, "Add --live, or leave these options out.")
 
     def resolve(self) -> Scene:
         """Return the scene with all changes, by default with velocities; raises InputError."""
@@ -168,7 +168,7 @@ def make_object(
             log.warning(note)
         if cutout.warnings:
             see = f"Look at it with `phy124 cutout {source}`"
-            mend = "--pick or --mask corrects it, here and there."
+            mend = "Correct it with --pick or --mask in both commands."
             for sentence in (*cutout.warnings, f"{see}; {mend}"):
                 log.warning(sentence)
 

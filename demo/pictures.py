@@ -231,7 +231,7 @@ def read_place(data: Any) -> Point | None:
         raise InputError(
             "pick",
             "unknown",
-            "It is not a place in the picture.",
+            "It is not a point in the picture.",
             "Give two fractions, as in [0.3, 0.5].",
         ) from None
 

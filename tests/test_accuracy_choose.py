@@ -165,7 +165,8 @@ def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
 
 def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):
     with pytest.raises(
-        InputError, match=r"no grid meets it: even D/24, in about .*, would have an error of about"
+        InputError,
+        match=r"no grid meets this target: even D/24, in about .*, would have an error of about",
     ):
         reach(Goal.error("0.0001px"), ball(600), quick)
 

@@ -225,7 +225,7 @@ def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
     assert said["fine"] == "not tried"
     monkeypatch.setattr(study_of, "promise", lambda scene, thickness: Promise(None, "not measured"))
     said = kept_promises(scene, 0.5, (row(16, 0.05, 1),), found)
-    assert said["draft"] == "none was made for such a scene; measured here: 5.0%"
+    assert said["draft"] == "this kind of scene has no expected error; measured here: 5.0%"
     lost = Convergence(None, why_not="not converging: finer grids do not come closer")
     assert kept_promises(scene, 0.5, (row(16, None, 1),), lost)["draft"].startswith(
         "cannot be judged: not con"
@@ -406,7 +406,7 @@ def test_too_few_levels_are_refused_at_once(levels, capsys, monkeypatch):
     monkeypatch.setattr(study_of.Study, "run", None)
     assert main(["accuracy", "drop", "--levels", *levels]) == 2
     error = capsys.readouterr().err
-    assert "three or more grids" in error and "--levels 16 24 32" in error
+    assert "at least three grids" in error and "--levels 16 24 32" in error
 
 
 def test_errors_of_a_run_that_parts_hold_until_then(study):

@@ -133,7 +133,7 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["info", "."], "There is no recording"),
         (["recover", "none"], "There is no recording"),
         (["record", "none.png", "--live"], "There is no such file"),
-        (["record", "CLIP", "--scene", "drop"], "Add --live, or leave them out"),
+        (["record", "CLIP", "--scene", "drop"], "Add --live, or leave these options out"),
         (["play", "CLIP", "--set", "seed=1"], "Add --live"),
         (["record", "CLIP", "--floor"], "Add --live"),
         (["record", "PNG", "--live", "--up", "z"], "relief: --up is for a file of Gaussians"),
@@ -177,7 +177,7 @@ def test_doctor_advises_on_small_buffers(monkeypatch, tmp_path):
     monkeypatch.setattr("bridge.info.BUFFERS", tmp_path)
     largest, default = diagnose()[-2:]
     assert largest == "net.core.rmem_max: 4096 KiB"
-    assert default.startswith("net.core.rmem_default: 208 KiB, which is all that Fast DDS takes")
+    assert default.startswith("net.core.rmem_default: 208 KiB, the most that Fast DDS uses")
     assert "sysctl -w net.core.rmem_default=4194304" in default
     (tmp_path / "rmem_max").write_text("212992\n")
     assert "208 KiB, too small for 65,536 points" in diagnose()[-2]

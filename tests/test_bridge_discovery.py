@@ -51,7 +51,7 @@ def test_subnet_is_the_default_and_stays_on_this_machine(monkeypatch):
     assert peers == ["localhost"]
     assert interfaces(found) == ["127.0.0.1", "autodetermine"]
     assert found.audience() == (
-        "Discovery range SUBNET, domain 0: heard by nodes on this machine; "
+        "Discovery range SUBNET, domain 0: visible to nodes on this machine; "
         "there: `export ROS_DOMAIN_ID=0 ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET`."
     )
 
@@ -87,7 +87,7 @@ def test_ranges_without_peers(monkeypatch, caplog, reach):
     assert peers == []
     assert ("Tag" in texts) is (reach == "OFF")
     assert f"ROS_STATIC_PEERS is ignored in the range {reach}" in caplog.text
-    assert ("heard by nobody." in found.audience()) is (reach == "OFF")
+    assert ("visible to nobody." in found.audience()) is (reach == "OFF")
 
 
 def test_an_unknown_range_is_localhost_as_in_ros(monkeypatch, caplog):
@@ -100,7 +100,7 @@ def test_an_unknown_range_is_localhost_as_in_ros(monkeypatch, caplog):
     [{"AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, {"LOCALHOST_ONLY": "1"}],
 )
 def test_network_against_the_environment_is_refused(monkeypatch, variables):
-    with pytest.raises(InputError, match="allows no other machine"):
+    with pytest.raises(InputError, match="restricts discovery to this machine"):
         discovery(monkeypatch, network=True, **variables)
 
 

@@ -61,7 +61,7 @@ def test_thinning_is_announced_once_and_the_same_in_each_frame(caplog):
     with caplog.at_level(logging.WARNING):
         clouds = [decoded(encoder.encode(frame)[0]) for frame in clip.frames()]
     assert [text.message for text in caplog.records] == [
-        "Sending 30 of 100 Gaussians, evenly picked (max_points)."
+        "Sending 30 of 100 Gaussians, evenly selected (max_points)."
     ]
     kept = np.arange(30) * 100 // 30
     for i, cloud in enumerate(clouds):

@@ -85,7 +85,7 @@ def test_commands_are_obeyed_and_wrong_ones_answered(caplog):
     assert np.allclose(stamps, np.arange(6) / 10)
     assert sink.answers[:2] == [None, sink.answers[1]]
     assert (
-        "Known are: play, pause, toggle, next, restart, seek SECONDS, speed FACTOR"
+        "The commands are: play, pause, toggle, next, restart, seek SECONDS, speed FACTOR"
         in sink.answers[1]
     )
     assert "The clip runs from 0 s to 0.5 s" in sink.answers[2]
@@ -206,7 +206,7 @@ def test_commands_are_answered_while_a_frame_is_computed():
 
     live.follow(simulated(), sink)
     assert answers[:2] == [None, None]
-    assert "only play, pause, toggle and speed" in answers[2]
+    assert "only commands are play, pause, toggle and speed" in answers[2]
     assert "The speed must lie between" in answers[3]
     assert answers[4] is None
     assert [state[0] for state in sink.states] == [False, True, True, True, True, False, False]

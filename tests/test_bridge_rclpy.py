@@ -106,7 +106,7 @@ def test_frames_that_were_not_acknowledged_are_counted(ros, monkeypatch):
     assert waited == [0.0] * 5 + [waited[5]] * 4
     assert 0 < waited[5] < sum(points.waits)
     assert ("WARN", made.logger.lines[-1][1]) == made.logger.lines[-1]
-    assert "it may lack 5 of them" in made.logger.lines[-1][1]
+    assert "it may have missed 5 of them" in made.logger.lines[-1][1]
     assert sink._delivery.lost == 4 + 5
 
 
@@ -239,7 +239,7 @@ def test_refused_services_say_why(ros):
     with RclpySink() as sink:
         live.play(clip, sink, Player(clip.times))
     assert refused[0].success
-    assert any("Known are: play, pause" in text for _, text in ros.nodes[0].logger.lines)
+    assert any("The commands are: play, pause" in text for _, text in ros.nodes[0].logger.lines)
 
 
 def test_rclpy_does_not_pretend_to_know_networks(ros):

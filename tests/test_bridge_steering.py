@@ -160,7 +160,7 @@ BAD = {
     "NaN grab": (lambda i: i.grab(point((0, np.nan, 0))), "finite"),
     "too strong": (lambda i: i.push(wrench((1e30, 0, 0))), "was reduced"),
     "no frame": (lambda i: i.push(wrench((1, 0, 0), frame="nowhere")), "no transform leads"),
-    "empty space": (lambda i: i.grab(point((0, 0, 3))), "away from it"),
+    "empty space": (lambda i: i.grab(point((0, 0, 3))), "away from this point"),
     "no rotation": (lambda i: i.transform(transform("phy124", "a", (0, 0, 0), (0,) * 4)), "unit"),
     "a ring": (
         lambda i: [
@@ -168,7 +168,7 @@ BAD = {
             i.transform(transform("b", "a", (0, 0, 0))),
             i.push(wrench((1, 0, 0), frame="a")),
         ],
-        "above itself",
+        "its own parent",
     ),
     "many frames": (
         lambda i: [i.push(wrench((1, 0, 0), frame=f"f{n}")) for n in range(17)],

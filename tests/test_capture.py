@@ -142,7 +142,7 @@ def test_a_box_alone_has_no_floor(rng):
     faces = rng.uniform(-1, 1, (6000, 3))
     axis = rng.integers(0, 3, 6000)
     faces[np.arange(6000), axis] = np.sign(faces[np.arange(6000), axis])
-    with pytest.raises(InputError, match="reaches no farther than what stands on it"):
+    with pytest.raises(InputError, match="is no larger than the object on it"):
         find_floor(faces)
 
 
@@ -346,5 +346,5 @@ def test_what_is_told_of_a_file_needs_one(tmp_path, capsys, told):
 
 
 def test_a_floor_is_not_forgotten_where_there_is_no_scene():
-    with pytest.raises(InputError, match="A floor is part of a scene"):
+    with pytest.raises(InputError, match="A floor becomes part of a scene"):
         PlyFile("a.ply", FLOOR)()

@@ -132,7 +132,7 @@ def test_what_no_object_names_goes_with_its_neighbour(tmp_path):
     found = read(tmp_path, **places, object_id=[0, 3, np.nan, -1, 2e9])
     assert found.gaussians.object_id.tolist() == [0, 3, 3, 0, 10**6]
     assert (found.dropped, len(found.notes)) == (0, 1)
-    assert found.notes[0].startswith("2 Gaussians name no object")
+    assert found.notes[0].startswith("2 Gaussians belong to no object")
 
 
 def test_where_nothing_names_an_object_all_are_one(tmp_path):

@@ -76,7 +76,7 @@ def test_a_doubtful_cut_out_is_told_before_the_work(dark, tmp_path, capsys, monk
     [
         (["none.png"], "image = none.png: There is no such file."),
         ([str(DUCK), "--out", "a.jpg"], "out = a.jpg: A cut-out needs a format with transparency."),
-        ([str(DUCK), "--out", "no/a.png"], "no file can be written there"),
+        ([str(DUCK), "--out", "no/a.png"], "no file can be written to this path"),
         ([str(DUCK), "--method", "magic"], "birefnet-512, isnet, u2net, u2netp, grabcut."),
     ],
 )
@@ -99,7 +99,7 @@ def test_one_of_several_objects_is_picked(tmp_path, capsys, monkeypatch):
     assert main(["generate", "two.png", "--pick", "0.5,0.1", *more]) == 2
     assert "pick = 0.5,0.1: No object was found" in capsys.readouterr().err
     assert main(["cutout", "two.png", "--pick", "left"]) == 2
-    assert "pick = left: It is not a place in the picture. Give two" in capsys.readouterr().err
+    assert "pick = left: It is not a point in the picture. Give two" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -134,7 +134,7 @@ def test_a_picture_that_is_all_object_leaves_white():
 
 def test_a_photograph_without_an_object_is_refused():
     empty = Image.new("RGBA", (64, 64))
-    with pytest.raises(InputError, match="nothing in it is the object"):
+    with pytest.raises(InputError, match="it shows no part of the object"):
         Photograph.of(empty, empty)
 
 
@@ -178,7 +178,10 @@ def test_generate_composes_and_so_does_render_afterwards(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("more", "words"),
-    [(["--generator", "x.ply"], "does not look at a picture"), (["--resume"], "Continue it first")],
+    [
+        (["--generator", "x.ply"], "does not use a picture"),
+        (["--resume"], "Resume the run without --compose"),
+    ],
 )
 def test_what_cannot_be_composed_is_refused_before_any_work(tmp_path, capsys, more, words):
     command = ["generate", "demo/examples/duck.png", "--compose", "--out", str(tmp_path / "out")]

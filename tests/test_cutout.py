@@ -248,7 +248,7 @@ def test_masks_that_do_not_fit_are_refused(tmp_path):
         cut_out(path, mask=small)
     for grey_level, fraction in ((0, "0%"), (255, "100%")):
         flat = saved(tmp_path, Image.new("L", (120, 120), grey_level), "flat.png")
-        with pytest.raises(InputError, match=f"mask = painted: {fraction} of the picture is white"):
+        with pytest.raises(InputError, match=f"mask = painted: {fraction} of the mask is white"):
             cut_out(path, mask=flat)
     with pytest.raises(InputError, match=r"mask = .*none.png: There is no such file"):
         cut_out(path, mask=tmp_path / "none.png")
@@ -299,7 +299,10 @@ def test_colours_of_the_object_around_it_are_told(monkeypatch, beside, told):
     monkeypatch.setitem(METHODS, "grabcut", found_as(mask))
     found = foreground(picture, "grabcut")
     assert (found.alike > 0.1) == told
-    assert any("of what surrounds the cut-out has its colours" in w for w in found.warnings) == told
+    assert (
+        any("of the cut-out's surroundings has the cut-out's colours" in w for w in found.warnings)
+        == told
+    )
     # Of what a person gave, colours tell nothing.
     given = foreground(picture, mask=Image.fromarray(255 * mask.astype(np.uint8)))
     assert given.warnings == ()

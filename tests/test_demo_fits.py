@@ -125,7 +125,7 @@ def test_what_comes_after_the_scene_is_left_out(tmp_path, monkeypatch, seconds, 
     with pytest.raises(InputError, match="in which the video shows 1 picture"):
         read_video(path, tmp_path / "out", 0.01, speed, LONG)
     path.write_bytes(b"\0\0\0\x20ftypisom" + bytes(99))
-    with pytest.raises(InputError, match="no video that can be read"):
+    with pytest.raises(InputError, match="not a readable video"):
         read_video(path, tmp_path / "out", seconds, speed, LONG)
 
 
@@ -275,7 +275,8 @@ def test_what_cannot_be_told_is_said_with_what_would_tell_it(studio, handlers):
     panel, files = handlers.on_fit_end(studio)(done, gr.EventData(None, {"job": job}), None)
     assert panel["message"] == (
         "The softness cannot be determined from this video, because nothing that was measured "
-        "depends on it. This would determine it: let it wobble freely after the load, or measure "
+        "depends on it. This would determine it: let it oscillate "
+        "freely after the load, or measure "
         "the force on a wall, or load it with a known force in newtons."
     )
     assert files == gr.skip() and "--" not in panel["message"]

@@ -278,5 +278,5 @@ def test_what_is_no_place_in_the_picture_is_refused(place):
     assert (
         read_place(None) is None and read_place([]) is None and read_place([0.25, 1]) == (0.25, 1.0)
     )
-    with pytest.raises(InputError, match=r"not a place in the picture\. Give two fractions"):
+    with pytest.raises(InputError, match=r"not a point in the picture\. Give two fractions"):
         read_place(place)

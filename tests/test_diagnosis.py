@@ -53,7 +53,7 @@ def test_a_particle_is_named_by_number_law_place_and_speed(solver):
     assert law_of(solver.model, 0) == "neo_hookean"
     words = describe_particle(solver.model, solver.state, flying)
     speed = np.linalg.norm(solver.state.v.numpy()[flying])
-    assert words.startswith(f"number {flying} of law sand, at (")
+    assert words.startswith(f"particle {flying} of law sand, at (")
     assert words.endswith(f"with {speed:.3g} m/s") and speed > 0.1
     spoil(solver.state.x, (flying, 0), np.nan)
     words = describe_particle(solver.model, solver.state, flying)
@@ -63,4 +63,4 @@ def test_a_particle_is_named_by_number_law_place_and_speed(solver):
 def test_what_limits_a_substep_and_who_is_fastest_are_said(solver):
     words = describe_substep(solver.model, solver.state, solver.clock)
     assert "limited by the stiffness of the material" in words
-    assert f"fastest is number {len(solver.model) // 2 + 3} of law sand" in words
+    assert f"fastest is particle {len(solver.model) // 2 + 3} of law sand" in words

@@ -250,7 +250,7 @@ def test_generator_returns_gaussians_of_our_size():
     with pytest.raises(Cancelled):
         generator(picture, progress=progress)
     bare = replace(settings, final_extent=1e-3)
-    with pytest.raises(InputError, match="no Gaussian was left"):
+    with pytest.raises(InputError, match="no Gaussian remained"):
         DreamGaussian(guidance=lambda image: guidance, settings=bare, device="cpu")(picture)
     for bad in (picture[..., :3], np.zeros((9, 9, 4), np.uint8)):
         with pytest.raises(InputError):

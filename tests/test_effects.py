@@ -62,8 +62,10 @@ def test_each_effect_either_runs_or_is_left_out_with_a_reason(name):
 
 def test_gaussians_are_particles_only_for_who_asks():
     scene = Scene.named("press")
-    assert "binding is lattice" in whys(Effects.of(scene))["every Gaussian a particle"]
-    assert "every Gaussian a particle" in Effects.of(scene.replaced({"binding": "particles"})).ran
+    assert "binding is lattice" in whys(Effects.of(scene))["one particle for each Gaussian"]
+    assert (
+        "one particle for each Gaussian" in Effects.of(scene.replaced({"binding": "particles"})).ran
+    )
 
 
 def test_velocities_are_computed_only_for_who_asks():
@@ -91,15 +93,18 @@ def test_differenced_velocities_match_the_run():
 
 def test_sleep_and_static_parts_are_named():
     scene = Scene.named("drop")
-    assert "sleep while all rests" in Effects.of(scene).ran
+    assert "sleep while all objects rest" in Effects.of(scene).ran
     sleep = Sleep(size=1.0, frames=20, fps=24.0)
     never = whys(Effects.of(scene, observers=[sleep]))
-    assert never["sleep while all rests"].startswith("it was never")
+    assert never["sleep while all objects rest"].startswith("the object was never")
     off = Effects.of(scene.replaced({"time.sleep": False}))
-    assert whys(off)["sleep while all rests"] == "time.sleep is off"
+    assert whys(off)["sleep while all objects rest"] == "time.sleep is off"
     sleep.since, sleep.skipped, sleep.saved = 5, 9, 900
     slept = Effects.of(scene, observers=[sleep])
-    assert "sleep while all rests: asleep from frame 5, 9 frames, saved 900 substeps" in slept.ran
+    assert (
+        "sleep while all objects rest: asleep from frame 5, 9 frames, saved 900 substeps"
+        in slept.ran
+    )
     part = {"static": True, "region": {"upper": [0, 9, 9]}}
     static = scene.replaced({"parts": [part]})
     assert "static Gaussians: 7 never enter the solver" in Effects.of(static, static=7).ran
@@ -134,7 +139,7 @@ def test_checks_are_effects_with_a_cost():
     costs = {stage["name"]: stage["seconds"] for stage in report["substep_stages"]}
     assert costs["measure"] > 0 and costs["external work"] > 0
     free = whys(Effects.of(Scene.named("spin")))
-    assert "nothing has to be summed" in free["balance of momentum and energy"]
+    assert "their work need not be summed" in free["balance of momentum and energy"]
 
 
 @pytest.mark.parametrize("gradient", ["affine", "spline"])
@@ -148,11 +153,14 @@ def test_effects_name_the_kernels_that_run(gradient):
 
 
 def test_what_looks_for_tears_and_tries_substeps_is_named():
-    search = "search for what the grid tears, and for pieces, in each frame"
+    search = "search for torn material and separate pieces in each frame"
     solid, flowing = Effects.of(Scene.named("press")), Effects.of(Scene.named("water"))
-    assert search in solid.ran and "flows" in whys(flowing)[search]
+    assert search in solid.ran and "flow" in whys(flowing)[search]
     for one in (solid, flowing):
-        assert "substeps tried first where one may be too long, and repeated shorter" in one.ran
+        assert (
+            "trial substeps, which are repeated with a shorter substep if they are too long"
+            in one.ran
+        )
 
 
 def test_less_watching_costs_less_and_moves_the_same():

@@ -278,7 +278,7 @@ def test_a_pressed_block_is_as_stiff_as_its_law():
 def test_names_are_refused_with_those_that_exist(capsys):
     with pytest.raises(InputError, match="elastica, elastica-spline"):
         Validate(name="elastics").run()
-    with pytest.raises(InputError, match="the page holds all experiments"):
+    with pytest.raises(InputError, match="the page shows all experiments"):
         Validate(name="hertz", docs=True).run()
     assert Validate(list=True).run() == 0
     listed = capsys.readouterr().out

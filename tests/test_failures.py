@@ -27,7 +27,11 @@ REFUSED = InputError("scene", "x", "it is no scene.", "Choose another.")
 PROBLEMS = {
     "bad input": (REFUSED, 2, str(REFUSED)),
     "Ctrl-C": (KeyboardInterrupt(), 130, "stopped; no incomplete file"),
-    "denied": (PermissionError(errno.EACCES, "Permission denied", "out"), 1, "the machine refused"),
+    "denied": (
+        PermissionError(errno.EACCES, "Permission denied", "out"),
+        1,
+        "the operating system refused",
+    ),
     "full disk": (FULL, 1, "the disk is full ([Errno 28] No space left on device"),
     "no memory": (MemoryError(), 1, "there is not enough memory (MemoryError)"),
     "no threads": (RuntimeError("can't start new thread"), 1, "there is not enough memory"),
@@ -37,7 +41,7 @@ PROBLEMS = {
     "httpx": (httpx.ConnectError("refused"), 1, "httpx failed: ConnectError: refused"),
     "encoding": (UnicodeEncodeError("ascii", "ä", 0, 1, "no"), 1, "a text cannot be read or wr"),
     "a bug": (RuntimeError("two\nlines"), 1, "RuntimeError: two lines"),
-    "exit": (SystemExit(0), 1, "the program was ended early by one of its parts (exit status 0)"),
+    "exit": (SystemExit(0), 1, "a library ended the program early (exit status 0)"),
 }
 STAGES = {
     "cut out": ("generate", "phy124.pipeline.gaussians.cut_out"),

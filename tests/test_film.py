@@ -135,7 +135,7 @@ def test_slow_motion_plays_the_same_pictures_longer(tmp_path, clip):
 
 def test_choppy_slow_motion_is_told_of(clip):
     told = note_if_choppy(clip, view(speed=0.25))
-    assert told is not None and "6 pictures per second" in told and "--fps 96" in told
+    assert told is not None and "6 frames per second" in told and "--fps 96" in told
     assert (
         note_if_choppy(clip, view(speed=0.5)) is None and note_if_choppy(clip, view(fps=2)) is None
     )

@@ -68,7 +68,7 @@ def test_a_glb_keeps_the_object_of_each_gaussian(tmp_path, three_gaussians, orde
     content = read_gaussians(glb_with(tmp_path / "b.glb", several, twice))
     assert content.gaussians.object_id is not None
     assert content.gaussians.object_id.tolist() == [2, 0, 7] * 2
-    assert "3 Gaussians name no object" in content.notes[0]
+    assert "3 Gaussians belong to no object" in content.notes[0]
 
 
 def test_nodes_of_a_glb_move_turn_and_scale_their_gaussians(tmp_path, rng):
@@ -117,7 +117,7 @@ SPLATS = "meshes/0/primitives/0/extensions/KHR_gaussian_splatting"
         ("nodes/0/scale", [1, 2, 1], "unevenly"),
         ("nodes/0/scale", [-1, 1, 1], "mirrors"),
         ("nodes/0/children", [0], "cycle of nodes"),
-        ("accessors/0/count", 10**9, "announces 1,000,000,000"),
+        ("accessors/0/count", 10**9, "states 1,000,000,000"),
         ("accessors/2/count", 7, "7 values for 3 Gaussians"),
         ("accessors/2/componentType", 5123, "not normalised"),
         ("accessors/3/type", "MAT2", "of type MAT2"),
@@ -126,12 +126,12 @@ SPLATS = "meshes/0/primitives/0/extensions/KHR_gaussian_splatting"
         (
             "accessors/0/sparse",
             {"count": 1, "indices": {"bufferView": 0, "componentType": 5126}},
-            "no whole indices",
+            "are not integers",
         ),
         (
             "accessors/0/sparse",
             {"count": 1, "indices": {"bufferView": 3, "componentType": 5125}},
-            "not there",
+            "do not exist",
         ),
         ("meshes/0/primitives/0/attributes/POSITION", -1, "no number -1"),
         ("meshes/0/primitives/0/indices", 0, "selected by indices"),

@@ -61,7 +61,7 @@ def materials(law: str) -> st.SearchStrategy[dict[str, Any]]:
 
 
 MATERIAL = st.one_of([materials(law) for law in LAWS.by_name])
-TIMEOUT = r"^frame \d+ was reached in .*time\.budget: .*number \d+ of law .* Use "
+TIMEOUT = r"^frame \d+ was reached in .*time\.budget: .*particle \d+ of law .* Use "
 PROFILE = st.sampled_from(
     [
         {"kind": "constant"},

@@ -87,7 +87,7 @@ def started(tmp_path: Path) -> str:
 
 
 def test_a_command_that_never_ends_is_ended_with_all_it_started(tmp_path):
-    with pytest.raises(InputError, match="longer than 3 s and was ended"):
+    with pytest.raises(InputError, match="longer than 3 s and was stopped"):
         make(f"cmd 3: {started(tmp_path)}")(PICTURE, seed=0, progress=lambda *_: None)
     ends(int((tmp_path / "number").read_text()))
 
@@ -108,11 +108,11 @@ def test_a_cancelled_run_ends_it_at_once(tmp_path):
     ("text", "limit"),
     [
         ("cmd: nothing-of-that-name {image} {out}", "cannot be started"),
-        ("cmd: copy {image}", r"names no \{out\}"),
-        ("cmd: copy {out}", r"names no \{image\}"),
+        ("cmd: copy {image}", r"does not contain \{out\}"),
+        ("cmd: copy {out}", r"does not contain \{image\}"),
         ("cmd: 'copy {image} {out}", "cannot be read"),
-        ("cmd 0: copy {image} {out}", "no command"),
-        ("cmd x: copy {image} {out}", "no command"),
+        ("cmd 0: copy {image} {out}", "not a command"),
+        ("cmd x: copy {image} {out}", "not a command"),
     ],
 )
 def test_commands_that_are_none_are_refused(text, limit):

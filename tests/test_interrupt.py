@@ -127,7 +127,7 @@ def test_a_run_with_a_goal_goes_on_at_the_accuracy_in_hand(tmp_path):
 
 def test_there_must_be_something_to_go_on_with(tmp_path, capsys):
     assert main(["generate", str(DUCK), "--out", str(tmp_path / "none"), "--resume"]) == 2
-    assert "no interrupted run was left there" in capsys.readouterr().err
+    assert "this folder has no interrupted run" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

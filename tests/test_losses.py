@@ -159,7 +159,7 @@ def test_finished_sides_stay_if_a_later_one_fails(tmp_path, monkeypatch, capsys,
         assert f"kept in {out}: front.mp4" in said
         assert names(out) == {"front.mp4"}
     else:
-        assert "sides that were not filmed are missing" in said
+        assert "views that were not filmed are missing" in said
         assert names(out) == {"front.mp4", "comparison.json"}
 
 
@@ -193,7 +193,7 @@ def test_it_is_said_if_nothing_can_be_kept(tmp_path, monkeypatch, temporary):
     assert list(temporary.iterdir()) == [] and not (tmp_path / "out").exists()
 
 
-@pytest.mark.filterwarnings("ignore:the results are forecast to take")
+@pytest.mark.filterwarnings("ignore:the results need about")
 @pytest.mark.filterwarnings("ignore:the state of the run cannot be written")
 def test_a_disk_too_small_for_everything_gets_the_clip(tmp_path, temporary, every_frame):
     with small_disk(tmp_path / "disk", "300k") as disk:
@@ -213,13 +213,13 @@ def test_too_little_room_is_said_before_work(tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)._replace(free=307_000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     with (
-        pytest.warns(UserWarning, match=r"forecast to take .*, and .* has room for 307.0 kB"),
+        pytest.warns(UserWarning, match=r"the results need about .*, and .* has room for 307.0 kB"),
         pytest.raises(Cancelled),
     ):
         pipeline.simulate(ball(900), SCENE, tmp_path / "out", progress=stop)
 
 
-@pytest.mark.filterwarnings("ignore:the results are forecast to take")
+@pytest.mark.filterwarnings("ignore:the results need about")
 @pytest.mark.filterwarnings("ignore:frames are kept in memory only")
 def test_an_interruption_while_the_disk_is_full_keeps_the_frames(tmp_path, temporary):
     def stop(stage: str, done: int, total: int) -> None:

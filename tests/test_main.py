@@ -126,7 +126,7 @@ def test_render_draws_in_as_many_threads_as_are_asked_for(made, tmp_path, capsys
         main([*arguments, "--out", str(tmp_path / "none"), *told])
     assert given == [None, 3]
     assert main([*arguments, "--threads", "0"]) == 2
-    assert "a run takes 1 to 256 threads" in capsys.readouterr().err
+    assert "a run can use 1 to 256 threads" in capsys.readouterr().err
 
 
 def test_render_makes_every_format_from_any_angle(made, tmp_path, capsys):
@@ -151,7 +151,7 @@ def test_render_rejects_values_of_the_simulation(made, tmp_path, capsys, change)
     assert main(["render", clip, "--out", str(tmp_path / "out"), "--set", change]) == 2
     key = change.partition("=")[0]
     message = capsys.readouterr().err
-    assert message.startswith(f"phy124: {key} = ") and "belongs to the simulation" in message
+    assert message.startswith(f"phy124: {key} = ") and "is a setting of the simulation" in message
     assert f"Add `--set {key}=...` to" in message and not (tmp_path / "out").exists()
 
 
@@ -162,7 +162,7 @@ def test_clip_is_filmed_slowly_by_moving_cameras(made, tmp_path, capsys):
     assert main([*clip, *options, "--speed", "0.25", "--out", str(tmp_path / "out")]) == 0
     told = json.loads(capsys.readouterr().out)
     assert [Path(name).name for name in told["files"]] == ["closer-outputs", "closer.mp4"]
-    assert "6 pictures per second" in told["notes"][-1]
+    assert "6 frames per second" in told["notes"][-1]
     made_files = sorted(path.name for path in (tmp_path / "out/closer-outputs").iterdir())
     depths = [f"depth_000{i}.png" for i in (1, 2, 3)]
     assert made_files == [*depths, "flow_0001.png", "flow_0002.png", "outputs.json"]
@@ -362,7 +362,7 @@ def test_what_of_a_file_is_dropped_is_said(tmp_path, capsys):
     said = capsys.readouterr().out
     sentences = [
         "100 of 1000 Gaussians of the file had NaN or infinite values and were dropped.",
-        "10 of 1000 Gaussians of the file were fainter than 0.005 and were dropped.",
+        "10 of 1000 Gaussians of the file had an opacity below 0.005 and were dropped.",
     ]
     assert said.startswith("scene: neo_hookean (density 1000 kg/m^3, E 40000 Pa, nu 0.35")
     assert json.loads((tmp_path / "o/report.json").read_text())["cleaning"] == sentences

@@ -79,7 +79,7 @@ FEW = {"accuracy": {"cells": 8}, "time.frames": 3}
 SPHERE = {"kind": "sphere", "centre": [0.1, 0.05, 0.1], "radius": 0.3}
 REGION = {"lower": [-1, -1, 0.4], "upper": [1, 1, 2]}
 EVERYTHING = {
-    "every Gaussian a particle": ("drop", {"binding": "particles", "boundaries": [SPHERE]}),
+    "one particle for each Gaussian": ("drop", {"binding": "particles", "boundaries": [SPHERE]}),
     "sand with contacts": ("sand", {"contacts": True}),
     "pushed": ("wind", {"forces": [{"kind": "wind"}, {"kind": "acceleration", "region": REGION}]}),
     **{law: ("drop", {"material": {"law": law}}) for law in LAWS.by_name},

@@ -93,7 +93,7 @@ def corners(values, faces="3 0 1 2"):
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("a.fbx", b"x", "no mesh in a format"),
+        ("a.fbx", b"x", "not a mesh in a format"),
         ("a.glb", b"", "0 bytes"),
         ("a.glb", b"glTF" + bytes(40), "cannot be read as a mesh"),
         ("a.stl", bytes(80) + struct.pack("<I", 4_000_000_000), "0 of 4,000,000,000"),

@@ -96,10 +96,10 @@ def test_manual_cutout_is_kept_whole_without_a_click(alpha):
 @pytest.mark.parametrize(
     ("pick", "message"),
     [
-        ((0.55, 0.1), r"pick = 0.55,0.1: No object was found at this place.* or mark it"),
-        ((1.2, 0.5), r"pick = 1.2,0.5: It is not a place in the picture\. Give two fractions"),
-        ((float("nan"), 0.5), r"pick = nan,0.5: It is not a place"),
-        ((0.5,), r"pick = 0.5: It is not a place"),
+        ((0.55, 0.1), r"pick = 0.55,0.1: No object was found at this point.* or mark the object"),
+        ((1.2, 0.5), r"pick = 1.2,0.5: It is not a point in the picture\. Give two fractions"),
+        ((float("nan"), 0.5), r"pick = nan,0.5: It is not a point"),
+        ((0.5,), r"pick = 0.5: It is not a point"),
     ],
 )
 def test_places_without_an_object_are_refused(alpha, tmp_path, pick, message):

@@ -33,7 +33,7 @@ CASES = {
     "a bag": (["metadata.yaml", "a_0.mcap"], "a recording", "ros2 bag play"),
     "a bag being written": (["a_0.mcap"], "a recording", "bridge info"),
     "a run": (["clip.safetensors"], "folder of a run", "Give {}/clip.safetensors"),
-    "others": ([], "it is a folder", "Give a file in it"),
+    "others": ([], "it is a folder", "Give a file in this folder"),
 }
 
 
@@ -76,8 +76,8 @@ def test_a_file_that_may_not_be_read_is_not_called_missing(tmp_path, monkeypatch
 
     monkeypatch.setattr(opening, "open", refuse, raising=False)
     assert obstacle(path) == (
-        "it may not be read (Permission denied).",
-        "Ask its owner, or change its mode.",
+        "you have no permission to read it (Permission denied).",
+        "Ask its owner for access, or change its permissions.",
     )
 
 
@@ -98,7 +98,7 @@ def test_without_permission_each_command_says_so(tmp_path, monkeypatch, capsys, 
     finally:
         os.seteuid(0)
     said = capsys.readouterr().err
-    assert status == 2 and "may not be read (Permission denied)" in said
+    assert status == 2 and "have no permission to read it (Permission denied)" in said
 
 
 @pytest.mark.parametrize("name", ["none.ply", "file/none.ply", "a\0b"])
@@ -145,4 +145,4 @@ def test_a_zip_archive_of_no_sog_is_called_that(tmp_path, capsys):
     with zipfile.ZipFile(tmp_path / "it.zip", "w") as archive:
         archive.writestr("point_cloud.ply", b"ply\n")
     assert main(["convert", str(tmp_path / "it.zip"), str(tmp_path / "out.ply")]) == 2
-    assert "a zip archive, but no SOG" in capsys.readouterr().err
+    assert "a zip archive, but not a SOG" in capsys.readouterr().err

@@ -52,7 +52,8 @@ def test_of_a_known_way_up_the_fronts_are_drawn(file, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "limit"), [(["--up", "w"], "It is no axis"), (["--out", "a.jpg"], "no PNG file")]
+    ("options", "limit"),
+    [(["--up", "w"], "It is not an axis"), (["--out", "a.jpg"], "not the name of a PNG file")],
 )
 def test_refusals(file, capsys, options, limit):
     assert main(["orient", str(file), *options]) == 2

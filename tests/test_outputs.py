@@ -208,7 +208,7 @@ def test_outputs_that_cannot_be_are_refused(changes, sentence):
 
 def test_a_single_frame_has_no_flow():
     scene = Scene.from_data({"time": {"frames": 1}, "view": {"outputs": ["depth", "flow"]}})
-    with pytest.raises(InputError, match=r"^view.outputs = flow: a single frame does not move"):
+    with pytest.raises(InputError, match=r"^view.outputs = flow: flow needs at least two frames"):
         refuse_unfilmable(scene)
     refuse_unfilmable(scene.replaced({"view.outputs": ["depth", "normals", "alpha"]}))
 
@@ -248,6 +248,6 @@ def test_a_force_is_where_it_acts():
 
 
 def test_clip_without_forces_is_refused_first(tmp_path, clip):
-    with pytest.raises(InputError, match=r"kept no forces.*Simulate it again with --outputs force"):
+    with pytest.raises(InputError, match=r"has no forces.*Simulate it again with --outputs force"):
         film(clip, view(outputs=["alpha", "force"], formats=["png"]), tmp_path, device="cpu")
     assert not list(tmp_path.iterdir())

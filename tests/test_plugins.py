@@ -152,7 +152,9 @@ def test_what_they_are_they_say_themselves():
 def test_scene_with_unnamed_plugins_is_not_written():
     scene = own().replaced({"time.fps": 30})
     assert isinstance(scene.material, Rubber) and scene.time.fps == 30
-    with pytest.raises(InputError, match=r"Rubber.* a scene file cannot name it\. Register it"):
+    with pytest.raises(
+        InputError, match=r"Rubber.* which has no name in scene files\. Register it"
+    ):
         scene.to_toml()
 
 
@@ -235,8 +237,8 @@ def test_a_registered_sink_is_chosen_by_name(installed):
 @pytest.mark.parametrize(
     ("name", "complaint"),
     [
-        ("none", "cannot be made"),
-        ("clip", "cannot be made"),
+        ("none", "cannot be created"),
+        ("clip", "cannot be created"),
         ("gone", "cannot be loaded"),
         ("lump", "Did you mean lamp"),
     ],

@@ -263,7 +263,7 @@ REFUSED = {
     "ragged": (header(encoding="ascii") + b"1 " * 29, "it.ply", "one value per property"),
     "cut header": (header()[:-20], "it.ply", "cut short within its header"),
     "huge header": (b"ply\n" + b"comment x\n" * MAX_BYTES, "it.ply", "header is longer than"),
-    "huge count": (header(count=10**9), "it.ply", "announces 1,000,000,000"),
+    "huge count": (header(count=10**9), "it.ply", "states 1,000,000,000"),
     "negative": (header(count=-1), "it.ply", "malformed .element vertex counts -1 rows"),
     "fraction": (header(count="2.0"), "it.ply", "element vertex counts 2.0 rows"),
     "digits": (header(count="9" * 5000), "it.ply", "element vertex counts 9{40} rows"),
@@ -274,7 +274,7 @@ REFUSED = {
     "rest": (header([*NAMES, "f_rest_0"]) + bytes(999), "it.ply", "has 1 f_rest values"),
     "rest gap": (header(GAP) + bytes(999), "it.ply", "9 f_rest"),
     "all nan": (header(count=1) + struct.pack("<f", np.nan) * 14, "it.ply", "finite values"),
-    "list": (header(after=["property list uchar int i"]), "it.ply", "lists before or in"),
+    "list": (header(after=["property list uchar int i"]), "it.ply", "list properties before or in"),
 }
 
 

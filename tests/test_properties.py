@@ -200,12 +200,12 @@ def test_columns_of_the_gaussians_own_file(tmp_path):
         ({"E": np.full(10, np.nan)}, "10 values of E are not finite"),
         ({"E": np.full(10, 1e20)}, "E = 1e.20: it must be a number from 1 to 1e13"),
         ({"nu": np.linspace(0.1, 0.7, 10)}, r"nu = 0\.7: it must be"),
-        ({"E": np.ones((2, 5))}, "columns are not equally long"),
+        ({"E": np.ones((2, 5))}, "columns have different lengths"),
         ({"colour": np.ones(10)}, "none of E, nu, density, damping, fraction and law"),
         ({"law": np.full(10, "jam")}, "law jam: there is no such law"),
         ({"law": np.full(10, 17)}, "law 17 is not known"),
         ({"law": np.full(10, 4), "E": np.ones(10)}, "law fluid has no E"),
-        ({"E": np.array(["a"] * 10)}, "its E are no numbers"),
+        ({"E": np.array(["a"] * 10)}, "its E are not numbers"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_words(tmp_path, arrays, limit):

@@ -150,6 +150,6 @@ def test_pictures_that_contradict_each_other_are_refused(options, why):
 
 def test_a_back_that_was_mirrored_is_recognised():
     arm = ellipse(25) | ((abs(Y - 50) < 20) & (X > 80) & (X < 150))
-    with pytest.raises(InputError, match="mirror the picture"):
+    with pytest.raises(InputError, match="mirror it back"):
         relief(picture(arm), back=picture(arm), count=500)
     relief(picture(arm), back=picture(arm[:, ::-1]), count=500)

@@ -122,7 +122,7 @@ def test_pauses_of_other_versions_are_refused(tmp_path):
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         metadata = dict(file.metadata())
     save_file(tensors, tmp_path / "earlier", {**metadata, "format": "phy124-pause"})
-    with pytest.raises(InputError, match="another version of phy124 wrote it"):
+    with pytest.raises(InputError, match="it was written by another version of phy124"):
         resume.load(tmp_path / "earlier")
 
 

@@ -263,7 +263,7 @@ def test_a_frame_that_fails_twice_stops_and_keeps_the_good_ones(tmp_path, monkey
     assert not clip.report["complete"]
     stopped = clip.report["stopped"]
     assert "frame 3 is not sound" in stopped
-    assert "number 11 of law neo_hookean" in stopped
+    assert "particle 11 of law neo_hookean" in stopped
     assert stopped.endswith("Use accuracy.cfl = 0.188.")
     assert clip.report["remedies"][0]["accuracy"]["cfl"] == pytest.approx(CFL / 4)
     clip.save(tmp_path / "c.safetensors")
@@ -285,7 +285,7 @@ def test_first_non_finite_particle_is_named(monkeypatch):
 
     monkeypatch.setattr(s.solver, "step", poison)
     stopped = s.run().report["stopped"]
-    assert "1 particles are NaN or infinite, first number 150 of law" in stopped
+    assert "1 particles are NaN or infinite, first particle 150 of law" in stopped
 
 
 def test_graph_names_the_same_non_finite_particle(monkeypatch):
@@ -314,7 +314,7 @@ def test_graph_names_the_same_non_finite_particle(monkeypatch):
     monkeypatch.setattr(s.solver, "step", poisoned_step)
     stopped = s.run().report["stopped"]
     assert max(visits) > 0.095
-    assert re.search(r"frame \d is not sound.* first number 150 of law", stopped)
+    assert re.search(r"frame \d is not sound.* first particle 150 of law", stopped)
 
 
 def test_the_report_says_what_limited_the_substep():
@@ -332,5 +332,5 @@ def test_a_run_that_turns_out_endless_stops_by_itself(monkeypatch):
     clip = s.run()
     stopped = clip.report["stopped"]
     assert re.search(r"time.budget: a substep is .+ s, limited by the stiffness of the", stopped)
-    assert "fastest is number" in stopped
+    assert "fastest is particle" in stopped
     assert len(clip) >= 1

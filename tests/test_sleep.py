@@ -82,7 +82,7 @@ def test_at_rest_it_sleeps_until_a_blow_and_nothing_differs():
         "substeps": b.report["substeps"] - a.report["substeps"],
     }
     sentence = f"asleep from frame 3, 4 frames, saved {slept.find(Sleep).saved} substeps"
-    assert f"sleep while all rests: {sentence}" in a.report["effects"]["ran"]
+    assert f"sleep while all objects rest: {sentence}" in a.report["effects"]["ran"]
     (left_out,) = (o for o in b.report["effects"]["left_out"] if "sleep" in o["effect"])
     assert left_out["why"] == "time.sleep is off"
 
@@ -143,7 +143,7 @@ def test_something_that_moves_anywhere_keeps_it_awake():
     assert still.report()["sleep"] is not None
     left_out = awake.report()["effects"]["left_out"]
     (why,) = (o["why"] for o in left_out if "sleep" in o["effect"])
-    assert why == "it was never at rest for long enough"
+    assert why == "the object was never at rest for long enough"
 
 
 @pytest.mark.parametrize("pause", [1, 2, 4, 8])

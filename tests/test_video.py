@@ -134,9 +134,9 @@ def test_refusals(tmp_path, write):
     with pytest.raises(InputError, match="name of a folder"):
         write(tmp_path / f"folder{name}", [plain(0)], fps=24)
     for fps in (0, -1, 1e-5, float("nan"), float("inf"), 1000):
-        with pytest.raises(InputError, match="pictures per second"):
+        with pytest.raises(InputError, match="frames per second"):
             write(tmp_path / name, [plain(0)], fps=fps)
-    with pytest.raises(InputError, match="at least one picture"):
+    with pytest.raises(InputError, match="at least one frame"):
         write(tmp_path / name, iter([]), fps=24)
     for wrong in (plain(0).astype(np.float32), plain(0)[..., :2], plain(0)[..., 0]):
         with pytest.raises(ValueError, match="wanted uint8"):

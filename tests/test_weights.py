@@ -226,7 +226,7 @@ def test_unreachable_or_absent_file_is_one_sentence(hub, tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"could not be fetched.*hf download maker/toy absent.bin"):
         fetch("toy", tmp_path, endpoint=hub.endpoint)
     monkeypatch.setattr("time.sleep", lambda seconds: None)  # between the library's retries
-    with pytest.raises(InputError, match=r"could not be fetched.*what has arrived is kept"):
+    with pytest.raises(InputError, match=r"could not be fetched.*the downloaded part is kept"):
         fetch("toy", tmp_path, endpoint="http://127.0.0.1:9")
 
 

@@ -19,7 +19,7 @@ from launch_ros.substitutions import FindPackageShare
 
 PACKAGE = "phy124_bridge"
 PARAMETERS = {
-    "clip": (str, "A clip.safetensors made by phy124; this or source is needed."),
+    "clip": (str, "A clip.safetensors made by phy124; give either clip or source."),
     "source": (str, "A picture or a file of Gaussians, simulated while it is shown."),
     "scene": (str, "With source: preset (see `phy124 scenes`) or path of a .toml file."),
     "profile": (str, "Numbers per point: viz, full, small, ply or splats."),

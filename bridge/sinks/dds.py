@@ -113,7 +113,10 @@ class DdsSink:
     def audience(self) -> str:
         """Describe in a line who receives the frames, and the command that receivers need."""
         if URI in os.environ:
-            return f"Domain {self._discovery.domain}; {URI} decides who hears it."
+            return (
+                f"Domain {self._discovery.domain}; {URI} determines "
+                "which machines receive the topics."
+            )
         return self._discovery.audience()
 
     def write(self, frame: Frame) -> None:

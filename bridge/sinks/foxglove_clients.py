@@ -22,7 +22,7 @@ from ..topics import COMMAND, Controls, Hear, Service, Topic, full_name
 ENCODING = "json"
 BACKLOG = 100
 """Largest number of waiting messages; when it is exceeded, the oldest are dropped."""
-FLOOD = f"Messages arrive faster than they are read: only the newest {BACKLOG} count."
+FLOOD = f"Messages arrive faster than they are read: only the newest {BACKLOG} are kept."
 OFTEN = 0.2
 """Interval between two checks whether the sink was closed [s]."""
 Job = Callable[[Obey], object]
@@ -64,10 +64,13 @@ class Clients:
             encoding: Encoding of the messages.
         """
         if topic not in self._heard:
-            said = f"{topic}: nothing is heard there; topics are {', '.join(sorted(self._heard))}."
+            said = (
+                f"{topic}: messages on this topic are ignored; the topics "
+                f"are {', '.join(sorted(self._heard))}."
+            )
             self._post(lambda obey: self._refused(said))
         elif encoding != ENCODING:
-            said = f"{topic}: messages are JSON here, not {encoding}."
+            said = f"{topic}: messages must be JSON, not {encoding}."
             self._post(lambda obey: self._refused(said))
         else:
             self._channels[client, channel] = topic
@@ -158,7 +161,7 @@ def from_json(name: str, data: bytes) -> Any:
     try:
         content = json.loads(data or b"{}")
     except (ValueError, RecursionError) as error:
-        raise InputError(name, data[:40], f"it is no JSON ({error}).", REMEDY) from None
+        raise InputError(name, data[:40], f"it is not JSON ({error}).", REMEDY) from None
     return _message(name, content, name)
 
 

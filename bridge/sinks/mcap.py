@@ -223,7 +223,7 @@ class McapSink:
         kept = f"{self.frames} frames are safe in {self.file}"
         if not self._single and self._older.exists():
             kept += f", and the older recording in {self._older}"
-        return Incomplete(f"{kept}. `{PROGRAM} recover {self.path}` makes them a recording")
+        return Incomplete(f"{kept}. `{PROGRAM} recover {self.path}` turns them into a recording")
 
 
 def require_mcap() -> None:

@@ -108,7 +108,10 @@ class RclpySink:
 
     def audience(self) -> str:
         """Describe in a line the node, and who receives the frames."""
-        return f"Node {self._name}, heard as ROS 2's own variables say (ros2 node list)."
+        return (
+            f"Node {self._name}; ROS 2's environment variables determine which "
+            "machines receive its topics (ros2 node list)."
+        )
 
     def write(self, frame: Frame) -> None:
         """Publish a frame."""

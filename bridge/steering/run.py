@@ -130,7 +130,7 @@ class SteeredRun:
 
     def _must_be_paused(self, count: float) -> None:
         if self.state is not State.PAUSED:
-            limit = f"steps are made while it is paused, and it is {self.state.name.lower()}."
+            limit = f"steps need a paused simulation, but it is {self.state.name.lower()}."
             raise InputError("steps", count, limit, "Pause it first.")
 
     def enter(self, state: State) -> None:

@@ -82,7 +82,10 @@ class Standard:
         """Play, pause, stop (which resets), or quit."""
         wanted = request.state.state
         if wanted not in tuple(State):
-            said = f"There is no state {wanted} here: 0 stopped, 1 playing, 2 paused, 3 quitting."
+            said = (
+                f"There is no state {wanted}; the states are 0 stopped, "
+                "1 playing, 2 paused, 3 quitting."
+            )
             return {"result": result(Code.FEATURE_UNSUPPORTED, said)}
         if self._run.state == wanted:
             return {"result": result(Code.ALREADY_IN_TARGET_STATE, "It is in that state already.")}
@@ -102,7 +105,7 @@ class Standard:
         """Reset the time, the object, or both."""
         scope = request.scope
         if scope != SCOPE_DEFAULT and not scope & (SCOPE_TIME | SCOPE_STATE):
-            said = f"Of the scopes there are time (1) and state (2) here, not {scope}."
+            said = f"The scopes are time (1) and state (2), not {scope}."
             return {"result": result(Code.FEATURE_UNSUPPORTED, said)}
         everything = scope == SCOPE_DEFAULT
         self._run.reset(

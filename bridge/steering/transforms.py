@@ -62,7 +62,7 @@ class Transforms:
                 return frame, pose
             frame, link = self._links[frame]
             pose = link @ pose
-        limit = f"it has more than {DEEPEST} frames above it, or is above itself."
+        limit = f"it has more than {DEEPEST} parent frames, or is its own parent."
         raise InputError("frame_id", frame, limit, "Correct the tree of frames.")
 
 

@@ -224,7 +224,7 @@ def _run(goal: Goal, runs: _Runs, cells: int) -> None:
     try:
         runs.clip(cells)
     except InputError as error:
-        why = f"it takes D/{cells}, and there {error.limit.rstrip('.')}"
+        why = f"this needs D/{cells}, for which {error.limit.rstrip('.')}"
         raise _unreachable(goal, why) from None
 
 
@@ -325,8 +325,8 @@ def _unreachable(goal: Goal, why: str) -> InputError:
     return InputError(
         "max_error",
         goal.text,
-        f"no grid meets it: {why}.",
-        "Allow a larger error, or see `phy124 accuracy` for what each grid achieves here.",
+        f"no grid meets this target: {why}.",
+        "Allow a larger error, or compare the grids with `phy124 accuracy`.",
     )
 
 

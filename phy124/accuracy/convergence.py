@@ -98,7 +98,10 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
     trusted = float(np.clip(observed, *TRUSTED))
     fit = _fit(h, apart, trusted)
     if abs(observed - trusted) > NEAR:
-        note = f"the observed order is outside {TRUSTED[0]:g} to {TRUSTED[1]:g}: errors are rough"
+        note = (
+            f"the observed order is outside {TRUSTED[0]:g} to {TRUSTED[1]:g}, "
+            "so the errors are rough estimates"
+        )
         errors = tuple(SAFETY * error for error in fit.errors)
         fit = replace(fit, errors=errors, factor=SAFETY, note=note)
     return replace(fit, order=observed)

@@ -441,7 +441,7 @@ def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
     if moving > UNSURE:
         return (
             f"The speed of the material, not its stiffness, limits {moving:.0%} of the substeps. "
-            "This differs between grids, so the seconds are only a guess."
+            "This differs between grids, so the predicted time is only a rough estimate."
         )
     return None
 

@@ -478,12 +478,12 @@ def check_promise(promised: Promise, error: float, until: float | None = None) -
     """
     here = f"measured here{'' if until is None else f' up to {until:.2f} s'}: {error:.1%}"
     if promised.error is None:
-        return f"none was made for such a scene; {here}"
+        return f"this kind of scene has no expected error; {here}"
     if promised.seconds is not None:
         only = f"the first {promised.seconds:.2f} s only"
-        return f"at most {promised.error:.1%} was made for {only}; {here}"
+        return f"at most {promised.error:.1%} was expected for {only}; {here}"
     if until is not None:
-        return f"at most {promised.error:.1%} was made for the whole motion; {here}"
+        return f"at most {promised.error:.1%} was expected for the whole motion; {here}"
     verdict = "holds" if error <= promised.error else "DOES NOT HOLD"
     return f"{verdict}: {error:.1%} of at most {promised.error:.1%}"
 

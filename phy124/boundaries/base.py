@@ -87,7 +87,7 @@ class Boundary(Section):
         default=None,
         exclude_if=lambda name: name is None,
         examples=["object"],
-        description="Name of the only object that meets it; all do if absent.",
+        description="Name of the only object that this boundary affects; absent: all objects.",
     )
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
@@ -210,7 +210,7 @@ class Boundary(Section):
                 f"boundaries.{type(self).__name__.lower()}",
                 f"{2 * self.thickness():g} m",
                 f"{self.thing} is thinner than two grid cells of {model.dx:g} m, "
-                "so things would pass through it.",
+                "so material would pass through it.",
                 "Make it thicker or the grid finer.",
             )
 

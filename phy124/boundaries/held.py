@@ -25,7 +25,7 @@ class Clamp(Movable):
         examples=[0.5],
         ge=SHORTEST,
         le=LONGEST,
-        description="Time at which it lets go [s]; absent: never.",
+        description="Time at which the material is released [s]; absent: never.",
     )
 
     def track(self, model: Rest) -> Track | None:
@@ -64,7 +64,8 @@ class Held(Clamp):
     upper: Position = Field(default=(10.0, 10.0, 0.1), description="Highest corner [m].")
     cylinder: AxisName | None = Field(
         default=None,
-        description="Axis of the cylinder inside the box, to hold only that; absent: the box.",
+        description="Axis of the cylinder inscribed in the box, if only the "
+        "cylinder is held; absent: the box.",
     )
 
     @model_validator(mode="after")

@@ -20,7 +20,9 @@ EASE = 16
 class Motion(Section):
     """Base class of all motions: a displacement over time."""
 
-    start: float = Field(default=0.0, ge=0, le=LONGEST, description="Begins to move [s].")
+    start: float = Field(
+        default=0.0, ge=0, le=LONGEST, description="Time at which the motion starts [s]."
+    )
 
     def track(self) -> Track:
         """Return the displacement [m]; the rate of the track is the velocity of the wall."""
@@ -31,11 +33,13 @@ class Path(Motion):
     """A displacement from point to point."""
 
     kind: Literal["path"] = "path"
-    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
-    points: tuple[Position, ...] = Field(
-        default=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), description="Displacements then [m]."
+    times: tuple[Instant, ...] = Field(
+        default=(0.0, 1.0), description="Times of the displacements [s]."
     )
-    smooth: bool = Field(default=True, description="Stop gently at each point.")
+    points: tuple[Position, ...] = Field(
+        default=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), description="Displacements at these times [m]."
+    )
+    smooth: bool = Field(default=True, description="Come to a smooth stop at each point.")
     repeat: bool = Field(default=False, description="Start again after the last point.")
 
     @model_validator(mode="after")
@@ -43,7 +47,7 @@ class Path(Motion):
         check_times(self.times, len(self.points), "points")
         if self.repeat and self.points[0] != self.points[-1]:
             raise ValueError(
-                "a path that repeats must end where it begins; let its last point be its first"
+                "a repeating path must end where it begins; make the last point equal to the first"
             )
         return self
 

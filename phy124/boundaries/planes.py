@@ -32,7 +32,9 @@ class HalfSpace(Plane, Movable):
 
     kind: Literal["half_space"] = "half_space"
     point: Position = Field(default=(0.0, 0.0, 0.0), description="A point on the plane [m].")
-    normal: Direction = Field(default=(0.0, 0.0, 1.0), description="Direction out of the solid.")
+    normal: Direction = Field(
+        default=(0.0, 0.0, 1.0), description="Normal of the plane, out of the solid."
+    )
 
     @model_validator(mode="after")
     def _points_somewhere(self) -> HalfSpace:
@@ -69,15 +71,26 @@ class Press(Plane):
         ge=-FARTHEST,
         le=FARTHEST,
         examples=[1.2],
-        description="Height of the plate at the start [m]; absent: on the object.",
+        description="Initial height of the plate [m]; absent: the top of the object.",
     )
     depth: float = Field(
-        default=0.35, gt=0, le=0.9, description="How far it comes down, in object heights."
+        default=0.35,
+        gt=0,
+        le=0.9,
+        description="Distance that the plate descends, in object heights.",
     )
-    start: float = Field(default=0.0, ge=0, le=LONGEST, description="Begins to move [s].")
-    down: float = Field(default=0.25, ge=SHORTEST, le=LONGEST, description="Time to come down [s].")
-    hold: float = Field(default=0.05, ge=0, le=LONGEST, description="Time at the bottom [s].")
-    up: float = Field(default=0.2, ge=SHORTEST, le=LONGEST, description="Time to go back [s].")
+    start: float = Field(
+        default=0.0, ge=0, le=LONGEST, description="Time at which the plate starts to move [s]."
+    )
+    down: float = Field(
+        default=0.25, ge=SHORTEST, le=LONGEST, description="Duration of the descent [s]."
+    )
+    hold: float = Field(
+        default=0.05, ge=0, le=LONGEST, description="Duration of the stop at the bottom [s]."
+    )
+    up: float = Field(
+        default=0.2, ge=SHORTEST, le=LONGEST, description="Duration of the ascent [s]."
+    )
 
     @property
     def moves(self) -> bool:
@@ -108,7 +121,7 @@ class Container(Movable):
     kind: Literal["container"] = "container"
     inside: Region = Field(
         default=Region(lower=(-1.0, -1.0, 0.0), upper=(1.0, 1.0, 2.0)),
-        description="The free space; sides left out are open.",
+        description="Space inside the container; sides without a number are open.",
     )
 
     @model_validator(mode="after")

@@ -101,16 +101,24 @@ class Gripper(Boundary):
     thing: ClassVar[str] = "each pad (thick, width)"
     kind: Literal["gripper"] = "gripper"
     friction: float = Field(default=1.0, ge=0, le=10, description="Coulomb friction coefficient.")
-    axis: Axis = Field(default="y", description="Direction in which it closes.")
+    axis: Axis = Field(default="y", description="Direction in which the gripper closes.")
     centre: Position = Field(default=(0.0, 0.0, 0.5), description="Point between the pads [m].")
     opening: float = Field(default=1.2, ge=1e-9, le=1e5, description="Gap at the start [m].")
     closed: float = Field(default=0.6, ge=1e-9, le=1e5, description="Gap when closed [m].")
     width: float = Field(default=0.4, ge=1e-9, le=1e5, description="Edge of the square pads [m].")
     thick: float = Field(default=0.2, ge=1e-9, le=1e5, description="Thickness of the pads [m].")
-    start: float = Field(default=0.0, ge=0, le=LONGEST, description="Begins to close [s].")
-    close: float = Field(default=0.4, ge=SHORTEST, le=LONGEST, description="Time to close [s].")
-    lift: float = Field(default=0.3, ge=0, le=1e5, description="Height it lifts afterwards [m].")
-    rise: float = Field(default=0.5, ge=SHORTEST, le=LONGEST, description="Time to lift [s].")
+    start: float = Field(
+        default=0.0, ge=0, le=LONGEST, description="Time at which the gripper starts to close [s]."
+    )
+    close: float = Field(
+        default=0.4, ge=SHORTEST, le=LONGEST, description="Duration of closing [s]."
+    )
+    lift: float = Field(
+        default=0.3, ge=0, le=1e5, description="Height by which the gripper rises afterwards [m]."
+    )
+    rise: float = Field(
+        default=0.5, ge=SHORTEST, le=LONGEST, description="Duration of the rise [s]."
+    )
 
     @model_validator(mode="after")
     def _closes(self) -> Gripper:

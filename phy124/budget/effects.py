@@ -176,7 +176,7 @@ def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[E
     """
     every = subject.scene.checks.measure
     yield Effect(f"limits of the substep measured every {every} substeps or sooner")
-    yield Effect("substeps tried first where one may be too long, and repeated shorter")
+    yield Effect("trial substeps, which are repeated with a shorter substep if they are too long")
     for kind in dict.fromkeys((*OBSERVERS, *map(type, observers))):
         observer = find(observers, kind)
         effect = kind.effect(subject) if observer is None else observer.finished_effect(subject)
@@ -212,7 +212,7 @@ def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     """
     bound = scene.binding == "particles"
     why = "binding is lattice: Gaussians follow the particles inside and around them"
-    yield Effect("every Gaussian a particle", bound, why)
+    yield Effect("one particle for each Gaussian", bound, why)
     double = scene.resolution.precision == "float64"
     enough = "single precision is enough: the grid error is larger"
     yield Effect("double precision", double, enough, Cost(particle=48))

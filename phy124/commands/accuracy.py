@@ -28,7 +28,7 @@ from phy124.weights.store import search_first
 if TYPE_CHECKING:
     from phy124.studies.validation.accuracy.study import Report
 
-KEPT = "the results are those of the settings that were run"
+KEPT = "the results cover only the settings that were run"
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class ShowAccuracy:
             raise InputError(
                 "levels",
                 " ".join(map(str, levels)) or "none",
-                "an error is estimated from three or more grids.",
+                "at least three grids are needed to estimate an error.",
                 "Add one: --levels 16 24 32, for example.",
             )
         return levels
@@ -190,7 +190,7 @@ class ShowAccuracy:
     def _look(self, cutout: Cutout) -> None:
         if not self.json:
             see = f"Look at it with `phy124 cutout {self.image}`"
-            doubt(cutout, f"{see}; --pick or --mask corrects it.")
+            doubt(cutout, f"{see}; correct it with --pick or --mask.")
 
     def _announce(self, effort: Effort) -> None:
         if not self.json:

@@ -68,7 +68,7 @@ class Compare:
         print(json.dumps({**data, "files": files}) if self.json else comparison.table())
         if not self.json:
             print("\n".join([*files, *(f"note: {note}" for note in data["notes"])]))
-        return bars.status("sides that were not filmed are missing")
+        return bars.status("views that were not filmed are missing")
 
 
 def _name(path: Path) -> str:

@@ -43,7 +43,7 @@ class CutoutOptions(Cutting):
     )
     weights: Path | None = Field(
         default=None,
-        description="Folder to look for trained weights in first (see `phy124 doctor`).",
+        description="Folder that is searched first for trained weights (see `phy124 doctor`).",
     )
 
 
@@ -68,7 +68,7 @@ class CutOut:
         out = self.out or Path("out") / f"{self.image.stem}-cutout.png"
         if out.suffix.lower() not in KINDS:
             limit = "A cut-out needs a format with transparency."
-            raise InputError("out", out, limit, "End the name in .png or .webp.")
+            raise InputError("out", out, limit, "Use a name that ends in .png or .webp.")
         with ExitStack() as stack:
             try:
                 if self.out is None:

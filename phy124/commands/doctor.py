@@ -64,7 +64,7 @@ class Doctor:
                 print("\n".join(["weights", *lines(files)]))
             else:
                 print(f"{'weights':<12}{summary(files)}")
-                print(with_program("Every file of weights: `phy124 doctor --all`"))
+                print(with_program("To list every file of weights: `phy124 doctor --all`"))
             for sentence in facts["faults"]:
                 print(f"{'FAULT':<12}{sentence}")
         return 1 if facts["faults"] else 0

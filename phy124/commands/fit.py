@@ -95,7 +95,7 @@ class Fit:
             if values:
                 data[name] = {**data.get(name, {}), **values}
         if not data.get("find"):
-            remedy = "Write --find material.E=1e4..1e6, say."
+            remedy = "Write, for example, --find material.E=1e4..1e6."
             raise InputError("find", None, "there is no value to find.", remedy)
         return Declared.from_data(data, self.target)
 
@@ -103,7 +103,9 @@ class Fit:
         if self.workers is None:
             return cores()
         if not 0 <= self.workers <= 1024:
-            raise InputError("workers", self.workers, "there can be 0 to 1024.", "Leave it out.")
+            raise InputError(
+                "workers", self.workers, "the number must be from 0 to 1024.", "Leave it out."
+            )
         return self.workers
 
     def _tell(self, bars: Bars, expected: Outlook) -> None:

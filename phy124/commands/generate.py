@@ -119,15 +119,17 @@ class Generate:
             return
         refuse_missing_encoder()
         if not needs_image(self.making.generator):
-            limit = f"{self.making.generator} does not look at a picture."
+            limit = f"{self.making.generator} does not use a picture."
             raise InputError("compose", self.image, limit, "Leave --compose out.")
         if self.image.exists() and not self.image.is_file():
             limit = "a pipe can be read only once."
             raise InputError("compose", self.image, limit, "Save the picture as a file first.")
         if self.plan.resume:
             later = "`phy124 render CLIP --compose PICTURE`"
-            limit = "a run that is continued has no picture."
-            raise InputError("compose", self.image, limit, f"Continue it first, then use {later}.")
+            limit = "a resumed run does not read the picture."
+            raise InputError(
+                "compose", self.image, limit, f"Resume the run without --compose, then use {later}."
+            )
 
     def _predict(self, scene: Scene) -> int:
         """Make the Gaussians, then print how long the remaining stages would take."""

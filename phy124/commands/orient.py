@@ -45,9 +45,13 @@ class Orient:
         """
         out = self.out or Path("out") / f"{self.file.stem}-orient.png"
         if out.suffix.lower() != ".png":
-            raise InputError("out", out, "It is no PNG file.", "End the name in .png.")
+            raise InputError(
+                "out", out, "It is not the name of a PNG file.", "Use a name that ends in .png."
+            )
         if self.up is not None and self.up not in FRONTS:
-            raise InputError("up", self.up, "It is no axis.", f"Choose one of {', '.join(FRONTS)}.")
+            raise InputError(
+                "up", self.up, "It is not an axis.", f"Choose one of {', '.join(FRONTS)}."
+            )
         gaussians, notes = samples(str(self.file))
         for note in notes:
             print(f"note: {note}")

@@ -41,11 +41,11 @@ class PlanOptions:
             InputError: Both are set, or a value is out of bounds or has an unknown unit.
         """
         if self.max_error is not None and self.max_seconds is not None:
-            limit = "--max-error is set, too."
+            limit = "--max-error is also set."
             raise InputError("max_seconds", self.max_seconds, limit, "Give one of the two.")
         if self.max_error is not None and self.dry_run:
             limit = "the grid that meets it is known only after coarser grids have run."
-            remedy = "Leave --dry-run out, or name an accuracy instead of the error."
+            remedy = "Leave --dry-run out, or set --accuracy instead of --max-error."
             raise InputError("dry_run", f"with --max-error {self.max_error}", limit, remedy)
         if self.max_error is not None:
             return Goal.error(self.max_error)

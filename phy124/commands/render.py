@@ -78,7 +78,7 @@ class Render:
             print(json.dumps({"files": files, "notes": notes}))
         else:
             print("\n".join([*files, *(f"note: {note}" for note in notes)]))
-        return bars.status("the files named are complete, the others were not made")
+        return bars.status("the listed files are complete, the others were not written")
 
     def _photograph(self) -> Photograph | None:
         """Open the photograph for --compose, if any, before any film is rendered."""
@@ -99,7 +99,7 @@ def _view_changes(changes: dict[str, Any]) -> dict[str, Any]:
     for key, value in changes.items():
         field_name = key.partition(".")[0]
         if field_name in Scene.model_fields and field_name not in {"view", *View.model_fields}:
-            limit = "It belongs to the simulation, which render does not repeat."
+            limit = "It is a setting of the simulation, which `render` does not repeat."
             remedy = f"Add `--set {key}=...` to `phy124 generate` or `phy124 simulate`."
             raise InputError(key, value, limit, with_program(remedy))
     return {f"view.{key.removeprefix('view.')}": value for key, value in changes.items()}

@@ -110,7 +110,9 @@ class Sweep:
         """Check the options before any work."""
         parts_of(self.shard)
         if self.workers is not None and not 0 <= self.workers <= 1024:
-            raise InputError("workers", self.workers, "there can be 0 to 1024.", "Leave it out.")
+            raise InputError(
+                "workers", self.workers, "the number must be from 0 to 1024.", "Leave it out."
+            )
         if self.folder is not None:
             limit = "only `report` takes a folder."
             raise InputError(
@@ -126,5 +128,10 @@ def parts_of(shard: str) -> tuple[int, int]:
     """
     part, _, parts = shard.partition("/")
     if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
-        raise InputError("shard", shard, "it is no part of a whole.", "Write 1/8 to 8/8, say.")
+        raise InputError(
+            "shard",
+            shard,
+            "it is not a shard such as 3/8.",
+            "Write, for example, 3/8 for the third of eight shards.",
+        )
     return int(part), int(parts)

@@ -104,8 +104,8 @@ class Validate:
             raise InputError(
                 "docs",
                 "a part",
-                "the page holds all experiments.",
-                "Leave NAME and --quick out, or write the part with --out FOLDER.",
+                "the page shows all experiments, not a selection.",
+                "Leave NAME and --quick out, or write the selection with --out FOLDER.",
             )
         if not DOCS[0].parent.is_dir():
             raise InputError(
@@ -146,16 +146,16 @@ def _summary(done: Sequence[Outcome]) -> str:
     seconds = sum(outcome.seconds for outcome in done)
     narrow = sum(each.by_its_error for outcome in done for each in outcome.estimates)
     return (
-        f"{inside} of {total} values in their bands, {narrow} of them only give or take their own "
-        f"error; {held} of {len(done)} controls outside, as "
-        f"they must be; {seconds:.0f} s of processor time"
+        f"{inside} of {total} values in their bands, {narrow} of them only within their "
+        f"own error; {held} of {len(done)} controls outside, as "
+        f"required; {seconds:.0f} s of CPU time"
     )
 
 
 def _machine() -> str:
     """Describe the machine in a sentence, and say whether other work kept it busy."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
-    busy = f" while others were at work (load {load:.0f})" if load > 1.5 * cores() else ""
+    busy = f" while other programs were running (load {load:.0f})" if load > 1.5 * cores() else ""
     return (
         f"Seconds are CPU time, summed over all runs of an experiment, on {cores()} cores "
         f"of {_processor()}, Python {platform.python_version()}{busy}.\n"

@@ -31,7 +31,9 @@ class Force(Section):
     joins: ClassVar[bool] = False
     """Whether the force, without a region, is a uniform acceleration of the whole body."""
 
-    start: float = Field(default=0.0, ge=0, le=LONGEST, description="Acts from here on [s].")
+    start: float = Field(
+        default=0.0, ge=0, le=LONGEST, description="Time at which it starts to act [s]."
+    )
     end: float | None = Field(
         default=None,
         gt=0,
@@ -40,13 +42,15 @@ class Force(Section):
         description="Time at which it stops acting [s]; absent: never.",
     )
     region: Region | None = Field(
-        default=None, description="Particles it acts on, by rest position; all if absent."
+        default=None,
+        description="Region of the particles on which it acts, by their "
+        "positions at rest; absent: all.",
     )
     object: Name | None = Field(
         default=None,
         exclude_if=lambda name: name is None,
         examples=["object"],
-        description="Name of the object it acts on; all if absent.",
+        description="Name of the object on which it acts; absent: all objects.",
     )
     profile: AnyProfile = Field(
         default=Constant(), description="Its strength over time: constant, ramp, sine, keyframes."
@@ -118,7 +122,7 @@ class Force(Section):
                 "forces.region",
                 self.region,
                 f"the region of {type(self).__name__} holds no particle.",
-                "Make it larger, or move it onto the object as it stands at the start.",
+                "Enlarge the region, or move it onto the object's initial position.",
             )
         return wp.array(np.flatnonzero(inside).astype(np.int32), device=model.device)
 

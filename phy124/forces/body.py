@@ -59,8 +59,8 @@ class Impulse(Force):
     kind: Literal["impulse"] = "impulse"
     strengths: ClassVar[tuple[str, ...]] = ("p",)
     joins: ClassVar[bool] = True
-    p: Push = Field(default=(0.0, 1.0, 0.0), description="Total momentum it gives [N s].")
-    duration: float = Field(default=0.01, ge=SHORTEST, le=10, description="Time it takes [s].")
+    p: Push = Field(default=(0.0, 1.0, 0.0), description="Total momentum that it transfers [N s].")
+    duration: float = Field(default=0.01, ge=SHORTEST, le=10, description="Duration [s].")
 
     @model_validator(mode="after")
     def _whole(self) -> Impulse:

@@ -83,7 +83,7 @@ class Part(NamedTuple):
                 field,
                 point,
                 f"no material is within {radius:g} m of it at rest.",
-                f"Give a point on the object as it stands at the start (the nearest material is "
+                f"Give a point on the object in its initial position (the nearest material is "
                 f"{away:.3g} m away), or a larger radius.",
             )
         weight, device = weight[index], model.device
@@ -146,29 +146,39 @@ class Grab(Force):
     kind: Literal["grab"] = "grab"
     strengths: ClassVar[tuple[str, ...]] = ("strength",)
     point: Position = Field(
-        default=(0.0, 0.0, 0.5), description="What is held: this point of the object at rest [m]."
+        default=(0.0, 0.0, 0.5), description="Point of the object at rest that is held [m]."
     )
     radius: float = Field(
         default=0.15,
         ge=1e-6,
         le=1e5,
-        description="Material so close to it at rest is held [m], less firmly towards the rim.",
+        description="Radius within which material is held [m]; the force "
+        "decreases towards the rim.",
     )
-    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
+    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times of the targets [s].")
     targets: tuple[Position, ...] = Field(
-        default=((0.0, 0.0, 0.5), (0.0, 0.0, 1.0)), description="Where it is drawn to then [m]."
+        default=((0.0, 0.0, 0.5), (0.0, 0.0, 1.0)),
+        description="Positions to which the point is drawn at these times [m].",
     )
-    stiffness: float = Field(default=1e4, ge=0, le=1e12, description="Of the spring [N/m].")
-    damping: float = Field(default=1e3, ge=0, le=1e12, description="Of the damper [N s/m].")
+    stiffness: float = Field(
+        default=1e4, ge=0, le=1e12, description="Stiffness of the spring [N/m]."
+    )
+    damping: float = Field(
+        default=1e3, ge=0, le=1e12, description="Coefficient of the damper [N s/m]."
+    )
     strength: float = Field(default=1e4, ge=0, le=1e9, description="Largest force [N].")
 
     @model_validator(mode="after")
     def _fits(self) -> Grab:
         check_times(self.times, len(self.targets), "targets")
         if self.region is not None:
-            raise ValueError("a grab holds what is within its radius of a point; leave region out")
+            raise ValueError(
+                "a grab acts within its radius of a point, not in a region; leave region out"
+            )
         if self.profile.kind != "constant":
-            raise ValueError("a grab varies by its targets; leave profile out")
+            raise ValueError(
+                "a grab varies over time by its targets, not by a profile; leave profile out"
+            )
         return self
 
     @property
@@ -216,19 +226,22 @@ class WrenchForce(Force):
     point: Position | None = Field(
         default=None,
         examples=[[0.0, 0.0, 0.5]],
-        description="Where it acts: this point of the object at rest [m]; absent: on all of it.",
+        description="Point of the object at rest at which it acts [m]; absent: the whole object.",
     )
     radius: float = Field(
         default=0.15,
         ge=1e-6,
         le=1e5,
-        description="Material so close to the point at rest is pushed [m], less towards the rim.",
+        description="Radius within which material is pushed [m]; the "
+        "force decreases towards the rim.",
     )
 
     @model_validator(mode="after")
     def _a_ball(self) -> WrenchForce:
         if self.region is not None:
-            raise ValueError("a wrench acts within its radius of a point; leave region out")
+            raise ValueError(
+                "a wrench acts within its radius of a point, not in a region; leave region out"
+            )
         return self
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:

@@ -62,7 +62,7 @@ class Attraction(Force):
 
     kind: Literal["attraction"] = "attraction"
     strengths: ClassVar[tuple[str, ...]] = ("g",)
-    centre: Position = Field(default=(0.0, 0.0, 1.0), description="The point [m].")
+    centre: Position = Field(default=(0.0, 0.0, 1.0), description="Position of the point [m].")
     g: float = Field(
         default=10.0, ge=-1e9, le=1e9, description="Acceleration at the radius [m/s^2]."
     )
@@ -81,7 +81,7 @@ class ZoneForce(Force):
 
     kind: Literal["zone"] = "zone"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
-    place: Region = Field(default=Region(), description="Where in space it acts.")
+    place: Region = Field(default=Region(), description="Region of space in which it acts.")
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
     @model_validator(mode="after")
@@ -127,7 +127,9 @@ class SetVelocity(Force):
     sudden: ClassVar[bool] = True
     v: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity [m/s].")
     spin: Velocity = Field(default=(0.0, 0.0, 0.0), description="Angular velocity [rad/s].")
-    centre: Position = Field(default=(0.0, 0.0, 0.0), description="Point the spin is about [m].")
+    centre: Position = Field(
+        default=(0.0, 0.0, 0.0), description="Point on the axis of rotation [m]."
+    )
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stage that overwrites v and C of the chosen particles while active."""

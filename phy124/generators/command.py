@@ -56,7 +56,7 @@ class Command:
         words, _ = self._parse()
         for name in ("{image}", "{out}"):
             if not any(name in word for word in words):
-                raise InputError("generator", self.text, f"It names no {name}.", USAGE)
+                raise InputError("generator", self.text, f"It does not contain {name}.", USAGE)
 
     def __call__(
         self,
@@ -81,7 +81,9 @@ class Command:
             names = {"{image}": str(picture_file), "{out}": str(output_file), "{seed}": str(seed)}
             self._run([_fill(word, names) for word in words], seconds, Path(folder), progress)
             if not output_file.is_file():
-                raise self._failure("It ended well but wrote no file to {out}.", USAGE)
+                raise self._failure(
+                    "It finished without an error, but wrote no file to {out}.", USAGE
+                )
             return PlyFile(str(output_file), self.reading)(progress=progress)
 
     def _parse(self) -> tuple[list[str], float]:
@@ -93,7 +95,7 @@ class Command:
         except ValueError as error:
             raise self._failure(f"It cannot be read ({error}).", USAGE) from None
         if not words or not seconds > 0:
-            raise self._failure("It is no command.", USAGE)
+            raise self._failure("It is not a command.", USAGE)
         return words, seconds
 
     def _run(self, words: list[str], seconds: float, folder: Path, progress: Progress) -> None:
@@ -110,8 +112,8 @@ class Command:
                 while process.poll() is None:
                     progress("generate", 0, 1)
                     if monotonic() > end:
-                        limit = f"It took longer than {seconds:g} s and was ended."
-                        raise self._failure(limit, "Give it more: `cmd SECONDS: ...`.")
+                        limit = f"It took longer than {seconds:g} s and was stopped."
+                        raise self._failure(limit, "Allow more time: `cmd SECONDS: ...`.")
                     with suppress(subprocess.TimeoutExpired):
                         process.wait(BEAT)
             if process.returncode:

@@ -34,7 +34,8 @@ class DepthMap(Section):
     )
     near: Literal["white", "black"] = Field(
         default="white",
-        description="What is near in the depth map: white (large values, as MiDaS and Depth "
+        description="Brightness of near surfaces in the depth map: white "
+        "(large values, as MiDaS and Depth "
         "Anything write them) or black (as in metres).",
     )
 
@@ -102,8 +103,8 @@ class OtherViews(Section):
 
     side: Path | None = Field(
         default=None,
-        description="Picture of the same object from one side, at its level: relief takes the "
-        "object's depth from it, at each height.",
+        description="Picture of the same object from one side, taken at the object's height; "
+        "it determines the depth that relief gives the object at each height.",
     )
     facing: Literal["left", "right"] = Field(
         default="left",
@@ -112,13 +113,15 @@ class OtherViews(Section):
     )
     back: Path | None = Field(
         default=None,
-        description="Picture of the same object from straight behind, for relief's back.",
+        description="Picture of the same object from straight behind, "
+        "which relief uses for the back.",
     )
     thickness: float | None = Field(
         default=None,
         ge=0.05,
         le=4.0,
-        description="Depth of the object, relative to relief's guess: 0.6 makes a fish flat.",
+        description="Depth of the object relative to the depth that relief "
+        "guesses, such as 0.6 for a flat fish.",
     )
 
     highlights: Literal["keep", "remove"] = Field(

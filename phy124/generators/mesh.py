@@ -67,7 +67,9 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
         raise _unusable(path, f"reading it {error}.", "Give a smaller mesh.") from None
     except ValueError as error:
         limit, _, remedy = str(error).partition("; ")
-        raise _unusable(path, limit, remedy or "Save it again from the program.") from None
+        raise _unusable(
+            path, limit, remedy or "Save it again from the program that made it."
+        ) from None
     if coarse:
         warnings.warn(f"{path}: {coarse}", stacklevel=2)
     points, normals, colours = drawn
@@ -94,7 +96,9 @@ def _kind(path: Path) -> str:
         return "stl"
     kind = path.suffix.lower().removeprefix(".")
     if kind == "stl" and b"\0" in head and there < STL_ROW * stated:  # text files have no zeros
-        limit = f"it is cut short: {max(there, 0) // STL_ROW:,} of {stated:,} triangles are there."
+        limit = (
+            f"it is cut short: {max(there, 0) // STL_ROW:,} of {stated:,} triangles are present."
+        )
         raise _unusable(path, limit, AGAIN)
     return kind
 
@@ -108,7 +112,7 @@ def _refuse(path: Path) -> None:
     if path.suffix.lower().removeprefix(".") not in UPRIGHT:
         known = ", ".join(f".{name}" for name in UPRIGHT)
         raise _unusable(
-            path, "it is no mesh in a format that phy124 reads.", f"Give one of {known}."
+            path, "it is not a mesh in a format that phy124 reads.", f"Give one of {known}."
         )
     if hindrance := obstacle(path):
         raise _unusable(path, *hindrance)
@@ -142,7 +146,7 @@ def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
         message = f"{type(error).__name__}: {error}"[:200]
         raise ValueError(f"it cannot be read as a mesh ({message}).") from None
     if not triangles:
-        remedy = "A file of Gaussians or points belongs to `file`."
+        remedy = "For a file of Gaussians or points, use the generator `file`."
         raise ValueError(f"it has no triangles.; {remedy}")
     if triangles > MOST_TRIANGLES:
         limit = f"it has {triangles:,} triangles, and {MOST_TRIANGLES:,} are allowed."
@@ -194,9 +198,9 @@ def _sample_surface(pieces: list[Trimesh], seed: int) -> Drawn:
     """
     for piece in pieces:
         if piece.faces.min() < 0 or piece.faces.max() >= len(piece.vertices):
-            raise ValueError("a triangle has a corner that is not in the file.")
+            raise ValueError("a triangle refers to a vertex that is not in the file.")
         if not np.isfinite(piece.vertices[piece.faces]).all():
-            raise ValueError("a corner of a triangle is NaN or infinite.")
+            raise ValueError("a vertex of a triangle is NaN or infinite.")
     corners = np.concatenate([piece.triangles.reshape(-1, 3) for piece in pieces])
     side = float(np.ptp(corners, axis=0).max())
     areas = np.concatenate([piece.area_faces for piece in pieces])

@@ -123,7 +123,7 @@ class PlyFile:
         """
         del image_rgba, seed
         if self.reading.floor:
-            limit = "A floor is part of a scene, and there is no scene here."
+            limit = "A floor becomes part of a scene, but this function returns only Gaussians."
             remedy = "Call phy124.pipeline.capture.capture instead."
             raise InputError("floor", "wanted", limit, remedy)
         opened = self.open(progress)
@@ -155,13 +155,13 @@ class PlyFile:
         faint = inside & (everything.opacities < MIN_OPACITY)
         gaussians = everything.select(inside & ~faint)
         if not len(gaussians):
-            limit = f"All its Gaussians are fainter than {MIN_OPACITY}."
+            limit = f"All its Gaussians have an opacity below {MIN_OPACITY}."
             raise InputError("file", self.path, limit, "Give a file with a visible object.")
         total = len(everything) + dropped
         left_out = {
             "had NaN or infinite values": dropped,
             "lie outside the box": int((~inside).sum()),
-            f"were fainter than {MIN_OPACITY}": int(faint.sum()),
+            f"had an opacity below {MIN_OPACITY}": int(faint.sum()),
         }
         notes = content.remarks(gaussians)
         if box is None and not self.reading.floor:
@@ -190,8 +190,8 @@ class PlyFile:
         if likely is not None:
             dialect, why = likely
             warnings.warn(
-                f"{self.path} may be a file of {why}. If it lies down or looks away, give "
-                f"--dialect {dialect}; `phy124 orient` draws all six up axes.",
+                f"{self.path} may be a file of {why}. If the object lies down or faces away, "
+                f"give --dialect {dialect}; `phy124 orient` draws all six up axes.",
                 stacklevel=2,
             )
 
@@ -223,7 +223,7 @@ def normalise_size(gaussians: Gaussians, name: str = "") -> Gaussians:
     low, high = robust_bounds(gaussians)
     size = float((high - low).max())
     if not size > 0:
-        limit = "All its Gaussians lie in one point."
+        limit = "All its Gaussians are at the same point."
         raise InputError("file", name, limit, "Give a file with an object in it.")
     return gaussians.transform(1 / size, -(low + high) / 2 / size)
 

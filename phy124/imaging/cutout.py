@@ -49,7 +49,7 @@ ALIKE = 0.1
 UNDECIDED = 0.02
 """Half-transparent area away from the outline, relative to the object, that is suspicious for a
 network."""
-FAINT = "Nothing in the picture is opaque; its most opaque part counts as solid."
+FAINT = "Nothing in the picture is opaque; its most opaque part is treated as opaque."
 REMEDY = (
     "Use a picture with one object on a plain background, all of it visible, give a mask (white "
     "where the object is), or save the cut-out object as PNG with transparency."
@@ -115,7 +115,7 @@ class Cutout:
         if self.objects > 1:
             yield f"The picture has {self.objects} separate objects; the largest is taken."
         if self.touching:
-            yield "These may be two objects that touch; if so, pick the object that is meant."
+            yield "These may be two objects that touch; if so, pick the intended object."
         if self.pieces >= PIECES:
             yield f"The cut-out is in {self.pieces} pieces."
 
@@ -130,7 +130,7 @@ class Cutout:
         if self.coverage < TINY:
             yield f"The cut-out is tiny: {self.coverage:.1%} of the picture."
         if self.coverage > MUCH and self.method != "alpha":
-            yield f"The cut-out is nearly all of the picture ({self.coverage:.0%})."
+            yield f"The cut-out covers nearly the whole picture ({self.coverage:.0%})."
 
     def _doubt_outline(self) -> Iterator[str]:
         """Yield warnings of an outline that probably misses the object's edge."""
@@ -147,8 +147,8 @@ class Cutout:
             )
         if self.alike > ALIKE:
             yield (
-                f"{self.alike:.0%} of what surrounds the cut-out has its colours: part of the "
-                "object may be missing, or background taken for it."
+                f"{self.alike:.0%} of the cut-out's surroundings has the cut-out's colours: "
+                "part of the object may be missing, or part of the background included."
             )
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -311,8 +311,11 @@ def _pick_object(
     if picked is None and method not in TAKEN_WHOLE:
         picked = search_around(image, pick, lambda part: _search(part, method, deadline))
     if picked is None:
-        limit = "No object was found at this place of the picture."
-        remedy = "Choose the middle of the object, or mark it with a mask, on the page by brush."
+        limit = "No object was found at this point of the picture."
+        remedy = (
+            "Choose the middle of the object, or mark the object with "
+            "a mask (on the page: with the brush)."
+        )
         raise InputError("pick", f"{pick[0]:g},{pick[1]:g}", limit, remedy)
     return select_part(np.asarray(image.convert("RGB")), picked, pixel_at(pick, image.size))
 
@@ -320,7 +323,7 @@ def _pick_object(
 def _check_point(pick: Point | None) -> None:
     if pick is None or (len(pick) == 2 and all(0 <= f <= 1 for f in pick)):
         return
-    limit = "It is not a place in the picture."
+    limit = "It is not a point in the picture."
     remedy = "Give two fractions of its width and height, such as 0.3,0.5."
     raise InputError("pick", ",".join(f"{f:g}" for f in pick), limit, remedy)
 
@@ -360,8 +363,10 @@ def _check_fraction(alpha: Alpha, method: str, frames: int) -> None:
     if MINIMUM <= fraction <= MAXIMUM:
         return
     if method == "mask":
-        limit = f"{fraction:.0%} of the picture is white in it, which cannot be an object."
-        raise InputError("mask", "painted", limit, "Paint the object white, all else black.")
+        limit = f"{fraction:.0%} of the mask is white, which cannot be an object."
+        raise InputError(
+            "mask", "painted", limit, "Paint the object white and everything else black."
+        )
     limit = f"No object was found in the picture by {method}."
     if fraction > MAXIMUM:
         limit = f"Nearly the whole picture ({fraction:.0%}) was taken for the object by {method}."

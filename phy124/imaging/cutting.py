@@ -22,13 +22,13 @@ class Cutting(Section):
     )
     mask: Path | None = Field(
         default=None,
-        description="Picture of the same size that is white where the object is; replaces cutting "
-        "out.",
+        description="Mask of the same size as the picture, white where the object "
+        "is; it replaces the automatic cut-out.",
     )
     pick: str | None = Field(
         default=None,
-        description="Which object, if there are several: a place on it, X,Y as fractions of width "
-        "and height.",
+        description="If the picture shows several objects, a point on the object to "
+        "cut out: X,Y as fractions of width and height.",
     )
 
     @property
@@ -44,7 +44,7 @@ class Cutting(Section):
             x, y = map(float, self.pick.split(","))
         except ValueError:
             limit, remedy = (
-                "It is not a place in the picture.",
+                "It is not a point in the picture.",
                 "Give two fractions such as 0.3,0.5.",
             )
             raise InputError("pick", self.pick, limit, remedy) from None

@@ -116,7 +116,7 @@ def check_size(size: Size, minimum: int) -> None:
     if width * height > MAX_PIXELS:
         raise Unusable(*TOO_LARGE)
     if min(width, height) < minimum:
-        limit = f"It has {width} x {height} pixels; each side needs {minimum} at least."
+        limit = f"It has {width} x {height} pixels; each side needs at least {minimum}."
         raise Unusable(limit, "Use a larger picture.")
 
 

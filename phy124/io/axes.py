@@ -67,7 +67,7 @@ def orientation(
     level = x - z * (x @ z)
     if np.linalg.norm(level) < ACROSS:
         limit = "The front cannot lie along the up axis."
-        raise InputError("front", front, limit, f"Choose an axis across {up}.")
+        raise InputError("front", front, limit, f"Choose an axis perpendicular to {up}.")
     x = level / np.linalg.norm(level)
     axes = np.stack([x, np.cross(z, x), z])
     return axes if rotate is None else axes @ parse_rotation(rotate)

@@ -257,7 +257,7 @@ class Clip:
         try:
             return cls(**known, scene=scene, report=report, walls=walls, objects=objects)
         except (ValueError, IndexError) as error:
-            raise _refusal(path, f"its tensors do not fit together ({error}).") from error
+            raise _refusal(path, f"its tensors have inconsistent shapes ({error}).") from error
 
 
 def stack_arrays(rows: Sequence[NDArray]) -> NDArray:
@@ -307,12 +307,16 @@ def _read_metadata(path: Path) -> dict[str, str]:
         with safe_open(path, framework="np") as file:
             metadata = file.metadata() or {}
     except (SafetensorError, OSError) as error:
-        raise _refusal(path, f"it cannot be read; it is cut short or foreign ({error}).") from error
+        raise _refusal(
+            path, f"it cannot be read; it is cut short or of another kind ({error})."
+        ) from error
     if metadata.get("format") != FORMAT or not {"scene", "report"} <= metadata.keys():
         raise _refusal(path, "it is a safetensors file, but not a phy124 clip.")
     if metadata.get("version") != VERSION:
         version = metadata.get("version")
-        raise _refusal(path, f"it has clip version {version}, this program reads {VERSION}.")
+        raise _refusal(
+            path, f"its format version is {version}, but this program reads version {VERSION}."
+        )
     return metadata
 
 

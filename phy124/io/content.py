@@ -114,7 +114,7 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
     Args:
         kind: Name of the format.
         path: The file.
-        count: Number of Gaussians that the file announces.
+        count: Number of Gaussians that the file's header states.
         row: Size of one unpacked Gaussian [bytes].
         size: Size of the file [bytes].
 
@@ -124,10 +124,10 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
     if count < 1:
         raise refusal(kind, path, "it holds no Gaussians.", "Export it again with Gaussians.")
     if count > MAX_GAUSSIANS:
-        limit = f"it announces {count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
+        limit = f"its header states {count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
         raise refusal(kind, path, limit, "Reduce it in a splat editor, for example SuperSplat.")
     if count * row > SMALL + DENSEST * size:
-        limit = f"it announces {count:,} Gaussians, which {size:,} bytes cannot hold."
+        limit = f"its header states {count:,} Gaussians, more than fit in {size:,} bytes."
         raise refusal(kind, path, limit)
 
 
@@ -215,7 +215,9 @@ def assign_objects(
     if not lost.any():
         return {OBJECT: objects}, []
     known = some & np.isfinite(means).all(axis=1)
-    count = f"{np.count_nonzero(lost):,} Gaussians name no object ({OBJECT} is NaN or negative)"
+    count = (
+        f"{np.count_nonzero(lost):,} Gaussians belong to no object ({OBJECT} is NaN or negative)"
+    )
     if not known.any():
         return {}, [f"{count}: all are read as one object."]
     from scipy.spatial import KDTree

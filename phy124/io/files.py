@@ -263,7 +263,7 @@ def replacing(path: PathLike) -> Iterator[Path]:
     except OSError as error:
         if error.errno in SHORT_CODES:
             raise
-        limit = f"no file can be written there ({error.strerror})."
+        limit = f"no file can be written to this path ({error.strerror})."
         remedy = "Give a file name in a folder that exists and that you may write to."
         raise InputError("output", path, limit, remedy) from error
     held = lock(temporary)

@@ -68,7 +68,9 @@ class Growing:
         if self._held is None and files.LOCKS_AVAILABLE:
             os.close(self._file)
             limit = "another process is computing this run."
-            raise InputError("resume", path.parent, limit, "Wait for its end, or stop it.")
+            raise InputError(
+                "resume", path.parent, limit, "Wait until that process ends, or stop it."
+            )
         try:
             os.ftruncate(self._file, self._end)
         except OSError:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 PathLike = str | os.PathLike[str]
 RECORDED = (
-    "it is a recording of messages, not what they were made of.",
+    "it is a recording of ROS 2 messages, not a clip or a file of Gaussians.",
     "`python -m bridge info {}` describes it, and `ros2 bag play {}` plays it.",
 )
 NOT_ALONE = "meta.json"
@@ -49,7 +49,7 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
         if stat.S_ISDIR(mode):
             return _of_folder(path)
         if not stat.S_ISREG(mode):
-            return "it is no file but a pipe or a device.", "Save it as a file first."
+            return "it is a pipe or a device, not a file.", "Save it as a file first."
         if path.name == NOT_ALONE:
             return _of_folder(path.parent)
         with open(path, "rb") as file:
@@ -58,7 +58,10 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
     except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: NUL byte in the path
         return "there is no such file.", "Check the path."
     except PermissionError as error:
-        return f"it may not be read ({error.strerror}).", "Ask its owner, or change its mode."
+        return (
+            f"you have no permission to read it ({error.strerror}).",
+            "Ask its owner for access, or change its permissions.",
+        )
     except OSError as error:
         return f"it cannot be opened ({error.strerror}).", "Check the path and the disk."
 
@@ -76,7 +79,7 @@ def _of_folder(path: Path) -> tuple[str, str]:
             return _about(path, *words)
     if any(path.glob("*.mcap")):
         return _about(path, *RECORDED)
-    return "it is a folder.", "Give a file in it."
+    return "it is a folder.", "Give a file in this folder."
 
 
 def _about(path: Path, limit: str, remedy: str) -> tuple[str, str]:

@@ -334,7 +334,7 @@ def read_rows(path: Path) -> NDArray[Any]:
 
 def _rows(path: Path, header: Header) -> NDArray[Any]:
     if header.count > MAX_GAUSSIANS:
-        limit = f"it announces {header.count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
+        limit = f"its header states {header.count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
         raise refusal(path, limit, "Reduce it in a splat editor, for example SuperSplat.")
     if header.ascii:
         return _read_ascii(path, header)
@@ -370,7 +370,7 @@ def _read_ascii(path: Path, header: Header) -> NDArray[Any]:
 
 
 def _cut_short(path: Path, rows: int, wanted: int) -> InputError:
-    limit = f"it is cut short: {rows:,} of {wanted:,} Gaussians are there."
+    limit = f"it is cut short: {rows:,} of {wanted:,} Gaussians are present."
     return refusal(path, limit, "Copy or download it again.")
 
 

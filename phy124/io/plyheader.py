@@ -80,14 +80,18 @@ def read_header(path: Path) -> Header:
     words = [line for line in lines if line and line[0] not in ("comment", "obj_info")]
     encoding = words[1][1] if len(words) > 1 and words[1][0] == "format" else None
     if encoding not in ORDERS:
-        raise refusal(path, "it does not say whether it is ascii or binary.", "Export it again.")
+        raise refusal(
+            path, "its header does not state whether it is ascii or binary.", "Export it again."
+        )
     try:
         elements = _elements(words[2:])
         vertex = next((i for i, e in enumerate(elements) if e.name == "vertex"), None)
         if vertex is None:
             raise refusal(path, "it has no element vertex.", "Give a Gaussian splatting PLY.")
         if any(e.has_list for e in elements[: vertex + 1]):
-            raise refusal(path, "it has lists before or in its points.", "Export Gaussians alone.")
+            raise refusal(
+                path, "it has list properties before or in its vertices.", "Export Gaussians alone."
+            )
         before, wanted = elements[:vertex], elements[vertex]
         after = takewhile(lambda e: e.properties and not e.has_list, elements[vertex + 1 :])
         located = _locate([*before, wanted, *after], ORDERS[encoding], start)

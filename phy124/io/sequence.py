@@ -65,7 +65,9 @@ def write_sequence(
     if not len(clip):
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
     if not name or Path(name).name != name:
-        raise InputError("name", name, "it cannot start a file's name.", "Use a word: frame.")
+        raise InputError(
+            "name", name, "a file name cannot begin with it.", "Use a word such as frame."
+        )
 
     def write_numbered(folder: Path) -> Iterator[Path]:
         # All numbers have the same number of digits, since players sort the names as text.
@@ -98,7 +100,7 @@ def _new_folder(path: Path) -> Iterator[Path]:
     try:
         if path.exists() and any(path.iterdir()):
             # A player would mix frames left from an older sequence with the new frames.
-            raise FileExistsError(0, "it exists and is not empty")
+            raise FileExistsError(0, "the folder exists and is not empty")
         scratch = tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent)
     except OSError as error:
         if error.errno in SHORT_CODES:

@@ -124,7 +124,7 @@ def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, 
     """
     kind = ANIMATIONS.get(Path(path).suffix.lower())
     if kind is None:
-        remedy = "End the name in .gif or .webp, or write an MP4."
+        remedy = "Use a name that ends in .gif or .webp, or write an MP4."
         raise InputError("output", path, "animations are GIF or WebP files.", remedy)
     _check_rate(fps)
     with _closing(frames), replacing(path) as temporary:
@@ -269,7 +269,7 @@ def _peek(
     pictures = iter(frames)
     first = next(pictures, None)
     if first is None:
-        limit = "a video needs at least one picture."
+        limit = "a video needs at least one frame."
         raise InputError("frames", 0, limit, "Simulate one frame or more.")
     every = itertools.chain([first], pictures)
     return first, (_check_picture(picture, first.shape, channels) for picture in every)
@@ -288,7 +288,7 @@ def _check_picture(picture: Picture, shape: tuple[int, ...], channels: tuple[int
 def _check_rate(fps: float) -> None:
     low, high = FPS_RANGE
     if not low <= fps <= high:  # also refuses NaN
-        limit = f"a video shows {low:g} to {high:g} pictures per second."
+        limit = f"a video shows {low:g} to {high:g} frames per second."
         raise InputError("fps", fps, limit, "Choose 24.")
 
 

@@ -52,7 +52,7 @@ class Choice(NamedTuple):
     @property
     def sentence(self) -> str:
         """Describe the choice in a sentence."""
-        slow = "" if self.factor >= 1 else "; time runs slower than in reality"
+        slow = "" if self.factor >= 1 else "; slower than real time"
         cells = f"{self.scene.resolution.cells} cells across the object"
         return f"{cells}, {self.factor:.1f}x real time{slow}. {self.promise.brief}"
 

@@ -156,7 +156,7 @@ class Live:
         except Stopped as stop:
             frame = self._go_back(str(stop))
         if float(np.linalg.norm(self.centre)) > LOST * self._scene.object.size:
-            self._note(f"It is more than {LOST:g} of its sizes away and starts again.")
+            self._note(f"It is more than {LOST:g} times its size away and starts again.")
             self.reset()
             frame = self._run.step()
         self._frame = frame

@@ -112,9 +112,9 @@ def check_number(field: str, value: float, least: float, most: float) -> float:
     try:
         result = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(field, value, limit, "Give such a number.") from None
+        raise InputError(field, value, limit, "Give a number in this range.") from None
     if not least <= result <= most:
-        raise InputError(field, value, limit, "Give such a number.")
+        raise InputError(field, value, limit, "Give a number in this range.")
     return result
 
 

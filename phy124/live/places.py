@@ -44,7 +44,10 @@ def find_material(
     away = np.where(allowed, np.linalg.norm(x - np.array(place), axis=1), np.inf)
     index = int(away.argmin())
     if away[index] > radius:
-        limit = f"the object is {away[index]:.3g} m away from it, beyond {radius:g} m."
+        limit = (
+            f"the object is {away[index]:.3g} m away from this point, "
+            f"beyond the radius of {radius:g} m."
+        )
         near = [round(float(c), 4) for c in x[index]]
         raise InputError(field, [*place], limit, f"Its nearest point now is {near}.")
     px, py, pz = run.solver.model.rest[index].tolist()

@@ -23,7 +23,8 @@ class Springy(Elastic):
         default=0.0,
         ge=0,
         le=1e7,
-        description="Viscosity [Pa s]; loss tangent of a swing of w rad/s: w damping / mu.",
+        description="Viscosity [Pa s]; an oscillation of w rad/s has the "
+        "loss tangent w damping / mu.",
     )
 
     @property
@@ -116,15 +117,15 @@ class Rigid(Elastic):
         default=1e10, ge=1, le=1e13, description="Young's modulus of the real body [Pa]."
     )
     speed: float = Field(
-        default=3.0, ge=1e-3, le=1000, description="Largest speed it hits something at [m/s]."
+        default=3.0, ge=1e-3, le=1000, description="Largest speed of an impact [m/s]."
     )
     strain: float = Field(
-        default=0.005, ge=1e-4, le=0.1, description="Largest strain at that impact."
+        default=0.005, ge=1e-4, le=0.1, description="Largest strain in an impact at this speed."
     )
 
     def cheaper(self, field: str) -> str:
         """Return the remedy: a smaller `speed`, which determines the stiffness."""
-        return f"a smaller {field}.speed, if it hits nothing that fast"
+        return f"a smaller {field}.speed, if no impact is that fast"
 
     @property
     def simulated_E(self) -> float:
@@ -152,6 +153,6 @@ class Rigid(Elastic):
         strain = speed * math.sqrt(self.density / self.simulated_E)
         return [
             f"The rigid body moved at {speed:.3g} m/s; its stiffness is for impacts at "
-            f"{self.speed:g} m/s. At that speed one deforms it by about {strain:.1%}; "
+            f"{self.speed:g} m/s. At the higher speed, an impact deforms it by about {strain:.1%}; "
             f"material.speed = {speed:.3g} makes it stiff enough."
         ]

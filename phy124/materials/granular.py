@@ -72,13 +72,15 @@ class Snow(Elastic):
     )
 
     density: float = Field(default=400.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
-    E: float = Field(default=1.4e5, ge=1, le=1e13, description="Young's modulus, fresh [Pa].")
+    E: float = Field(
+        default=1.4e5, ge=1, le=1e13, description="Young's modulus of fresh snow [Pa]."
+    )
     nu: float = Field(default=0.2, ge=0, le=0.4999, description="Poisson's ratio.")
     compression: float = Field(
-        default=0.025, ge=1e-4, le=0.5, description="Compression at which it starts to pack."
+        default=0.025, ge=1e-4, le=0.5, description="Compression at which the snow starts to pack."
     )
     extension: float = Field(
-        default=0.0075, ge=1e-4, le=0.5, description="Stretch at which it starts to break."
+        default=0.0075, ge=1e-4, le=0.5, description="Stretch at which the snow starts to break."
     )
     hardening: float = Field(
         default=10.0, ge=0, le=20, description="How fast packing stiffens it, by at most e^4."

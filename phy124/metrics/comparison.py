@@ -131,7 +131,7 @@ def check_comparable(a: Clip, b: Clip) -> None:
     ) / _size(a)
     if not apart <= SAME_OBJECT:
         raise _refusal(
-            f"they begin as different objects: {apart:.0%} of the size apart at rest.",
+            f"the clips show different objects, which at rest differ by {apart:.0%} of the size.",
             "Make both from one picture or .ply file, with the same object.size.",
         )
 

@@ -60,7 +60,7 @@ def distance_pairs(embeddings: NDArray) -> NDArray[np.float64]:
 def _normalise(embeddings: NDArray) -> NDArray[np.float64]:
     e = np.asarray(embeddings, dtype=np.float64)
     if e.ndim != 2 or len(e) < 2:
-        raise ValueError(f"embeddings have shape {e.shape}, wanted [T,D] with T of 2 at least")
+        raise ValueError(f"embeddings have shape {e.shape}, but must be [T,D] with T of at least 2")
     return e / np.linalg.norm(e, axis=1, keepdims=True)
 
 

@@ -181,7 +181,7 @@ def law_of(model: Model, index: int) -> str:
 def describe_particle(model: Model, state: State, index: int) -> str:
     """Return a phrase with a particle's index, law, position and speed."""
     rest, now = _position(model.rest[index]), np.asarray(state.x.numpy())[index]
-    words = f"number {index} of law {law_of(model, index)}, at {rest} m at rest"
+    words = f"particle {index} of law {law_of(model, index)}, at {rest} m at rest"
     speed = speeds(state)[index]
     if np.isfinite(now).all() and np.isfinite(speed):
         words += f" and now at {_position(now)} m with {speed:.3g} m/s"

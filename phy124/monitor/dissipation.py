@@ -67,7 +67,7 @@ class Dissipation(Observer):
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
         """Return the row for the work of the stress."""
-        why = "checks.energy is off: what is lost is not split into its causes"
+        why = "checks.energy is off: the lost energy is not divided by cause"
         return Effect("work of the stress", subject.scene.checks.energy, why)
 
     def allocate(self, model: Model, workers: int) -> None:

@@ -85,10 +85,10 @@ class ExternalWork(Observer):
         """Return the row for the balance, which sums nothing for uniform, steady forces alone."""
         scene, why = (
             subject.scene,
-            "checks.balance is off: an explosion shows only once values are NaN",
+            "checks.balance is off: an unstable run is detected only when values become NaN",
         )
         if scene.checks.balance:
-            why = "all forces are steady: nothing has to be summed"
+            why = "all forces are constant: their work need not be summed"
         unsteady = any(not force.uniform or force.varies for force in scene.acting)
         summed = scene.checks.balance and (bool(scene.boundaries) or unsteady)
         return Effect("balance of momentum and energy", summed, why)

@@ -74,8 +74,8 @@ class Interior(Observer):
     def effect(cls, subject: Subject) -> Effect:
         """Return the row for the interior."""
         grains = subject.scene.grains
-        why = "nothing elastic could be torn" if grains else "grains is off"
-        return Effect("inside shown once it is torn", subject.elastic and grains, why)
+        why = "no elastic material could be torn" if grains else "grains is off"
+        return Effect("inside of torn material", subject.elastic and grains, why)
 
     @classmethod
     def of(cls, setup: Observed) -> Self:

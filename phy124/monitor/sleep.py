@@ -76,8 +76,8 @@ class Sleep(Observer):
     def effect(cls, subject: Subject) -> Effect:
         """Return the row for sleep."""
         sleeps = subject.scene.time.sleep
-        why = "it was never at rest for long enough" if sleeps else "time.sleep is off"
-        return Effect("sleep while all rests", sleeps, why)
+        why = "the object was never at rest for long enough" if sleeps else "time.sleep is off"
+        return Effect("sleep while all objects rest", sleeps, why)
 
     @classmethod
     def of(cls, setup: Observed) -> Self:

@@ -85,8 +85,8 @@ class Softening(Observer):
             return []
         return [
             f"stiffness_profile repeats every {profile.period:.2g} s and is read once at the start "
-            f"of each frame, every {1 / fps:.2g} s: what happens in between is not seen. A larger "
-            "time.fps sees it."
+            f"of each frame, every {1 / fps:.2g} s: changes in between are "
+            "missed. A larger time.fps resolves them."
         ]
 
     def snapshot(self) -> dict[str, Any]:

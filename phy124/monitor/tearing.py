@@ -86,8 +86,8 @@ class Tearing(Observer):
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
         """Return the row for the detection of tears."""
-        why = "all that moves flows, which parts and joins as it should"
-        name = "search for what the grid tears, and for pieces, in each frame"
+        why = "all moving materials flow, so they separate and merge as they should"
+        name = "search for torn material and separate pieces in each frame"
         return Effect(name, subject.elastic, why)
 
     def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
@@ -167,14 +167,14 @@ class Tearing(Observer):
         if self.torn:
             fraction = self.loose / self._chosen.sum()
             return [
-                f"{self.loose} particles ({fraction:.1%}) came off the piece they belong to: the "
-                f"grid tore what the material holds together. {REMEDY}"
+                f"{self.loose} particles ({fraction:.1%}) separated from their piece: the "
+                f"grid tore material that should hold together. {REMEDY}"
             ]
         first = describe_particle(self._model, self._state, self.first)
         return [
             f"{self.count} particles were stretched, up to {self.stretch:.1f} times, until they "
-            f"lay more than {APART} cells apart, first {first}. There the grid may tear what the "
-            f"material holds together. {REMEDY}"
+            f"lay more than {APART} cells apart, first {first}. There the grid may "
+            f"tear material that should hold together. {REMEDY}"
         ]
 
     @property

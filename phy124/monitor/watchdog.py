@@ -198,9 +198,9 @@ class Watchdog(Observer):
         if self._solver.repair.count:
             first = self._who(self._solver.repair.first)
             notes.append(
-                f"{self._solver.repair.count} times a particle was deformed beyond what a law can "
-                f"describe and was given its shape at rest, first {first}. A gentler "
-                "push or a stiffer material would keep it whole."
+                f"{self._solver.repair.count} times a particle was deformed beyond the range "
+                f"of its law and was reset to its shape at rest, first {first}. A "
+                "gentler push or a stiffer material avoids this."
             )
         if self._solver.outliers.most:
             notes.append(
@@ -213,23 +213,24 @@ class Watchdog(Observer):
             if mach > COLLAPSE:
                 notes.append(
                     f"The law {name} moved at {mach:.1f} times its speed of sound. Where it hits "
-                    f"something at more than {COLLAPSE} times, it may stay squeezed flat without "
-                    "any other sign; neo_hookean would not."
+                    f"something at more than {COLLAPSE} times, it may stay squeezed flat "
+                    "without any other sign; neo_hookean does not."
                 )
         for material in self.model.materials:
             notes += material.notes_at(self._fastest)
         if self.max_J > SWOLLEN and not any(m.rounds for m in self.model.materials):
             notes.append(
-                f"Somewhere the material swelled to {self.max_J:.2g} times its volume, as no solid "
-                "does: it would have broken. It is too fast for its stiffness; a slower motion "
-                "or a stiffer material keeps it whole."
+                f"Somewhere the material swelled to {self.max_J:.2g} times its volume; a real "
+                "solid would have broken. The motion is too fast for the stiffness; a "
+                "slower motion or a stiffer material avoids this."
             )
         trembles = self.balance.trembles
         if trembles:
             notes.append(
-                f"It moves so slowly for its stiffness that rounding created {trembles:.0%} of "
-                f"its energy: a tremor of less than {UNSEEN:g} of its size, which no picture "
-                "shows. accuracy.precision = float64 avoids it."
+                "The motion is so slow for the stiffness that rounding "
+                f"errors created {trembles:.0%} of "
+                f"its energy: a tremor of less than {UNSEEN:g} of its size, which is too "
+                "small to see. accuracy.precision = float64 avoids it."
             )
         return notes
 
@@ -299,9 +300,9 @@ class Watchdog(Observer):
             self.balance.trembles = max(self.balance.trembles, energy / turnover)
             return None
         index = int(energies(self.model, self.state).argmax())
-        who = f"most of all its energy is in {self._who(index)}"
+        who = f"most of the energy is in {self._who(index)}"
         rounded = energy <= self._strain_energy(faded)
-        what = f"{energy / turnover:.0%} of its energy came from nowhere, {who}"
+        what = f"{energy / turnover:.0%} of the energy has no physical source, {who}"
         return Violation(what, ROUNDED if rounded else self._unstable())
 
     def _check_momentum(self, fraction: float) -> Violation | None:
@@ -310,7 +311,8 @@ class Watchdog(Observer):
             return None
         index = int(speeds(self.state).argmax())
         what = (
-            f"{fraction:.2%} of its momentum came from nowhere, the fastest is {self._who(index)}"
+            f"{fraction:.2%} of the momentum has no physical source, "
+            f"the fastest is {self._who(index)}"
         )
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 

@@ -46,7 +46,7 @@ def usable_rpic(scheme: Scheme, cfl: float) -> float:
         ValueError: Substeps of the fraction `cfl` of the elastic limit are unstable with damping.
     """
     if scheme.rpic > 0 and cfl > beside_rpic(1.0):
-        raise ValueError(f"RPIC needs a model with cfl up to 0.707, and this one has {cfl:g}")
+        raise ValueError(f"RPIC needs a model with cfl up to 0.707, but this model has {cfl:g}")
     return scheme.rpic
 
 

@@ -22,7 +22,7 @@ Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest corner of a box [m]."""
 MARGIN = 2 * TRAVEL
 """Margin of the window around the particles [cells]: twice their travel between measurements."""
-CROSSED = "particles crossed more cells than they may between two measurements"
+CROSSED = "particles crossed more cells than allowed between two measurements"
 FARTHEST = 2**30
 """Distance from the origin [cells] within which the device can number nodes."""
 
@@ -93,7 +93,7 @@ class Grid:
                 them, or too far away for nodes to be numbered.
         """
         if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
-            raise Unstable(f"particles flew {FARTHEST:.0e} cells far")
+            raise Unstable(f"particles travelled {FARTHEST:.0e} cells far")
         low, high = self.reach(lower, upper)
         if not self.stale:
             spare = [*(low - self.low).tolist(), *(self.low + self.size - high).tolist()]

@@ -62,7 +62,9 @@ class Ramp(Table):
     """Linear from one factor to another, then constant."""
 
     kind: Literal["ramp"] = "ramp"
-    duration: float = Field(default=0.5, ge=SHORTEST, le=LONGEST, description="Time it takes [s].")
+    duration: float = Field(
+        default=0.5, ge=SHORTEST, le=LONGEST, description="Duration of the ramp [s]."
+    )
     first: Factor = Field(default=0.0, description="Factor at the start.")
     last: Factor = Field(default=1.0, description="Factor at the end and after.")
 
@@ -75,9 +77,11 @@ class Sine(Table):
     """offset + sin(2 pi (frequency t + phase / 360))."""
 
     kind: Literal["sine"] = "sine"
-    frequency: float = Field(default=1.0, ge=1e-5, le=1e4, description="Turns per second [Hz].")
+    frequency: float = Field(
+        default=1.0, ge=1e-5, le=1e4, description="Oscillations per second [Hz]."
+    )
     phase: float = Field(default=0.0, ge=-360, le=360, description="Phase at the start [degrees].")
-    offset: Factor = Field(default=0.0, description="Factor around which it swings.")
+    offset: Factor = Field(default=0.0, description="Factor around which the sine oscillates.")
 
     @property
     def period(self) -> float:
@@ -95,7 +99,7 @@ class Keyframes(Table):
     """Factors at given times, linear between them."""
 
     kind: Literal["keyframes"] = "keyframes"
-    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
+    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times of the factors [s].")
     factors: tuple[Factor, ...] = Field(default=(1.0, 1.0), description="Factors at these times.")
     repeat: bool = Field(default=False, description="Repeat from the first key after the last.")
 
@@ -125,7 +129,8 @@ def check_times(times: Sequence[float], values: int, name: str) -> None:
     """
     if len(times) != values or len(times) < 2:
         raise ValueError(
-            f"{len(times)} times and {values} {name} do not match; give as many, at least two"
+            f"{len(times)} times and {values} {name} do not match; give "
+            "the same number of each, at least two"
         )
     if times[0] < 0 or any(a >= b for a, b in itertools.pairwise(times)):
         raise ValueError(f"times {times} must increase from 0 on; sort them")

@@ -156,7 +156,10 @@ def size_transform(
     """
     if not (np.isfinite(size) and size > 0):
         raise InputError(
-            "size", size, "the longest side must be a positive length.", "Give metres, as 1.0."
+            "size",
+            size,
+            "the longest side must be a positive length.",
+            "Give the length in metres, such as 1.0.",
         )
     low, high = compute_bounds(gaussians)
     scale = float(size / (high - low).max())

@@ -28,7 +28,7 @@ def check_count(count: int | None) -> None:
     """
     if count is not None and not FEWEST <= count <= MOST:
         limit = f"it must be from {FEWEST} to {MOST:,}."
-        raise InputError("gaussians", count, limit, "Write 20000, say.")
+        raise InputError("gaussians", count, limit, "Write, for example, 20000.")
 
 
 def with_count(make: Any, count: int | None) -> Any:

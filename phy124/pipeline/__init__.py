@@ -207,7 +207,7 @@ def go_on(
     refuse_threads(context.threads)
     path = Path(out) / PAUSE
     if not path.is_file():
-        limit = "no interrupted run was left there."
+        limit = "this folder has no interrupted run."
         raise InputError("resume", out, limit, "Leave --resume out to start from the beginning.")
     about = resume.read_about(path)
     if scene is not None:

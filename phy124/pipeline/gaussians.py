@@ -168,7 +168,7 @@ def make_object(
     else:
         for field, value in (("mask", mask), ("pick", pick)):
             if value is not None:
-                limit = f"{name} does not look at a picture."
+                limit = f"{name} does not use a picture."
                 raise InputError(field, value, limit, "Leave it out, or choose another generator.")
     about: dict[str, Any] = {
         "foreground": cutout and cutout.method,
@@ -277,7 +277,7 @@ def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
         return
     several = [name for name in preset_names() if any(o.waits for o in Scene.named(name).objects)]
     limit = (
-        f"the scene has {waiting} further objects that take a picture."
+        f"the scene has {waiting} further objects that need a picture."
         if waiting
         else "the scene takes one picture."
     )
@@ -293,6 +293,6 @@ def at_rest(path: PathLike) -> Gaussians:
     """
     gaussians = Clip.load(path).surface.frame(0).gaussians
     if gaussians.object_id is not None:
-        remedy = "Give the files of Gaussians or pictures that they were made of."
+        remedy = "Give the pictures or files of Gaussians from which its objects were made."
         raise InputError("file", path, "it is a clip of several objects.", remedy)
     return gaussians

@@ -90,7 +90,7 @@ class Recording:
                     self._complain("the state of the run cannot be written", error)
 
     def _complain(self, what: str, error: Exception) -> None:
-        lost = f"what follows frame {self.saved}" if self.saved else "all frames"
+        lost = f"all frames after {self.saved}" if self.saved else "all frames"
         warnings.warn(f"{what}, so a kill would lose {lost} ({error})", stacklevel=3)
 
     def pause(self, run: Simulation) -> None:

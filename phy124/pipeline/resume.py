@@ -257,7 +257,7 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
         raise InputError("paused run", path, f"it cannot be read ({error}).", remedy) from error
     version = metadata.pop("format", "")
     if version != FORMAT and version.startswith(FORMAT.rpartition("-")[0]):
-        limit = "another version of phy124 wrote it, whose results differ."
+        limit = "it was written by another version of phy124, whose results differ."
         raise InputError("paused run", path, limit, "Run it again, without --resume.")
     if version != FORMAT:
         raise InputError("paused run", path, "it is not a paused run.", remedy)

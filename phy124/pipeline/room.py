@@ -29,7 +29,7 @@ def warn_of_room(run: Simulation, out: Path, *, films: bool) -> None:
         return
     if needed > free:
         warnings.warn(
-            f"the results are forecast to take {size(needed)}, and {out} has room for "
+            f"the results need about {size(needed)}, and {out} has room for "
             f"{size(free)}; what does not fit is kept elsewhere if there is room",
             stacklevel=2,
         )

@@ -29,11 +29,13 @@ class Properties(Section):
         "fraction of E per Gaussian (.npy).",
     )
     sampling: Literal["nearest", "trilinear"] = Field(
-        default="nearest", description="How values between points follow; trilinear needs voxels."
+        default="nearest", description="Interpolation between points; trilinear needs voxels."
     )
     up: Axis = Field(default="z", description="Axis of the file's points that points up.")
     front: Axis | None = Field(
-        default=None, description="Axis that the object faces; absent: as for a .ply of that up."
+        default=None,
+        description="Axis that the object faces; absent: the default of "
+        "a .ply file with this up axis.",
     )
 
     def columns(
@@ -78,7 +80,8 @@ class Properties(Section):
             raise InputError(
                 "properties.file",
                 self.file,
-                f"it holds {len(table):,} values without positions, the object has {len(means):,} "
+                f"it holds {len(table):,} values without positions, but "
+                f"the object has {len(means):,} "
                 "Gaussians.",
                 "Give x, y, z with them, or one value per Gaussian of the gaussians.ply that a "
                 "run writes.",

@@ -75,7 +75,7 @@ def read_table(path: Path) -> Table:
         raise _refusal(path, "it holds none of E, nu, density, damping, fraction and law.", FORMS)
     sizes = {np.shape(value) for value in (*columns.values(), *_first(points))}
     if len(sizes) > 1 or len(size := sizes.pop()) != 1:
-        raise _refusal(path, "its columns are not equally long.", "Write one value per point.")
+        raise _refusal(path, "its columns have different lengths.", "Write one value per point.")
     (count,) = size
     if not 0 < count <= MAX_POINTS:
         raise _refusal(path, f"it holds {count:,} points; 1 to {MAX_POINTS:,} can be used.", "")
@@ -131,7 +131,7 @@ def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArra
     dense = {name: columns[name] for name in EVERY if name in columns}
     shape = next(iter(dense.values())).shape
     if len(shape) != 3 or any(np.shape(value) != shape for value in dense.values()):
-        remedy = "Give arrays [X,Y,Z] of one shape."
+        remedy = "Give arrays [X,Y,Z] of the same shape."
         raise _refusal(path, "its arrays of voxels have different shapes.", remedy)
     half = 0.5 / np.array(shape)
     lower, upper = columns.get("lower", half), columns.get("upper", 1 - half)
@@ -154,7 +154,7 @@ def _first(points: NDArray | None) -> list[NDArray]:
 def _bounds(path: Path, *ends: Any) -> list[NDArray[np.float64]]:
     """Return the centres of the first and the last voxel [3], [3]."""
     if any(np.shape(end) != (3,) for end in ends):
-        raise _refusal(path, "lower and upper are not points.", "Give three numbers each.")
+        raise _refusal(path, "lower and upper are not points.", "Give three numbers for each.")
     return [_numbers(path, "bounds", end) for end in ends]
 
 
@@ -162,7 +162,7 @@ def _numbers(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]
     try:
         values = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise _refusal(path, f"its {name} are no numbers.", FORMS) from None
+        raise _refusal(path, f"its {name} are not numbers.", FORMS) from None
     if not np.isfinite(values).all():
         bad = int((~np.isfinite(values)).sum())
         raise _refusal(path, f"{bad:,} values of {name} are not finite.", "Leave those points out.")

@@ -164,31 +164,31 @@ ENCODERS: dict[str, Encoder] = {
 PLAYED = {"mp4", "webp", "gif"}
 """Formats with a playback rate."""
 SMOOTH = 12.0
-"""Pictures per second below which slow motion looks choppy."""
+"""Frame rate below which slow motion looks choppy [1/s]."""
 EXPORTS: dict[str, Callable[[Clip, Path, Progress], Path]] = {"usd": _usd, "ply": _ply}
 """Formats made from the whole clip; each function returns its file or folder."""
 
 
 def playback(fps: float, view: View) -> float:
-    """Return the pictures per second of a film of a clip with `fps` frames per second."""
+    """Return the frame rate [1/s] of the video of a clip with `fps` frames per second."""
     return view.fps or fps * view.speed
 
 
 def describe_playback(clip: Clip, view: View) -> dict[str, Any]:
-    """Return pictures per second, speed and duration [s] of the videos, for the report."""
+    """Return frame rate [1/s], speed and duration [s] of the videos, for the report."""
     real = rate(clip)
     shown = playback(real, view)
     return {"fps": shown, "speed": shown / real, "seconds": len(clip) / shown}
 
 
 def note_if_choppy(clip: Clip, view: View) -> str | None:
-    """Return a note if slow motion shows too few pictures per second."""
+    """Return a note if slow motion shows too few frames per second."""
     real = rate(clip)
     shown = playback(real, view)
     if view.speed >= 1 or shown >= SMOOTH:
         return None
-    smooth = f"simulate with --fps {min(24 / view.speed, 1000):g} for a smooth one"
-    return f"Slow motion shows {shown:.3g} pictures per second; {smooth}."
+    smooth = f"simulate with --fps {min(24 / view.speed, 1000):g} for smooth motion"
+    return f"Slow motion shows {shown:.3g} frames per second; {smooth}."
 
 
 def refuse_unfilmable(scene: Scene) -> None:
@@ -202,7 +202,7 @@ def refuse_unfilmable(scene: Scene) -> None:
     refuse_missing_writers(scene.view)
     shown, (low, high) = playback(scene.time.fps, scene.view), FPS_RANGE
     if not low <= shown <= high and set(scene.view.formats) & PLAYED:
-        limit = f"videos have {low:g} to {high:g} pictures per second, not {shown:g}."
+        limit = f"videos have {low:g} to {high:g} frames per second, not {shown:g}."
         field, value = ("view.speed", scene.view.speed)
         if scene.view.speed == 1:
             field, value = ("time.fps", scene.time.fps)

@@ -100,7 +100,7 @@ def refuse_outputs(view: View, frames: int) -> None:
     """
     moving = [name for name in view.outputs if name in ("flow", "velocity")]
     if moving and frames < 2:
-        limit = "a single frame does not move."
+        limit = "flow needs at least two frames."
         raise InputError("view.outputs", moving[0], limit, "Leave it out, or keep two frames.")
     if view.outputs and view.output_format == "exr":
         refuse_missing_exr()
@@ -114,7 +114,7 @@ def refuse_unkept(clip: Clip, view: View) -> None:
     """
     refuse_outputs(view, len(clip))
     if "force" in view.outputs and clip.contacts is None:
-        limit = "this clip kept no forces of the walls."
+        limit = "this clip has no forces of the walls."
         remedy = "Simulate it again with --outputs force, or contacts = true."
         raise InputError("view.outputs", "force", limit, remedy)
 

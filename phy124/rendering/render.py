@@ -80,8 +80,8 @@ class Renderer:
             raise InputError(
                 "blend",
                 blend,
-                f"this form of blending does not exist on {self.device}.",
-                "Choose auto, plain or pixel, or on a CPU simd.",
+                f"this form of blending is not available on {self.device}.",
+                "Choose auto, plain or pixel; on a CPU also simd.",
             )
         self._blend = BLENDS[blend]
         # Binning follows the blending variant, so a CPU can test the GPU's variant.
@@ -355,7 +355,7 @@ def pinhole(camera: Camera) -> Any:
         raise InputError(
             "camera",
             camera,
-            "it has no direction to look in, or no field of view.",
+            "the camera has no viewing direction or no field of view.",
             "Place eye and target apart, at finite positions, and take 0 < fov_y < 180 degrees.",
         )
     view = screen.View()

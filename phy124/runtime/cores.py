@@ -53,7 +53,7 @@ def refuse_threads(threads: int | None) -> None:
     """
     if threads is None or 1 <= threads <= MOST_THREADS:
         return
-    limit = f"a run takes 1 to {MOST_THREADS} threads."
+    limit = f"a run can use 1 to {MOST_THREADS} threads."
     remedy = f"Give at most the number of cores, {cores()} here, or leave it out."
     raise InputError("threads", threads, limit, remedy)
 

@@ -134,9 +134,9 @@ def _sentence(kind: Kind, problem: BaseException) -> str:
     if isinstance(problem, UnicodeError):
         return f"a text cannot be read or written: {said}. Set PYTHONUTF8=1."
     if kind is Kind.MACHINE:
-        return f"the machine refused: {said}"
+        return f"the operating system refused: {said}"
     if isinstance(problem, SystemExit):
-        return f"the program was ended early by one of its parts (exit status {said or 0})."
+        return f"a library ended the program early (exit status {said or 0})."
     name = _package(problem)
     where = "an error of phy124 itself" if name == OWN else f"{NAMES.get(name, name)} failed"
     return f"{where}: {type(problem).__name__}: {said} ({_place(problem)})."

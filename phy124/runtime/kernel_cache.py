@@ -160,7 +160,10 @@ def _building(folder: Path | None) -> Iterator[None]:
 def _refuse_full(cache: Path) -> None:
     with suppress(FileNotFoundError):
         if shutil.disk_usage(cache).free < ROOM:
-            limit = f"compiled kernels need {ROOM / 1e6:.0f} MB; WARP_CACHE_PATH names their folder"
+            limit = (
+                f"compiled kernels need {ROOM / 1e6:.0f} MB; set "
+                "WARP_CACHE_PATH to a folder that has room"
+            )
             raise OSError(errno.ENOSPC, limit, str(cache))
 
 

@@ -130,7 +130,7 @@ class DollyCamera(_Circling):
     name: Name = Field(default="dolly", description="Name of its files.")
     first: Distance = Field(default=3.0, description="Distance at the start, in object sizes.")
     last: Distance = Field(default=1.2, description="Distance at the end, in object sizes.")
-    azimuth: Turn = Field(default=0.0, description="Side on which it stands [deg].")
+    azimuth: Turn = Field(default=0.0, description="Azimuth of the camera [deg].")
 
     @property
     def chosen(self) -> bool:
@@ -159,11 +159,12 @@ class DollyCamera(_Circling):
 class CameraKey(Section):
     """A key of a camera path: a time and the camera's values at this time."""
 
-    time: Instant = Field(default=0.0, description="Motion since the first frame [s].")
+    time: Instant = Field(default=0.0, description="Time since the first frame [s].")
     azimuth: Turn | None = Field(
         default=None,
         examples=[90],
-        description="0 is the front, 90 the right; 370 goes on from 350 [deg].",
+        description="Azimuth [deg]: 0 is the front, 90 the right; after "
+        "350, 370 continues the rotation.",
     )
     elevation: Elevation | None = Field(
         default=None, examples=[30], description="Height angle [deg]."
@@ -190,7 +191,7 @@ class PathCamera(Section):
         default=(CameraKey(),),
         min_length=1,
         max_length=1000,
-        description="Keys of the path; with a single one the camera stands still.",
+        description="Keys of the path; with a single key the camera stands still.",
     )
 
     @model_validator(mode="after")

@@ -75,7 +75,9 @@ def parse_changes(texts: tuple[str, ...]) -> dict[str, Any]:
     for text in texts:
         key, equals, value = text.partition("=")
         if not equals or not key:
-            raise InputError("set", text, "it is not KEY=VALUE.", "Write material.E=2e4, say.")
+            raise InputError(
+                "set", text, "it is not KEY=VALUE.", "Write, for example, material.E=2e4."
+            )
         pairs = merge_changes(pairs, {key.strip(): parse_value(value.strip())})
     return pairs
 

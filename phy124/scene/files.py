@@ -64,7 +64,7 @@ def check_depth(data: Any, field: str) -> None:
         level = [inner for outer in level for inner in list_inner(outer)]
         if not level:
             return
-    limit = f"it is nested more than {DEEPEST} deep."
+    limit = f"it is nested more than {DEEPEST} levels deep."
     raise InputError(field, "nested data", limit, "Leave out what does not belong to a scene.")
 
 

@@ -36,13 +36,12 @@ class SceneObject(Object):
 
     name: Name = Field(description="Name of the object.")
     picture: FileName | None = Field(
-        default=None, examples=["teddy.png"], description="Picture to make it from."
+        default=None, examples=["teddy.png"], description="Picture from which the object is made."
     )
     file: FileName | None = Field(
         default=None,
         examples=["teddy.ply"],
-        description="File of Gaussians to read it from, or a clip, of which the first frame is "
-        "read.",
+        description="File of Gaussians, or a clip, whose first frame is read.",
     )
     generator: str | None = Field(
         default=None,
@@ -54,7 +53,7 @@ class SceneObject(Object):
         default=None,
         exclude_if=lambda path: path is None,
         examples=["chair.glb"],
-        description="File of triangles to make it from: .glb, .gltf, .obj, .stl or .ply.",
+        description="Mesh from which the object is made: .glb, .gltf, .obj, .stl or .ply.",
     )
     shape: ShapeName | None = Field(
         default=None, examples=["box"], description="Plain shape: sphere, box or capsule."
@@ -80,7 +79,7 @@ class SceneObject(Object):
         "it pushes them back.",
     )
     material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
-    parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
+    parts: tuple[Part, ...] = Field(default=(), description="Parts made of other materials.")
     crop: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
         default=(0.0, 0.0, 1.0, 1.0),
         description="Rectangle of the object in the picture on which masks of its parts were "
@@ -113,7 +112,7 @@ class SceneObject(Object):
         if led and self.on != FLOOR:
             raise ValueError(f"{self.name} has a motion, so it stands on the floor; use lift")
         if led and any(self.turn) and self.shape != "sphere":
-            raise ValueError(f"{self.name} has a motion and cannot be turned; leave turn out")
+            raise ValueError(f"{self.name} has a motion and cannot be rotated; leave turn out")
         round_ = sorted(self.sides)[: 3 if self.shape == "sphere" else 2]
         if self.shape != "box" and round_[0] != round_[-1]:
             raise ValueError(
@@ -178,10 +177,11 @@ class Pair(Section):
         description="Names of the two objects; any: all objects that no other entry names.",
     )
     contact: Literal["separate", "sticky"] = Field(
-        default="separate", description="separate (they slide with friction and part), or sticky."
+        default="separate",
+        description="separate (they slide with friction and may separate), or sticky.",
     )
     friction: float = Field(
-        default=0.5, ge=0, le=10, description="Coulomb friction coefficient; 0: they slip."
+        default=0.5, ge=0, le=10, description="Coulomb friction coefficient; 0: no friction."
     )
 
 
@@ -252,10 +252,10 @@ def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
         for name in two - {ANY}:
             check_name(name, names)
         if len(two) == 1 and ANY not in two:
-            raise ValueError(f"between names {pair.between[0]} twice; name two objects")
+            raise ValueError(f"between names {pair.between[0]} twice; name two different objects")
         if two in seen:
             about = " and ".join(pair.between)
-            raise ValueError(f"two entries of pairs are about {about}; leave one out")
+            raise ValueError(f"two entries of pairs are for {about}; leave one out")
         seen.add(two)
 
 

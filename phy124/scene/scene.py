@@ -53,12 +53,12 @@ class Scene(Section):
         default="",
         max_length=1000,
         examples=["It falls."],
-        description="What happens, in a sentence.",
+        description="Description of the scene in a sentence.",
     )
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="Seed of all random numbers.")
     object: Object = Field(default=Object(), description="The first object and its placement.")
     material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
-    parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
+    parts: tuple[Part, ...] = Field(default=(), description="Parts made of other materials.")
     objects: tuple[SceneObject, ...] = Field(
         default=(),
         max_length=MOST_OBJECTS - 1,
@@ -68,7 +68,8 @@ class Scene(Section):
     pairs: tuple[Pair, ...] = Field(
         default=(),
         exclude_if=lambda value: not value,
-        description="Contact of two objects; pairs not listed separate and have friction 0.5.",
+        description="Contact between two objects; a pair that is not listed has "
+        "the contact separate and friction 0.5.",
     )
     stiffness: AnyStiffness | None = Field(
         default=None, description="How E varies inside the object; absent: E is uniform."
@@ -78,7 +79,9 @@ class Scene(Section):
         description="Factor on E over time, evaluated at the start of each frame; absent: 1.",
     )
     properties: Properties | None = Field(
-        default=None, description="Material point by point, from a file; absent: material alone."
+        default=None,
+        description="Material properties from a file, which vary from point "
+        "to point; absent: uniform material.",
     )
     forces: tuple[AnyForce, ...] = Field(default=(Gravity(),), description="Forces on particles.")
     boundaries: tuple[AnyBoundary, ...] = Field(
@@ -96,7 +99,7 @@ class Scene(Section):
         "particles: each Gaussian is a particle, as in the paper.",
     )
     time: Timing = Field(default=Timing(), description="Frames, and limits on substep and time.")
-    checks: Checks = Field(default=Checks(), description="How closely the run is watched.")
+    checks: Checks = Field(default=Checks(), description="Checks during the run.")
     velocities: bool = Field(
         default=False,
         description="Store the velocity of each Gaussian; without it, speeds are differences of "
@@ -334,7 +337,7 @@ class Scene(Section):
             InputError: A user's class is not registered under a name.
         """
         for name, group in self.unregistered.items():
-            limit = "it is your own class, and a scene file cannot name it."
+            limit = "it is a class of your own, which has no name in scene files."
             remedy = f"Register it by an entry point phy124.{group}, or use it in Python."
             raise InputError(group, name, limit, remedy)
 

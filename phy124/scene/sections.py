@@ -56,13 +56,13 @@ class Object(Section):
     on: Name = Field(
         default=FLOOR,
         exclude_if=_is(FLOOR),
-        description="What it stands on, and where `lift` is measured from: the floor at z = 0, or "
+        description="Support of the object, from which `lift` is measured: the floor at z = 0, or "
         "the name of another object, which it then touches.",
     )
     held: bool = Field(
         default=False,
         exclude_if=_is(False),
-        description="It never moves, and acts on other objects like a wall.",
+        description="The object never moves, and acts on other objects like a wall.",
     )
 
 

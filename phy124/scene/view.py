@@ -143,7 +143,7 @@ class View(Section):
         ge=1,
         le=120,
         examples=[12],
-        description="Pictures per second of the videos; absent: time.fps times speed.",
+        description="Frames per second of the videos; absent: time.fps times speed.",
     )
     speed: float = Field(
         default=1.0,

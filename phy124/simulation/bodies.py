@@ -157,7 +157,7 @@ def refuse_ids(gaussians: Gaussians, scene: Scene) -> None:
     last = 0 if gaussians.object_id is None else int(gaussians.object_id.max(initial=0))
     count = len(scene.names)
     if last >= count:
-        limit = f"the Gaussians are of {last + 1} objects, the scene has {count}."
+        limit = f"the Gaussians belong to {last + 1} objects, but the scene has {count}."
         raise InputError("objects", count, limit, "Add [[objects]] to the scene.")
 
 

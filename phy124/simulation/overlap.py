@@ -95,8 +95,8 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
     for solid in solids:
         deepest = solid.depth(x).max(initial=-np.inf)
         if deepest > DEEPEST * scene.dx:
-            limit = f"it overlaps what it would meet at the start by {deepest:.2g} m."
-            remedy = 'Change place or lift, or let it stand on that object: on = "...".'
+            limit = f"it overlaps the object or wall that it would touch by {deepest:.2g} m."
+            remedy = 'Change place or lift, or let the object stand on that object: on = "...".'
             raise InputError("objects", solid.name, limit, remedy)
 
 

@@ -149,6 +149,6 @@ def _cfl_note(run: Run) -> list[str]:
         return []
     gain = beside_elastic(CFL) / max(beside_elastic(cfl), 1e-9)
     return [
-        "Viscosity limits the substeps, the more the nearer they may come to the elastic limit: "
-        f"with accuracy.cfl = {CFL:g} instead of {cfl:g} they would be {gain:.2g} times as long."
+        "Viscosity limits the substeps, more strongly the closer accuracy.cfl is to 1: with "
+        f"accuracy.cfl = {CFL:g} instead of {cfl:g} they would be {gain:.2g} times as long."
     ]

@@ -69,8 +69,8 @@ def _refusal(path: Path, error: Exception) -> InputError:
         "weights",
         path,
         f"the file cannot be read as tensors; it is cut short or of another kind ({reason}).",
-        "Expected is a safetensors file or a plain PyTorch state dict; fetch it again "
-        "(`phy124 doctor` names the command).",
+        "Expected is a safetensors file or a plain PyTorch state dict; download "
+        "it again (`phy124 doctor` names the command).",
     )
 
 

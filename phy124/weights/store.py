@@ -264,7 +264,7 @@ def _download(
             "weights",
             f"{file.repo}/{file.path}",
             f"it could not be fetched ({type(error).__name__}: {str(error).splitlines()[0]}).",
-            "Check the network and run it again; what has arrived is kept. "
-            f"By hand: {file.command}",
+            "Check the network and repeat the command; the downloaded "
+            f"part is kept. By hand: {file.command}",
         ) from error
     return Path(path), etag if len(etag) == 64 else None

@@ -237,7 +237,7 @@ ODD = {
     "heic bomb": (heic_claiming(30_000, 30_000), "million pixels"),
     "heic of a small name": (heic_claiming(64, 64), "broken"),
     "half a heic": (PHONE.read_bytes()[:900], "broken"),
-    "file of a billion Gaussians": (BILLION, "announces 1,000,000,000 Gaussians"),
+    "file of a billion Gaussians": (BILLION, "states 1,000,000,000 Gaussians"),
     "one colour": (_as("PNG", "#808080"), "No object"),
     "another colour": (_as("JPEG", "#3366cc"), "No object"),
 }

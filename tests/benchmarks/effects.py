@@ -6,7 +6,7 @@ switch: one law compiled alone against the same law inside kernels that ask for 
 registers: the same kernels compiled for a GPU (sm_90), registers per thread; nothing is run.
 window: the grid around the particles against the dense domain, 20,000 particles in 128^3.
 costs: what a force on a region, time tables, a second law and stiffness per particle add.
-binding: every Gaussian a particle (the paper) against Gaussians riding on a lattice.
+binding: one particle for each Gaussian (the paper) against Gaussians riding on a lattice.
 scaling: particle-substeps per second and memory from 1,000 to 2,000,000 particles.
 CPU time of one thread, unless the row says wall; the least of several turns.
 """

@@ -59,7 +59,7 @@ def main() -> None:
             found[name].append(seconds(solver))
     for name, times in found.items():
         cpu, wall = np.min(times, axis=0) / SUBSTEPS * 1e3
-        print(f"{name:32} {cpu:7.2f} ms of processor time, {wall:7.2f} ms per substep")
+        print(f"{name:32} {cpu:7.2f} ms of CPU time, {wall:7.2f} ms per substep")
 
 
 if __name__ == "__main__":

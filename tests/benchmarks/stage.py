@@ -1,6 +1,6 @@
 """What the stage costs: `python tests/benchmarks/stage.py [--scenes drop,press,...]`.
 
-Prints one JSON line per scene: milliseconds of processor time per picture of a film, as the bytes
+Prints one JSON line per scene: milliseconds of CPU time per picture of a film, as the bytes
 that an encoder gets, without and with the stage, and what the stage adds, in percent, for a film of
 five sides and of one. Films without and with it are drawn in turn, several times, shadow maps anew
 each time; of each picture the least counts. Each scene is simulated from the example duck at draft

@@ -164,7 +164,7 @@ def main() -> None:
     made, start = compare(given.items)
     print(f"planning {given.planned} clips:", flush=True)
     handing_out = planning(given.planned)
-    print(f"a driver hands out a clip in {1e3 * handing_out:.2f} ms of processor time")
+    print(f"a driver hands out a clip in {1e3 * handing_out:.2f} ms of CPU time")
     many = np.random.default_rng(0).choice(made.seconds, 1_000_000)
     hours = many.sum() / 3600
     print(

@@ -95,7 +95,7 @@ def test_a_click_on_the_picture_picks_another_object(visit, tmp_path):
     kept = np.asarray(Image.open(io.BytesIO(body)).convert("RGBA"))[..., 3] > 127
     assert kept[130, 230] and not kept[100, 80]
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 - 60 * scale)
-    page.get_by_text("No object was found at this place").wait_for()
+    page.get_by_text("No object was found at this point").wait_for()
     assert shown.is_visible()
     with page.expect_file_chooser():
         page.get_by_role("button", name="Another picture").click()

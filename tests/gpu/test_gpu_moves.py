@@ -18,7 +18,7 @@ SCENES = {
     **{f"law {name}": {"material": given} for name, given in LAWS.items()},
     **{f"wall {name}": {"boundaries": [wall]} for name, wall in (SOLIDS | OTHER_SOLIDS).items()},
     **{f"force {name}": {"forces": [GRAVITY, force]} for name, force in FORCES.items()},
-    "every Gaussian a particle": {"binding": "particles"},
+    "one particle for each Gaussian": {"binding": "particles"},
     "float64": {"accuracy": {"cells": 8, "precision": "float64"}},
     "contacts and velocities": {"contacts": True, "velocities": True},
     "two materials": {

@@ -15,7 +15,7 @@ NAMES = (
     "own",
 )
 VECTORS = {"mass_and_momentum": wp.vec4, "mass": wp.vec4, "own": wp.vec3}
-"""Type of the elements, where they are no numbers."""
+"""Type of the elements, where they are not numbers."""
 
 
 @wp.kernel(module="phy124_control", enable_backward=False)

@@ -103,7 +103,7 @@ def monitors() -> Runs:
     """What looks at a run and mends it: contacts, repair, particles far away, rejected substeps."""
     return {
         "contacts": lambda: simulate(contacts=True, wrenches=True, **FALLING),
-        "every Gaussian a particle": lambda: simulate(binding="particles", **FALLING),
+        "one particle for each Gaussian": lambda: simulate(binding="particles", **FALLING),
         "sleep": lambda: simulate(**{"time.frames": 12, "time.fps": 24.0}),
         "a violent blow": lambda: simulate(**{**FALLING, "object.velocity": [0, 0, -60.0]}),
         "tearing sand": lambda: simulate("sand"),

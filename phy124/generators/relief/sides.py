@@ -55,8 +55,8 @@ def check_side(front: Solid, side: Solid) -> None:
     depth = side_box.size[0] / max(front_box.size)
     if not FLATTEST <= depth <= DEEPEST:
         limit = (
-            f"At the height of the front the object would be {depth:.2g} times as deep as its "
-            "longest side from the front."
+            f"Scaled to the height of the front picture, the object would be {depth:.2g} "
+            "times as deep as its longest side in the front picture."
         )
         remedy = "Give pictures of the whole object, upright in both."
         raise InputError("side", "picture", limit, remedy)
@@ -84,10 +84,19 @@ def check_back(front: Solid, back: Solid) -> None:
     alike, unmirrored = overlap(front, back), overlap(front, back[:, ::-1])
     if alike >= UNLIKE:
         return
-    limit = f"Mirrored it overlaps the front's silhouette by {alike:.0%}, not by {UNLIKE:.0%}."
-    remedy = "Give the object from straight behind, upright as in front."
+    limit = (
+        "Mirrored, the picture's silhouette overlaps the front's "
+        f"by {alike:.0%}, not by {UNLIKE:.0%}."
+    )
+    remedy = (
+        "Give a picture from straight behind, in which the object "
+        "is as upright as in the front picture."
+    )
     if unmirrored >= UNLIKE:
-        remedy = "Unmirrored it fits: mirror the picture, which seems to have been mirrored."
+        remedy = (
+            "The picture fits without mirroring, so it seems to be "
+            "mirrored already: mirror it back."
+        )
     raise InputError("back", "picture", limit, remedy)
 
 

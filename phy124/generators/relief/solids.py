@@ -254,7 +254,7 @@ def normalise_depth(depth: NDArray, alpha: NDArray) -> NDArray[np.float32]:
     """
     low, high = float(depth.min()), float(depth.max())
     if high - low <= 1e-6 * max(abs(low), abs(high), 1e-30):
-        limit = "It is constant."
+        limit = "The depth map is constant."
         raise InputError("depth", "map", limit, "Give the network's output before any rounding.")
     inside, outside = alpha > 127, alpha == 0
     if outside.any() and float(depth[inside].mean()) < float(depth[outside].mean()):

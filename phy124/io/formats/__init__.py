@@ -304,8 +304,8 @@ def find_written_format(path: Path, name: str | None = None) -> Format:
             if ending in (chosen.suffix, *chosen.other_suffixes):
                 return chosen
         known = ", ".join(dict.fromkeys(f.suffix for f in written.values()))
-        limit = "Its ending is that of no format that can be written."
-        raise InputError("output", path, limit, f"End the name in one of {known}.")
+        limit = "phy124 writes no format with this file ending."
+        raise InputError("output", path, limit, f"Use one of the endings {known}.")
     if name not in written:
         load_plugin("formats", name)  # raises an error that describes a broken plug-in
         raise InputError(
@@ -334,15 +334,15 @@ def recognise(path: Path) -> Format:
     if signed is not None:
         return signed
     if head.startswith(GZIP):
-        limit = "It is compressed by gzip, but is no SPZ file."
-        raise InputError("file", path, limit, "Unpack it with gunzip, and give its content.")
+        limit = "It is compressed by gzip, but is not an SPZ file."
+        raise InputError("file", path, limit, "Unpack it with gunzip, and give the unpacked file.")
     # The file is damaged or has no signature; the reader for its extension reports any damage.
     for chosen in known.values():
         if chosen.read and chosen.suffix == path.suffix.lower():
             return chosen
     if splat.likely(path):
         return FORMATS["splat"]
-    limit = "It is no file of Gaussians in a format that phy124 reads."
+    limit = "It is not a file of Gaussians in a format that phy124 reads."
     remedy = f"Give one of {', '.join(endings())}; splat-transform converts .ksplat and others."
     raise InputError("file", path, limit, remedy)
 

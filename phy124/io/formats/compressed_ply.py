@@ -76,7 +76,7 @@ def read(path: Path) -> Content:
 def _elements(path: Path, header: Header) -> list[Element]:
     wanted = [element for element in header.elements if element.name in ("chunk", "vertex", "sh")]
     if header.ascii or len({element.name for element in wanted}) < len(wanted):
-        raise refusal(KIND, path, "its packed elements are not as SuperSplat writes them.")
+        raise refusal(KIND, path, "its packed elements do not have the layout of SuperSplat.")
     return wanted
 
 
@@ -84,7 +84,7 @@ def _rows(path: Path, element: Element, size: int) -> NDArray[Any]:
     there = element.start + element.count * element.row.itemsize <= size
     rows = np.fromfile(path, element.row, element.count if there else 0, offset=element.start)
     if len(rows) < element.count:  # also catches a file that shrinks while it is read
-        raise refusal(KIND, path, f"it is cut short: its element {element.name} is not all there.")
+        raise refusal(KIND, path, f"it is cut short: its element {element.name} is incomplete.")
     return rows
 
 

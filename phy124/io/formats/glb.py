@@ -185,12 +185,18 @@ def _accessor(name: str, array: NDArray, view: int) -> dict[str, Any]:
 def _chunks(path: Path, data: bytes) -> Scene:
     """Return the JSON description and the binary chunk."""
     if len(data) < HEADER.size or data[:4] != MAGIC:
-        raise refusal(KIND, path, "it does not begin as a GLB file.", "Give a GLB file.")
+        raise refusal(
+            KIND, path, "it does not begin with the header of a GLB file.", "Give a GLB file."
+        )
     _, version, length = HEADER.unpack_from(data)
     if version != 2:
-        raise refusal(KIND, path, f"it is glTF {version}; glTF 2 is read.", "Export it again.")
+        raise refusal(
+            KIND, path, f"it is glTF {version}; only glTF 2 can be read.", "Export it again."
+        )
     if length > len(data):
-        raise refusal(KIND, path, f"it is cut short: {len(data):,} of {length:,} bytes are there.")
+        raise refusal(
+            KIND, path, f"it is cut short: {len(data):,} of {length:,} bytes are present."
+        )
     chunks: dict[int, memoryview] = {}
     at, view = HEADER.size, memoryview(data)
     while at + CHUNK.size <= len(data):
@@ -204,9 +210,9 @@ def _chunks(path: Path, data: bytes) -> Scene:
     try:
         tree = json.loads(bytes(text))
     except (ValueError, RecursionError) as error:
-        raise refusal(KIND, path, "its description is no JSON.") from error
+        raise refusal(KIND, path, "its description is not JSON.") from error
     if not isinstance(tree, dict):
-        raise refusal(KIND, path, "its description is no glTF.")
+        raise refusal(KIND, path, "its description is not glTF.")
     return Scene(path, tree, chunks.get(BIN_CHUNK, memoryview(b"")))
 
 
@@ -255,7 +261,11 @@ def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
     for node in scene.tree.get("nodes", []):
         wanted |= dict.fromkeys(node.get("extensions", {}) if "mesh" in node else [])
     unread = ", ".join(name[:60] for name in wanted if name not in EXTENSIONS)
-    extensions = [f"Unsupported extensions may change it: {unread[:300]}."] if unread else []
+    extensions = (
+        [f"The file has extensions that phy124 ignores, so it may look different: {unread[:300]}."]
+        if unread
+        else []
+    )
     return [*degree, *describe_unread(others), *extensions]
 
 
@@ -298,10 +308,13 @@ def _check_kind(scene: Scene, primitive: dict[str, Any], extension: dict[str, An
         limit = "its Gaussians are selected by indices, which is not supported."
         raise refusal(KIND, scene.path, limit, "Export it without indices.")
     if extension.get("extensions"):
-        limit = f"its Gaussians are compressed by {', '.join(extension['extensions'])}, a draft."
+        limit = (
+            f"its Gaussians are compressed by {', '.join(extension['extensions'])}, "
+            "a draft extension that phy124 does not read."
+        )
         raise refusal(KIND, scene.path, limit, "Export it without compression.")
     if extension.get("kernel", "ellipse") != "ellipse":
-        limit = f"its kernel is {str(extension['kernel'])[:40]}; only ellipse is read."
+        limit = f"its kernel is {str(extension['kernel'])[:40]}; only ellipse can be read."
         raise refusal(KIND, scene.path, limit, "Export it again.")
 
 

@@ -112,10 +112,10 @@ def _apply_sparse(scene: Scene, sparse: dict[str, Any], raw: NDArray[Any]) -> ND
     """Replace some of the numbers [N,width] by the values of a sparse accessor."""
     count, kind = int(sparse["count"]), np.dtype(TYPES[sparse["indices"]["componentType"]])
     if kind.kind != "u":
-        raise ValueError("a sparse accessor has no whole indices")
+        raise ValueError("the indices of a sparse accessor are not integers")
     rows = _read_view(scene, sparse["indices"], kind, count, 1)[:, 0]
     if rows.max() >= len(raw):
-        raise ValueError("a sparse accessor replaces values that are not there")
+        raise ValueError("a sparse accessor replaces values that do not exist")
     raw = raw.copy()
     raw[rows] = _read_view(scene, sparse["values"], raw.dtype, count, raw.shape[1])
     return raw
@@ -156,7 +156,7 @@ def kind_of_scales(
     if generator.startswith("phy124"):
         return False, []
     if _too_small(*max(parts, key=lambda part: len(part[0]))):
-        return True, [NOTE.format("as lengths they would leave it full of holes")]
+        return True, [NOTE.format("as lengths they would leave holes in the object")]
     return False, []
 
 

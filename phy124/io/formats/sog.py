@@ -88,7 +88,10 @@ def read(path: Path) -> Content:
 def _read(path: Path, archive: zipfile.ZipFile) -> Content:
     meta = json.loads(_member(path, archive, META, LONGEST))
     if meta.get("version") != 2:
-        limit = f"it says version {str(meta.get('version', 1))[:20]}; version 2 is read."
+        limit = (
+            f"its format version is {str(meta.get('version', 1))[:20]}, "
+            "but only version 2 can be read."
+        )
         raise refusal(KIND, path, limit, "Export it again from SuperSplat.")
     count = int(meta["count"])
     check_count(KIND, path, count, 24, path.stat().st_size)
@@ -157,8 +160,8 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes
     """Read a member of the archive that has at most `most` bytes."""
     known = {info.filename.rpartition("/")[2]: info for info in archive.infolist()}
     if name == META and name not in known:
-        limit = "it is a zip archive, but no SOG: it has no meta.json."
-        raise refusal(KIND, path, limit, "Unpack it, and give a file in it.")
+        limit = "it is a zip archive, but not a SOG file: it has no meta.json."
+        raise refusal(KIND, path, limit, "Unpack it, and give one of its files.")
     if name not in known:
         raise refusal(KIND, path, f"it has no {name[:80]}.", "Export it again.")
     with archive.open(known[name]) as file:
@@ -185,7 +188,7 @@ def _size(data: bytes) -> tuple[int, int]:
     """Read the width and height of a WebP image from its header."""
     kind = data[12:16]
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP" or len(data) < 30:
-        raise ValueError("a picture is no WebP")
+        raise ValueError("a picture is not a WebP file")
     if kind == b"VP8L":
         bits = int.from_bytes(data[21:25], "little")
         return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
@@ -208,7 +211,7 @@ def _centres(entry: dict[str, Any], pixels: Any) -> NDArray[np.float64]:
     fraction = (low + high.astype(np.uint16) * 256) / np.float64(65535)
     ends = np.array([entry["mins"], entry["maxs"]], np.float64)
     if ends.shape != (2, 3):
-        raise ValueError("the ends of the centres are not three numbers each")
+        raise ValueError("the lower and upper bounds of the centres do not have three numbers each")
     value = ends[0] + (ends[1] - ends[0]) * fraction
     return np.sign(value) * np.expm1(np.abs(value))
 
@@ -231,7 +234,7 @@ def _harmonics(
     most = (count + ENTRIES_PER_ROW) * each
     picture = _picture(path, archive, entry["files"][0], most)
     if picture.shape[1] != ENTRIES_PER_ROW * each:
-        raise ValueError("its palette of harmonics has another width")
+        raise ValueError("its palette of harmonics has the wrong width")
     entries = picture.reshape(-1, each, 4)[..., :3]
     labels = pixels(entry, 1)
     label = labels[:, 0] + labels[:, 1].astype(np.int64) * 256

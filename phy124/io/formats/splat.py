@@ -37,7 +37,8 @@ def read(path: Path) -> Content:
     count, rest = divmod(size, ROW.itemsize)
     if rest:
         limit = (
-            f"its {size:,} bytes are not a multiple of {ROW.itemsize}: it is cut short or foreign."
+            f"its {size:,} bytes are not a multiple of {ROW.itemsize}: "
+            "it is cut short or of another kind."
         )
         raise refusal("splat", path, limit)
     check_count("splat", path, count, ROW.itemsize, size)

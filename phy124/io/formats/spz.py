@@ -254,7 +254,9 @@ def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
     for i, wanted in enumerate(sizes):
         size, raw = ENTRY.unpack_from(data, at + ENTRY.size * i)
         if raw != wanted:
-            raise refusal(KIND, path, f"its stream {i} is announced with {raw:,} bytes.")
+            raise refusal(
+                KIND, path, f"its header states an impossible size of stream {i}, {raw:,} bytes."
+            )
         if start + size > len(data):
             raise _short(path)
         parts.append(_unpack(path, data[start : start + size], wanted))
@@ -274,7 +276,7 @@ def _unpack(path: Path, stream: bytes, wanted: int) -> bytes:
                 return body
     except zstandard.ZstdError as error:
         raise refusal(KIND, path, f"its compressed part is damaged ({error}).") from error
-    raise refusal(KIND, path, "a stream of it is longer or shorter than announced.")
+    raise refusal(KIND, path, "one of its streams is longer or shorter than its header states.")
 
 
 def _head(path: Path, data: bytes, size: int, versions: tuple[int, ...]) -> Head:
@@ -282,9 +284,11 @@ def _head(path: Path, data: bytes, size: int, versions: tuple[int, ...]) -> Head
         raise _short(path)
     head = Head(*HEADER.unpack(data))
     if head.magic != MAGIC:
-        raise refusal(KIND, path, "it does not begin as an SPZ file.", "Give an SPZ file.")
+        raise refusal(
+            KIND, path, "it does not begin with the header of an SPZ file.", "Give an SPZ file."
+        )
     if head.version not in versions:
-        limit = f"it says version {head.version}; versions 1 to 4 are read."
+        limit = f"its format version is {head.version}, but only versions 1 to 4 can be read."
         raise refusal(KIND, path, limit, "Export it again as version 3 or 4.")
     if head.degree > 4 or head.bits > 23:
         raise refusal(KIND, path, "its header is damaged.")

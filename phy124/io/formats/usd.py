@@ -38,7 +38,7 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
     """
     pxr = _pxr()
     if Path(path).suffix.lower() not in ENDINGS:
-        limit = "a USD file ends in .usdc, .usda or .usd."
+        limit = "the name of a USD file ends in .usdc, .usda or .usd."
         raise InputError("output", path, limit, "Rename it; prefer .usdc.")
     if not len(clip):
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")

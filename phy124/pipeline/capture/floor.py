@@ -127,11 +127,11 @@ def _check(x: Vectors, floor: Floor) -> None:
     heights = floor.heights(x)
     on, above = np.abs(heights) <= floor.tolerance, heights > floor.tolerance
     if on.mean() < MIN_FRACTION:
-        raise _none(f"the best plane holds {on.mean():.0%} of the Gaussians.")
+        raise _none(f"the best plane contains only {on.mean():.0%} of the Gaussians.")
     flat = x - heights[:, None] * floor.normal
     reach = [_spread(flat[part] - np.median(flat[part], axis=0)) for part in (on, above)]
     if above.any() and reach[0] <= reach[1]:
-        raise _none("the best plane reaches no farther than what stands on it.")
+        raise _none("the best plane is no larger than the object on it.")
 
 
 def _spread(x: Vectors) -> float:
@@ -142,5 +142,5 @@ def _spread(x: Vectors) -> float:
 def _none(limit: str) -> InputError:
     return InputError(
         "floor", "wanted", f"no floor was found: {limit}",
-        "Cut other things away with --crop, say where up is with --up, or leave --floor out.",
+        "Cut other things away with --crop, give the up direction with --up, or leave --floor out.",
     )  # fmt: skip

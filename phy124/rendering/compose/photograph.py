@@ -59,7 +59,7 @@ class Photograph:
         alpha = cutout.convert("RGBA").getchannel("A").resize((width, height))
         opaque = np.asarray(alpha, np.float32) / np.float32(255)
         if not (opaque > 0.5).any():
-            limit = "nothing in it is the object."
+            limit = "it shows no part of the object."
             raise InputError("compose", "the cut-out", limit, "Give another picture or mask.")
         return cls(np.asarray(rgb), opaque)
 
@@ -210,6 +210,6 @@ def photograph_of(picture: str | os.PathLike[str], folder: Path) -> Photograph:
     opened = open_image(picture, field="compose")
     if not (folder / CUTOUT).is_file():
         limit = f"{folder} has no {CUTOUT}, which shows where the object was."
-        remedy = "Compose a clip that `phy124 generate` made, in its folder."
+        remedy = "Use --compose with a clip in the folder that `phy124 generate` wrote."
         raise InputError("compose", picture, limit, remedy)
     return Photograph.of(opened, open_image(folder / CUTOUT, field="compose"))

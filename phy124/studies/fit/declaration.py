@@ -30,7 +30,7 @@ def parse_range(data: Any) -> Any:
     try:
         low, high = (float(end) for end in data.split(".."))
     except ValueError:
-        raise ValueError("it is no range. Write for example 1e4..1e6.") from None
+        raise ValueError("it is not a range. Write, for example, 1e4..1e6.") from None
     if not low < high:
         raise ValueError(f"{low:g} is not below {high:g}. Give the smaller one first.")
     log = low > 0 and high >= DECADE * low
@@ -149,7 +149,7 @@ def parse_ranges(texts: tuple[str, ...]) -> dict[str, str]:
         path, equals, text = (part.strip() for part in text.partition("="))
         if not (path and equals):
             limit = "it is not PATH=LEAST..LARGEST."
-            raise InputError("find", text, limit, "Write for example material.E=1e4..1e6.")
+            raise InputError("find", text, limit, "Write, for example, material.E=1e4..1e6.")
         if path in ranges:
             raise InputError("find", text, f"{path} is given twice.", "Give it once.")
         ranges[path] = text

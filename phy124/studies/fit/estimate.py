@@ -131,10 +131,12 @@ def _notes(problem: Problem, places: tuple[Values, ...]) -> list[str]:
             end = "lower" if part < 0.5 else "upper"
             notes.append(f"{name} lies at the {end} end of its range: widen the range.")
     if len(problem.grids) == 1:
-        notes.append("With one grid, the grid's error is unknown and not in the intervals.")
+        notes.append(
+            "With one grid, the grid's error is unknown and not included in the intervals."
+        )
     elif len(places) < len(problem.grids):
         left = ", ".join(map(str, problem.grids[len(places) :]))
-        notes.append(f"The time ended before the grid of {left} cells: give more --seconds.")
+        notes.append(f"The time ended before the grid of {left} cells was run: increase --seconds.")
     return notes
 
 

@@ -170,11 +170,11 @@ HOW = (
 """Part of a message that explains how to provide a force on the command line."""
 EXPERIMENTS = {
     "material.density": f"weigh it, or {FORCE}",
-    "material.E": f"let it wobble freely after the load, or {FORCE}",
-    "material.nu": "squeeze a block of it between slippery plates and watch how far its "
-    "sides come out",
+    "material.E": f"let it oscillate freely after the load, or {FORCE}",
+    "material.nu": "squeeze a block of it between slippery plates and "
+    "measure how far its sides bulge",
     "material.damping": "watch it swing freely for several periods without touching anything",
-    "friction": "let it slide, on a slope that it just does not stay on",
+    "friction": "let it slide down a slope that is just steep enough",
     "object.velocity": "watch it fly for some frames before it touches anything",
     "object.spin": "watch it fly for some frames before it touches anything",
     "stiffness": "load the stiff and the soft end one after the other",

@@ -57,7 +57,7 @@ def read_table(
         limit = f"its first line is {','.join(header)!r}."
         raise InputError(field, path, limit, f"Begin it with {ways}.")
     if len(lines) == 1:
-        raise InputError(field, path, "it has no rows.", "Give at least two instants.")
+        raise InputError(field, path, "it has no rows.", "Give at least two times.")
     places = [header.index(column) for column in ("time", *columns)]
     numbers = np.array([_numbers(path, field, i, line, places) for i, line in enumerate(lines[1:])])
     names = np.array([line[header.index(name)].strip() for line in lines[1:]])
@@ -170,10 +170,10 @@ def refuse_outside(field: str, source: object, times: Values, length: float) -> 
     """
     if times.min() < -ROUNDED:
         limit = f"it begins at {times.min():.3g} s, before the scene, which begins at 0."
-        raise InputError(field, source, limit, "Count its time from the scene's beginning.")
+        raise InputError(field, source, limit, "Give times since the beginning of the scene.")
     if times.max() > length + ROUNDED:
         limit = f"it goes on until {times.max():.3g} s, and the scene's last frame is at "
-        remedy = f"Add --set time.seconds={times.max() + 0.1:.3g}, or shorten it."
+        remedy = f"Add --set time.seconds={times.max() + 0.1:.3g}, or shorten the recording."
         raise InputError(field, source, f"{limit}{length:.3g} s.", remedy)
 
 

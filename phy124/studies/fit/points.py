@@ -76,12 +76,12 @@ def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
     places = {int(track[row]): table.values[row] for row in start}
     missing = [name for number, name in enumerate(names) if number not in places]
     if missing:
-        limit = f"point {missing[0]} is not seen at the first instant, {table.times.min():g} s."
+        limit = f"point {missing[0]} is not seen at the first time, {table.times.min():g} s."
         raise InputError(
             "target", f"{len(names)} points", limit, "Leave out points that appear later."
         )
     if len(np.unique(table.times)) < 2:
-        limit = "there is only one instant."
+        limit = "there is only one time."
         raise InputError("target", f"{len(names)} points", limit, "Give at least two.")
     return np.stack([places[number] for number in range(len(names))])
 
@@ -121,7 +121,7 @@ def _refuse_far(distance: Values, of_what: str) -> None:
     worst = int(distance.argmax())
     if distance[worst] > FAR:
         limit = (
-            f"a point is {distance[worst]:.2g} {of_what} away from the object at the first instant."
+            f"a point is {distance[worst]:.2g} {of_what} away from the object at the first time."
         )
         remedy = "Give metres of the scene (z up, the object over the origin), or pixels of --side."
         raise InputError("target", f"{len(distance)} points", limit, remedy)

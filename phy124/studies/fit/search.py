@@ -41,7 +41,7 @@ def screen(problem: Problem, distance: Distance, seed: int) -> Values:
     seen = problem.predict([*drawn], 0)
     costs = [*map(distance.cost, seen)]
     if all(prediction is None for prediction in seen):
-        limit = "the run fails everywhere in these ranges."
+        limit = "every run in these ranges fails."
         raise InputError("find", ", ".join(problem.names), limit, "Choose other ranges.")
     return drawn[int(np.argmin(costs))]
 

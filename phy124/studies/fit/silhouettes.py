@@ -145,7 +145,7 @@ def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, 
     shared = float(np.sum(masks[0] & wanted) / max(np.sum(masks[0] | wanted), 1))
     if shared < LEAST:
         limit = f"its first outline and the object's at rest share {shared:.0%} of their area."
-        remedy = "Film the object at rest first, from the side that is named."
+        remedy = "Begin the video with the object at rest, seen from the given side."
         raise InputError("align", True, limit, remedy)
     pictures = np.stack(
         [_warp(picture, matrix, size, cv2.BORDER_REPLICATE) for picture in film.pictures]

@@ -59,10 +59,10 @@ class Target:
         kinds = {".csv": "table", **dict.fromkeys(FILMS, "film")}
         kind = "clip" if clip else "film" if path.is_dir() else kinds.get(path.suffix.lower())
         if kind is None or not path.exists():
-            limit = "it is missing, or no clip, .csv file, video or folder."
+            limit = "it does not exist, or is not a clip, .csv file, video or folder."
             raise InputError("target", path, limit, "Give one of these.")
         if declared.align and kind != "film":
-            raise InputError("align", True, "the target is no video.", "Leave it out.")
+            raise InputError("align", True, "the target is not a video.", "Leave it out.")
         self.scene, self.gaussians, self.crop = _read_object(declared, clip)
         table = read_table(path, "target", "id", PLACE_COLUMNS) if kind == "table" else None
         if kind == "film":
@@ -96,7 +96,7 @@ class Target:
         try:
             chosen = view.only(self.declared.side)
         except ValueError:
-            limit = "the view has no such side."
+            limit = "there is no such view."
             remedy = "Give front, right, back, left, azimuth-45, or the name of a camera."
             raise InputError("side", self.declared.side, limit, remedy) from None
         means = np.broadcast_to(self.rest.means[0], (frames, *self.rest.means.shape[1:]))

@@ -56,7 +56,7 @@ def read_film(path: Path) -> Film:
     """
     drawn, fps = (list(_folder(path)), None) if path.is_dir() else _frames(path)
     if len(drawn) < 2:
-        limit = f"it has {len(drawn)} pictures that can be read."
+        limit = f"it has {len(drawn)} frames that can be read."
         raise InputError("target", path, limit, "Give a video, or a folder of PNG files.")
     if len({picture.shape[:2] for picture in drawn}) > 1:
         raise InputError("target", path, "its pictures differ in size.", "Give all the same size.")
@@ -132,7 +132,7 @@ def is_film(path: Path) -> bool:
 
 
 def _unreadable(path: Path) -> InputError:
-    return InputError("target", path, "it is no video that can be read.", "Give an MP4.")
+    return InputError("target", path, "it is not a readable video.", "Give an MP4.")
 
 
 def _folder(path: Path) -> Iterator[NDArray]:
@@ -144,7 +144,7 @@ def _folder(path: Path) -> Iterator[NDArray]:
                 image.load()
                 picture = _shrink(turn_upright(image))
         except Exception:  # Pillow raises many types.
-            limit = "it is no picture that can be read."
+            limit = "it is not a readable picture."
             raise InputError("target", file, limit, "Leave it out.") from None
         yield picture
 
@@ -158,7 +158,7 @@ def _shrink(image: Image.Image) -> NDArray[np.uint8]:
 
 def _refuse_endless(path: Path, count: int) -> None:
     if count > MOST:
-        raise InputError("target", path, f"it has more than {MOST} pictures.", "Shorten it.")
+        raise InputError("target", path, f"it has more than {MOST} frames.", "Shorten it.")
 
 
 def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:

@@ -87,7 +87,9 @@ def read_manifest(storage: Storage) -> list[Row]:
     table = _read(storage)
     if table is None:
         limit = "it contains no results of a sweep."
-        raise InputError("folder", storage.address, limit, "Give the --out of a sweep.")
+        raise InputError(
+            "folder", storage.address, limit, "Give the folder that a sweep wrote (its --out)."
+        )
     return table.to_pylist()
 
 

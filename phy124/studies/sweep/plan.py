@@ -58,7 +58,7 @@ class Plan:
         self._refuse_endless()
         self._length = sweep.samples or prod(axis.count for axis in self._counted)
         if self._length > MOST:
-            limit = f"all combinations are {self._length:,} clips, the most are {MOST:,}."
+            limit = f"all combinations are {self._length:,} clips, but the limit is {MOST:,}."
             raise InputError("sweep", sweep.scene, limit, "Set samples, or shorten a range.")
         self._block: tuple[int, NDArray[np.float64]] = (-1, np.empty((0, 0)))
 

@@ -19,7 +19,10 @@ from phy124.studies.sweep.plan import Item, Plan
 from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import Order, memory_of_gpu, needs_of, stops_all, write_row
 
-FULL = "no space is left at {}. Free some; the same command goes on, and nothing made is lost"
+FULL = (
+    "no space is left at {}. Free some space; then the same command "
+    "continues, and no finished clip is lost"
+)
 
 
 @dataclass
@@ -69,7 +72,12 @@ def run(
     """
     part, parts = shard
     if not 1 <= part <= parts:
-        raise InputError("shard", f"{part}/{parts}", "there is no such part.", "Give 1/8 to 8/8.")
+        raise InputError(
+            "shard",
+            f"{part}/{parts}",
+            "there is no such shard.",
+            "Give, for example, 3/8 for the third of eight shards.",
+        )
     storage, counts = Storage(out), counts or Counts()
     refuse_missing_tables()
     sweep_rows(storage)

@@ -128,7 +128,7 @@ class DreamGaussian:
         splats = start(settings, draw, self.device)
         fit(splats, guidance, settings, draw, known=(rgb, alpha), progress=progress)
         if not len(splats):
-            limit = "no Gaussian was left: all became transparent or too large."
+            limit = "no Gaussian remained: all became transparent or too large."
             remedy = "Use more points or steps, or another seed."
             raise InputError("generator", "dreamgaussian", limit, remedy)
         return normalise_size(splats.gaussians(), "DreamGaussian")

@@ -219,7 +219,10 @@ def load_unet(
     except TypeError as error:
         known = ", ".join(Config.__dataclass_fields__)
         raise InputError(
-            "config", ", ".join(config), f"a field is unknown; there are {known}.", "Leave it out."
+            "config",
+            ", ".join(config),
+            f"it has an unknown field; the fields are {known}.",
+            "Leave it out.",
         ) from error
     with torch.device("meta"):
         unet = MultiViewUNet(chosen)

@@ -46,8 +46,9 @@ OPACITY_MIN = 0.005
 VIEW_ORDER = (1, 2, 3, 0)
 """Indices of ImageDream's views in LGM's order; LGM's front is ImageDream's second view."""
 OLD_GENERATION = (
-    "These LGM weights are of the first generation, whose quaternions mean nothing: the Gaussians "
-    "are left unrotated, as that generation drew them. `phy124 weights fetch lgm` gets the "
+    "These LGM weights are of the first generation, whose quaternions have no meaning: the "
+    "Gaussians are not rotated, as in the renderer of that generation. "
+    "`phy124 weights fetch lgm` gets the "
     "corrected ones."
 )
 WORK = Work(98.8e9, 1486.6e9, 194.9e9)

@@ -124,8 +124,8 @@ class Report:
         """A sentence about the limits of the errors; empty if they hold for the whole motion."""
         if self.until is not None:
             return (
-                f"The levels part after {self.until:.3g} s, where their motions take different "
-                "paths. All errors are of the motion until then."
+                f"The levels part after {self.until:.3g} s, because their motions "
+                "diverge. All errors are for the motion until then."
             )
         if self.convergence.error is None and self.closest is not None:
             return (
@@ -457,7 +457,7 @@ def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int,
     if not good:
         return f"{advice}; no level reached {GOOD:.0%}, which needs a finer grid."
     if not finer:
-        return f"{advice}; it is the finest that was tried."
+        return f"{advice}; it is the finest grid that was run."
     ratio = finer[0].seconds / best.seconds
     better = f"{finer[0].error or 0:.1%}"
     return f"{advice}; {finer[0].name} would take {ratio:.1f} times as long for {better}."

@@ -55,7 +55,7 @@ def publish() -> tuple[Quantity, ...]:
             ("Poisson's ratio", (free - 1) / STRAIN),
             ("free sides: stress / E strain", -stress(axial, free)[0] / STRAIN),
             ("held sides: stress / E strain", -stress(axial, 1.0)[0] / STRAIN),
-            ("from all sides: stress / E strain", -stress(axial, axial)[0] / STRAIN),
+            ("hydrostatic: stress / E strain", -stress(axial, axial)[0] / STRAIN),
         )
     )
 
