@@ -349,3 +349,52 @@ def test_a_plane_depth_map_gives_a_plane_front():
 def test_depth_maps_that_cannot_be_meant_are_refused(depth, why):
     with pytest.raises(InputError, match=why):
         relief(face(), count=1000, depth=depth)
+
+
+def duck():
+    """A white body with a red head to the left, whose eye is black."""
+    body = np.hypot((X - 110) / 60, (Y - 120) / 40) < 1
+    head = np.hypot(X - 60, Y - 70) < 30
+    eye = np.hypot(X - 55, Y - 65) < 7
+    rgb = np.where(head[..., None], np.array([200, 40, 30]), 225)
+    return picture(body | head, np.where(eye[..., None], 10, rgb).astype(np.uint8))
+
+
+def eyes_behind(gaussians):
+    """Number of dark Gaussians on the back."""
+    behind = rotation_matrices(gaussians.quats)[:, 0, 2] < -0.4
+    return (gaussians.rgb.mean(axis=1) < 0.2)[behind].sum()
+
+
+def test_back_of_a_profile_is_the_mirrored_front():
+    assert eyes_behind(relief(duck(), count=5000)) > 5
+    assert eyes_behind(relief(duck(), count=5000, back_look="plain")) == 0
+    assert eyes_behind(relief(face(), count=5000, back_look="mirror")) > 5
+
+
+def test_plain_back_has_the_fronts_texture():
+    """A rough front has a back of the same roughness, not a blur."""
+    rough = np.random.default_rng(0).normal(150, 25, (SIZE, SIZE, 1)).repeat(3, axis=2)
+    mask = np.hypot(X - 96, Y - 96) < 80
+    gaussians = relief(picture(mask, rough.clip(0, 255).astype(np.uint8)))
+    facing = rotation_matrices(gaussians.quats)[:, 0, 2]
+    front, back = (gaussians.rgb[side, 0].std() for side in (facing > 0.7, facing < -0.7))
+    assert back > 0.3 * front
+
+
+def test_back_is_shaded_by_the_fronts_light(renderer):
+    """Light from the camera's left and front leaves the back darker, its left side most."""
+    normal_x, normal_y = (X - 96) / 80, (Y - 96) / 80
+    normal_z = np.sqrt(np.clip(1 - normal_x**2 - normal_y**2, 0, 1))
+    grey = (150 * (1 - 0.25 * normal_x + 0.15 * normal_z))[..., None].repeat(3, axis=2)
+    gaussians = relief(picture(normal_z > 0, grey.astype(np.uint8)), count=10_000)
+    seen = renderer(gaussians, Camera.orbit(180, 0, VIEW_DISTANCE, 128))[64, :, 0]
+    assert seen[64] < 150 / 255 - 0.03  # at the rim, the light is neither added nor missing
+    assert seen[40] + 0.1 < seen[88]
+
+
+def test_shape_without_shading_keeps_its_colour_behind():
+    plain = relief(picture(np.hypot(X - 96, Y - 96) < 80), count=3000)
+    np.testing.assert_allclose(
+        plain.rgb, np.array([200, 120, 60]) / 255 * np.ones_like(plain.rgb), atol=0.01
+    )

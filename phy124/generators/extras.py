@@ -99,7 +99,7 @@ def _array(path: Path) -> NDArray:
 
 
 class OtherViews(Section):
-    """Options for images from other sides, thickness and highlights."""
+    """Options for images from other sides, the back's look, thickness and highlights."""
 
     side: Path | None = Field(
         default=None,
@@ -115,6 +115,12 @@ class OtherViews(Section):
         default=None,
         description="Picture of the same object from straight behind, "
         "which relief uses for the back.",
+    )
+    back_look: Literal["auto", "mirror", "plain"] = Field(
+        default="auto",
+        description="Back that relief makes without a picture of it: mirror (the mirrored front, "
+        "for an object seen from its side), plain (the front's materials without its features) or "
+        "auto (plain if the outline is symmetric).",
     )
     thickness: float | None = Field(
         default=None,
@@ -153,6 +159,8 @@ class OtherViews(Section):
             options["thickness"] = self.thickness
         if self.highlights == "remove":
             options["highlights"] = self.highlights
+        if self.back_look != "auto":
+            options["back_look"] = self.back_look
         for field, value in options.items():
             if field not in known:
                 limit = f"{name} does not use it."

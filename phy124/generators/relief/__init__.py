@@ -2,7 +2,7 @@
 
 It needs no trained weights. The shape is a guess, not a reconstruction: the most plausible solid
 for the silhouette (`phy124.generators.relief.solids`). The front shows the image; the back
-continues the colours along the silhouette's rim. An image from the side replaces the guess of the
+is imagined (`phy124.generators.relief.back`). An image from the side replaces the guess of the
 depth (`phy124.generators.relief.hull`). docs/lab/relief.md compares the results with objects whose
 shape is known from all sides.
 """
@@ -17,6 +17,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.relief.back import BackLook
 from phy124.generators.relief.highlights import matte
 from phy124.generators.relief.picture import Given, open_picture
 from phy124.generators.relief.several import Facing, from_sides
@@ -39,6 +40,7 @@ def relief(
     side: Given | None = None,
     facing: Facing = "left",
     back: Given | None = None,
+    back_look: BackLook = "auto",
     thickness: float | None = None,
     highlights: Literal["keep", "remove"] = "keep",
 ) -> Gaussians:
@@ -58,6 +60,9 @@ def relief(
         side: Image of the segmented object from one side, which determines its depth.
         facing: Direction in which the object's front points in `side`.
         back: Image of the segmented object from behind.
+        back_look: Look of the back without such an image: "mirror": the mirrored front; "plain":
+            the front's materials without its features; "auto": plain if the silhouette is
+            symmetric, else mirrored.
         thickness: Factor on the depth guessed from the silhouette; None: 1.
         highlights: "keep": they are painted on the object and move with it; "remove" them first.
 
@@ -86,6 +91,7 @@ def relief(
             step=step,
             depth=depth,
             back=behind,
+            look=back_look,
             thickness=1.0 if thickness is None else thickness,
         )
     else:
@@ -95,6 +101,7 @@ def relief(
             prepare(side, "side"),
             facing=facing,
             back=behind,
+            look=back_look,
             count=count,
             rng=rng,
             step=step,

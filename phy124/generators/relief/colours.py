@@ -1,4 +1,4 @@
-"""Colours an object from its images, and an unseen back from the colours along the rim."""
+"""Colours an object from its images and from an imagined back."""
 
 from __future__ import annotations
 
@@ -10,16 +10,13 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.generators.relief.height import nearest_of
+from phy124.generators.relief.light import unlight
 from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
-INSET = 0.03
-"""Distance inside the rim at which the rim's colour is read, in image sizes."""
 REACH = 0.2
 """Distance along the surface, beyond the rim, over which the image fades into the back, in image
 sizes."""
-SHORTER = 6.0
-"""Exponent of the length ratio of row and column on the back; the shorter one has more weight."""
 FRINGE = 2.0
 """Width of the edge whose colours are ignored [pixels]."""
 
@@ -39,81 +36,51 @@ def clean_picture(rgba: Field) -> Field:
     return rgba[..., :3][nearest_of(trusted)[1]]
 
 
-def back_picture(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
-    """Interpolate the back [H,W,3] along rows and columns between colours near the rim.
-
-    Stripes therefore continue around the object, and features inside the silhouette (eyes, a beak)
-    do not appear again on the back.
-    """
-    depth, _ = nearest_of(~inside)
-    ridge = scipy.ndimage.maximum_filter(depth, size=2 * int(INSET * size) + 1)
-    inner = depth >= np.minimum(INSET * size, 0.6 * ridge)
-    _, nearest = nearest_of(inner & inside)
-    rim = scipy.ndimage.gaussian_filter(picture, (1.5, 1.5, 0))[nearest]
-    thick = _thickness(depth)
-    rows, wide = _between_ends(inside, rim, thick)
-    columns, high = _between_ends(inside.T, rim.swapaxes(0, 1), thick.T)
-    across = 1 / (1 + (wide / np.maximum(high.T, 1.0)) ** SHORTER)[..., None]
-    mixed = across * rows + (1 - across) * columns.swapaxes(0, 1)
-    return scipy.ndimage.gaussian_filter(np.where(inside[..., None], mixed, rim), (6, 6, 0))
-
-
-def _thickness(depth: Field) -> Field:
-    """Return the radius of the largest inscribed disc that covers each pixel [H,W], in 8 levels."""
-    thick = np.ones_like(depth)
-    for radius in np.geomspace(1.5, max(2.0, float(depth.max())), 8)[:-1]:
-        thick[nearest_of(depth >= radius)[0] <= radius] = radius
-    return thick
-
-
-def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
-    """Interpolate colours [H,W,3] between the ends of each run of a row; also return run lengths.
-
-    The colours of thin features, such as a beak, are weighted less at a distance.
-    """
-    columns = np.arange(inside.shape[1])
-    before = np.maximum.accumulate(np.where(inside, 0, columns), axis=1)
-    after = np.minimum.accumulate(np.where(inside, len(columns) - 1, columns)[:, ::-1], axis=1)
-    ends, total, weights = (before, after[:, ::-1]), np.zeros_like(colours), 0.0
-    for end, step in zip(ends, (1, -1), strict=True):
-        first = np.clip(end + step, 0, len(columns) - 1)
-        far = np.maximum(np.abs(columns - end), 1) / np.take_along_axis(thick, first, axis=1)
-        weight = (1 / far**2)[..., None]
-        total += weight * np.take_along_axis(colours, first[..., None], axis=1)
-        weights = weights + weight
-    return total / weights, (ends[1] - before).astype(np.float64)
-
-
 def colour_points(
-    points: Field, surface: Surface, inside: NDArray[np.bool_], front: Field, back: Field, size: int
+    points: Field,
+    normals: Field,
+    surface: Surface,
+    inside: NDArray[np.bool_],
+    front: Field,
+    back: Field,
+    light: Field,
+    reach: float,
 ) -> Field:
     """Colour surface points [N,3] from the front image, and continue it around the rim.
 
     Behind the rim, the image is continued by reflection: a point at a distance from the rim along
-    the surface gets the colour at the same distance inside the rim. With
-    increasing distance, this colour fades into that of the back.
+    the surface gets the colour at the same distance inside the rim. With increasing distance, this
+    colour fades into that of the back. Colours behind the rim are lit as the normals require.
 
     Args:
         points: Positions [N,3], pixels.
+        normals: Unit normals [N,3].
         surface: The surface.
         inside: Mask of the silhouette [H,W].
         front: Colours of the front [H,W,3].
-        back: Colours of the back [H,W,3].
-        size: Size of the object, pixels.
+        back: Colours of the back [H,W,3] without light.
+        light: Direction and strength of the light (`light.fit_light`) [3].
+        reach: Distance along the surface over which the image fades into the back, pixels.
     """
-    _, nearest = nearest_of(~inside)
     place = points[:, 1::-1].T
-    at = np.clip(np.rint(place).astype(int), 0, np.array(inside.shape)[:, None] - 1)
-    rim = np.stack([axis[tuple(at)] for axis in nearest]).astype(np.float64)
-    inward = place - rim
-    far = np.maximum(np.linalg.norm(inward, axis=0), 0.5)
-    way = np.hypot(far, surface.middle(rim[::-1].T) - points[:, 2])
+    shown = _sample(front, place)
     hidden = points[:, 2] < surface.middle(points)
-    around = _sample(scipy.ndimage.gaussian_filter(front, (2, 2, 0)), rim + inward / far * way)
-    shown = np.where(hidden, around, _sample(front, place))
-    fraction = np.where(hidden, np.clip(way / (REACH * size), 0, 1), 0.0)
-    fraction = fraction * fraction * (3 - 2 * fraction)
-    return (shown * (1 - fraction) + _sample(back, place) * fraction).T
+    points, place = points[hidden], place[:, hidden]
+    behind = _sample(back, place)
+    if reach > 0:
+        _, nearest = nearest_of(~inside)
+        at = np.clip(np.rint(place).astype(int), 0, np.array(inside.shape)[:, None] - 1)
+        rim = np.stack([axis[tuple(at)] for axis in nearest]).astype(np.float64)
+        inward = place - rim
+        far = np.maximum(np.linalg.norm(inward, axis=0), 0.5)
+        way = np.hypot(far, surface.middle(rim[::-1].T) - points[:, 2])
+        unlit = unlight(front, surface, light)
+        around = _sample(scipy.ndimage.gaussian_filter(unlit, (2, 2, 0)), rim + inward / far * way)
+        fraction = np.clip(way / reach, 0, 1)
+        fraction = fraction * fraction * (3 - 2 * fraction)
+        behind = around * (1 - fraction) + behind * fraction
+    shown[:, hidden] = behind * np.exp(normals[hidden] @ light)
+    return np.clip(shown, 0, 1).T
 
 
 def _sample(picture: Field, place: Field) -> Field:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124.generators.relief.colours import Shown, back_picture, blend_pictures, clean_picture
+from phy124.generators.relief.back import BackLook, smooth_back
+from phy124.generators.relief.colours import Shown, blend_pictures, clean_picture
 from phy124.generators.relief.ends import Continued, continue_silhouette
 from phy124.generators.relief.height import Silhouette
 from phy124.generators.relief.hull import Hull, spread_over
@@ -35,6 +36,7 @@ def from_sides(
     *,
     facing: Facing,
     back: Image.Image | None,
+    look: BackLook,
     count: int,
     rng: np.random.Generator,
     step: Callable[[int], None],
@@ -46,6 +48,7 @@ def from_sides(
         side: Image of the object from one side.
         facing: Direction in which the object's front points in `side`.
         back: Image of the object from behind.
+        look: Look of the back if there is no such image.
         count: Approximate number of points.
         rng: Random number generator.
         step: Called with the number of finished steps, also during a step.
@@ -70,7 +73,7 @@ def from_sides(
     points = points - hull.inset(points, DRAWN_IN) * normals
     shrunk = _shrinking(points, Box.of(front.object_mask), distance)
     points, spacing = shrunk * points, shrunk * spacing
-    shown = _show_sides(front, side_picture)
+    shown = _show_sides(front, side_picture, look)
     if back is not None:
         shown[BACK_PLACE] = show_back(back, tall / opaque_size(back)[1], front.object_mask)
     rgb = blend_pictures(points, normals, shown, distance)
@@ -78,7 +81,7 @@ def from_sides(
     return Shell(points, normals, spacing, rgb)
 
 
-def _show_sides(front: Continued, side_picture: Continued) -> list[Shown]:
+def _show_sides(front: Continued, side_picture: Continued, look: BackLook) -> list[Shown]:
     """Return the images of the front, the back and both sides.
 
     The more symmetric silhouette decides about the plane of symmetry. The other image, mirrored,
@@ -87,13 +90,14 @@ def _show_sides(front: Continued, side_picture: Continued) -> list[Shown]:
     pictures = []
     for picture, towards, across in ((front, FRONT, ACROSS), (side_picture, ACROSS, FRONT)):
         rgb, middle = clean_picture(picture.rgba), Box.of(picture.object_mask).middle
-        plain = back_picture(rgb, picture.object_mask, WORK)
+        plain = smooth_back(rgb, picture.object_mask, WORK)
         mirrored = Shown(rgb, middle, -towards, across)
         imagined = Shown(plain, middle, -towards, across, IMAGINED)
         pictures.append((Shown(rgb, middle, towards, across), mirrored, imagined))
     facing_us = _symmetry(front.object_mask) >= _symmetry(side_picture.object_mask)
     (ahead, behind, plain_behind), (near, far, plain_far) = pictures
-    return [ahead, plain_behind if facing_us else behind, near, far if facing_us else plain_far]
+    plain = facing_us if look == "auto" else look == "plain"
+    return [ahead, plain_behind if plain else behind, near, far if facing_us else plain_far]
 
 
 def _symmetry(object_mask: NDArray[np.bool_]) -> float:

@@ -9,15 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from phy124.generators.relief.back import BackLook, choose_look, plain_back
 from phy124.generators.relief.colours import (
+    REACH,
     Shown,
-    back_picture,
     blend_pictures,
     clean_picture,
     colour_points,
 )
 from phy124.generators.relief.ends import End, continue_silhouette
 from phy124.generators.relief.height import Silhouette
+from phy124.generators.relief.light import fit_light, unlight
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
 from phy124.generators.relief.shell import DRAWN_IN, Shell
 from phy124.generators.relief.sides import Box, check_back
@@ -96,6 +98,7 @@ def from_front(
     step: Step,
     depth: NDArray | None,
     back: Image.Image | None,
+    look: BackLook,
     thickness: float,
 ) -> Shell:
     """Inflate the silhouette; colour the back from its image, or else from the front's rim.
@@ -107,6 +110,7 @@ def from_front(
         step: Called with the number of finished steps, also during a step.
         depth: Depth map of the image; None: the front is inflated like the back.
         back: Image of the object from behind.
+        look: Look of the back if there is no such image.
         thickness: Factor on the depth guessed from the silhouette.
     """
     work = continue_silhouette(work_picture(picture, depth=depth), PADDING)
@@ -122,8 +126,14 @@ def from_front(
     inner = points - surface.inset(points, DRAWN_IN) * normals
     drawn, turned = view.project_points(inner, normals)
     if back is None:
-        imagined = back_picture(front, silhouette.inside, WORK)
-        rgb = colour_points(points, surface, silhouette.inside, front, imagined, WORK)
+        light = fit_light(front, surface, work.object_mask)
+        unlit = unlight(front, surface, light)
+        plain = (choose_look(work.rgba) if look == "auto" else look) == "plain"
+        imagined = plain_back(unlit, silhouette.inside, WORK, rng) if plain else unlit
+        reach = REACH * WORK if plain else 0.0
+        rgb = colour_points(
+            points, normals, surface, silhouette.inside, front, imagined, light, reach
+        )
     else:
         scale = Box.of(work.object_mask).size[1] / opaque_size(back)[1]
         middle = float(view.middle[0]), float(view.middle[1])

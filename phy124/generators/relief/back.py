@@ -1,0 +1,205 @@
+"""Imagines the unseen back of an object, from the image of its front.
+
+An object seen from its side, whose silhouette is not symmetric, looks alike from the other side:
+its back is the mirrored front. An object seen from its front has a back of the same materials
+without the features: colours are interpolated between those near the rim, and get the fine texture
+of parts of the front that have similar colours and no strong edges.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.generators.relief.height import nearest_of
+
+Field = NDArray[np.float64]
+BackLook = Literal["auto", "mirror", "plain"]
+SYMMETRIC = 0.86
+"""Smallest overlap (IoU) of a silhouette with its mirror image that shows a front."""
+UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
+"""Fraction of the height that may contain a face, and the smallest overlap of its outline and
+correlation of its brightness with those of its mirror image."""
+LARGE, FEWEST = 20.0, 50
+"""Standard deviation of the filter that removes the shading [pixels], and the smallest number of
+pixels that are compared."""
+SHIFTS = 21
+"""Number of axes of symmetry that are tried, in the middle half of the silhouette."""
+INSET = 0.03
+"""Distance inside the rim at which the rim's colour is read, in image sizes."""
+SHORTER = 6.0
+"""Exponent of the length ratio of row and column on the back; the shorter one has more weight."""
+COARSE = 3.0
+"""Standard deviation of the filter that separates colours and fine texture [pixels]."""
+PATCH, STEP, OFFSET = 20, 10, 3
+"""Side of a patch of texture, spacing of patches on the back, and of candidates [pixels]."""
+QUIET, STRONG = 0.4, 0.07
+"""Fraction of the candidates, from the least texture, that may be copied, and the standard
+deviation of texture above which it is weakened: it has edges of features."""
+ALIKE = 6
+"""Number of the candidates of most similar colour among which one is chosen at random."""
+
+
+def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
+    """Choose the look of the back for an image [H,W,4]: plain if it shows a front, else mirrored.
+
+    A front has a symmetric silhouette, or else its upper part is symmetric, in outline and in the
+    image: a face above an arm that is stretched out.
+    """
+    solid = rgba[..., 3] > 0.5
+    rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
+    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    rgba, solid = rgba[box], solid[box]
+    if _fold(solid)[0] >= SYMMETRIC:
+        return "plain"
+    upper = solid[: max(1, round(UPPER * len(solid)))]
+    columns = np.flatnonzero(upper.any(axis=0))
+    box = np.s_[: len(upper), columns[0] : columns[-1] + 1]
+    overlap, axis = _fold(upper[:, box[1]])
+    alike = overlap >= OUTLINE and _alike(rgba[box], axis) >= FACE
+    return "plain" if alike else "mirror"
+
+
+def _fold(solid: NDArray[np.bool_]) -> tuple[float, int]:
+    """Return the largest overlap (IoU) of a silhouette with its mirror image, and the axis.
+
+    The axis is twice its distance from the middle [pixels].
+    """
+    width, area = solid.shape[1], np.count_nonzero(solid)
+    best, axis = 0.0, 0
+    for shift in np.linspace(-width / 4, width / 4, SHIFTS).round().astype(int):
+        there = _about(solid, shift)
+        both = np.count_nonzero(there & there[:, ::-1])
+        overlap = both / (2 * area - both)
+        if overlap > best:
+            best, axis = overlap, int(shift)
+    return best, axis
+
+
+def _about(values: NDArray, axis: int) -> NDArray:
+    """Pad an array [H,W] so that the axis of symmetry becomes its middle."""
+    return np.pad(values, ((0, 0), (max(axis, 0), max(-axis, 0))))
+
+
+def _alike(rgba: Field, axis: int) -> float:
+    """Return the correlation of the brightness in an image [H,W,4] with its mirror image."""
+    solid = _about(rgba[..., 3] > 0.5, axis).astype(np.float64)
+    bright = _about(rgba[..., :3].mean(axis=2), axis) * solid
+    weight = cv2.GaussianBlur(solid, (0, 0), LARGE)
+    detail = cv2.GaussianBlur(bright, (0, 0), COARSE)
+    detail = detail - cv2.GaussianBlur(bright, (0, 0), LARGE) / np.maximum(weight, 1e-3)
+    both = cv2.erode(solid * solid[:, ::-1], np.ones((9, 9))) > 0
+    here, there = detail[both], detail[:, ::-1][both]
+    if len(here) < FEWEST or min(here.std(), there.std()) < 1e-6:
+        return 0.0
+    return float(np.corrcoef(here, there)[0, 1])
+
+
+def plain_back(
+    picture: Field, inside: NDArray[np.bool_], size: int, rng: np.random.Generator
+) -> Field:
+    """Return colours of the back [H,W,3] without the features of the front.
+
+    Args:
+        picture: Colours of the front [H,W,3], continued beyond the silhouette.
+        inside: Mask of the silhouette [H,W].
+        size: Size of the object, pixels.
+        rng: Random number generator that chooses patches of texture.
+    """
+    smooth = smooth_back(picture, inside, size)
+    return np.clip(smooth + _texture(picture, smooth, inside, rng), 0, 1)
+
+
+def _texture(
+    picture: Field, smooth: Field, inside: NDArray[np.bool_], rng: np.random.Generator
+) -> Field:
+    """Copy fine texture [H,W,3] from patches of the front whose colours are like the back's.
+
+    Overlapping patches are blended with weights that preserve the variance (Heitz, Neyret 2018).
+    """
+    coarse = cv2.GaussianBlur(picture, (0, 0), COARSE)
+    fine = picture - coarse
+    window = np.sin(np.pi * (np.arange(PATCH) + 0.5) / PATCH) ** 2
+    window = np.outer(window, window)
+    # Patches of the front lie wholly inside the silhouette.
+    whole = cv2.erode(np.pad(inside, 1).astype(np.uint8), np.ones((PATCH, PATCH), np.uint8))[
+        1:-1, 1:-1
+    ]
+    places = np.argwhere(whole > 0) - PATCH // 2
+    places = places[(places % OFFSET == 0).all(axis=1)]
+    height, width = inside.shape
+    within = (places >= 0).all(axis=1) & (places + PATCH <= (height, width)).all(axis=1)
+    places = places[within]
+    if len(places) < ALIKE:
+        return np.zeros_like(picture)
+    middles = tuple((places + PATCH // 2).T)
+    strength = cv2.boxFilter((fine**2).sum(axis=2), -1, (PATCH, PATCH))[middles]
+    quiet = strength <= np.quantile(strength, QUIET)
+    places, colours = places[quiet], coarse[middles][quiet]
+    gains = np.minimum(1.0, STRONG / np.sqrt(strength[quiet] + 1e-9))
+    total, weights = np.zeros_like(picture), np.full((height, width), 1e-6)
+    for row in range(-STEP, height, STEP):
+        for column in range(-STEP, width, STEP):
+            top, left = max(row, 0), max(column, 0)
+            bottom, right = min(row + PATCH, height), min(column + PATCH, width)
+            if not inside[top:bottom, left:right].any():
+                continue
+            middle = min(max(row + STEP, 0), height - 1), min(max(column + STEP, 0), width - 1)
+            far = ((colours - smooth[middle]) ** 2).sum(axis=1)
+            alike = np.argpartition(far, min(ALIKE, len(far) - 1))[:ALIKE]
+            chosen = rng.choice(alike)
+            y, x = places[chosen]
+            part = np.s_[top - row : bottom - row, left - column : right - column]
+            patch = gains[chosen] * fine[y : y + PATCH, x : x + PATCH][part]
+            total[top:bottom, left:right] += window[part][..., None] * patch
+            weights[top:bottom, left:right] += window[part] ** 2
+    return total / np.sqrt(weights)[..., None]
+
+
+def smooth_back(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
+    """Interpolate the back [H,W,3] along rows and columns between colours near the rim.
+
+    Stripes therefore continue around the object, and features inside the silhouette (eyes, a beak)
+    do not appear again on the back.
+    """
+    depth, _ = nearest_of(~inside)
+    ridge = scipy.ndimage.maximum_filter(depth, size=2 * int(INSET * size) + 1)
+    inner = depth >= np.minimum(INSET * size, 0.6 * ridge)
+    _, nearest = nearest_of(inner & inside)
+    rim = scipy.ndimage.gaussian_filter(picture, (1.5, 1.5, 0))[nearest]
+    thick = _thickness(depth)
+    rows, wide = _between_ends(inside, rim, thick)
+    columns, high = _between_ends(inside.T, rim.swapaxes(0, 1), thick.T)
+    across = 1 / (1 + (wide / np.maximum(high.T, 1.0)) ** SHORTER)[..., None]
+    mixed = across * rows + (1 - across) * columns.swapaxes(0, 1)
+    return scipy.ndimage.gaussian_filter(np.where(inside[..., None], mixed, rim), (6, 6, 0))
+
+
+def _thickness(depth: Field) -> Field:
+    """Return the radius of the largest inscribed disc that covers each pixel [H,W], in 8 levels."""
+    thick = np.ones_like(depth)
+    for radius in np.geomspace(1.5, max(2.0, float(depth.max())), 8)[:-1]:
+        thick[nearest_of(depth >= radius)[0] <= radius] = radius
+    return thick
+
+
+def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
+    """Interpolate colours [H,W,3] between the ends of each run of a row; also return run lengths.
+
+    The colours of thin features, such as a beak, are weighted less at a distance.
+    """
+    columns = np.arange(inside.shape[1])
+    before = np.maximum.accumulate(np.where(inside, 0, columns), axis=1)
+    after = np.minimum.accumulate(np.where(inside, len(columns) - 1, columns)[:, ::-1], axis=1)
+    ends, total, weights = (before, after[:, ::-1]), np.zeros_like(colours), 0.0
+    for end, step in zip(ends, (1, -1), strict=True):
+        first = np.clip(end + step, 0, len(columns) - 1)
+        far = np.maximum(np.abs(columns - end), 1) / np.take_along_axis(thick, first, axis=1)
+        weight = (1 / far**2)[..., None]
+        total += weight * np.take_along_axis(colours, first[..., None], axis=1)
+        weights = weights + weight
+    return total / weights, (ends[1] - before).astype(np.float64)

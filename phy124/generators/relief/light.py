@@ -1,0 +1,86 @@
+"""Estimates the light of an image from the shading of its front, to shade the unseen back.
+
+The brightness of a pixel is modelled as albedo * exp(s . n), with the unit normal n of the guessed
+solid and one vector s for the image: a Lambertian surface under distant lights, of first order
+(Ramamoorthi, Hanrahan 2001). Pixels of similar hue share an albedo. A robust linear fit of the
+logarithm gives s. Since n and the albedo may be correlated, s is drawn towards 0 and limited.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.generators.relief.surface import Surface
+
+Field = NDArray[np.float64]
+HUES, GREY = 7, 0.06
+"""Number of groups of pixels of similar hue, and the saturation below which a pixel is grey."""
+EVERY = 3
+"""Spacing of the pixels that are compared."""
+EDGE = 4
+"""Width of the edge whose pixels are not compared."""
+DARKEST = 0.03
+"""Added to the brightness before its logarithm is taken."""
+PRIOR, SAMPLES = 0.3, 60.0
+"""Expected size of s, and the number of independent samples in an image."""
+LIMIT, FRONTAL = 0.3, 0.2
+"""Largest size of a component of s across the view, and of the component towards the camera, which
+is not negative: photographs are rarely lit from behind alone."""
+CERTAIN = (0.08, 0.16)
+"""Sizes of s below which it is ignored, since colours may cause it, and above which it is used."""
+THICK = (8.0, 18.0)
+"""Half thicknesses [pixels] of the object below and above which, in the same way, its normals are
+uncertain and certain."""
+ROUNDS = 4
+
+
+def fit_light(rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> Field:
+    """Return the vector s [3] of an image [H,W,3] of a surface's front."""
+    seen = cv2.erode(object_mask.astype(np.uint8), np.ones((2 * EDGE + 1,) * 2)) > 0
+    place = np.argwhere(seen)
+    place = place[(place % EVERY == 0).all(axis=1)]
+    if len(place) < HUES * HUES:
+        return np.zeros(3)
+    normals = front_normals(surface)[tuple(place.T)]
+    colours = rgb[tuple(place.T)]
+    bright = np.log(colours.mean(axis=1) + DARKEST)
+    group = _groups(colours)
+    weights = np.ones(len(place))
+    light = np.zeros(3)
+    for _ in range(ROUNDS):
+        share = np.maximum(np.bincount(group, weights, HUES), 1e-9)
+        means = [np.bincount(group, weights * v, HUES) / share for v in (bright, *normals.T)]
+        level, flat = bright - means[0][group], normals - np.stack(means[1:], axis=1)[group]
+        noise = float(np.average((level - flat @ light) ** 2, weights=weights))
+        damping = weights.sum() / SAMPLES * noise / PRIOR**2
+        matrix = (flat * weights[:, None]).T @ flat + (damping + 1e-9) * np.eye(3)
+        light = np.linalg.solve(matrix, flat.T @ (weights * level))
+        residual = level - flat @ light
+        width = 2 * np.median(np.abs(residual)) + 1e-3
+        weights = 1 / (1 + (residual / width) ** 2)
+    light = np.clip(light, [-LIMIT, -LIMIT, 0.0], [LIMIT, LIMIT, FRONTAL])
+    certain = np.interp(np.linalg.norm(light), CERTAIN, [0.0, 1.0])
+    return light * certain * np.interp(np.sqrt(max(surface.w.max(), 0.0)), THICK, [0.0, 1.0])
+
+
+def unlight(rgb: Field, surface: Surface, light: Field) -> Field:
+    """Return the colours of an image [H,W,3] of a surface's front without its light."""
+    return rgb * np.exp(-front_normals(surface) @ light)[..., None]
+
+
+def front_normals(surface: Surface) -> Field:
+    """Return the unit normals of the front [H,W,3]; beyond the rim, those of the rim."""
+    half = np.sqrt(np.maximum(surface.w, 0.25))
+    across = [slope / (2 * half) + tilt for slope, tilt in zip(*surface.slopes, strict=True)]
+    normals = np.stack([-across[0], -across[1], np.ones_like(half)], axis=2)
+    return normals / np.linalg.norm(normals, axis=2, keepdims=True)
+
+
+def _groups(colours: Field) -> NDArray[np.int_]:
+    """Return the number of each pixel's group [N]: greys are group 0, the others are by hue."""
+    red, green, blue = (colours / (colours.sum(axis=1, keepdims=True) + DARKEST)).T
+    across, along = red - green, (red + green) / 2 - blue
+    turn = np.arctan2(along, across) / (2 * np.pi) % 1.0
+    return np.where(np.hypot(across, along) < GREY, 0, 1 + (turn * (HUES - 1)).astype(int))
