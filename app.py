@@ -1,4 +1,4 @@
-"""The hosted page: `python app.py`, or a Hugging Face Space (docs/guide/hosting.md)."""
+"""The hosted page: `python app.py`, or a Hugging Face Space (docs/guide/deploying.md)."""
 
 import sys
 

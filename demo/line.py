@@ -9,9 +9,11 @@ import contextvars
 import logging
 import secrets
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from statistics import median
 
 from phy124.errors import Cancelled, InputError
 from phy124.runtime.failures import Kind, failure
@@ -19,6 +21,8 @@ from phy124.runtime.failures import Kind, failure
 from .progress import STAGES, Progress
 
 LOG = logging.getLogger("phy124.web")
+RECENT = 5
+"""Number of finished jobs that correct the forecast of the waiting time."""
 STOPPED = "Stopped. Nothing was changed."
 FAILED = "An error of this server, which is in its log. Try again, or change the scene."
 SERVER = {
@@ -97,6 +101,11 @@ class Job:
         """Number of jobs that start before this job; 0 once it has started."""
         return 0 if self.line is None else self.line.place(self)
 
+    @property
+    def seconds_to_start(self) -> float:
+        """Forecast time until this job starts [s]; 0 once it has started."""
+        return 0.0 if self.line is None else self.line.seconds_to_start(self)
+
 
 class Line:
     """A queue of jobs, and the threads that run the jobs."""
@@ -105,6 +114,8 @@ class Line:
         self.name, self.workers, self.most = name, workers, most
         self._waiting: deque[tuple[Job, Callable[[], None]]] = deque()
         self._running: set[Job] = set()
+        self._ratios: deque[float] = deque(maxlen=RECENT)
+        """Durations of the last jobs relative to their forecasts."""
         self._changed = threading.Condition()
         self._threads: list[threading.Thread] = []
 
@@ -140,6 +151,21 @@ class Line:
             names = [waiting.name for waiting, _ in self._waiting]
         return names.index(job.name) + self.running if job.name in names else 0
 
+    def seconds_to_start(self, job: Job) -> float:
+        """Forecast the time until a job starts [s]; 0 once it has started.
+
+        The forecasts of the jobs before it are corrected by the durations of the last jobs.
+        """
+        with self._changed:
+            jobs = [waiting for waiting, _ in self._waiting]
+            if job not in jobs:
+                return 0.0
+            before = jobs[: jobs.index(job)]
+            ratio = median(self._ratios) if self._ratios else 1.0
+            waiting = sum(ratio * each.progress.expected for each in before)
+            running = sum(each.progress.seconds_left(ratio) for each in self._running)
+        return (running + waiting) / self.workers
+
     def drop(self, job: Job) -> bool:
         """Remove a job from the queue; return False if it has started."""
         with self._changed:
@@ -161,6 +187,7 @@ class Line:
                 self._changed.wait_for(lambda: self._waiting)
                 job, work = self._waiting.popleft()
                 self._running.add(job)
+            start = time.monotonic()
             try:
                 work()
             except BaseException as problem:
@@ -169,6 +196,8 @@ class Line:
             job.end("failed", FAILED)
             with self._changed:
                 self._running.discard(job)
+                if job.progress.state == "done" and job.progress.expected > 0:
+                    self._ratios.append((time.monotonic() - start) / job.progress.expected)
 
 
 def run_guarded(job: Job, work: Callable[[Job], None]) -> None:

@@ -54,6 +54,14 @@ class Progress:
         """Mark the job as running."""
         self.state, self.start = "running", time.monotonic()
 
+    def seconds_left(self, ratio: float) -> float:
+        """Forecast the time until a running job ends [s].
+
+        Args:
+            ratio: Factor on the forecast duration.
+        """
+        return max(ratio * self.expected - (time.monotonic() - self.start), 0.0)
+
     def data(self, seen: int = 0) -> dict[str, Any]:
         """Return plain data for the page, with the frames from index `seen` on."""
         return {

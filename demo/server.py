@@ -138,7 +138,8 @@ def routes(studio: Studio) -> list[BaseRoute]:
             return JSONResponse({"state": "gone"}, 404)
         seen = request.query_params.get("seen", "0")[:DIGITS]
         data = job.progress.data(int(seen) if seen.isdecimal() else 0)
-        return JSONResponse({**data, "place": job.place}, headers={"cache-control": "no-store"})
+        wait = {"place": job.place, "wait": job.seconds_to_start}
+        return JSONResponse({**data, **wait}, headers={"cache-control": "no-store"})
 
     async def here(request: Request) -> Response:
         """Note that a page is open; answer whether its visitor's files still exist."""

@@ -287,7 +287,8 @@ class ToolServer:
             return None
         data = job.progress.data()
         if job.place:
-            return {"progress": 0, "message": f"Waiting for {job.place} other runs."}
+            wait = f"about {job.seconds_to_start:.0f} s"
+            return {"progress": 0, "message": f"Waiting for {job.place} other runs, {wait}."}
         step = next((each for each in reversed(data["stages"]) if each["total"]), None)
         message = f"{step['name']}: {step['done']} of {step['total']}" if step else "Started."
         return {"progress": data["elapsed"], "total": data["expected"] or None, "message": message}

@@ -54,3 +54,20 @@ def test_a_line_survives_work_that_breaks():
     assert broken.wait(60) and broken.progress.state == "failed"
     fine = line.submit(Job("run", Path("/nowhere/stop")), lambda job: job.end("done"))
     assert fine.wait(60) and fine.progress.state == "done"
+
+
+def test_waiting_time_follows_the_durations_of_the_last_jobs():
+    """A job that took twice its forecast doubles the waiting times of the following jobs."""
+    line, holding, done = _line()
+    waiting = [Job(kind, Path("/nowhere/stop"), expected=10) for kind in ("one", "two")]
+    holding.progress.expected = 20
+    for job in waiting:
+        line.submit(job, lambda job: job.end("done"))
+    one, two = (job.seconds_to_start for job in waiting)
+    assert (
+        holding.seconds_to_start == 0 and 19 < one <= 20 and two == pytest.approx(one + 10, abs=1)
+    )
+    line._ratios.append(2.0)
+    assert two + 25 < waiting[1].seconds_to_start <= 60
+    done.append("let go")
+    assert waiting[1].wait(60) and waiting[1].seconds_to_start == 0

@@ -112,7 +112,7 @@
     draw(told) {
       if (this.frames.length && !this.timer && !calm()) this.timer = setInterval(() => this.flip(), 70);
       const left = Math.max(0, told.expected - told.elapsed);
-      const clock = told.state === 'waiting' ? this.waiting(told.place)
+      const clock = told.state === 'waiting' ? this.waiting(told.place, told.wait)
         : left > 0.5 ? `${seconds(told.elapsed)} so far, about ${seconds(left)} to go` : `${seconds(told.elapsed)} so far, nearly there`;
       this.element.replaceChildren(h('section', { class: `progress ${told.state}`, 'aria-label': 'Progress' },
         this.frames.length ? h('figure', {}, this.picture, h('figcaption', {}, 'Preview, growing')) : null,
@@ -120,7 +120,11 @@
       this.flip();
     }
 
-    waiting(place) { return place > 0 ? `Waiting: ${place} ${place === 1 ? 'run' : 'runs'} before yours` : 'Waiting for the device'; }
+    waiting(place, wait) {
+      if (!(place > 0)) return 'Waiting for the device';
+      const time = wait > 0 ? `, about ${seconds(wait)}` : '';
+      return `Waiting: ${place} ${place === 1 ? 'run' : 'runs'} before yours${time}`;
+    }
 
     flip() {
       if (!this.frames.length) return;
