@@ -32,6 +32,6 @@ def test_image_has_what_its_build_needs_and_another_user():
     kept = re.findall(r"^!(.+)$", (ROOT / ".dockerignore").read_text("utf-8"), re.M)
     assert all((ROOT / name).exists() for name in kept)
     assert {"pyproject.toml", "setup.py", "README.md", "phy124", "demo", "bridge"} <= set(kept)
-    extras = re.search(r"/opt/phy124\[([\w,]+)\]", lines)[1].split(",")
+    extras = re.search(r"/opt/source\[([\w,]+)\]", lines)[1].split(",")
     assert all(packages(extra) for extra in extras)
-    assert lines.index("RUN pip") < lines.index("USER phy124")
+    assert lines.index("pip install") < lines.index("USER phy124") < lines.index("HEALTHCHECK")
