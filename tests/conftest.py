@@ -14,6 +14,7 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two cores
 
 import fcntl
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,37 @@ def pytest_collection_finish() -> None:
     """From here on garbage is collected again, but not looked for among what was imported."""
     gc.freeze()
     gc.enable()
+
+
+OURS = {"phy124", "demo", "bridge", "reference", "support", "conftest"}
+"""Packages of the checkout, whose absence is an error."""
+
+
+class GpuModule(pytest.Module):
+    """A test file that is skipped if a package that it imports is not installed."""
+
+    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
+        """Return the tests of the file."""
+        try:
+            return super().collect()
+        except self.CollectError as error:
+            absent = getattr(error.__cause__, "name", None)
+            if not isinstance(error.__cause__, ModuleNotFoundError) or not absent:
+                raise
+            package = absent.partition(".")[0]
+            if package in OURS or package.startswith("test_"):
+                raise
+            pytest.skip(f"{package} is not installed", allow_module_level=True)
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: Any) -> pytest.Module | None:
+    """Let a run of the GPU tests alone do without the packages of the page and of the bridge.
+
+    Every other run needs all packages, so that none is skipped by mistake.
+    """
+    if parent.config.getoption("markexpr") != "gpu":
+        return None
+    return GpuModule.from_parent(parent, path=module_path)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -186,5 +186,7 @@ def test_the_command_prints_the_table(capsys, monkeypatch):
     assert [set(row) for row in rows] == [{"case", "bound", "measured", "verdict"}] * len(rows)
     assert len(rows) >= 4
     assert {row["verdict"] for row in rows} == {"pass"}
+    assert main(["stress", "--device", "cpu", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == [row for row in rows if "cpu" in row["case"]]
     assert main(["stress"]) == 0
     assert "free fall (float32 on cpu)" in capsys.readouterr().out

@@ -13,9 +13,11 @@ from pathlib import Path
 import tyro
 
 from phy124.commands.bars import Bars
+from phy124.commands.options import Device
 from phy124.errors import InputError
 from phy124.io.files import staging, write_whole
 from phy124.runtime.cores import cores, refuse_threads
+from phy124.runtime.device import pick_device
 from phy124.studies.validation import stress
 from phy124.studies.validation.experiments import EXPERIMENTS, Experiment, Outcome, find_experiment
 from phy124.studies.validation.experiments.page import (
@@ -173,18 +175,26 @@ def _processor() -> str:
 
 @dataclass(frozen=True)
 class Stress:
-    """Run the hard cases on this machine's devices; print bound, measured value and verdict."""
+    """Run the hard cases; print bound, measured value and verdict."""
 
     all: bool = False
     """Run at full length: minutes instead of seconds."""
+    device: Device | None = None
+    """Device on which the cases run; absent: the CPU and then each CUDA device."""
     json: bool = False
     """Print as JSON."""
 
     def run(self) -> int:
-        """Run the cases and print the table; return status 1 if a case fails."""
-        total, rows = len(stress.CASES) * len(stress.settings()), []
+        """Run the cases and print the table; return status 1 if a case fails.
+
+        Raises:
+            InputError: There is no such device.
+        """
+        device = None if self.device is None else pick_device(self.device)
+        settings, rows = stress.settings(device, long=self.all), []
+        total = len(stress.CASES) * len(settings)
         with Bars(quiet=self.json, keeps=True) as bars, bars.keeping():
-            for row in stress.run(long=self.all):
+            for row in stress.run(settings):
                 rows.append(row)
                 bars("stress", len(rows), total)
         if self.json:

@@ -40,6 +40,12 @@ def test_a_gpu_moves_it_as_the_cpu_does(name, gpu):
     assert theirs.report["complete"], theirs.report["stopped"]
     assert "graph" in there.solver.timings or there.solver.rejection.sudden(there.solver.clock)
     np.testing.assert_allclose(theirs.means, ours.means, atol=TOLERANCE)
-    np.testing.assert_allclose(theirs.scales, ours.scales, atol=TOLERANCE)
+    # Rounding may swap two axes of a Gaussian, but does not change its shape.
+    shapes, expected = (
+        np.stack([frame.gaussians.covariances() for frame in clip.frames()])
+        for clip in (theirs, ours)
+    )
+    widest = 2 * float(ours.scales.max())
+    np.testing.assert_allclose(shapes, expected, atol=TOLERANCE * widest)
     if ours.contacts is not None:
         assert np.abs(theirs.contacts).max() == pytest.approx(np.abs(ours.contacts).max(), rel=0.05)

@@ -52,7 +52,7 @@ def test_a_run_can_be_cancelled_and_goes_on(gpu, tmp_path):
 @pytest.mark.parametrize("preset", ["push_right", "sway", "press"])
 def test_a_forecast_counts_the_substeps_that_are_taken(preset, gpu):
     given = scene(preset)
-    foretold, _ = run_pilot(ball(500), given, device=gpu).substeps(8)
+    foretold, _ = run_pilot(ball(500), given, RunContext(device=gpu)).substeps(8)
     taken = Simulation(prepare(ball(500), given, RunContext(device=gpu))).run().report["substeps"]
     assert foretold == pytest.approx(taken, rel=0.25)
 

@@ -31,6 +31,7 @@ def summary(folder: Path, pieces: list[dict[str, Any]]) -> str:
         "compiling",
         "substep",
         "clip",
+        "laws",
         "pictures",
         "render",
         "physgaussian",

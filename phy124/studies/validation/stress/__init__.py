@@ -4,7 +4,9 @@
 docs/lab/stability.md lists the bounds with their reasons.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+
+import warp as wp
 
 from phy124.studies.validation.stress import (
     advice,
@@ -59,24 +61,19 @@ CASES = (
 __all__ = ["CASES", "Case", "Check", "Row", "Setting", "examine", "run", "settings"]
 
 
-def settings(*, long: bool = False) -> list[Setting]:
-    """Return a setting for each device of this machine and each precision.
+def settings(device: str | None = None, *, long: bool = False) -> list[Setting]:
+    """Return a setting for each precision and device.
 
     Args:
+        device: Warp's name of the only device; None: the CPU and each CUDA device.
         long: True for cases at full length.
     """
-    import warp as wp
-
-    devices = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
+    devices = [device] if device else ["cpu", *map(str, wp.get_cuda_devices())]
     return [Setting(d, p, long) for d in devices for p in ("float32", "float64")]
 
 
-def run(*, long: bool = False) -> Iterator[Row]:
-    """Run all cases, and yield the rows of the table.
-
-    Args:
-        long: True for cases at full length.
-    """
+def run(settings: Sequence[Setting]) -> Iterator[Row]:
+    """Run all cases in each setting, and yield the rows of the table."""
     for case in CASES:
-        for setting in settings(long=long):
+        for setting in settings:
             yield examine(case, setting)[0]
