@@ -150,7 +150,7 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
     axes = {option: rest.pop(option) for option in AXES if option in rest}
     film = {option: rest.pop(option) for option in Photographed.model_fields if option in rest}
     if "depth" in sent:
-        depth["depth"] = sent.pop("depth")
+        depth["depth"] = str(sent.pop("depth"))
     cutouts = {option: cutout_file(visitors.get(name), path) for option, path in sent.items()}
     reading = _validate(Reading, axes)
     orientation(reading.up, reading.front)  # refuses pairs that define no orientation

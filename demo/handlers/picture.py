@@ -132,8 +132,8 @@ def on_choose_view(studio: Studio) -> Handler:
         option, path = str(data_of(event).get("option")), data_of(event).get("upload")
         try:
             inputs = studio.check_extras(visitor_of(request), {option: path})
-            if inputs.depth.depth is not None:
-                return _answer(event, picture=file_of(inputs.depth.depth))
+            if inputs.depth.path is not None:
+                return _answer(event, picture=file_of(inputs.depth.path))
             job = studio.cut_out(visitor_of(request), path, kind="view")
         except InputError as error:
             return _answer(event, message=user_message(error))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
 from inspect import signature
@@ -11,26 +12,29 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from phy124.errors import InputError
 from phy124.imaging.cutout import Cutout
 from phy124.imaging.decoding import MAX_PIXELS
+from phy124.imaging.depth import NETWORKS, DepthNetwork, choose_network
 from phy124.imaging.image import open_levels
 from phy124.io.opening import obstacle
 from phy124.schema.section import Section
+from phy124.weights.store import require
 
 ASPECT = 0.02
 """Largest relative difference between the aspect ratios of the depth map and the image."""
 
 
 class DepthMap(Section):
-    """Options for a depth map and its convention."""
+    """Options for the depth of the front."""
 
-    depth: Path | None = Field(
-        default=None,
-        description="Depth map of the picture, from any network: a grey PNG of 8 or 16 bits, or a "
-        ".npy file; it determines the shape of the front that relief makes.",
+    depth: str = Field(
+        default="auto",
+        description="Depth of the picture, which shapes relief's front: auto (moge2 or "
+        "depth-anything, if its weights are present), moge2, depth-anything, off, or a depth map: "
+        "a grey PNG of 8 or 16 bits, or a .npy file.",
     )
     near: Literal["white", "black"] = Field(
         default="white",
@@ -39,18 +43,35 @@ class DepthMap(Section):
         "Anything write them) or black (as in metres).",
     )
 
+    @field_validator("depth", mode="before")
+    @classmethod
+    def _accept_paths(cls, value: Any) -> Any:
+        return str(value) if isinstance(value, os.PathLike) else value
+
+    @property
+    def path(self) -> Path | None:
+        """The file of the depth map; None if the depth is estimated or off."""
+        return None if self.depth in ("auto", "off", *NETWORKS) else Path(self.depth)
+
     def bind(self, generator: Any, name: str) -> Any:
-        """Bind the depth map, if there is one, to a generator.
+        """Bind the depth map, or the network that estimates one, to a generator.
 
         Raises:
             InputError: If the generator cannot use a depth map, or the file is unusable.
         """
-        if self.depth is None:
+        usable = "depth" in signature(generator).parameters
+        if self.depth == "off":
             return generator
-        if "depth" not in signature(generator).parameters:
+        if self.depth == "auto":
+            network = choose_network() if usable else None
+            return generator if network is None else partial(generator, depth=network)
+        if not usable:
             limit = f"{name} does not use a depth map."
             raise InputError("depth", self.depth, limit, "Leave it out, or choose relief.")
-        values = read_depth(self.depth)
+        if self.path is None:
+            require(self.depth)
+            return partial(generator, depth=DepthNetwork(self.depth))
+        values = read_depth(self.path)
         return partial(generator, depth=values if self.near == "white" else -values)
 
 

@@ -23,6 +23,7 @@ from phy124.generators.relief.picture import Given, open_picture
 from phy124.generators.relief.several import Facing, from_sides
 from phy124.generators.relief.single import from_front
 from phy124.generators.relief.surface import VIEW_DISTANCE as VIEW_DISTANCE
+from phy124.imaging.depth import DepthNetwork
 from phy124.kernels.implicit import HULL, INFLATED, push
 from phy124.progress import Progress, silent
 from phy124.runtime.compiling import compile_missing
@@ -36,7 +37,7 @@ def relief(
     seed: int = 0,
     progress: Progress = silent,
     count: int = 50_000,
-    depth: NDArray | None = None,
+    depth: NDArray | DepthNetwork | None = None,
     side: Given | None = None,
     facing: Facing = "left",
     back: Given | None = None,
@@ -55,8 +56,8 @@ def relief(
         seed: Seed of the random positions.
         progress: Callback as described in `phy124.progress`.
         count: Approximate number of Gaussians.
-        depth: Depth map of the image [H,W] in any unit, larger is nearer; None: the front is
-            inflated like the back.
+        depth: Depth map of the image [H,W] in any unit, larger is nearer, or a network that
+            estimates it; None: the front is inflated like the back.
         side: Image of the segmented object from one side, which determines its depth.
         facing: Direction in which the object's front points in `side`.
         back: Image of the segmented object from behind.
@@ -82,8 +83,13 @@ def relief(
 
     step(0)
     front = prepare(image_rgba, "image")
+    if isinstance(depth, DepthNetwork) and side is None:
+        depth = depth(np.asarray(open_picture(image_rgba, "image")))
+    elif isinstance(depth, DepthNetwork) and depth.optional:
+        depth = None  # the picture from the side shows the depth better
     behind = None if back is None else prepare(back, "back")
     if side is None:
+        assert not isinstance(depth, DepthNetwork)
         shell = from_front(
             front,
             count=count,
@@ -111,7 +117,7 @@ def relief(
     return gaussians
 
 
-def _refuse_double(depth: NDArray | None, thickness: float | None) -> None:
+def _refuse_double(depth: object | None, thickness: float | None) -> None:
     limit = "The picture from the side determines the object's depth already."
     for field, option in (("depth", depth), ("thickness", thickness)):
         if option is not None:

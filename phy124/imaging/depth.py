@@ -1,0 +1,211 @@
+"""Estimates the depth of an object's front by trained networks: MoGe-2 and Depth Anything V2.
+
+Wang et al. 2025, "MoGe-2: Accurate Monocular Geometry with Metric Scale and Sharp Details"; Yang et
+al. 2024, "Depth Anything V2". The networks see the object with its surroundings. Scale and offset
+of the result are arbitrary, since `relief` sets both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.runtime import isolated
+from phy124.weights.onnx import OnnxNetwork
+from phy124.weights.store import is_complete, require
+
+Map = NDArray[np.float32]
+MARGIN = 0.25
+"""Width of the surroundings that a network sees, relative to the object's longest side."""
+PATCH = 14
+"""Side of the networks' image patches [pixels]."""
+SIDE = 518
+"""Shortest side of the image that a network sees [pixels]; 37 patches."""
+LONGEST = 2 * SIDE
+"""Largest side of that image; longer images are shrunk."""
+TOKENS = 1800
+"""Number of patches that MoGe-2 uses; its authors suggest 1200 to 3600."""
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Mean and standard deviation of ImageNet's colours."""
+DETAIL = 256
+"""Longest side of the grid on which depth and normals are combined [pixels]."""
+TRUST = 0.02
+"""Weight of the depth relative to its gradient from the normals; features larger than
+1/sqrt(TRUST) pixels follow the depth, smaller ones the normals."""
+STEEPEST = 4.0
+"""Largest slope that is taken from a normal."""
+
+
+def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
+    """Estimate depth [H,W] by Depth Anything V2; larger is nearer.
+
+    Args:
+        rgb: The image [H,W,3].
+        solid: The object's mask [H,W]; unused, since the network has one output.
+        path: The ONNX file.
+    """
+    del solid
+    (depth,) = OnnxNetwork(path, ["pixel_values"], ["predicted_depth"])(prepare_patches(rgb))
+    size = rgb.shape[1], rgb.shape[0]
+    return np.asarray(cv2.resize(depth[0], size, interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def prepare_patches(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Resize an image [H,W,3] to whole patches, and normalise it; return [1,3,h,w].
+
+    The shortest side becomes `SIDE`, as in the original program, unless the longest side would
+    exceed `LONGEST`.
+    """
+    height, width = rgb.shape[:2]
+    scale = min(SIDE / min(height, width), LONGEST / max(height, width))
+    size = whole_patches(scale * width), whole_patches(scale * height)
+    image = cv2.resize(rgb / 255.0, size, interpolation=cv2.INTER_CUBIC)
+    normal = (image - np.array(MEAN)) / np.array(STD)
+    return np.ascontiguousarray(normal.transpose(2, 0, 1)[None], np.float32)
+
+
+def whole_patches(length: float) -> int:
+    """Round a length to the nearest multiple of `PATCH`, at least one [pixels]."""
+    return max(PATCH, round(length / PATCH) * PATCH)
+
+
+def moge2(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
+    """Estimate depth [H,W] by MoGe-2, with the detail of its normals; larger is nearer.
+
+    MoGe-2's points have an unknown offset along the view, which does not matter here.
+
+    Args:
+        rgb: The image [H,W,3].
+        solid: The object's mask [H,W].
+        path: The ONNX file.
+    """
+    height, width = rgb.shape[:2]
+    scale = min(1.0, LONGEST / max(height, width))
+    size = max(PATCH, round(scale * width)), max(PATCH, round(scale * height))
+    small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.float32) / 255
+    image = np.ascontiguousarray(small.transpose(2, 0, 1)[None])
+    network = OnnxNetwork(path, ["image", "num_tokens"], ["points", "normal"])
+    points, normals = network(image, np.array(TOKENS, np.int64))
+    inside = cv2.resize(solid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    depth = add_detail(points[0], normals[0], inside)
+    full = cv2.resize(depth, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(full, np.float32)
+
+
+def add_detail(points: Map, normals: Map, inside: NDArray[np.bool_]) -> Map:
+    """Combine points [H,W,3] and normals [H,W,3] to a depth map [H,W]; larger is nearer.
+
+    The depth z minimises |grad z - slopes of the normals|^2 + TRUST |z - depth of the points|^2
+    within the object (screened Poisson equation; Nehab et al. 2005). Axes are x right, y down, z
+    away from the camera, and normals face the camera.
+    """
+    height, width = inside.shape
+    scale = min(1.0, DETAIL / max(height, width))
+    size = max(2, round(scale * width)), max(2, round(scale * height))
+    points = np.asarray(cv2.resize(points, size, interpolation=cv2.INTER_AREA), np.float32)
+    normals = np.asarray(cv2.resize(normals, size, interpolation=cv2.INTER_AREA), np.float32)
+    mask = cv2.resize(inside.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    depth = points[..., 2].astype(np.float64)
+    if mask.sum() > 1:
+        depth = np.where(mask, _fuse(depth, _slopes(points, normals, mask), mask), depth)
+    full = cv2.resize(-depth.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(full, np.float32)
+
+
+def _slopes(points: Map, normals: Map, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return dz per pixel to the right and down [2,H,W], from the normals."""
+    both = mask[:, 1:] & mask[:, :-1]
+    steps = np.diff(points[..., 0], axis=1)[both]
+    pitch = float(np.median(np.abs(steps))) if steps.size else 0.0
+    towards = np.minimum(normals[..., 2], -1e-3).astype(np.float64)
+    slopes = np.stack([-normals[..., 0] / towards, -normals[..., 1] / towards])
+    return pitch * np.clip(slopes, -STEEPEST, STEEPEST)
+
+
+def _fuse(
+    depth: NDArray[np.float64], slopes: NDArray[np.float64], mask: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Solve the screened Poisson equation within a mask [H,W]; return the depth [H,W]."""
+    number = np.full(mask.shape, -1)
+    number[mask] = np.arange(int(mask.sum()))
+    rows, columns, values, right = [], [], [], []
+    count = 0
+    for axis, slope in ((1, slopes[0]), (0, slopes[1])):
+        first, last = ((slice(None),) * axis + (s,) for s in (slice(None, -1), slice(1, None)))
+        linked = mask[first] & mask[last]
+        here, there = number[first][linked], number[last][linked]
+        equation = count + np.arange(len(here))
+        count += len(here)
+        rows += [equation, equation]
+        columns += [there, here]
+        values += [np.ones(len(here)), -np.ones(len(here))]
+        right.append((0.5 * (slope[first] + slope[last]))[linked])
+    links = scipy.sparse.csr_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
+        shape=(count, int(mask.sum())),
+    )
+    matrix = links.T @ links + TRUST * scipy.sparse.eye_array(links.shape[1])
+    known = links.T @ np.concatenate(right) + TRUST * depth[mask]
+    fused = depth.copy()
+    fused[mask] = scipy.sparse.linalg.spsolve(matrix.tocsc(), known)
+    return fused
+
+
+@dataclass(frozen=True)
+class DepthNetwork:
+    """Estimates the depth of a cut-out's front by a trained network."""
+
+    name: str
+    """Key of `NETWORKS`, which is also the name of the weights."""
+    optional: bool = False
+    """Whether the network was chosen by "auto", so that another input may replace it."""
+
+    def __call__(self, image_rgba: NDArray[np.uint8]) -> Map:
+        """Return the depth [H,W] of an image [H,W,4] with a mask as alpha; larger is nearer.
+
+        Raises:
+            InputError: If weights or onnxruntime are missing, or the file is another network's.
+        """
+        (path,) = require(self.name).values()
+        rgb, solid = image_rgba[..., :3], image_rgba[..., 3] > 127
+        top, left, bottom, right = _surroundings(solid)
+        part = (slice(top, bottom), slice(left, right))
+        seen = np.ascontiguousarray(rgb[part])
+        made = isolated.run(NETWORKS[self.name], seen, solid[part], path)
+        depth = np.full(solid.shape, float(made.min()), np.float32)
+        depth[part] = made
+        return depth
+
+
+def _surroundings(solid: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """Return top, left, bottom and right of the object with its surroundings [pixels]."""
+    rows, columns = np.nonzero(solid.any(axis=1))[0], np.nonzero(solid.any(axis=0))[0]
+    height, width = solid.shape
+    if not len(rows):
+        return 0, 0, height, width
+    margin = round(MARGIN * max(np.ptp(rows), np.ptp(columns)))
+    return (
+        max(0, int(rows[0]) - margin),
+        max(0, int(columns[0]) - margin),
+        min(height, int(rows[-1]) + 1 + margin),
+        min(width, int(columns[-1]) + 1 + margin),
+    )
+
+
+Estimate = Callable[[NDArray[np.uint8], NDArray[np.bool_], Path], Map]
+NETWORKS: dict[str, Estimate] = {"moge2": moge2, "depth-anything": depth_anything}
+"""Functions that estimate depth, by the name of the network and of its weights, best first."""
+
+
+def choose_network() -> DepthNetwork | None:
+    """Return the first network whose weights and onnxruntime exist, or None."""
+    if find_spec("onnxruntime") is None:
+        return None
+    return next((DepthNetwork(n, optional=True) for n in NETWORKS if is_complete(n)), None)
