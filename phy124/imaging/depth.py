@@ -179,9 +179,10 @@ class DepthNetwork:
         part = (slice(top, bottom), slice(left, right))
         seen = np.ascontiguousarray(rgb[part])
         made = isolated.run(NETWORKS[self.name], seen, solid[part], path)
-        depth = np.full(solid.shape, float(made.min()), np.float32)
+        depth = np.zeros(solid.shape, np.float32)
         depth[part] = made
-        return depth
+        # `relief` refuses a map in which the surroundings are nearer than the object.
+        return np.where(solid, depth, depth[solid].min())
 
 
 def _surroundings(solid: NDArray[np.bool_]) -> tuple[int, int, int, int]:
