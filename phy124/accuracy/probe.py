@@ -18,9 +18,10 @@ from phy124.boundaries.base import THINNEST
 from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
+from phy124.liquid import AnySolver
 from phy124.monitor.softening import Softening
 from phy124.monitor.watchdog import Watchdog
-from phy124.mpm import Solver, Unstable
+from phy124.mpm import Unstable
 from phy124.mpm.workers import HOST
 from phy124.rendering.film import film
 from phy124.runtime.compiling import is_compiled
@@ -84,7 +85,7 @@ def probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
 
 
 def _seconds_per_substep(
-    solver: Solver, after: Callable[[], None] | None
+    solver: AnySolver, after: Callable[[], None] | None
 ) -> tuple[float, float, int]:
     """Measure the time of a substep.
 
@@ -110,7 +111,7 @@ def _run_empty_frame(simulation: Simulation) -> None:
     solver.repair.end()
 
 
-def _clear_timings(solver: Solver) -> None:
+def _clear_timings(solver: AnySolver) -> None:
     for worker in solver.workers:
         worker.timings.clear()
 
@@ -122,7 +123,7 @@ def measure_time(work: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) -> None:
+def _advance(solver: AnySolver, substeps: int, after: Callable[[], None] | None) -> None:
     """Advance the solver by about `substeps` stable substeps."""
     limit = solver.clock.stable() if solver.clock.extremes.stiffness > 0 else None
     if limit is None:
@@ -131,7 +132,7 @@ def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) ->
     solver.advance(solver.clock.time + substeps * limit.dt, after=after)
 
 
-def _node_fraction(solver: Solver) -> float:
+def _node_fraction(solver: AnySolver) -> float:
     """Return the fraction of the substep's time that is proportional to the number of nodes."""
     walls = {stage.name for stage in solver.boundaries}
     total = nodes = 0.0

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from phy124.kernels import diagnostics as at
 from phy124.kernels.diagnostics import make_energies, make_totals
 from phy124.kernels.reduction import shared_out
-from phy124.mpm import Clock, Model, Solver, State
+from phy124.liquid import AnySolver
+from phy124.mpm import Clock, Model, State
 from phy124.mpm.model import part_of
 
 NO_PARTICLE = 2**31 - 1
@@ -123,7 +124,7 @@ class Totals:
             angular=total[at.ANGULAR : at.ANGULAR + 3],
             kinetic=float(total[at.KINETIC]),
             elastic=float(total[at.ELASTIC]),
-            lag=-clock.last_dt / 2 * float(total[at.POWER]),
+            lag=clock.lag(float(total[at.POWER]), total[at.MOMENTUM : at.MOMENTUM + 3]),
             middle=total[at.MIDDLE : at.MIDDLE + 3],
             min_J=-least_J,
             max_J=largest_J,
@@ -139,7 +140,7 @@ def _split(array: wp.array, count: int) -> tuple[wp.array, wp.array]:
     return cast("wp.array", array[:count]), cast("wp.array", array[count:])
 
 
-def diagnose(solver: Solver) -> Diagnostics:
+def diagnose(solver: AnySolver) -> Diagnostics:
     """Return the diagnostics of a solver's state."""
     return Totals(solver.model, solver.state).read(solver.clock)
 

@@ -19,11 +19,13 @@ from phy124.boundaries import Boundary
 from phy124.kernels import free
 from phy124.kernels import work as kernels
 from phy124.kernels.reduction import shared_out
+from phy124.liquid import AnySolver, LiquidSolver
 from phy124.monitor.measured import Measured, NodesNear
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
 from phy124.mpm.model import part_of
 from phy124.mpm.tracks import Tracks
+from phy124.scene import Scene
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -134,6 +136,19 @@ class ExternalWork(Observer):
             wp.zeros(3, dtype=wp.float64, device=model.device) for _ in range(2)
         )
         return [Stage(STAGE, self._record_uniform)] if self._varies else []
+
+    def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver; a liquid by projection sums the work of its walls by itself."""
+        self._liquid = solver if isinstance(solver, LiquidSolver) else None
+        self._read_ledger()
+
+    def change(self, scene: Scene) -> None:
+        """Continue under the walls of another scene."""
+        self._read_ledger()
+
+    def _read_ledger(self) -> None:
+        if self._liquid is not None:
+            self._device[WALL] = self._liquid.ledger.given
 
     @property
     def _varies(self) -> bool:

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Frame, Gaussians, join
 from phy124.io.clip import Clip
+from phy124.liquid import AnySolver
 from phy124.materials import AnyMaterial
 from phy124.monitor.observer import Effect, Observed, Observer, Subject, find
 from phy124.monitor.tearing import APART, Tearing
-from phy124.mpm import Solver
 from phy124.particles import Particles, by_object
 from phy124.particles.grains import make_grains
 
@@ -84,7 +84,7 @@ class Interior(Observer):
         sizes: dict[str, Any] = {"spacing": scene.spacing, "dx": scene.dx, "keep": setup.keep}
         return cls(setup.shown, setup.particles, materials, **sizes)
 
-    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
+    def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Bind to the state, and to the observer that detects tears."""
         self._state, self._tearing = solver.state, find(observers, Tearing)
 

@@ -15,8 +15,9 @@ from phy124.boundaries import Boundary
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.kernels.transfer import Law
+from phy124.liquid import AnySolver
 from phy124.materials import AnyMaterial
-from phy124.mpm import Attachable, Model, Solver, Stage, State
+from phy124.mpm import Attachable, Model, Stage, State
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
@@ -191,7 +192,7 @@ class Observer:
         """
         raise NotImplementedError
 
-    def bind(self, solver: Solver, observers: Sequence[Observer]) -> None:
+    def bind(self, solver: AnySolver, observers: Sequence[Observer]) -> None:
         """Bind to the solver, and to the other observers whose results this observer reads."""
 
     def change(self, scene: Scene) -> None:

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Frame
+from phy124.liquid import AnySolver
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
-from phy124.mpm import Solver
 from phy124.mpm.tracks import FOREVER, Track
 from phy124.scene import Scene
 
@@ -87,7 +87,7 @@ class Sleep(Observer):
         sleep.change(setup.scene)
         return sleep
 
-    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
+    def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver, whose tracks give the times at which forces and boundaries change."""
         self._solver, self._state, self._clock = solver, solver.state, solver.clock
 

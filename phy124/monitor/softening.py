@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.liquid import AnySolver
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.observer import Observed, Observer, Subject, find
-from phy124.mpm import Solver
 from phy124.mpm.model import Group
 from phy124.scene import Scene
 
@@ -48,7 +48,7 @@ class Softening(Observer):
         """Return the observer of a run."""
         return cls(setup.scene, setup.particles.material)
 
-    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
+    def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Copy the parameters at factor 1."""
         self._solver, self._external = solver, find(observers, ExternalWork)
         model = solver.model

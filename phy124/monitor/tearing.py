@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Frame
 from phy124.kernels.diagnostics import make_apart
+from phy124.liquid import AnySolver
 from phy124.monitor.diagnostics import describe_particle
 from phy124.monitor.observer import Effect, Observer, Subject
-from phy124.mpm import Solver
 
 APART = 1.2
 """Spacing of particles [cells] above which they may separate."""
@@ -90,7 +90,7 @@ class Tearing(Observer):
         name = "search for torn material and separate pieces in each frame"
         return Effect(name, subject.elastic, why)
 
-    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
+    def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Select the elastic particles and label their pieces at rest."""
         self._model, self._state = solver.model, solver.state
         model = solver.model

@@ -21,10 +21,12 @@ from phy124.boundaries import Boundary
 from phy124.gaussians import Frame, Wrench
 from phy124.kernels import contacts as kernels
 from phy124.kernels.work import make_wall_copy
+from phy124.liquid import AnySolver, LiquidSolver
 from phy124.monitor.measured import NodesNear
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
-from phy124.mpm import Attachable, Grid, Model, Solver, Stage, State
+from phy124.mpm import Attachable, Grid, Model, Stage, State
 from phy124.mpm.tracks import Tracks
+from phy124.scene import Scene
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -96,9 +98,20 @@ class Wrenches(Observer):
         named = zip(wall_names(walls), walls, inner, strict=True)
         return [_Separated(self, name, wall, wrapped) for name, wall, wrapped in named]
 
-    def bind(self, solver: Solver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which sums the impulses between objects."""
+    def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, which sums the impulses between objects, and on a liquid of walls."""
         self._solver = solver
+        self._read_ledger()
+
+    def change(self, scene: Scene) -> None:
+        """Continue with the walls of another scene."""
+        self._read_ledger()
+
+    def _read_ledger(self) -> None:
+        """Use the sums of the walls of a liquid by projection."""
+        if self._of_walls and isinstance(self._solver, LiquidSolver):
+            ledger = self._solver.ledger
+            self._sums = {name: {0: ledger.wrench(name)} for name in ledger.names}
 
     def before_attempt(self, *, closely: bool = False) -> None:
         """Set the sums to zero."""
@@ -111,7 +124,7 @@ class Wrenches(Observer):
             return frame
         return replace(frame, wrenches=self.contacts(self._solver, self._fps))
 
-    def contacts(self, solver: Solver, fps: float) -> dict[str, Wrench]:
+    def contacts(self, solver: AnySolver, fps: float) -> dict[str, Wrench]:
         """Return the mean wrench on each wall and in each pair since the frame began.
 
         Args:
@@ -211,7 +224,7 @@ class _Separated:
         return [before, *stages, after]
 
 
-def pair_names(solver: Solver) -> tuple[str, ...]:
+def pair_names(solver: AnySolver) -> tuple[str, ...]:
     """Return a name for each pair of bodies that may touch; the first body exerts the wrench.
 
     Pairs of particle bodies come before pairs with rigid solids.

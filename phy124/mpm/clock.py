@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from phy124.mpm.model import Model
 from phy124.mpm.timestep import MEASURE_EVERY, TRAVEL, Extremes, Substep, decay, stable_substep
@@ -64,6 +65,16 @@ class Clock:
             limits = {"cfl": self.cfl, "ceiling": self.ceiling, "viscous": self.viscous}
             self._limits = inputs, stable_substep(self.extremes, self.dx, **limits)
         return self._limits[1]
+
+    def lag(self, power: float, momentum: NDArray) -> float:
+        """Return the change of the kinetic energy [J] from its own time to that of the positions.
+
+        Args:
+            power: Power of the stress [W].
+            momentum: Momentum of all particles [3], kg m/s; not used here.
+        """
+        del momentum
+        return -self.last_dt / 2 * power
 
     def expire(self) -> None:
         """Require a complete measurement before the next substep."""

@@ -61,6 +61,14 @@ class Accuracy(Section):
         "as long.",
     )
 
+    liquid: Literal["compressible", "projection"] = Field(
+        default="compressible",
+        exclude_if=lambda value: value == "compressible",
+        description="Solver of the law fluid. compressible: particles with a pressure of their "
+        "own, like other materials. projection: incompressible flow, which keeps its volume and "
+        "takes longer steps; for scenes in which everything that moves is one liquid.",
+    )
+
     @property
     def fraction(self) -> float:
         """Length of a substep as a fraction of the elastic limit, including RPIC damping."""
@@ -104,9 +112,18 @@ def check_transfer(accuracy: Accuracy) -> None:
     """Refuse settings that the chosen transfer does not support.
 
     Raises:
-        ValueError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic.
+        ValueError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic; or
+            one of them is set for a liquid by projection.
     """
     transfer = accuracy.transfer
+    if accuracy.liquid == "projection":
+        for name, usual in (("transfer", "apic"), ("gradient", "affine"), ("rpic_damping", 0.0)):
+            value = getattr(accuracy, name)
+            if value != usual:
+                raise ValueError(
+                    f"accuracy.{name} = {value} has no effect with accuracy.liquid = projection; "
+                    "leave it out or set accuracy.liquid = compressible"
+                )
     if accuracy.rpic_damping > 0 and transfer != "apic":
         raise ValueError(
             f"accuracy.rpic_damping needs transfer = apic, not {transfer}; leave one of the two out"

@@ -184,6 +184,12 @@ class Scene(Section):
         return chosen or max(section.particles_per_axis for section in self.materials)
 
     @property
+    def projects(self) -> bool:
+        """Whether a liquid is computed by pressure projection."""
+        liquid = any(section.law == "fluid" for section in self.materials)
+        return liquid and self.resolution.liquid == "projection"
+
+    @property
     def acting(self) -> list[AnyForce]:
         """Forces whose strength is not zero."""
         return [force for force in self.forces if not force.idle]

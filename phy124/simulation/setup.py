@@ -31,6 +31,7 @@ from phy124.runtime.cores import refuse_threads
 from phy124.scene import Scene
 from phy124.simulation.appearance import Appearance
 from phy124.simulation.bodies import make_body, make_free, make_scenery
+from phy124.simulation.liquids import refuse_unprojectable
 from phy124.simulation.overlap import refuse_solids
 from phy124.simulation.placing import belongs
 
@@ -143,6 +144,8 @@ def prepare(
         particles, stiffness = sort_for_slabs(
             look.particles, body.materials, body.stiffness, scene.dx, along
         )
+        if solid_scene.projects:
+            refuse_unprojectable(solid_scene, body.materials)
         free = tuple(make_free(scene, shown))
         refuse_solids(free, particles.x, scene)
         judged = costliest_scene(solid_scene, body.materials)

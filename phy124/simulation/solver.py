@@ -11,8 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.boundaries import Ground
+from phy124.liquid import AnySolver, LiquidSolver
+from phy124.liquid import kernels as liquid_kernels
 from phy124.monitor import OBSERVERS
 from phy124.monitor.observer import Observer, Subject
+from phy124.monitor.wrenches import wall_names
 from phy124.mpm import (
     Attachable,
     Model,
@@ -40,7 +43,7 @@ FLOOR_NODE = 0.75
 """Depth of a layer of nodes below the floor [cells]."""
 
 
-def make_solver(setup: Setup, observers: Sequence[Observer]) -> Solver:
+def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     """Return the solver at time 0.
 
     Raises:
@@ -70,13 +73,18 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> Solver:
         gradient=scene.resolution.gradient,
     )
     refuse_buried(scene.boundaries, model)
+    ceiling = math.inf if scene.time.substep is None else scene.time.substep
+    if scene.projects:
+        acting = wrap(scene, observers)
+        state = State.of(model, v, C)
+        return LiquidSolver(model, state, **acting, ceiling=ceiling, threads=setup.threads)
     return Solver(
         model,
         State.of(model, v, C),
         **wrap(scene, observers),
         pairs=list(_pairs(model.names, scene)),
         free=setup.free,
-        ceiling=math.inf if scene.time.substep is None else scene.time.substep,
+        ceiling=ceiling,
         threads=setup.threads,
         measure_every=scene.checks.measure,
         gathered=[observer for observer in observers if observer.in_gathers],
@@ -85,13 +93,19 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> Solver:
 
 
 def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
-    """Return the arguments of `Solver.bind`: forces and boundaries, wrapped by the observers."""
+    """Return the arguments of the solver's `bind`: forces and boundaries, wrapped by the observers.
+
+    A liquid by projection sums the impulses of its walls by itself.
+    """
     forces: Sequence[Attachable] = scene.acting
     walls: Sequence[Attachable] = scene.boundaries
     for observer in observers:
         forces = observer.wrap_forces(forces)
         walls = observer.wrap_walls(scene.boundaries, walls)
     sums = [observer for observer in observers if observer.in_substeps]
+    if scene.projects:
+        named = list(zip(wall_names(scene.boundaries), scene.boundaries, strict=True))
+        return {"forces": forces, "boundaries": named, "accumulators": sums}
     planes = planes_for_free(scene)
     return {"forces": forces, "boundaries": walls, "accumulators": sums, "planes": planes}
 
@@ -107,6 +121,14 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     form = form_of(precision, device, scene.resolution.gradient)
     subject = Subject(scene, scene.materials)
     yield from tracks.kernels(real)
+    if scene.projects:
+        yield from liquid_kernels(scene.boundaries, real)
+        yield from repair.kernels(subject.laws, real)
+        yield from deform.kernels(real, scene.binding, device)
+        for observer in OBSERVERS:
+            if observer.called_for(subject):
+                yield from observer.kernels(subject, real)
+        return
     yield from substep.kernels(subject.laws, real, form)
     yield from fluctuation.kernels(scheme_of(scene), real, form)
     yield from repair.kernels(subject.laws, real)

@@ -1,0 +1,13 @@
+"""Liquids by pressure projection: an incompressible flow on a staggered grid, carried by particles.
+
+The velocity component along an axis is stored at the centre of the low face of each cell across
+that axis; pressure, surface and density are stored at the centres of cells. A step is
+
+    particles to faces (`faces`) - surface (`surface`) - pressure (`pressure`, `conjugate`)
+    - velocities outside the liquid (`spread`) - faces to particles - out of walls (`walls`)
+    - density at rest, by moving particles (`packing`).
+
+Cells are numbered as (i size_y + j) size_z + k in a window of the grid, whose low corner is at
+origin + low dx. Walls are described by their signed distance on a lattice of half the spacing,
+positive in the open.
+"""

@@ -1,0 +1,286 @@
+"""Conjugate gradients for the pressure equation, with MIC(0) in each part of the cells.
+
+The cells of liquid are listed in the order of memory, and divided into parts of equal length: one
+for each CPU thread, many on a GPU. The modified incomplete Cholesky factor (Bridson 2015, "Fluid
+simulation for computer graphics", ch. 5) ignores links between parts, so that parts need not wait
+for each other. Sums are added part by part, so results depend only on the number of parts.
+"""
+
+import warp as wp
+
+from phy124.kernels.arguments import Doubles, Ints
+from phy124.kernels.build import kernel
+
+TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
+"""Modification of MIC(0), and the share of the diagonal below which it is not used."""
+RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
+"""Rows of sums: largest residual, largest right side, and s A s. Rows 0 and 1 are r M r, in turn.
+"""
+ROWS = 5
+"""Number of rows of sums."""
+Vectors = wp.array(dtype=wp.vec3d)
+Table = wp.array2d(dtype=wp.float64)
+
+
+@wp.func
+def share(count: int, part: int, parts: int):
+    """Return the first item of a part, and one past its last item."""
+    return wp.vec2i(
+        int(wp.int64(count) * wp.int64(part) / wp.int64(parts)),
+        int(wp.int64(count) * wp.int64(part + 1) / wp.int64(parts)),
+    )
+
+
+@wp.func
+def total(sums: Table, row: int):
+    """Return the sum over all parts."""
+    result = wp.float64(0.0)
+    for k in range(sums.shape[1]):
+        result += sums[row, k]
+    return result
+
+
+@wp.func
+def count_of(counts: Ints):
+    """Return the number of listed cells."""
+    result = int(0)
+    for k in range(counts.shape[0]):
+        result += counts[k]
+    return result
+
+
+@kernel("phy124_liquid_count", seconds=0.2)
+def count_liquid(part: int, cells: int, diagonal: Doubles, counts_out: Ints):
+    """Count the cells of liquid in a part of all cells."""
+    p = part + wp.tid()
+    span = share(cells, p, counts_out.shape[0])
+    wet = int(0)
+    for n in range(span[0], span[1]):
+        if diagonal[n] > wp.float64(0.0):
+            wet += 1
+    counts_out[p] = wet
+
+
+@kernel("phy124_liquid_list", seconds=0.2)
+def list_liquid(part: int, cells: int, diagonal: Doubles, counts: Ints, listed_out: Ints):
+    """List the cells of liquid in a part of all cells."""
+    p = part + wp.tid()
+    at = int(0)
+    for k in range(p):
+        at += counts[k]
+    span = share(cells, p, counts.shape[0])
+    for n in range(span[0], span[1]):
+        if diagonal[n] > wp.float64(0.0):
+            listed_out[at] = n
+            at += 1
+
+
+@wp.func
+def applied(n: int, row: int, layer: int, diagonal: Doubles, links: Vectors, x: Doubles):
+    """Return a component of A x; a row and a layer of cells are the strides along y and x."""
+    below = links[n - layer][0] * x[n - layer]
+    below += links[n - row][1] * x[n - row] + links[n - 1][2] * x[n - 1]
+    link = links[n]
+    above = link[0] * x[n + layer] + link[1] * x[n + row] + link[2] * x[n + 1]
+    return diagonal[n] * x[n] + below + above
+
+
+@wp.func
+def factorise(
+    first: int,
+    last: int,
+    listed: Ints,
+    row: int,
+    layer: int,
+    diagonal: Doubles,
+    links: Vectors,
+    inverse: Doubles,
+):
+    """Write the inverse root of the factor's diagonal for a part of the listed cells."""
+    lowest = listed[first]
+    for k in range(first, last):
+        n = listed[k]
+        e = diagonal[n]
+        for axis in range(3):
+            m = n - 1
+            if axis == 1:
+                m = n - row
+            if axis == 0:
+                m = n - layer
+            if m >= lowest:
+                link = links[m]
+                p = inverse[m]
+                pp = p * p
+                here = link[axis]
+                others = link[0] + link[1] + link[2] - here
+                e -= here * here * pp + TUNING * here * others * pp
+        if e < SAFETY * diagonal[n]:
+            e = diagonal[n]
+        inverse[n] = wp.float64(1.0) / wp.sqrt(e)
+
+
+@wp.func
+def precondition(
+    first: int,
+    last: int,
+    listed: Ints,
+    row: int,
+    layer: int,
+    links: Vectors,
+    inverse: Doubles,
+    residual: Doubles,
+    z: Doubles,
+):
+    """Solve M z = r for a part of the listed cells, by forward and backward substitution."""
+    lowest = listed[first]
+    highest = listed[last - 1]
+    for k in range(first, last):
+        n = listed[k]
+        value = residual[n]
+        if n - 1 >= lowest:
+            value -= links[n - 1][2] * inverse[n - 1] * z[n - 1]
+        if n - row >= lowest:
+            value -= links[n - row][1] * inverse[n - row] * z[n - row]
+        if n - layer >= lowest:
+            value -= links[n - layer][0] * inverse[n - layer] * z[n - layer]
+        z[n] = inverse[n] * value
+    for j in range(first, last):
+        n = listed[first + last - 1 - j]
+        link = links[n]
+        p = inverse[n]
+        value = z[n]
+        if n + 1 <= highest:
+            value -= p * link[2] * z[n + 1]
+        if n + row <= highest:
+            value -= p * link[1] * z[n + row]
+        if n + layer <= highest:
+            value -= p * link[0] * z[n + layer]
+        z[n] = p * value
+
+
+@kernel("phy124_liquid_begin", seconds=0.5)
+def begin(
+    part: int,
+    row: int,
+    layer: int,
+    counts: Ints,
+    listed: Ints,
+    diagonal: Doubles,
+    links: Vectors,
+    right: Doubles,
+    x: Doubles,
+    inverse_out: Doubles,
+    residual_out: Doubles,
+    z_out: Doubles,
+    direction_out: Doubles,
+    sums_out: Table,
+):
+    """Start with the residual of x, and factorise the part's block."""
+    p = part + wp.tid()
+    span = share(count_of(counts), p, counts.shape[0])
+    largest = wp.float64(0.0)
+    given = wp.float64(0.0)
+    product = wp.float64(0.0)
+    if span[1] > span[0]:
+        factorise(span[0], span[1], listed, row, layer, diagonal, links, inverse_out)
+        for k in range(span[0], span[1]):
+            n = listed[k]
+            r = right[n] - applied(n, row, layer, diagonal, links, x)
+            residual_out[n] = r
+            largest = wp.max(largest, wp.abs(r))
+            given = wp.max(given, wp.abs(right[n]))
+        precondition(span[0], span[1], listed, row, layer, links, inverse_out, residual_out, z_out)
+        for k in range(span[0], span[1]):
+            n = listed[k]
+            product += residual_out[n] * z_out[n]
+            direction_out[n] = wp.float64(0.0)
+    sums_out[0, p] = product
+    sums_out[1, p] = wp.float64(1.0)
+    sums_out[RESIDUAL, p] = largest
+    sums_out[RIGHT, p] = given
+
+
+@kernel("phy124_liquid_advance", seconds=0.3)
+def advance(
+    part: int,
+    turn: int,
+    begun: int,
+    row: int,
+    layer: int,
+    counts: Ints,
+    listed: Ints,
+    diagonal: Doubles,
+    links: Vectors,
+    z: Doubles,
+    before: Doubles,
+    direction_out: Doubles,
+    product_out: Doubles,
+    sums_out: Table,
+):
+    """Compute the next direction s = z + beta s, and A s."""
+    p = part + wp.tid()
+    span = share(count_of(counts), p, counts.shape[0])
+    beta = wp.float64(0.0)
+    if begun > 0:
+        beta = total(sums_out, turn) / total(sums_out, 1 - turn)
+    steep = wp.float64(0.0)
+    for k in range(span[0], span[1]):
+        n = listed[k]
+        here = z[n] + beta * before[n]
+        m = n - layer
+        value = links[m][0] * (z[m] + beta * before[m])
+        m = n - row
+        value += links[m][1] * (z[m] + beta * before[m])
+        value += links[n - 1][2] * (z[n - 1] + beta * before[n - 1])
+        link = links[n]
+        m = n + layer
+        value += link[0] * (z[m] + beta * before[m])
+        m = n + row
+        value += link[1] * (z[m] + beta * before[m])
+        value += link[2] * (z[n + 1] + beta * before[n + 1])
+        value += diagonal[n] * here
+        direction_out[n] = here
+        product_out[n] = value
+        steep += here * value
+    sums_out[STEEP, p] = steep
+
+
+@kernel("phy124_liquid_improve", seconds=0.4)
+def improve(
+    part: int,
+    turn: int,
+    row: int,
+    layer: int,
+    counts: Ints,
+    listed: Ints,
+    links: Vectors,
+    inverse: Doubles,
+    direction: Doubles,
+    product: Doubles,
+    x_out: Doubles,
+    residual_out: Doubles,
+    z_out: Doubles,
+    sums_out: Table,
+):
+    """Step along the direction to the smallest error, and precondition the residual."""
+    p = part + wp.tid()
+    span = share(count_of(counts), p, counts.shape[0])
+    steep = total(sums_out, STEEP)
+    alpha = wp.float64(0.0)
+    if steep > wp.float64(0.0):
+        alpha = total(sums_out, turn) / steep
+    largest = wp.float64(0.0)
+    next_product = wp.float64(0.0)
+    if span[1] > span[0]:
+        for k in range(span[0], span[1]):
+            n = listed[k]
+            x_out[n] = x_out[n] + alpha * direction[n]
+            r = residual_out[n] - alpha * product[n]
+            residual_out[n] = r
+            largest = wp.max(largest, wp.abs(r))
+        precondition(span[0], span[1], listed, row, layer, links, inverse, residual_out, z_out)
+        for k in range(span[0], span[1]):
+            n = listed[k]
+            next_product += residual_out[n] * z_out[n]
+    sums_out[1 - turn, p] = next_product
+    sums_out[RESIDUAL, p] = largest

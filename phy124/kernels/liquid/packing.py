@@ -1,0 +1,113 @@
+"""Density at rest: displacements that move particles from crowded cells into empty ones.
+
+The error of the density is the right side of the pressure equation's matrix, and the displacement
+is the gradient of its solution (Kugelstadt et al. 2019, "Implicit density projection for volume
+conserving liquids"). Under the surface only what is too dense counts, and in the first row below it
+the density is compared with that below a flat surface.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.liquid.faces import cell_of, inner, stride
+from phy124.kernels.liquid.surface import opening
+
+RATE = wp.constant(0.5)
+"""Share of the error that a step removes."""
+MOST = wp.constant(0.5)
+"""Largest error of a cell that a step considers, and largest displacement [cells]."""
+
+
+@wp.func
+def closed(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size: wp.vec3i):
+    """Return whether a cell is inside a wall."""
+    if liquid[n] == 1:
+        return False
+    return opening(open, n, size) <= type(open[n][0])(0.0)
+
+
+@cache
+def make_excess(real: Any):
+    """Kernel over cells: the share of the error of the density that a step removes.
+
+    The density missing inside a wall's cells, which have no unknown, belongs to the cells before
+    them; at an edge or corner between walls, to the cell before all of these walls.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_excess_{real.__name__}", real, seconds=0.4)
+    def excess(
+        first,
+        window,
+        open: t.vec4s,
+        shares: t.vec2s,
+        hats: t.reals,
+        phi: t.reals,
+        liquid: Ints,
+        right_out: Doubles,
+        x_out: Doubles,
+    ):
+        n = first + wp.tid()
+        size = window[1]
+        error = real(0.0)
+        if liquid[n] == 1 and inner(cell_of(n, size), size, 2):
+            near = int(0)
+            layer = stride(0, size)
+            row = stride(1, size)
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    for c in range(-1, 2):
+                        m = n + a * layer + b * row + c
+                        if liquid[m] == 0:
+                            if opening(open, m, size) > real(0.0):
+                                near += 1
+            hat = hats[n]
+            error = hat - real(1.0)
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    for c in range(-1, 2):
+                        behind = int(a != 0 or b != 0 or c != 0)
+                        if a != 0 and not closed(open, liquid, n + a * layer, size):
+                            behind = 0
+                        if b != 0 and not closed(open, liquid, n + b * row, size):
+                            behind = 0
+                        if c != 0 and not closed(open, liquid, n + c, size):
+                            behind = 0
+                        m = n + a * layer + b * row + c
+                        if behind == 1 and closed(open, liquid, m, size):
+                            error += hats[m] - real(1.0)
+            if near > 0:
+                deep = wp.clamp(-phi[n], real(-1.0), real(1.0))
+                solid = shares[n][0]
+                flat = real(1.0) - real(0.5) * (real(1.0) - deep) * (real(1.0) - deep)
+                below = hat - solid - (real(1.0) - solid) * flat
+                least = real(0.0)
+                if deep > real(0.5):
+                    least = wp.min(below, real(0.0))
+                error = wp.max(error, least)
+            error = wp.clamp(error, real(-MOST), real(MOST))
+        right_out[n] = wp.float64(real(RATE) * error)
+        x_out[n] = wp.float64(0.0)
+
+    return excess
+
+
+@cache
+def make_shift(real: Any):
+    """Kernel over cells: differences become displacements of at most half a cell [m]."""
+    t = types(real)
+
+    @kernel(f"phy124_liquid_shift_{real.__name__}", real, seconds=0.2)
+    def shift(first, lattice, shifts_out: t.vec4s):
+        n = first + wp.tid()
+        most = real(MOST) * lattice[3]
+        d = lattice[3] * shifts_out[n]
+        for axis in range(3):
+            d[axis] = wp.clamp(d[axis], -most, most)
+        shifts_out[n] = d
+
+    return shift

@@ -1,0 +1,195 @@
+"""The pressure equation, and the velocities that the pressure leaves free of divergence.
+
+The unknown is q = p dt / (rho dx) [m/s], so that the velocity of a face changes by the difference
+of q across it. Walls enter by the open shares of faces (Ng, Min and Gibou 2009); at the surface p
+is zero where phi crosses zero between two cells (ghost fluid: Enright et al. 2003; Gibou 2002). A
+cell's own compressibility, that of water, keeps a closed pocket without a surface from being
+singular.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.liquid.faces import cell_of, inner, stride
+from phy124.kernels.liquid.walls import point
+
+NEAREST = wp.constant(0.02)
+"""Smallest distance of the surface from a cell's centre [cells]; closer, a pressure would be
+unbounded."""
+COMPRESSIBLE = wp.constant(1.0e-6)
+"""Share of the diagonal that a cell's compressibility adds."""
+
+
+@wp.func
+def beyond(here: Any, there: Any):
+    """Return the distance to the surface between two cells as a fraction of their distance."""
+    apart = here - there
+    if apart < type(here)(0.0):
+        return wp.clamp(here / apart, type(here)(NEAREST), type(here)(1.0e3))
+    return type(here)(1.0e3)
+
+
+@wp.func
+def wall_speed(
+    cell: wp.vec3i,
+    axis: int,
+    size: wp.vec3i,
+    owners: wp.array(dtype=int),
+    slots: wp.array(dtype=int),
+    rates: wp.array(dtype=Any),
+):
+    """Return the velocity along an axis of the wall nearest to a cell's low face [m/s]."""
+    at = wp.vec3i(1, 1, 1)
+    at[axis] = 0
+    owner = owners[point(cell, at[0], at[1], at[2], size)]
+    speed = rates[0][0] - rates[0][0]
+    if owner >= 0:
+        slot = slots[owner]
+        if slot > 0:
+            speed = rates[slot][axis]
+    return speed
+
+
+@cache
+def make_assemble(real: Any):
+    """Kernel over cells: the matrix of the pressure equation, symmetric and positive.
+
+    `diagonal_out` is zero in cells without liquid; `links_out` has the entries towards the next
+    cells along the three axes.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_assemble_{real.__name__}", real, seconds=0.4)
+    def assemble(
+        first,
+        window,
+        open: t.vec4s,
+        phi: t.reals,
+        liquid: Ints,
+        diagonal_out: Doubles,
+        links_out: wp.array(dtype=wp.vec3d),
+        inverse_out: Doubles,
+    ):
+        n = first + wp.tid()
+        size = window[1]
+        total = real(0.0)
+        links = wp.vec3d()
+        if liquid[n] == 1:
+            for axis in range(3):
+                step = stride(axis, size)
+                for side in range(2):
+                    m = n + step
+                    share = open[n + step][axis]
+                    if side == 0:
+                        m = n - step
+                        share = open[n][axis]
+                    if share > real(0.0):
+                        if liquid[m] == 1:
+                            total += share
+                            if side == 1:
+                                links[axis] = -wp.float64(share)
+                        else:
+                            total += share / beyond(phi[n], phi[m])
+            total += real(6.0) * real(COMPRESSIBLE)
+        diagonal_out[n] = wp.float64(total)
+        links_out[n] = links
+        inverse_out[n] = wp.float64(0.0)
+
+    return assemble
+
+
+@cache
+def make_divergence(real: Any):
+    """Kernel over cells: minus the flux out of each cell, relative to its walls [m/s].
+
+    The last solution, times `carry`, is the first guess of the next one.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_divergence_{real.__name__}", real, seconds=0.3)
+    def divergence(
+        first,
+        moving: int,
+        window,
+        rates,
+        slots: Ints,
+        open: t.vec4s,
+        owners: Ints,
+        liquid: Ints,
+        carry: Doubles,
+        velocity: t.vec4s,
+        right_out: Doubles,
+        x_out: Doubles,
+    ):
+        n = first + wp.tid()
+        size = window[1]
+        flux = real(0.0)
+        if liquid[n] == 1:
+            cell = cell_of(n, size)
+            for axis in range(3):
+                m = n + stride(axis, size)
+                low = open[n][axis]
+                high = open[m][axis]
+                flux += high * velocity[m][axis] - low * velocity[n][axis]
+                if moving > 0 and low + high < real(2.0):
+                    step = wp.vec3i()
+                    step[axis] = 1
+                    flux += (real(1.0) - high) * wall_speed(
+                        cell + step, axis, size, owners, slots, rates
+                    )
+                    flux -= (real(1.0) - low) * wall_speed(cell, axis, size, owners, slots, rates)
+        right_out[n] = -wp.float64(flux)
+        guess = wp.float64(0.0)
+        if liquid[n] == 1:
+            guess = carry[0] * x_out[n]
+        x_out[n] = guess
+
+    return divergence
+
+
+@cache
+def make_gradient(real: Any):
+    """Kernel over cells: adds minus `scale` times the differences of q to the low faces.
+
+    `known_out` gets a bit for each open face that touches liquid; other faces become zero.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_gradient_{real.__name__}", real, seconds=0.4)
+    def gradient(
+        first,
+        scale: real,
+        window,
+        open: t.vec4s,
+        phi: t.reals,
+        liquid: Ints,
+        pressure: Doubles,
+        velocity_out: t.vec4s,
+        known_out: Ints,
+    ):
+        n = first + wp.tid()
+        size = window[1]
+        known = 0
+        v = velocity_out[n]
+        if inner(cell_of(n, size), size, 1):
+            for axis in range(3):
+                m = n - stride(axis, size)
+                wet = liquid[n] + liquid[m]
+                if wet > 0 and open[n][axis] > real(0.0):
+                    rise = real(pressure[n] - pressure[m])
+                    if liquid[n] == 0:
+                        rise = -real(pressure[m]) / beyond(phi[m], phi[n])
+                    if liquid[m] == 0:
+                        rise = real(pressure[n]) / beyond(phi[n], phi[m])
+                    v[axis] = v[axis] - scale * rise
+                    known += 1 << axis
+                else:
+                    v[axis] = real(0.0)
+        velocity_out[n] = v
+        known_out[n] = known
+
+    return gradient

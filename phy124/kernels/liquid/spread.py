@@ -1,0 +1,160 @@
+"""Velocities outside the liquid, which particles near the surface and near walls interpolate.
+
+Faces that touch no liquid take the mean of their known neighbours, layer by layer. Faces inside
+walls then lose the part of their velocity that leads into the wall or out of it. Friction at a wall
+acts on the first layer of faces: Coulomb friction, up to the coefficient times the pressure, or
+sticking.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.liquid.faces import cell_of, inner, stride
+from phy124.kernels.liquid.walls import point
+
+
+@cache
+def make_spread(real: Any):
+    """Kernel over cells: unknown faces get the mean of their known neighbours."""
+    t = types(real)
+
+    @kernel(f"phy124_liquid_spread_{real.__name__}", real, seconds=0.3)
+    def spread(
+        first, window, velocity: t.vec4s, known: Ints, velocity_out: t.vec4s, known_out: Ints
+    ):
+        n = first + wp.tid()
+        size = window[1]
+        v = velocity[n]
+        mask = known[n]
+        if mask < 7 and inner(cell_of(n, size), size, 1):
+            for axis in range(3):
+                bit = 1 << axis
+                if mask & bit == 0:
+                    total = real(0.0)
+                    count = real(0.0)
+                    for along in range(3):
+                        step = stride(along, size)
+                        if known[n - step] & bit > 0:
+                            total += velocity[n - step][axis]
+                            count += real(1.0)
+                        if known[n + step] & bit > 0:
+                            total += velocity[n + step][axis]
+                            count += real(1.0)
+                    if count > real(0.0):
+                        v[axis] = total / count
+                        mask += bit
+        velocity_out[n] = v
+        known_out[n] = mask
+
+    return spread
+
+
+@wp.func
+def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
+    """Return the velocity at a cell's low face across an axis: other components are means."""
+    q = velocity[n]
+    v = wp.vector(q[0], q[1], q[2])
+    back = stride(axis, size)
+    for other in range(3):
+        if other != axis:
+            step = stride(other, size)
+            v[other] = type(q[0])(0.25) * (
+                q[other]
+                + velocity[n + step][other]
+                + velocity[n - back][other]
+                + velocity[n - back + step][other]
+            )
+    return v
+
+
+@wp.func
+def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size: wp.vec3i):
+    """Return the direction away from walls at a point half spacings from a cell's corner."""
+    n = wp.vector(
+        distances[point(cell, at[0] + 1, at[1], at[2], size)]
+        - distances[point(cell, at[0] - 1, at[1], at[2], size)],
+        distances[point(cell, at[0], at[1] + 1, at[2], size)]
+        - distances[point(cell, at[0], at[1] - 1, at[2], size)],
+        distances[point(cell, at[0], at[1], at[2] + 1, size)]
+        - distances[point(cell, at[0], at[1], at[2] - 1, size)],
+    )
+    return wp.normalize(n)
+
+
+@cache
+def make_slide(real: Any):
+    """Kernel over cells: faces inside walls follow the wall, and faces beside them feel friction.
+
+    `frictions` has a row for each wall: its coefficient, and 1 if it sticks. The impulse of
+    friction on the liquid is added to `sums_out`; `weight` is the mass of a full cell [kg].
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_slide_{real.__name__}", real, seconds=0.5)
+    def slide(
+        first,
+        rubs: int,
+        weight: real,
+        lattice,
+        window,
+        rates,
+        slots: Ints,
+        frictions: t.vec2s,
+        open: t.vec4s,
+        distances: t.reals,
+        owners: Ints,
+        liquid: Ints,
+        pressure: Doubles,
+        velocity: t.vec4s,
+        velocity_out: t.vec4s,
+        sums_out: wp.array2d(dtype=wp.float64),
+    ):
+        n = first + wp.tid()
+        size = window[1]
+        cell = cell_of(n, size)
+        v = velocity[n]
+        if inner(cell, size, 1):
+            for axis in range(3):
+                at = wp.vec3i(1, 1, 1)
+                at[axis] = 0
+                shut = open[n][axis] == real(0.0)
+                d = distances[point(cell, at[0], at[1], at[2], size)]
+                if shut or (rubs > 0 and d < lattice[3]):
+                    owner = owners[point(cell, at[0], at[1], at[2], size)]
+                    u = t.vec3()
+                    rough = t.vec2()
+                    if owner >= 0:
+                        rough = frictions[owner]
+                        if slots[owner] > 0:
+                            r = rates[slots[owner]]
+                            u = wp.vector(r[0], r[1], r[2])
+                    normal = normal_at(distances, cell, at, size)
+                    relative = whole(velocity, n, axis, size) - u
+                    across = wp.dot(relative, normal)
+                    along = relative - across * normal
+                    kept = real(1.0)
+                    if rubs > 0:
+                        back = n - stride(axis, size)
+                        pressed = real(wp.max(pressure[n], pressure[back]))
+                        speed = wp.length(along)
+                        if speed > real(0.0):
+                            kept = wp.max(real(0.0), real(1.0) - rough[0] * pressed / speed)
+                        if rough[1] > real(0.0):
+                            kept = real(0.0)
+                    if shut:
+                        v[axis] = u[axis] + kept * along[axis]
+                    elif kept < real(1.0):
+                        change = (kept - real(1.0)) * along[axis]
+                        if liquid[n] + liquid[n - stride(axis, size)] > 0:
+                            impulse = wp.float64(weight * open[n][axis] * change)
+                            mean = wp.float64(v[axis] + real(0.5) * change)
+                            wp.atomic_add(sums_out, owner, axis, impulse)
+                            wp.atomic_add(sums_out, owner, 6, impulse * mean)
+                        v[axis] = v[axis] + change
+        velocity_out[n] = v
+
+    return slide

@@ -1,0 +1,134 @@
+"""The surface of the liquid: how full the cells are, and the distance to the surface from it.
+
+`depth` inverts the fill of the quadratic kernel below a flat surface, so a flat surface is exact
+wherever it lies between two layers of cells. Beside walls, the fill counts the open part only.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.liquid.faces import FILL, HAT, cell_of, inner, lanes, stride
+from phy124.kernels.liquid.walls import SHUT
+
+
+@wp.func
+def depth(fill: Any):
+    """Return the depth below a flat surface [cells] at which the quadratic kernel is so full.
+
+    The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and
+    1/2, and 1 - (3/2 - T)^3 / 6 above.
+    """
+    one = type(fill)(1.0)
+    sixth = one / type(fill)(6.0)
+    third = one / type(fill)(3.0)
+    f = wp.clamp(fill, type(fill)(0.0), one)
+    if f < sixth:
+        return wp.pow(type(fill)(6.0) * f, third) - type(fill)(1.5)
+    if f > one - sixth:
+        return type(fill)(1.5) - wp.pow(type(fill)(6.0) * (one - f), third)
+    T = (f - type(fill)(0.5)) * type(fill)(1.5)
+    for _ in range(4):
+        error = type(fill)(0.5) + type(fill)(0.75) * T - T * T * T * third - f
+        T -= error / (type(fill)(0.75) - T * T)
+    return T
+
+
+@wp.func
+def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
+    """Return the sum of the open shares of a cell's six faces."""
+    q = open[n]
+    total = q[0] + q[1] + q[2]
+    for axis in range(3):
+        total += open[n + stride(axis, size)][axis]
+    return total
+
+
+@cache
+def make_levels(real: Any):
+    """Kernel over cells: sums become velocities, densities, and the distance to the surface.
+
+    `known_out` has a bit for each face that has a velocity, `liquid_out` is 1 in cells of liquid,
+    `hats_out` the share of the linear kernel that is filled, including solid. `phi_out` is the
+    distance to the surface [cells], negative in the liquid. The uniform acceleration acts here.
+    """
+    t = types(real)
+    vec8 = lanes(real)
+
+    @kernel(f"phy124_liquid_levels_{real.__name__}", real, seconds=0.4)
+    def levels(
+        first,
+        lattice,
+        window,
+        clock,
+        values,
+        open: t.vec4s,
+        shares: t.vec2s,
+        cells: wp.array(dtype=vec8),
+        velocity_out: t.vec4s,
+        hats_out: t.reals,
+        phi_out: t.reals,
+        liquid_out: Ints,
+    ):
+        n = first + wp.tid()
+        size = window[1]
+        q = cells[n]
+        a = values[0]
+        v = t.vec4()
+        for axis in range(3):
+            m = q[4 + axis]
+            if m > real(0.0):
+                v[axis] = q[axis] / m + clock[0] * a[axis]
+        cell = lattice[3] * lattice[3] * lattice[3]
+        share = shares[n]
+        fill = wp.min(q[FILL] / cell / wp.max(real(1.0) - share[1], real(0.1)), real(1.0))
+        v[3] = fill
+        velocity_out[n] = v
+        hats_out[n] = q[HAT] / cell + share[0]
+        phi = -depth(fill)
+        phi_out[n] = phi
+        wet = 0
+        if inner(cell_of(n, size), size, 1):
+            if phi < real(0.0) and opening(open, n, size) > real(SHUT):
+                wet = 1
+        liquid_out[n] = wet
+
+    return levels
+
+
+@cache
+def make_refill(real: Any):
+    """Kernel over cells: densities and distance to the surface from volumes alone."""
+    t = types(real)
+
+    @kernel(f"phy124_liquid_refill_{real.__name__}", real, seconds=0.3)
+    def refill(
+        first,
+        lattice,
+        window,
+        open: t.vec4s,
+        shares: t.vec2s,
+        fills: t.vec2s,
+        hats_out: t.reals,
+        phi_out: t.reals,
+        liquid_out: Ints,
+    ):
+        n = first + wp.tid()
+        size = window[1]
+        cell = lattice[3] * lattice[3] * lattice[3]
+        share = shares[n]
+        q = fills[n]
+        fill = wp.min(q[0] / cell / wp.max(real(1.0) - share[1], real(0.1)), real(1.0))
+        hats_out[n] = q[1] / cell + share[0]
+        phi = -depth(fill)
+        phi_out[n] = phi
+        wet = 0
+        if inner(cell_of(n, size), size, 1):
+            if phi < real(0.0) and opening(open, n, size) > real(SHUT):
+                wet = 1
+        liquid_out[n] = wet
+
+    return refill

@@ -1,0 +1,138 @@
+"""Cells: the arrays of a liquid in a window of the staggered grid that follows the particles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.kernels.liquid.faces import lanes
+from phy124.mpm import Model, Unstable
+from phy124.mpm.grid import FARTHEST
+
+MARGIN = 8
+"""Cells between the particles and the border of a new window."""
+LEAST = 5
+"""Cells between particles and border below which a window is renewed: a step moves particles by up
+to two cells, and each particle reaches cells two further away.
+"""
+FAR = 1e3
+"""Distance of the nearest wall [cells] where there is none."""
+
+
+class Cells:
+    """The arrays of a window: sums, velocities, walls, and the pressure equation."""
+
+    def __init__(self, model: Model, copies: int) -> None:
+        """Start without any cells.
+
+        Args:
+            model: The particles, whose origin and spacing the grid has.
+            copies: Number of copies of the sums, one for each worker.
+        """
+        self._model, self._copies = model, copies
+        self._t = types(model.real)
+        self.lattice = self._t.vec4(*model.origin, model.dx)
+        self.window = wp.zeros(2, dtype=wp.vec3i, device=model.device)
+        self.low, self.size = np.zeros(3, int), np.zeros(3, int)
+        self.pressure = self._zeros(0, wp.float64)
+
+    @property
+    def count(self) -> int:
+        """Number of cells."""
+        return int(np.prod(self.size))
+
+    @property
+    def strides(self) -> tuple[int, int]:
+        """Distances in memory between neighbouring rows and neighbouring layers of cells."""
+        return int(self.size[2]), int(self.size[1] * self.size[2])
+
+    @property
+    def points(self) -> int:
+        """Number of points of the lattice of distances, which has half the spacing."""
+        return int(np.prod(2 * self.size + 1))
+
+    def fit(self, lower: NDArray, upper: NDArray) -> bool:
+        """Cover the particles and a margin; return whether the window changed.
+
+        Args:
+            lower: Lowest corner of the particles [3], m.
+            upper: Highest corner of the particles [3], m.
+
+        Raises:
+            Unstable: The particles are too far away for cells to be numbered.
+        """
+        model = self._model
+        if not np.all(np.abs([lower, upper]) < FARTHEST * model.dx):
+            raise Unstable(f"particles flew {FARTHEST:.0e} cells far")
+        low = np.floor((lower - model.origin) / model.dx).astype(int)
+        high = np.floor((upper - model.origin) / model.dx).astype(int) + 1
+        spare = [*(low - self.low).tolist(), *(self.low + self.size - high).tolist()]
+        if self.count and min(spare) >= LEAST and max(spare) <= 3 * MARGIN:
+            return False
+        self.rebase(low - MARGIN, high - low + 2 * MARGIN)
+        return True
+
+    def rebase(self, low: NDArray, size: NDArray) -> None:
+        """Cover `size` [3] cells from cell `low` [3] on; keep the pressure where both overlap."""
+        kept = self.pressure.numpy().reshape(self.size) if self.count else np.zeros((0, 0, 0))
+        before = self.low
+        self.low, self.size = np.array(low, int), np.array(size, int)
+        self.window.assign(np.stack([self.low, self.size]).astype(np.int32))
+        self._allocate(int(np.prod(self.size)))
+        pressure = np.zeros(self.size)
+        first = np.maximum(before, self.low)
+        last = np.minimum(before + kept.shape, self.low + self.size)
+        if (last > first).all():
+            pressure[_span(first - self.low, last - self.low)] = kept[
+                _span(first - before, last - before)
+            ]
+        self.pressure.assign(pressure.reshape(-1))
+
+    def _allocate(self, count: int) -> None:
+        t, real = self._t, self._model.real
+        self.sums = self._zeros(self._copies * count, lanes(real))
+        """Momentum, mass and volume of the particles at each cell, in a copy for each worker."""
+        self.fills = self._zeros(self._copies * count, t.vec2)
+        """Volumes at each cell with quadratic and linear weights, in a copy for each worker."""
+        self.velocity, self.other = (self._zeros(count, t.vec4) for _ in range(2))
+        """Velocities of the low faces [m/s], and how full the cell is."""
+        self.known, self.also = (self._zeros(count, int) for _ in range(2))
+        """Bit for each face that has a velocity."""
+        self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
+        """Open shares of the low faces, and solid shares of the kernels."""
+        self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
+        self.liquid = self._zeros(count, int)
+        self.distances = self._zeros(self.points, real)
+        self.owners = self._zeros(self.points, int)
+        self.eighths = self._zeros(8 * count, real)
+        self.diagonal, self.inverse, self.right = (self._zeros(count, wp.float64) for _ in range(3))
+        self.links = self._zeros(count, wp.vec3d)
+        self.pressure, self.packing = (self._zeros(count, wp.float64) for _ in range(2))
+        """Solutions: p dt / (rho dx) [m/s], and the potential of displacements."""
+        self.residual, self.z, self.product = (self._zeros(count, wp.float64) for _ in range(3))
+        self.directions = [self._zeros(count, wp.float64) for _ in range(2)]
+        self.listed = self._zeros(count, int)
+
+    def _zeros(self, count: int, dtype: Any) -> wp.array:
+        return wp.zeros(count, dtype=dtype, device=self._model.device)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the window and the pressure, from which the next solution starts."""
+        window = [self.low.tolist(), self.size.tolist()]
+        return {"window": window, "pressure": wp.clone(self.pressure)}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        low, size = (np.array(corner) for corner in snapshot["window"])
+        if not (np.array_equal(low, self.low) and np.array_equal(size, self.size)):
+            self.rebase(low, size)
+        self.pressure.assign(snapshot["pressure"])
+
+
+def _span(first: Sequence[int] | NDArray, last: Sequence[int] | NDArray) -> tuple[slice, ...]:
+    return tuple(slice(int(a), int(b)) for a, b in zip(first, last, strict=True))

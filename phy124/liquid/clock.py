@@ -1,0 +1,59 @@
+"""The time of a liquid's run, and the length of its steps.
+
+A step is limited by the distance that particles move and by the waves on the surface, whose
+fastest one is twice a cell long. Pressure and viscosity limit nothing, since they are implicit.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.mpm import Clock
+from phy124.mpm.timestep import Extremes, Substep
+
+CELLS = 2.0
+"""Largest distance that a particle moves in a step [cells]."""
+WAVES = 0.75
+"""Length of a step in units of sqrt(dx / a), with the acceleration a of the liquid."""
+
+
+class LiquidClock(Clock):
+    """A clock whose steps have the limits of an incompressible liquid."""
+
+    acceleration = 0.0
+    """Upper bound of the acceleration by forces [m/s^2]."""
+    pull: NDArray[np.float64] = np.zeros(3)
+    """Uniform acceleration [3], m/s^2."""
+    wall = 0.0
+    """Largest speed of a wall [m/s]."""
+
+    def stable(self) -> Substep:
+        """Return the longest step in the current state."""
+        a, speed = self.acceleration, max(self.extremes.speed, self.wall)
+        far = CELLS * self.dx
+        # The time in which the fastest particle moves that far: speed t + a t^2 / 2 = far.
+        reach = speed + math.sqrt(speed * speed + 2 * a * far)
+        limits = {
+            "speed": 2 * far / reach if reach > 0 else math.inf,
+            "wave": WAVES * math.sqrt(self.dx / a) if a > 0 else math.inf,
+            "user": self.ceiling,
+        }
+        limiter = min(limits, key=limits.__getitem__)
+        return Substep(limits[limiter], limiter)
+
+    def lag(self, power: float, momentum: NDArray) -> float:
+        """Return the change of the kinetic energy [J] from its own time to that of the positions.
+
+        Args:
+            power: Power of the stress [W]; not used, since a liquid by projection has none.
+            momentum: Momentum of all particles [3], kg m/s.
+        """
+        del power
+        return self.last_dt / 2 * float(self.pull @ momentum)
+
+    def measured(self, speed: float) -> None:
+        """Store the largest speed of the particles [m/s]."""
+        self.extremes = self.recent = Extremes(speed, 0.0, 0.0)

@@ -1,0 +1,63 @@
+"""Ledger: the impulse and moment of each wall on the liquid, and the work of all walls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+
+from phy124.kernels.liquid.ledger import COLUMNS, settle
+from phy124.kernels.work import GIVEN
+
+MEASURED = 6
+"""Numbers of a wall's total: impulse [N s], and moment about the origin [N m s]."""
+
+
+class Ledger:
+    """Sums of a step for each worker and wall, and their totals."""
+
+    def __init__(self, names: Sequence[str], workers: int, device: str) -> None:
+        """Start all sums at zero.
+
+        Args:
+            names: Names of the walls.
+            workers: Number of workers.
+            device: Warp device.
+        """
+        self.names = tuple(names)
+        """Names of the walls."""
+        walls, real = max(len(names), 1), wp.float64
+        self._step = wp.zeros((workers, walls, COLUMNS), dtype=real, device=device)
+        self._totals = wp.zeros((walls, MEASURED), dtype=real, device=device)
+        self.given = wp.zeros((1, GIVEN), dtype=real, device=device)
+        """Impulse and work of all walls, in the order of `phy124.kernels.work`."""
+        outputs = [self._step, self._totals, self.given]
+        launch: Any = wp.launch(
+            settle, 1, inputs=[len(names)], outputs=outputs, device=device, record_cmd=True
+        )
+        self.settle: Callable[[], Any] = launch.launch
+        """Adds the sums of a step to the totals, and clears them."""
+
+    def rows(self, worker: int) -> wp.array:
+        """Return a worker's sums of the current step [walls,7]."""
+        return cast("wp.array", self._step[worker])
+
+    def wrench(self, name: str) -> wp.array:
+        """Return the total impulse and moment of a wall on the liquid [6]."""
+        return cast("wp.array", self._totals[self.names.index(name)])
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the totals as plain data."""
+        names, totals = list(self.names), np.asarray(self._totals.numpy()).tolist()
+        return {"names": names, "totals": totals, "given": self.given.numpy().tolist()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        self._step.zero_()
+        self.given.assign(np.array(snapshot["given"]))
+        if list(snapshot["names"]) == list(self.names):
+            self._totals.assign(np.array(snapshot["totals"]))
+        else:
+            self._totals.zero_()

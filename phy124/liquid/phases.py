@@ -1,0 +1,301 @@
+"""Phases: the launches of a step of the liquid, recorded for the current window of cells.
+
+Workers run each phase together and wait for each other between phases.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+
+from phy124.kernels.liquid import faces, ledger, packing, pressure, spread, surface
+from phy124.kernels.reduction import shared_out
+from phy124.liquid.cells import Cells
+from phy124.liquid.ledger import Ledger
+from phy124.liquid.projection import Projection
+from phy124.liquid.walls import Walls, span
+from phy124.mpm import Grid, Model, Stage, State
+from phy124.mpm.model import part_of
+from phy124.mpm.stage import Named, Recorded, launches
+from phy124.mpm.tracks import Tracks
+from phy124.mpm.workers import Worker
+
+LAYERS = 4
+"""Layers of faces outside the liquid that get velocities; an even number."""
+EXTENT = 7
+"""Numbers of the particles' extent: minus the lowest corner, the highest corner, speed squared."""
+
+
+class Phases:
+    """Records the phases of all workers, in groups that have names."""
+
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        cells: Cells,
+        projection: Projection,
+        workers: Sequence[Worker],
+        missed: wp.array,
+    ) -> None:
+        """Allocate what the launches of every window share.
+
+        Args:
+            model: The particles.
+            state: Their positions and velocities.
+            cells: The window of the grid.
+            projection: The solutions.
+            workers: The workers, whose phases are recorded.
+            missed: 1 for each worker with a particle outside the window [W,1].
+        """
+        self._model, self._state, self._cells = model, state, cells
+        self._projection, self._workers, self._missed = projection, workers, missed
+        device = model.device
+        shape = (len(workers), EXTENT)
+        self.extents = wp.zeros(shape, dtype=model.real, device=device)
+        """Extent of each worker's particles."""
+        self.stray = wp.zeros(1, dtype=int, device=device)
+        """Number of particles that are not finite."""
+        self.carry = wp.ones(1, dtype=wp.float64, device=device)
+        """Factor from the last pressure to the first guess of the next one."""
+        self._density = float(model.total_mass / np.sum(model.volume.numpy(), dtype=np.float64))
+
+    def record(
+        self, pushes: Sequence[Stage], walls: Walls, tracks: Tracks, books: Ledger, grid: Grid
+    ) -> None:
+        """Record the phases of every worker.
+
+        Args:
+            pushes: Stages of forces on particles.
+            walls: The walls.
+            tracks: Quantities that change over time.
+            books: Sums of the walls' impulses.
+            grid: A grid without nodes, which stages of forces expect.
+        """
+        self._tracks, self._walls, self._books = tracks, walls, books
+        self._still = wp.zeros_like(tracks.rates)
+        names: list[str] = []
+        for index, worker in enumerate(self._workers):
+            named = list(self._phases(pushes, index, grid))
+            worker.phases = [phase for _, phase in named]
+            names = [name for name, _ in named]
+        self._first = {name: names.index(name) for name in names}
+        self._last = {name: place + 1 for place, name in enumerate(names)}
+
+    def group(self, name: str) -> range:
+        """Return the indices of the phases of a group."""
+        return range(self._first[name], self._last[name])
+
+    def extent(self, worker: int) -> list[Named]:
+        """Return the launches that measure the extent of a worker's particles."""
+        model, s, run = self._model, self._state, self._run(worker)
+        threads, *fraction = shared_out(run.stop - run.start, model.device)
+        row = cast("wp.array", self.extents[worker])
+        inputs = [*fraction, run.stop - run.start, s.x[run], s.v[run]]
+        kernel = faces.make_extent(model.real)
+        launch = model.launch(kernel, threads, inputs, [row, self.stray])
+        return [("measure", lambda: row.fill_(-np.inf)), *launches([("measure", launch)])]
+
+    def _phases(
+        self, pushes: Sequence[Stage], worker: int, grid: Grid
+    ) -> Iterator[tuple[str, list[Named]]]:
+        """Yield a worker's phases, each with the name of its group."""
+        cells, solve = self._cells, self._projection
+        for phase in self._walls.describe(cells, worker, len(self._workers)):
+            yield "walls", launches(phase)
+        yield "scatter", self._push(pushes, worker, grid)
+        yield "scatter", self._scatter(worker)
+        yield "scatter", launches([self._sum_copies(worker), self._levels(worker)])
+        yield "scatter", launches([self._assemble(worker), self._divergence(worker)])
+        for phase in solve.list_cells(cells, worker):
+            yield "scatter", launches(phase)
+        for phase in solve.phases(cells, cells.pressure, worker):
+            yield "pressure", launches(phase)
+        yield "gather", launches([*self._gradient(cells.pressure, worker), self._impulses(worker)])
+        for turn in range(LAYERS):
+            yield "gather", launches([self._spread(worker, turn)])
+        yield "gather", launches([self._slide(worker, self._tracks.rates, rubs=self._walls.rub)])
+        yield "gather", launches([self._gather(worker), *self._push_out(worker, stops=True)])
+        yield "gather", self._fill(worker)
+        yield "gather", launches([self._sum_fills(worker), self._refill(worker)])
+        yield "gather", launches([self._assemble(worker), self._excess(worker)])
+        for phase in solve.list_cells(cells, worker):
+            yield "gather", launches(phase)
+        for phase in solve.phases(cells, cells.packing, worker):
+            yield "packing", launches(phase)
+        yield "displace", self._shift(worker)
+        for turn in range(LAYERS):
+            yield "displace", launches([self._spread(worker, turn)])
+        yield "displace", launches([self._slide(worker, self._still, rubs=False)])
+        yield "displace", launches([self._displace(worker), *self._push_out(worker, stops=False)])
+
+    def _run(self, worker: int) -> slice:
+        """Return the particles of a worker."""
+        first, count = span(len(self._model), worker, len(self._workers))
+        return slice(first, first + count)
+
+    def _over_cells(self, worker: int, name: str, kernel: Any, inputs: list, outputs: list) -> Any:
+        """Record a worker's launch over its cells; their first index precedes the inputs."""
+        first, count = span(self._cells.count, worker, len(self._workers))
+        return name, self._model.launch(kernel, count, [first, *inputs], outputs)
+
+    def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
+        """Return a worker's pushes; the first worker has all, unless all can be divided."""
+        if all(stage.by_run for stage in stages):
+            with grid.only(None, worker, len(self._workers)):
+                return launches([(stage.name, stage.record(grid)) for stage in stages])
+        if worker > 0:
+            return []
+        return launches([(stage.name, stage.record(grid)) for stage in stages])
+
+    def _copy(self, sums: wp.array, worker: int) -> wp.array:
+        """Return a worker's copy of sums over the cells."""
+        count = self._cells.count
+        return cast("wp.array", sums[worker * count : (worker + 1) * count])
+
+    def _scatter(self, worker: int) -> list[Named]:
+        model, s, run, cells = self._model, self._state, self._run(worker), self._cells
+        sums = self._copy(cells.sums, worker)
+        inputs = [model.mass[run], model.volume[run], cells.lattice, cells.window]
+        inputs += [s.x[run], s.v[run], s.C[run]]
+        kernel = faces.make_scatter(model.real)
+        launch = model.launch(kernel, run.stop - run.start, inputs, [sums])
+        return [("clear", sums.zero_), *launches([("p2g", launch)])]
+
+    def _sum_copies(self, worker: int) -> Recorded:
+        cells, workers = self._cells, len(self._workers)
+        if workers == 1:
+            return "levels", None
+        kernel = faces.make_sum_copies(self._model.real)
+        return self._over_cells(worker, "levels", kernel, [cells.count, workers], [cells.sums])
+
+    def _levels(self, worker: int) -> Recorded:
+        cells, tracks = self._cells, self._tracks
+        inputs = [cells.lattice, cells.window, tracks.clock, tracks.values]
+        inputs += [cells.open, cells.shares, self._copy(cells.sums, 0)]
+        outputs = [cells.velocity, cells.hats, cells.phi, cells.liquid]
+        kernel = surface.make_levels(self._model.real)
+        return self._over_cells(worker, "levels", kernel, inputs, outputs)
+
+    def _assemble(self, worker: int) -> Recorded:
+        cells = self._cells
+        inputs = [cells.window, cells.open, cells.phi, cells.liquid]
+        outputs = [cells.diagonal, cells.links, cells.inverse]
+        kernel = pressure.make_assemble(self._model.real)
+        return self._over_cells(worker, "levels", kernel, inputs, outputs)
+
+    def _divergence(self, worker: int) -> Recorded:
+        cells, walls = self._cells, self._walls
+        inputs = [int(walls.move), cells.window, self._tracks.rates, walls.slots, cells.open]
+        inputs += [cells.owners, cells.liquid, self.carry, cells.velocity]
+        kernel = pressure.make_divergence(self._model.real)
+        outputs = [cells.right, cells.pressure]
+        return self._over_cells(worker, "levels", kernel, inputs, outputs)
+
+    def _gradient(self, solution: wp.array, worker: int) -> list[Recorded]:
+        cells = self._cells
+        inputs = [1.0, cells.window, cells.open, cells.phi, cells.liquid, solution]
+        kernel = pressure.make_gradient(self._model.real)
+        outputs = [cells.velocity, cells.known]
+        return [self._over_cells(worker, "spread", kernel, inputs, outputs)]
+
+    def _impulses(self, worker: int) -> Recorded:
+        model, cells, walls, tracks = self._model, self._cells, self._walls, self._tracks
+        if not walls.all:
+            return "walls", None
+        part, parts = self._projection.part(worker)
+        inputs = [part, self._density, self._projection.counts, cells.listed, cells.lattice]
+        inputs += [cells.window, tracks.clock, tracks.values, tracks.rates, walls.slots]
+        inputs += [cells.open, cells.distances, cells.owners, cells.pressure]
+        kernel = ledger.make_wall_impulses(model.real)
+        return "walls", model.launch(kernel, parts, inputs, [self._books.rows(worker)])
+
+    def _spread(self, worker: int, turn: int) -> Recorded:
+        cells = self._cells
+        fields = [(cells.velocity, cells.known), (cells.other, cells.also)]
+        read, written = fields[turn % 2], fields[1 - turn % 2]
+        kernel = spread.make_spread(self._model.real)
+        return self._over_cells(worker, "spread", kernel, [cells.window, *read], [*written])
+
+    def _slide(self, worker: int, rates: wp.array, *, rubs: bool) -> Recorded:
+        cells, walls, dx = self._cells, self._walls, self._model.dx
+        inputs = [int(rubs), self._density * dx**3, cells.lattice, cells.window, rates]
+        inputs += [walls.slots, walls.frictions, cells.open, cells.distances, cells.owners]
+        inputs += [cells.liquid, cells.pressure, cells.velocity]
+        kernel = spread.make_slide(self._model.real)
+        outputs = [cells.other, self._books.rows(worker)]
+        return self._over_cells(worker, "spread", kernel, inputs, outputs)
+
+    def _gather(self, worker: int) -> Recorded:
+        model, s, run, cells = self._model, self._state, self._run(worker), self._cells
+        inputs = [cells.lattice, cells.window, self._tracks.clock, self._tracks.values]
+        outputs = [s.x[run], s.residue[run], s.v[run], s.C[run], part_of(s.total, run)]
+        outputs.append(cast("wp.array", self._missed[worker]))
+        kernel, count = faces.make_gather(model.real), run.stop - run.start
+        return "g2p", model.launch(kernel, count, [*inputs, cells.other], outputs)
+
+    def _push_out(self, worker: int, *, stops: bool) -> list[Recorded]:
+        s, run = self._state, self._run(worker)
+        sums = self._books.rows(worker)
+        return self._walls.push_out(self._cells, run, s.x, s.v, sums, stops=stops)
+
+    def _fill(self, worker: int) -> list[Named]:
+        model, run, cells = self._model, self._run(worker), self._cells
+        fills = self._copy(cells.fills, worker)
+        inputs = [model.volume[run], cells.lattice, cells.window, self._state.x[run]]
+        kernel = faces.make_scatter_volume(model.real)
+        launch = model.launch(kernel, run.stop - run.start, inputs, [fills])
+        return [("density", fills.zero_), *launches([("density", launch)])]
+
+    def _sum_fills(self, worker: int) -> Recorded:
+        cells, workers = self._cells, len(self._workers)
+        if workers == 1:
+            return "density", None
+        kernel = faces.make_sum_fills(self._model.real)
+        return self._over_cells(worker, "density", kernel, [cells.count, workers], [cells.fills])
+
+    def _refill(self, worker: int) -> Recorded:
+        cells = self._cells
+        inputs = [cells.lattice, cells.window, cells.open, cells.shares]
+        inputs.append(self._copy(cells.fills, 0))
+        outputs = [cells.hats, cells.phi, cells.liquid]
+        kernel = surface.make_refill(self._model.real)
+        return self._over_cells(worker, "density", kernel, inputs, outputs)
+
+    def _excess(self, worker: int) -> Recorded:
+        cells = self._cells
+        inputs = [cells.window, cells.open, cells.shares, cells.hats, cells.phi, cells.liquid]
+        outputs = [cells.right, cells.packing]
+        kernel = packing.make_excess(self._model.real)
+        return self._over_cells(worker, "density", kernel, inputs, outputs)
+
+    def _shift(self, worker: int) -> list[Named]:
+        cells = self._cells
+        first, count = span(cells.count, worker, len(self._workers))
+        field = cast("wp.array", cells.velocity[first : first + count])
+        kernel, inputs = packing.make_shift(self._model.real), [cells.lattice]
+        shift = self._over_cells(worker, "density", kernel, inputs, [cells.velocity])
+        gradient = self._gradient(cells.packing, worker)
+        return [("density", field.zero_), *launches([*gradient, shift])]
+
+    def _displace(self, worker: int) -> Recorded:
+        model, run, cells = self._model, self._run(worker), self._cells
+        inputs = [cells.lattice, cells.window, cells.other]
+        kernel, count = faces.make_displace(model.real), run.stop - run.start
+        return "density", model.launch(kernel, count, inputs, [self._state.x[run]])
+
+
+def kernels(real: Any) -> Iterator[Any]:
+    """Yield the kernels of all phases, except those of walls and of conjugate gradients."""
+    yield from (make(real) for make in (faces.make_scatter, faces.make_scatter_volume))
+    yield from (make(real) for make in (faces.make_sum_copies, faces.make_sum_fills))
+    yield from (make(real) for make in (faces.make_gather, faces.make_displace, faces.make_extent))
+    yield from (make(real) for make in (surface.make_levels, surface.make_refill))
+    yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
+    yield from (make(real) for make in (pressure.make_gradient, ledger.make_wall_impulses))
+    yield from (make(real) for make in (spread.make_spread, spread.make_slide))
+    yield from (make(real) for make in (packing.make_excess, packing.make_shift))
+    yield ledger.settle

@@ -1,0 +1,109 @@
+"""Projection: conjugate gradients on the listed cells of liquid, run by all workers together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from phy124.kernels.liquid import conjugate
+from phy124.kernels.liquid.conjugate import RESIDUAL, RIGHT, ROWS
+from phy124.liquid.cells import Cells
+from phy124.mpm import Model
+from phy124.mpm.stage import Recorded
+
+STAGE = "pressure"
+"""Name of the stages in reports."""
+PARTS = 512
+"""Number of parts of the cells on a GPU; on the CPU each worker has one."""
+MOST = 400
+"""Largest number of iterations of a solution."""
+CHECK = 8
+"""Iterations between two checks of the residual on a GPU, where a check waits for the device."""
+
+
+class Projection:
+    """Records and repeats the launches of a solution."""
+
+    def __init__(self, model: Model, workers: int) -> None:
+        self._model, self._workers = model, workers
+        self._parts = workers if model.device == "cpu" else PARTS
+        device = model.device
+        self.counts = wp.zeros(self._parts, dtype=int, device=device)
+        """Number of cells of liquid in each part of all cells."""
+        self._sums = wp.zeros((ROWS, self._parts), dtype=wp.float64, device=device)
+        self.iterations = 0
+        """Iterations of all solutions so far."""
+        self.solutions = 0
+        """Number of solutions so far."""
+
+    def part(self, worker: int) -> tuple[int, int]:
+        """Return the first part of a worker, and its number of parts."""
+        return (worker, 1) if self._parts == self._workers else (0, self._parts)
+
+    def list_cells(self, cells: Cells, worker: int) -> tuple[list[Recorded], list[Recorded]]:
+        """Return a worker's launches that count the cells of liquid, and that list them."""
+        launch, (part, parts) = self._model.launch, self.part(worker)
+        inputs = [part, cells.count, cells.diagonal]
+        count = launch(conjugate.count_liquid, parts, inputs, [self.counts])
+        listed = launch(conjugate.list_liquid, parts, [*inputs, self.counts], [cells.listed])
+        return [(STAGE, count)], [(STAGE, listed)]
+
+    def phases(self, cells: Cells, x: wp.array, worker: int) -> list[list[Recorded]]:
+        """Return a worker's launches of a solution: begin, then pairs of advance and improve.
+
+        The pairs are for the first iteration, odd and even iterations.
+        """
+        launch, (part, parts) = self._model.launch, self.part(worker)
+        row, layer = cells.strides
+        listed, equation = [self.counts, cells.listed], [cells.diagonal, cells.links]
+        inputs = [part, row, layer, *listed, *equation, cells.right, x]
+        outputs = [cells.inverse, cells.residual, cells.z, cells.directions[1], self._sums]
+        phases = [[(STAGE, launch(conjugate.begin, parts, inputs, outputs))]]
+        for begun, turn in ((0, 0), (1, 1), (1, 0)):
+            before, after = cells.directions[1 - turn], cells.directions[turn]
+            inputs = [part, turn, begun, row, layer, *listed, *equation, cells.z, before]
+            outputs = [after, cells.product, self._sums]
+            phases.append([(STAGE, launch(conjugate.advance, parts, inputs, outputs))])
+            inputs = [part, turn, row, layer, *listed, cells.links, cells.inverse]
+            inputs += [after, cells.product]
+            outputs = [x, cells.residual, cells.z, self._sums]
+            phases.append([(STAGE, launch(conjugate.improve, parts, inputs, outputs))])
+        return phases
+
+    def solve(self, run: Callable[[int], None], begin: int, tolerance: float) -> int:
+        """Run a recorded solution until the residual is small; return the iterations.
+
+        Args:
+            run: Runs a phase of all workers.
+            begin: Index of the first phase of the solution.
+            tolerance: Largest residual, as a fraction of the largest right side.
+        """
+        every = 1 if self._model.device == "cpu" else CHECK
+        run(begin)
+        pairs = [begin + 1, begin + 3, begin + 5]
+        taken = 0
+        for k in range(MOST):
+            advance = pairs[0] if k == 0 else pairs[2 - k % 2]
+            run(advance)
+            # All workers have finished the phase before `advance`, so its sums are complete.
+            if k % every == 0 and self._small(tolerance):
+                break
+            run(advance + 1)
+            taken = k + 1
+        self.iterations += taken
+        self.solutions += 1
+        return taken
+
+    def _small(self, tolerance: float) -> bool:
+        sums: Any = self._sums.numpy()
+        largest, right = np.max(sums[[RESIDUAL, RIGHT]], axis=1).tolist()
+        return largest <= tolerance * right or right == 0.0
+
+
+def kernels() -> Iterator[Any]:
+    """Yield the kernels of a solution."""
+    yield from (conjugate.count_liquid, conjugate.list_liquid, conjugate.begin)
+    yield from (conjugate.advance, conjugate.improve)

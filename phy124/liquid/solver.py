@@ -1,0 +1,363 @@
+"""Solver of a liquid: steps that project the velocities onto those without divergence.
+
+It has the interface of `phy124.mpm.Solver`, so that a run, its observers, pauses and live changes
+treat both alike. All particles of the run are one liquid.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.boundaries import Boundary
+from phy124.liquid import phases, projection
+from phy124.liquid.cells import Cells
+from phy124.liquid.clock import LiquidClock
+from phy124.liquid.ledger import Ledger
+from phy124.liquid.phases import Phases
+from phy124.liquid.projection import Projection
+from phy124.liquid.walls import Walls, wall_kernels, walls_of
+from phy124.mpm import Accumulator, Attachable, FreeBodies, Grid, Model, State, Unstable
+from phy124.mpm.grid import grids_of
+from phy124.mpm.outliers import Outliers
+from phy124.mpm.pairs import Pairs
+from phy124.mpm.rejection import StepRejection
+from phy124.mpm.repair import Repair
+from phy124.mpm.stage import Named, launches
+from phy124.mpm.threads import Team
+from phy124.mpm.tracks import Tracks
+from phy124.mpm.workers import (
+    FOLLOW,
+    REPAIR,
+    SCHEDULE,
+    WINDOW,
+    Timings,
+    Worker,
+    numbers,
+    run_timed,
+    usable_workers,
+)
+
+EXTENT = -1
+"""Task of the workers that is no phase: measure the particles' extent."""
+TOLERANCE, LOOSE = 1e-5, 1e-2
+"""Largest residual of the pressure and of the density, as a fraction of the right side."""
+MOST_CELLS = 2**22
+"""Largest number of cells of a window; particles outside it fly on parabolas."""
+BULK = 0.01
+"""Fraction of the particles on each side that such a window may leave out."""
+
+
+class LiquidSolver:
+    """Advances a liquid in time under forces and walls."""
+
+    def __init__(
+        self,
+        model: Model,
+        state: State | None = None,
+        *,
+        forces: Sequence[Attachable] = (),
+        boundaries: Sequence[tuple[str, Boundary]] = (),
+        accumulators: Sequence[Accumulator] = (),
+        ceiling: float = math.inf,
+        threads: int | None = None,
+    ) -> None:
+        """Connect forces and walls to the particles of a liquid.
+
+        Args:
+            model: The constants of the run.
+            state: The initial state; None: at rest.
+            forces: Forces, in the order in which they act.
+            boundaries: Boundaries with their names.
+            accumulators: Sums that are updated in every step.
+            ceiling: Longest step allowed [s].
+            threads: Number of CPU threads; None: as many as pay.
+
+        Raises:
+            InputError: The region of a force holds no particle, or a wall is too thin for the grid.
+        """
+        self.model = model
+        self.state = State.of(model) if state is None else state
+        self.clock = LiquidClock(model, ceiling=ceiling)
+        self.grids = grids_of(model)
+        """Grids without nodes, which forces and reports expect."""
+        count = usable_workers(len(model), model.device, threads)
+        self.workers = [Worker(numbers(0, model), numbers(0, model)) for _ in range(count)]
+        self.slabs, self.softened = None, 1.0
+        self.outliers, self.repair = Outliers(model, self.state), Repair(model, self.state)
+        self.pairs, self.free = Pairs(model, (), count), FreeBodies(model, ())
+        self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
+        self.cells, self.projection = Cells(model, count), Projection(model, count)
+        self._phases = Phases(
+            model, self.state, self.cells, self.projection, self.workers, self._missed
+        )
+        self.team = Team[int](count, self._run_member)
+        self._kick = 0.0
+        """Duration over which the current pressure acted [s]."""
+        self._fitted = False
+        self.ledger = Ledger((), count, model.device)
+        """Impulses of the walls."""
+        self.bind(forces, boundaries, accumulators)
+
+    def bind(
+        self,
+        forces: Sequence[Attachable] = (),
+        boundaries: Sequence[tuple[str, Boundary]] = (),
+        accumulators: Sequence[Accumulator] = (),
+    ) -> None:
+        """Replace forces, walls and sums, from the next step on.
+
+        Args:
+            forces: Forces, in the order in which they act.
+            boundaries: Boundaries with their names.
+            accumulators: Sums that are updated in every step.
+
+        Raises:
+            InputError: The region of a force holds no particle, or a wall is too thin for the grid;
+                in this case nothing has changed.
+        """
+        model, state = self.model, self.state
+        tracks = Tracks(real=model.real, device=model.device)
+        acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
+        sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
+        walls = Walls(model, tracks, list(walls_of(boundaries, model, tracks)))
+        tracks.upload(self.clock.values)
+        self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
+        self.boundaries: list[Any] = []
+        given, names = self.ledger.given, [wall.name for wall in walls.all]
+        self.ledger = Ledger(names, len(self.workers), model.device)
+        wp.copy(self.ledger.given, given)
+        self._sample = tracks.record()
+        self._sample.launch()
+        self.rejection = StepRejection(model, state, tracks, acting, list(accumulators))
+        if self._fitted:
+            self._record()
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of the first body."""
+        return self.grids[0]
+
+    @property
+    def nodes(self) -> int:
+        """Number of cells in the window."""
+        return self.cells.count
+
+    @property
+    def timings(self) -> Timings:
+        """Seconds and launches of each stage, in the first thread."""
+        return self.workers[0].timings
+
+    def advance(
+        self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
+    ) -> None:
+        """Take steps of stable length.
+
+        Args:
+            until: The time at which to stop [s].
+            after: Called after each step.
+            each: Not used: `after` is always called after each step.
+
+        Raises:
+            Unstable: A particle is no longer finite, or too far away.
+        """
+        del each
+        started, named = time.perf_counter(), self._seconds()
+        self._begin(until)
+        with self._threads():
+            while self.clock.time < until:
+                self._stable_step(until)
+                if after is not None:
+                    run_timed(self.timings, FOLLOW, after)
+        between = self.timings.setdefault(SCHEDULE, [0.0, 0])
+        between[0] += time.perf_counter() - started - (self._seconds() - named)
+        between[1] += 1
+
+    def step(self, kick: float, drift: float) -> None:
+        """Take a step: velocities change over `kick` [s], positions over `drift` [s]."""
+        self._fit()
+        clock = self.clock
+        clock.begin(kick, drift)
+        if self.tracks.vary:
+            run_timed(self.timings, "tracks", self._sample.launch)
+        self._guess(kick)
+        if self.walls.move:
+            run_timed(self.timings, "walls", lambda: self.walls.clear(self.cells))
+            self._group("walls")
+        self._group("scatter")
+        self._solve("pressure", TOLERANCE)
+        self._group("gather")
+        self._solve("packing", LOOSE)
+        self._group("displace")
+        self._join()
+        for name, launch in self._ending:
+            run_timed(self.timings, name, launch)
+        run_timed(self.timings, REPAIR, lambda: self.repair.substep(clock))
+        clock.finish(drift)
+        clock.pull = np.asarray(self.tracks.values.numpy()[0, :3], np.float64)
+        self._measure()
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state that `restore` needs to continue bit for bit."""
+        return {
+            "state": self.state.snapshot(),
+            "clock": self.clock.snapshot(),
+            "repair": self.repair.snapshot(),
+            "cells": self.cells.snapshot(),
+            "kick": self._kick,
+            "ledger": self.ledger.snapshot(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot; if the number of threads differs, only to within rounding."""
+        self.state.restore(snapshot["state"])
+        self.clock.restore(snapshot["clock"])
+        self.repair.restore(snapshot["repair"])
+        self._phases.stray.zero_()
+        self._missed.zero_()
+        self._kick = snapshot["kick"]
+        self.cells.restore(snapshot["cells"])
+        self.ledger.restore(snapshot["ledger"])
+        self._fitted = self.cells.count > 0
+        if self._fitted:
+            self._record()
+
+    def _seconds(self) -> float:
+        """Return the total time of all stages so far [s]."""
+        return sum(seconds for seconds, _ in self.timings.values())
+
+    def _begin(self, until: float) -> None:
+        """Bound forces and walls until a time [s]."""
+        clock, rejection = self.clock, self.rejection
+        rejection.begin(clock.time, until)
+        clock.acceleration, clock.wall = rejection.acceleration, rejection.wall
+
+    def _stable_step(self, until: float) -> None:
+        """Take one step, of a stable length that divides the remaining time evenly."""
+        self._fit()
+        clock = self.clock
+        limit, rest = clock.stable(), until - clock.time
+        dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
+        self.step((clock.last_dt + dt) / 2, dt)
+        if dt == rest:
+            clock.time = until
+        clock.last_dt = dt
+        clock.count(limit.limiter, needed=dt / limit.dt)
+
+    def _guess(self, kick: float) -> None:
+        """Scale the last pressure to a step whose velocities change over `kick` [s]."""
+        scale = kick / self._kick if self._kick > 0 else 0.0
+        self._phases.carry.fill_(scale)
+        self._kick = kick
+
+    def _solve(self, name: str, tolerance: float) -> None:
+        self.projection.solve(self._run, self._phases.group(name)[0], tolerance)
+
+    def _group(self, name: str) -> None:
+        """Run all phases of a group."""
+        for phase in self._phases.group(name):
+            self._run(phase)
+
+    def _run(self, phase: int) -> None:
+        """Run a phase; threads wait for each other before the phase."""
+        if self.team.alive:
+            run_timed(self.timings, "wait", lambda: self.team.put(phase))
+            self.workers[0].run(phase)
+        else:
+            for worker in self.workers:
+                worker.run(phase)
+
+    def _join(self) -> None:
+        """Wait until the other threads have finished."""
+        if self.team.alive:
+            run_timed(self.timings, "wait", self.team.join)
+
+    def _run_member(self, member: int, phase: int) -> None:
+        """Run a phase in one of the other threads."""
+        if phase == EXTENT:
+            _launch_all(self._extents[member])
+        else:
+            self.workers[member].run(phase)
+
+    @contextmanager
+    def _threads(self) -> Iterator[None]:
+        """Run each worker on its own thread within this context."""
+        if len(self.workers) == 1:
+            yield
+            return
+        # Recording loads every kernel, which is not thread-safe later.
+        self._fit()
+        with self.team.running():
+            yield
+
+    def _fit(self) -> None:
+        """Measure the particles before the first step, and cover them with cells."""
+        if not self._fitted:
+            self._extents = [self._phases.extent(index) for index in range(len(self.workers))]
+            self._fitted = True
+            self._measure()
+
+    def _measure(self) -> None:
+        """Measure extent and speed of the particles, and renew the window if it is too small.
+
+        Raises:
+            Unstable: A particle is not finite, or too far away.
+        """
+        run_timed(self.timings, "measure", self._measure_extents)
+        rows = np.asarray(self._phases.extents.numpy(), np.float64).max(axis=0)
+        lost = int(self._phases.stray.numpy()[0])
+        if lost:
+            raise Unstable(f"{lost} particles are NaN or infinite")
+        self.clock.measured(math.sqrt(max(rows[6], 0.0)))
+        if self.cells.fit(*self._bounded(-rows[:3], rows[3:6])):
+            run_timed(self.timings, WINDOW, self._record)
+
+    def _measure_extents(self) -> None:
+        if self.team.alive:
+            self.team.put(EXTENT)
+            _launch_all(self._extents[0])
+            self.team.join()
+        else:
+            for extent in self._extents:
+                _launch_all(extent)
+
+    def _bounded(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
+        """Return the corners of the particles [m], or of their bulk if they are too far apart."""
+        if np.prod((upper - lower) / self.model.dx + 20) <= MOST_CELLS:
+            return lower, upper
+        x = self.state.x.numpy().astype(np.float64)
+        lower, upper = np.quantile(x, (BULK, 1 - BULK), axis=0)
+        side = self.model.dx * (MOST_CELLS ** (1 / 3) - 20)
+        middle = np.median(x, axis=0)
+        return np.maximum(lower, middle - side / 2), np.minimum(upper, middle + side / 2)
+
+    def _record(self) -> None:
+        """Record the launches for the current window, and describe the walls to its cells."""
+        self.grid.low, self.grid.size = self.cells.low, self.cells.size
+        self._extents = [self._phases.extent(index) for index in range(len(self.workers))]
+        self._phases.record(self._forces, self.walls, self.tracks, self.ledger, self.grid)
+        sums = launches([(stage.name, stage.record(self.grid)) for stage in self._sums])
+        self._ending = [("walls", self.ledger.settle), *sums]
+        self.walls.clear(self.cells)
+        for phase in self._phases.group("walls"):
+            for worker in self.workers:
+                worker.run(phase)
+
+
+def _launch_all(named: Sequence[Named]) -> None:
+    for _, launch in named:
+        launch()
+
+
+def kernels(boundaries: Sequence[Boundary], real: Any) -> Iterator[Any]:
+    """Yield the kernels that a liquid's steps launch, without forces on particles."""
+    yield from wall_kernels(boundaries, real)
+    yield from phases.kernels(real)
+    yield from projection.kernels()

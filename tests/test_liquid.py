@@ -1,0 +1,164 @@
+"""Liquids by pressure projection: tanks, slopes and closed boxes with known results."""
+
+import numpy as np
+import pytest
+
+from phy124.boundaries import Container, HalfSpace
+from phy124.errors import InputError
+from phy124.forces import Gravity
+from phy124.liquid import LiquidSolver
+from phy124.materials import Fluid
+from phy124.mpm import Model, State
+from phy124.runtime.context import RunContext
+from phy124.scene import Scene
+from phy124.schema.region import Region
+from phy124.simulation import Simulation, prepare
+from support.shapes import ball
+
+G, DENSITY, FPS = 9.81, 1000.0, 48
+TANK = Container(inside=Region(lower=(0, 0, 0), upper=(1, 1, 1e9)), contact="slip")
+
+
+def block(low, high, cells: int, per_axis: int = 2) -> np.ndarray:
+    """Particles on a lattice between two corners [m]."""
+    step = 1 / cells / per_axis
+    axes = [
+        np.arange(round((b - a) / step)) * step + a + step / 2
+        for a, b in zip(low, high, strict=True)
+    ]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+def liquid(x, cells: int, walls=(), *, gravity=(0, 0, -G), offset=0.0, threads=1) -> LiquidSolver:
+    """A liquid of particles, with 8 in each cell, in walls; the grid is off by some cells."""
+    dx = 1 / cells
+    volume = np.full(len(x), dx**3 / 8)
+    origin = (-offset * dx,) * 3
+    model = Model.of(x, volume, [Fluid(density=DENSITY)], dx=dx, origin=origin)
+    named = [(f"wall_{index}", wall) for index, wall in enumerate(walls)]
+    forces = [Gravity(g=gravity)] if np.any(gravity) else []
+    return LiquidSolver(model, State.of(model), forces=forces, boundaries=named, threads=threads)
+
+
+def run(solver: LiquidSolver, steps: int) -> LiquidSolver:
+    start = solver.clock.time
+    for step in range(steps):
+        solver.advance(start + (step + 1) / FPS)
+    return solver
+
+
+def field(solver: LiquidSolver, name: str) -> np.ndarray:
+    values = getattr(solver.cells, name).numpy()
+    return values.reshape(*solver.cells.size, *values.shape[1:])
+
+
+def heights(solver: LiquidSolver) -> np.ndarray:
+    """Height of the surface in every column of cells with liquid [m]."""
+    dx, wet, phi = solver.model.dx, field(solver, "liquid"), field(solver, "phi")
+    found = []
+    for i, j in np.argwhere(wet.any(axis=2)):
+        k = np.flatnonzero(wet[i, j])[-1]
+        part = phi[i, j, k] / (phi[i, j, k] - phi[i, j, k + 1])
+        found.append(solver.model.origin[2] + dx * (solver.cells.low[2] + k + 0.5 + part))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.37])
+def test_still_tank_keeps_level_and_pressure(offset):
+    solver = run(liquid(block((0, 0, 0), (1, 1, 0.5), 8), 8, [TANK], offset=offset), 24)
+    level = heights(solver)
+    assert level.mean() == pytest.approx(0.5, rel=0.005)
+    assert np.ptp(level) < 0.05 * solver.model.dx
+    z = solver.model.origin[2] + (solver.cells.low[2] + np.arange(solver.cells.size[2]) + 0.5) / 8
+    pressure = field(solver, "pressure") * DENSITY * solver.model.dx / solver.clock.last_dt
+    wet = field(solver, "liquid") == 1
+    expected = np.broadcast_to(DENSITY * G * (level.mean() - z), wet.shape)
+    assert np.abs(pressure - expected)[wet].max() < 0.01 * DENSITY * G * 0.5
+
+
+def test_floor_carries_the_weight():
+    solver = run(liquid(block((0, 0, 0), (1, 1, 0.5), 8), 8, [TANK]), 24)
+    impulse = solver.ledger.wrench("wall_0_z_low").numpy()
+    weight = solver.model.total_mass * G * (solver.clock.time - solver.clock.last_dt / 2)
+    assert impulse[2] == pytest.approx(weight, rel=0.01)
+    assert impulse[3] == pytest.approx(weight / 2, rel=0.01)  # acts at the tank's middle
+
+
+def test_pile_slides_down_a_smooth_slope():
+    """The centroid gains g sin(20 degrees) t, whatever the shape of the pile."""
+    tilt, cells = np.radians(20), 32
+    normal = (-np.sin(tilt), 0.0, np.cos(tilt))
+    along = np.array([-np.cos(tilt), 0.0, -np.sin(tilt)])
+    rotation = np.array([along, [0, 1, 0], normal])
+    x = block((-0.25, -0.125, 0.0), (0.25, 0.125, 0.1875), cells) @ rotation
+    slope = HalfSpace(point=(0, 0, 0), normal=normal, contact="slip")
+    solver = run(liquid(x, cells, [slope]), 12)
+    duration = solver.clock.time - solver.clock.last_dt / 2
+    speed = solver.state.v.numpy().mean(axis=0) @ along
+    assert speed == pytest.approx(G * np.sin(tilt) * duration, rel=0.02)
+
+
+def test_full_box_without_a_surface_stays_still():
+    box = Container(inside=Region(lower=(0, 0, 0), upper=(1, 1, 1)), contact="slip")
+    x = block((0, 0, 0), (1, 1, 1), 8)
+    solver = run(liquid(x, 8, [box]), 12)
+    assert np.abs(solver.state.v.numpy()).max() < 1e-3
+    assert np.abs(solver.state.x.numpy() - x).max() < 0.01 * solver.model.dx
+
+
+def test_liquid_without_walls_falls_freely():
+    solver = run(liquid(block((0, 0, 0), (0.5, 0.5, 0.5), 8), 8), 12)
+    duration = solver.clock.time - solver.clock.last_dt / 2
+    np.testing.assert_allclose(solver.state.v.numpy()[:, 2], -G * duration, rtol=1e-4)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_liquid_repeats_and_resumes_bit_for_bit(threads):
+    x = block((0, 0, 0), (0.5, 0.5, 0.5), 8)
+
+    def end(pause: int | None) -> np.ndarray:
+        solver = liquid(x, 8, [TANK], threads=threads)
+        if pause is None:
+            return run(solver, 12).state.x.numpy()
+        run(solver, pause)
+        other = liquid(x, 8, [TANK], threads=threads)
+        other.restore(solver.snapshot())
+        return run(other, 12 - pause).state.x.numpy()
+
+    whole = end(None)
+    np.testing.assert_array_equal(end(None), whole)
+    np.testing.assert_array_equal(end(5), whole)
+
+
+def test_two_threads_agree_with_one():
+    x = block((0, 0, 0), (0.5, 0.5, 0.5), 8)
+    one, two = (run(liquid(x, 8, [TANK], threads=n), 8).state.x.numpy() for n in (1, 2))
+    np.testing.assert_allclose(one, two, atol=1e-3)
+
+
+def test_projected_water_lands_in_its_basin():
+    changes = {"accuracy": {"cells": 8, "liquid": "projection"}, "time.frames": 12}
+    scene = Scene.named("water").replaced({**changes, "wrenches": True})
+    clip = Simulation(prepare(ball(), scene, RunContext(threads=1))).run()
+    assert clip.report["complete"]
+    assert clip.report["substeps"] < 60
+    assert clip.report["walls"]["container_z_low"]["largest_force"] > 0
+
+
+def test_default_liquid_is_compressible():
+    assert not Scene.named("water").projects
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"material.viscosity": 1.0}, "material.viscosity"),
+        ({"contacts": True}, "contacts"),
+        ({"checks.energy": True}, "checks.energy"),
+    ],
+)
+def test_projection_refuses_what_it_cannot_compute(changes, field):
+    scene = Scene.named("water").replaced({"accuracy": {"liquid": "projection"}, **changes})
+    with pytest.raises(InputError, match=r"liquid = compressible") as error:
+        prepare(ball(), scene)
+    assert error.value.field == field
