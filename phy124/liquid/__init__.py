@@ -2,7 +2,7 @@
 
 `LiquidSolver` takes the place of `phy124.mpm.Solver` in scenes whose `accuracy.liquid` is
 "projection". `Walls` are the scene's boundaries as the liquid meets them, `Cells` the window of the
-grid, `Projection` the conjugate gradients, `Phases` the launches of a step, and `Ledger` the
+grid, `Projection` the conjugate gradients, `Phases` the launches of a step, and `WallImpulses` the
 impulses of walls. docs/design/liquids.md has the method.
 """
 

@@ -10,7 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
-from phy124.kernels.liquid.faces import lanes
+from phy124.kernels.liquid.faces import sums
 from phy124.mpm import Model, Unstable
 from phy124.mpm.grid import FARTHEST
 
@@ -95,7 +95,7 @@ class Cells:
 
     def _allocate(self, count: int) -> None:
         t, real = self._t, self._model.real
-        self.sums = self._zeros(self._copies * count, lanes(real))
+        self.sums = self._zeros(self._copies * count, sums(real))
         """Momentum, mass and volume of the particles at each cell, in a copy for each worker."""
         self.fills = self._zeros(self._copies * count, t.vec2)
         """Volumes at each cell with quadratic and linear weights, in a copy for each worker."""

@@ -54,6 +54,6 @@ class LiquidClock(Clock):
         del power
         return self.last_dt / 2 * float(self.pull @ momentum)
 
-    def measured(self, speed: float) -> None:
+    def set_speed(self, speed: float) -> None:
         """Store the largest speed of the particles [m/s]."""
         self.extremes = self.recent = Extremes(speed, 0.0, 0.0)

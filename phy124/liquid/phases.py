@@ -11,10 +11,10 @@ from typing import Any, cast
 import numpy as np
 import warp as wp
 
-from phy124.kernels.liquid import faces, ledger, packing, pressure, spread, surface
+from phy124.kernels.liquid import faces, impulses, packing, pressure, spread, surface
 from phy124.kernels.reduction import shared_out
 from phy124.liquid.cells import Cells
-from phy124.liquid.ledger import Ledger
+from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.projection import Projection
 from phy124.liquid.walls import Walls, span
 from phy124.mpm import Grid, Model, Stage, State
@@ -64,7 +64,12 @@ class Phases:
         self._density = float(model.total_mass / np.sum(model.volume.numpy(), dtype=np.float64))
 
     def record(
-        self, pushes: Sequence[Stage], walls: Walls, tracks: Tracks, books: Ledger, grid: Grid
+        self,
+        pushes: Sequence[Stage],
+        walls: Walls,
+        tracks: Tracks,
+        impulses_of_walls: WallImpulses,
+        grid: Grid,
     ) -> None:
         """Record the phases of every worker.
 
@@ -72,10 +77,10 @@ class Phases:
             pushes: Stages of forces on particles.
             walls: The walls.
             tracks: Quantities that change over time.
-            books: Sums of the walls' impulses.
+            impulses_of_walls: Sums of the walls' impulses.
             grid: A grid without nodes, which stages of forces expect.
         """
-        self._tracks, self._walls, self._books = tracks, walls, books
+        self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
         self._still = wp.zeros_like(tracks.rates)
         names: list[str] = []
         for index, worker in enumerate(self._workers):
@@ -210,8 +215,8 @@ class Phases:
         inputs = [part, self._density, self._projection.counts, cells.listed, cells.lattice]
         inputs += [cells.window, tracks.clock, tracks.values, tracks.rates, walls.slots]
         inputs += [cells.open, cells.distances, cells.owners, cells.pressure]
-        kernel = ledger.make_wall_impulses(model.real)
-        return "walls", model.launch(kernel, parts, inputs, [self._books.rows(worker)])
+        kernel = impulses.make_wall_impulses(model.real)
+        return "walls", model.launch(kernel, parts, inputs, [self._impulses_of_walls.rows(worker)])
 
     def _spread(self, worker: int, turn: int) -> Recorded:
         cells = self._cells
@@ -226,7 +231,7 @@ class Phases:
         inputs += [walls.slots, walls.frictions, cells.open, cells.distances, cells.owners]
         inputs += [cells.liquid, cells.pressure, cells.velocity]
         kernel = spread.make_slide(self._model.real)
-        outputs = [cells.other, self._books.rows(worker)]
+        outputs = [cells.other, self._impulses_of_walls.rows(worker)]
         return self._over_cells(worker, "spread", kernel, inputs, outputs)
 
     def _gather(self, worker: int) -> Recorded:
@@ -239,7 +244,7 @@ class Phases:
 
     def _push_out(self, worker: int, *, stops: bool) -> list[Recorded]:
         s, run = self._state, self._run(worker)
-        sums = self._books.rows(worker)
+        sums = self._impulses_of_walls.rows(worker)
         return self._walls.push_out(self._cells, run, s.x, s.v, sums, stops=stops)
 
     def _fill(self, worker: int) -> list[Named]:
@@ -295,7 +300,7 @@ def kernels(real: Any) -> Iterator[Any]:
     yield from (make(real) for make in (faces.make_gather, faces.make_displace, faces.make_extent))
     yield from (make(real) for make in (surface.make_levels, surface.make_refill))
     yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
-    yield from (make(real) for make in (pressure.make_gradient, ledger.make_wall_impulses))
+    yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))
     yield from (make(real) for make in (spread.make_spread, spread.make_slide))
     yield from (make(real) for make in (packing.make_excess, packing.make_shift))
-    yield ledger.settle
+    yield impulses.settle

@@ -20,7 +20,7 @@ from phy124.boundaries import Boundary
 from phy124.liquid import phases, projection
 from phy124.liquid.cells import Cells
 from phy124.liquid.clock import LiquidClock
-from phy124.liquid.ledger import Ledger
+from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.phases import Phases
 from phy124.liquid.projection import Projection
 from phy124.liquid.walls import Walls, wall_kernels, walls_of
@@ -102,7 +102,7 @@ class LiquidSolver:
         self._kick = 0.0
         """Duration over which the current pressure acted [s]."""
         self._fitted = False
-        self.ledger = Ledger((), count, model.device)
+        self.impulses = WallImpulses((), count, model.device)
         """Impulses of the walls."""
         self.bind(forces, boundaries, accumulators)
 
@@ -131,9 +131,9 @@ class LiquidSolver:
         tracks.upload(self.clock.values)
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self.boundaries: list[Any] = []
-        given, names = self.ledger.given, [wall.name for wall in walls.all]
-        self.ledger = Ledger(names, len(self.workers), model.device)
-        wp.copy(self.ledger.given, given)
+        before, names = self.impulses.total, [wall.name for wall in walls.all]
+        self.impulses = WallImpulses(names, len(self.workers), model.device)
+        wp.copy(self.impulses.total, before)
         self._sample = tracks.record()
         self._sample.launch()
         self.rejection = StepRejection(model, state, tracks, acting, list(accumulators))
@@ -212,7 +212,7 @@ class LiquidSolver:
             "repair": self.repair.snapshot(),
             "cells": self.cells.snapshot(),
             "kick": self._kick,
-            "ledger": self.ledger.snapshot(),
+            "impulses": self.impulses.snapshot(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -224,7 +224,7 @@ class LiquidSolver:
         self._missed.zero_()
         self._kick = snapshot["kick"]
         self.cells.restore(snapshot["cells"])
-        self.ledger.restore(snapshot["ledger"])
+        self.impulses.restore(snapshot["impulses"])
         self._fitted = self.cells.count > 0
         if self._fitted:
             self._record()
@@ -315,8 +315,8 @@ class LiquidSolver:
         lost = int(self._phases.stray.numpy()[0])
         if lost:
             raise Unstable(f"{lost} particles are NaN or infinite")
-        self.clock.measured(math.sqrt(max(rows[6], 0.0)))
-        if self.cells.fit(*self._bounded(-rows[:3], rows[3:6])):
+        self.clock.set_speed(math.sqrt(max(rows[6], 0.0)))
+        if self.cells.fit(*self._bound(-rows[:3], rows[3:6])):
             run_timed(self.timings, WINDOW, self._record)
 
     def _measure_extents(self) -> None:
@@ -328,7 +328,7 @@ class LiquidSolver:
             for extent in self._extents:
                 _launch_all(extent)
 
-    def _bounded(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
+    def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
         """Return the corners of the particles [m], or of their bulk if they are too far apart."""
         if np.prod((upper - lower) / self.model.dx + 20) <= MOST_CELLS:
             return lower, upper
@@ -342,9 +342,9 @@ class LiquidSolver:
         """Record the launches for the current window, and describe the walls to its cells."""
         self.grid.low, self.grid.size = self.cells.low, self.cells.size
         self._extents = [self._phases.extent(index) for index in range(len(self.workers))]
-        self._phases.record(self._forces, self.walls, self.tracks, self.ledger, self.grid)
+        self._phases.record(self._forces, self.walls, self.tracks, self.impulses, self.grid)
         sums = launches([(stage.name, stage.record(self.grid)) for stage in self._sums])
-        self._ending = [("walls", self.ledger.settle), *sums]
+        self._ending = [("walls", self.impulses.settle), *sums]
         self.walls.clear(self.cells)
         for phase in self._phases.group("walls"):
             for worker in self.workers:

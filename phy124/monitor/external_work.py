@@ -140,15 +140,15 @@ class ExternalWork(Observer):
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver; a liquid by projection sums the work of its walls by itself."""
         self._liquid = solver if isinstance(solver, LiquidSolver) else None
-        self._read_ledger()
+        self._read_impulses()
 
     def change(self, scene: Scene) -> None:
         """Continue under the walls of another scene."""
-        self._read_ledger()
+        self._read_impulses()
 
-    def _read_ledger(self) -> None:
+    def _read_impulses(self) -> None:
         if self._liquid is not None:
-            self._device[WALL] = self._liquid.ledger.given
+            self._device[WALL] = self._liquid.impulses.total
 
     @property
     def _varies(self) -> bool:

@@ -101,17 +101,17 @@ class Wrenches(Observer):
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver, which sums the impulses between objects, and on a liquid of walls."""
         self._solver = solver
-        self._read_ledger()
+        self._read_impulses()
 
     def change(self, scene: Scene) -> None:
         """Continue with the walls of another scene."""
-        self._read_ledger()
+        self._read_impulses()
 
-    def _read_ledger(self) -> None:
+    def _read_impulses(self) -> None:
         """Use the sums of the walls of a liquid by projection."""
         if self._of_walls and isinstance(self._solver, LiquidSolver):
-            ledger = self._solver.ledger
-            self._sums = {name: {0: ledger.wrench(name)} for name in ledger.names}
+            impulses = self._solver.impulses
+            self._sums = {name: {0: impulses.wrench(name)} for name in impulses.names}
 
     def before_attempt(self, *, closely: bool = False) -> None:
         """Set the sums to zero."""

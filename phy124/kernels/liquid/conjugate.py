@@ -76,7 +76,7 @@ def list_liquid(part: int, cells: int, diagonal: Doubles, counts: Ints, listed_o
 
 
 @wp.func
-def applied(n: int, row: int, layer: int, diagonal: Doubles, links: Vectors, x: Doubles):
+def multiply(n: int, row: int, layer: int, diagonal: Doubles, links: Vectors, x: Doubles):
     """Return a component of A x; a row and a layer of cells are the strides along y and x."""
     below = links[n - layer][0] * x[n - layer]
     below += links[n - row][1] * x[n - row] + links[n - 1][2] * x[n - 1]
@@ -179,16 +179,16 @@ def begin(
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     largest = wp.float64(0.0)
-    given = wp.float64(0.0)
+    right_size = wp.float64(0.0)
     product = wp.float64(0.0)
     if span[1] > span[0]:
         factorise(span[0], span[1], listed, row, layer, diagonal, links, inverse_out)
         for k in range(span[0], span[1]):
             n = listed[k]
-            r = right[n] - applied(n, row, layer, diagonal, links, x)
+            r = right[n] - multiply(n, row, layer, diagonal, links, x)
             residual_out[n] = r
             largest = wp.max(largest, wp.abs(r))
-            given = wp.max(given, wp.abs(right[n]))
+            right_size = wp.max(right_size, wp.abs(right[n]))
         precondition(span[0], span[1], listed, row, layer, links, inverse_out, residual_out, z_out)
         for k in range(span[0], span[1]):
             n = listed[k]
@@ -197,7 +197,7 @@ def begin(
     sums_out[0, p] = product
     sums_out[1, p] = wp.float64(1.0)
     sums_out[RESIDUAL, p] = largest
-    sums_out[RIGHT, p] = given
+    sums_out[RIGHT, p] = right_size
 
 
 @kernel("phy124_liquid_advance", seconds=0.3)

@@ -1,9 +1,9 @@
 """Transfers between particles and the faces of a staggered grid: APIC with quadratic B-splines.
 
 The components of the velocity live at different points, so each has weights of its own. A particle
-reaches 4 x 4 x 4 cells. In each cell, the lanes of a vector hold the values of the three low faces
-and of the centre: along an axis, the weights of the lanes differ only by a shift of half a cell,
-which makes some of the four weights zero (Jiang et al. 2015, "The affine particle-in-cell method").
+reaches 4 x 4 x 4 cells. A vector for each cell holds the values of its three low faces and of its
+centre. Along an axis, the weights of these differ only by a shift of half a cell, which makes some
+of the four weights zero (Jiang et al. 2015, "The affine particle-in-cell method").
 """
 
 from functools import cache
@@ -16,13 +16,13 @@ from phy124.kernels.build import kernel
 from phy124.kernels.transfer import spline
 
 FILL = 3
-"""Lane of the volume with quadratic weights at the cell's centre [m^3]."""
+"""Component of the volume with quadratic weights at the cell's centre [m^3]."""
 HAT = 7
-"""Lane of the volume with linear weights at the cell's centre [m^3]."""
+"""Component of the volume with linear weights at the cell's centre [m^3]."""
 
 
 @cache
-def lanes(real: Any):
+def sums(real: Any):
     """Return the type of a cell's sums: momentum of three faces, fill, mass of three faces, hat."""
     return wp.types.vector(8, real)
 
@@ -113,7 +113,7 @@ def at_hats(t: Any):
 
 @wp.func
 def weights(t: Any, axis: int):
-    """Return weights of four cells along an axis: a row per cell, a lane per face and centre."""
+    """Return weights of four cells along an axis: a row per cell, a column per face and centre."""
     c = at_centres(t)
     f = at_faces(t)
     zero = type(t)(0.0)
@@ -130,18 +130,18 @@ def weights(t: Any, axis: int):
 
 @wp.func
 def offset(s: Any, low: wp.vec3i, axis: int):
-    """Return distances along an axis from a particle to the points of the first cell's lanes."""
+    """Return distances along an axis from a particle to the first cell's three faces and centre."""
     half = type(s[0])(0.5)
     d = type(s[0])(low[axis]) - s[axis] + half
-    lanes4 = wp.vector(d, d, d, d)
-    lanes4[axis] = d - half
-    return lanes4
+    result = wp.vector(d, d, d, d)
+    result[axis] = d - half
+    return result
 
 
 @cache
 def make_scatter(real: Any):
     """Kernel: adds mass, momentum and volume of particles to the cells' sums."""
-    vec8 = lanes(real)
+    vec8 = sums(real)
 
     @kernel(f"phy124_liquid_scatter_{real.__name__}", real, seconds=0.8)
     def scatter(mass, volume, lattice, window, x, v, C, cells_out: wp.array(dtype=vec8)):
@@ -238,7 +238,7 @@ def make_scatter_volume(real: Any):
 def flow(velocity: wp.array(dtype=Any), size: wp.vec3i, s: Any):
     """Return the velocity at a point, by linear interpolation of each component; s in cells."""
     half = type(s[0])(0.5)
-    one = type(s[0])(1.0)
+    unit = type(s[0])(1.0)
     result = s
     for axis in range(3):
         at = s - wp.vector(half, half, half)
@@ -250,13 +250,13 @@ def flow(velocity: wp.array(dtype=Any), size: wp.vec3i, s: Any):
         n = number(i, size)
         dx = size[1] * size[2]
         dy = size[2]
-        near = (one - g) * ((one - h) * velocity[n][axis] + h * velocity[n + 1][axis]) + g * (
-            (one - h) * velocity[n + dy][axis] + h * velocity[n + dy + 1][axis]
+        near = (unit - g) * ((unit - h) * velocity[n][axis] + h * velocity[n + 1][axis]) + g * (
+            (unit - h) * velocity[n + dy][axis] + h * velocity[n + dy + 1][axis]
         )
-        far = (one - g) * (
-            (one - h) * velocity[n + dx][axis] + h * velocity[n + dx + 1][axis]
-        ) + g * ((one - h) * velocity[n + dx + dy][axis] + h * velocity[n + dx + dy + 1][axis])
-        result[axis] = (one - f) * near + f * far
+        far = (unit - g) * (
+            (unit - h) * velocity[n + dx][axis] + h * velocity[n + dx + 1][axis]
+        ) + g * ((unit - h) * velocity[n + dx + dy][axis] + h * velocity[n + dx + dy + 1][axis])
+        result[axis] = (unit - f) * near + f * far
     return result
 
 
@@ -383,7 +383,7 @@ def make_sum_copies(real: Any):
 
     Copies are added in their order, so that the result depends only on their number.
     """
-    vec8 = lanes(real)
+    vec8 = sums(real)
 
     @kernel(f"phy124_liquid_sum_copies_{real.__name__}", real, seconds=0.2)
     def sum_copies(first, count, copies: int, cells_out: wp.array(dtype=vec8)):

@@ -23,7 +23,7 @@ MOST = wp.constant(0.5)
 
 
 @wp.func
-def closed(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size: wp.vec3i):
+def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size: wp.vec3i):
     """Return whether a cell is inside a wall."""
     if liquid[n] == 1:
         return False
@@ -71,14 +71,14 @@ def make_excess(real: Any):
                 for b in range(-1, 2):
                     for c in range(-1, 2):
                         behind = int(a != 0 or b != 0 or c != 0)
-                        if a != 0 and not closed(open, liquid, n + a * layer, size):
+                        if a != 0 and not is_wall(open, liquid, n + a * layer, size):
                             behind = 0
-                        if b != 0 and not closed(open, liquid, n + b * row, size):
+                        if b != 0 and not is_wall(open, liquid, n + b * row, size):
                             behind = 0
-                        if c != 0 and not closed(open, liquid, n + c, size):
+                        if c != 0 and not is_wall(open, liquid, n + c, size):
                             behind = 0
                         m = n + a * layer + b * row + c
-                        if behind == 1 and closed(open, liquid, m, size):
+                        if behind == 1 and is_wall(open, liquid, m, size):
                             error += hats[m] - real(1.0)
             if near > 0:
                 deep = wp.clamp(-phi[n], real(-1.0), real(1.0))

@@ -87,7 +87,7 @@ def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size
 
 @cache
 def make_slide(real: Any):
-    """Kernel over cells: faces inside walls follow the wall, and faces beside them feel friction.
+    """Kernel over cells: faces inside walls follow the wall, and faces next to them feel friction.
 
     `frictions` has a row for each wall: its coefficient, and 1 if it sticks. The impulse of
     friction on the liquid is added to `sums_out`; `weight` is the mass of a full cell [kg].

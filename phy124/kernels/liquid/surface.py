@@ -1,7 +1,7 @@
 """The surface of the liquid: how full the cells are, and the distance to the surface from it.
 
 `depth` inverts the fill of the quadratic kernel below a flat surface, so a flat surface is exact
-wherever it lies between two layers of cells. Beside walls, the fill counts the open part only.
+wherever it lies between two layers of cells. Near walls, the fill counts the open part only.
 """
 
 from functools import cache
@@ -11,7 +11,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
-from phy124.kernels.liquid.faces import FILL, HAT, cell_of, inner, lanes, stride
+from phy124.kernels.liquid.faces import FILL, HAT, cell_of, inner, stride, sums
 from phy124.kernels.liquid.walls import SHUT
 
 
@@ -22,14 +22,14 @@ def depth(fill: Any):
     The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and
     1/2, and 1 - (3/2 - T)^3 / 6 above.
     """
-    one = type(fill)(1.0)
-    sixth = one / type(fill)(6.0)
-    third = one / type(fill)(3.0)
-    f = wp.clamp(fill, type(fill)(0.0), one)
+    unit = type(fill)(1.0)
+    sixth = unit / type(fill)(6.0)
+    third = unit / type(fill)(3.0)
+    f = wp.clamp(fill, type(fill)(0.0), unit)
     if f < sixth:
         return wp.pow(type(fill)(6.0) * f, third) - type(fill)(1.5)
-    if f > one - sixth:
-        return type(fill)(1.5) - wp.pow(type(fill)(6.0) * (one - f), third)
+    if f > unit - sixth:
+        return type(fill)(1.5) - wp.pow(type(fill)(6.0) * (unit - f), third)
     T = (f - type(fill)(0.5)) * type(fill)(1.5)
     for _ in range(4):
         error = type(fill)(0.5) + type(fill)(0.75) * T - T * T * T * third - f
@@ -56,7 +56,7 @@ def make_levels(real: Any):
     distance to the surface [cells], negative in the liquid. The uniform acceleration acts here.
     """
     t = types(real)
-    vec8 = lanes(real)
+    vec8 = sums(real)
 
     @kernel(f"phy124_liquid_levels_{real.__name__}", real, seconds=0.4)
     def levels(

@@ -39,17 +39,17 @@ def point(cell: wp.vec3i, a: int, b: int, c: int, size: wp.vec3i):
 def triangle(a: Any, b: Any, c: Any):
     """Return the positive fraction of a triangle with linear values a, b, c at its corners."""
     zero = type(a)(0.0)
-    one = type(a)(1.0)
+    unit = type(a)(1.0)
     low = wp.min(a, wp.min(b, c))
     high = wp.max(a, wp.max(b, c))
     middle = a + b + c - low - high
     if high <= zero:
         return zero
     if low >= zero:
-        return one
+        return unit
     if middle <= zero:
         return high / (high - low) * high / (high - middle)
-    return one - low / (low - high) * low / (low - middle)
+    return unit - low / (low - high) * low / (low - middle)
 
 
 @wp.func

@@ -1,4 +1,4 @@
-"""Ledger: the impulse and moment of each wall on the liquid, and the work of all walls."""
+"""WallImpulses: the impulse and moment of each wall on the liquid, and the work of all walls."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any, cast
 import numpy as np
 import warp as wp
 
-from phy124.kernels.liquid.ledger import COLUMNS, settle
+from phy124.kernels.liquid.impulses import COLUMNS, settle
 from phy124.kernels.work import GIVEN
 
 MEASURED = 6
 """Numbers of a wall's total: impulse [N s], and moment about the origin [N m s]."""
 
 
-class Ledger:
+class WallImpulses:
     """Sums of a step for each worker and wall, and their totals."""
 
     def __init__(self, names: Sequence[str], workers: int, device: str) -> None:
@@ -31,9 +31,9 @@ class Ledger:
         walls, real = max(len(names), 1), wp.float64
         self._step = wp.zeros((workers, walls, COLUMNS), dtype=real, device=device)
         self._totals = wp.zeros((walls, MEASURED), dtype=real, device=device)
-        self.given = wp.zeros((1, GIVEN), dtype=real, device=device)
+        self.total = wp.zeros((1, GIVEN), dtype=real, device=device)
         """Impulse and work of all walls, in the order of `phy124.kernels.work`."""
-        outputs = [self._step, self._totals, self.given]
+        outputs = [self._step, self._totals, self.total]
         launch: Any = wp.launch(
             settle, 1, inputs=[len(names)], outputs=outputs, device=device, record_cmd=True
         )
@@ -51,12 +51,12 @@ class Ledger:
     def snapshot(self) -> dict[str, Any]:
         """Return the totals as plain data."""
         names, totals = list(self.names), np.asarray(self._totals.numpy()).tolist()
-        return {"names": names, "totals": totals, "given": self.given.numpy().tolist()}
+        return {"names": names, "totals": totals, "all": self.total.numpy().tolist()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
         self._step.zero_()
-        self.given.assign(np.array(snapshot["given"]))
+        self.total.assign(np.array(snapshot["all"]))
         if list(snapshot["names"]) == list(self.names):
             self._totals.assign(np.array(snapshot["totals"]))
         else:

@@ -1,4 +1,4 @@
-"""Impulses of walls on the liquid: the pressure on the solid part of the cells beside them.
+"""Impulses of walls on the liquid: the pressure on the solid part of the cells next to them.
 
 The solid surface inside a cell is minus the sum of the open faces (the area of a closed surface is
 zero). The pressure there is that of the cell's centre, plus the weight of the liquid between centre
@@ -99,12 +99,12 @@ def settle(
     walls: int,
     sums_out: wp.array3d(dtype=wp.float64),
     totals_out: wp.array2d(dtype=wp.float64),
-    given_out: wp.array2d(dtype=wp.float64),
+    all_out: wp.array2d(dtype=wp.float64),
 ):
     """Add a step's sums of all workers to the totals of each wall, and to those of all walls.
 
     A single thread clears the step's sums [workers,walls,7]. Totals hold impulse and moment of each
-    wall; `given_out` has one row, in the order of `phy124.kernels.work`.
+    wall; `all_out` has one row, in the order of `phy124.kernels.work`.
     """
     for wall in range(walls):
         row = vec7d()
@@ -115,7 +115,7 @@ def settle(
         for k in range(6):
             totals_out[wall, k] += row[k]
         for k in range(3):
-            given_out[0, IMPULSE + k] += row[k]
-        given_out[0, WORK] += row[6]
-        given_out[0, MOVED] += wp.sqrt(row[0] * row[0] + row[1] * row[1] + row[2] * row[2])
-        given_out[0, TURNED] += wp.abs(row[6])
+            all_out[0, IMPULSE + k] += row[k]
+        all_out[0, WORK] += row[6]
+        all_out[0, MOVED] += wp.sqrt(row[0] * row[0] + row[1] * row[1] + row[2] * row[2])
+        all_out[0, TURNED] += wp.abs(row[6])
