@@ -1,6 +1,6 @@
 """The bridge: record, play, inspect and repair moving Gaussians as ROS 2 messages.
 
-Exit status: 0 done, 1 the machine refused, 2 bad input, 3 the simulation stopped early and its
+Exit status: 0 done, 1 a failure of the machine, 2 bad input, 3 the simulation stopped early and its
 valid frames were saved, 130 interrupted. Errors that a user can correct show no traceback.
 """
 

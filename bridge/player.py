@@ -239,7 +239,7 @@ class Player:
         self._rebase(first, again + missed * period / self.speed)
 
     def _splice(self, time: float) -> None:
-        """Make stamps continue one interval after the last, although the time in the clip jumps."""
+        """Continue the time stamps one interval after the last, although the clip's time jumps."""
         if self._stamp is not None:
             self._offset = self._stamp + self.interval - time
         self._shown_at = -math.inf

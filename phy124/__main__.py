@@ -5,9 +5,9 @@ libraries, and the traceback of an error). `phy124 --version` prints this versio
 `phy124 --tyro-print-completion bash` (zsh, fish) prints a script that completes commands and
 options with the Tab key; see docs/guide/commands.md.
 
-Exit status: 0 done, 1 the machine refused (disk full, ...), 2 bad input, 3 the simulation stopped
-early and its valid frames were saved, 130 interrupted. Errors that a user can correct show no
-traceback.
+Exit status: 0 done, 1 a failure of the machine (disk full, ...), 2 bad input, 3 the simulation
+stopped early and its valid frames were saved, 130 interrupted. Errors that a user can correct
+show no traceback.
 """
 
 from __future__ import annotations

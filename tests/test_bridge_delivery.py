@@ -37,7 +37,7 @@ def test_a_subscriber_that_hangs_holds_up_one_frame_only(caplog):
     made.before_frame()
     assert not any(waits) and made.lost == 2, "it does not wait again"
     made.farewell()
-    assert made.lost == 4 and "it may lack 2 of them" in caplog.text
+    assert made.lost == 4 and "it may have missed 2 of them" in caplog.text
 
 
 def test_one_that_comes_back_is_waited_for_again():

@@ -46,7 +46,7 @@ from support.shapes import ball
         ("weights fech", "action = fech: there is no such choice. Did you mean fetch?"),
         ("accuracy press --levels a", "levels = a: it is not a whole number."),
         ("accuracy press --levels 0", "levels = 0: it must be a whole number from"),
-        ("accuracy press --levels", "levels = none: an error is estimated from three"),
+        ("accuracy press --levels", "levels = none: at least three grids are needed"),
         ("generate x.ply", "`phy124 generate` takes a picture. Use `phy124 simulate x.ply`."),
         ("cutout x.ply", "`phy124 cutout` takes a picture. Use `phy124 simulate x.ply`."),
         ("simulate photo.png", "takes a file of Gaussians. Use `phy124 generate photo.png`."),

@@ -134,7 +134,7 @@ def test_a_list_of_other_files_is_no_video(tmp_path, monkeypatch, text):
 def test_only_videos_are_laid_on_the_object(tmp_path):
     (tmp_path / "points.csv").write_text("time,id,x,y,z\n0,a,0,0,0.5\n")
     data = {"target": str(tmp_path / "points.csv"), "object": "o.ply", "align": True}
-    with pytest.raises(InputError, match="align = True: the target is no video"):
+    with pytest.raises(InputError, match="align = True: the target is not a video"):
         Target(Fit.from_data({**data, "find": {"material.E": "1e4..1e5"}}))
 
 

@@ -196,7 +196,7 @@ def test_columns_of_the_gaussians_own_file(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "limit"),
     [
-        ({"E": np.ones(5)}, "without positions, the object has 10 Gaussians"),
+        ({"E": np.ones(5)}, "without positions, but the object has 10 Gaussians"),
         ({"E": np.full(10, np.nan)}, "10 values of E are not finite"),
         ({"E": np.full(10, 1e20)}, "E = 1e.20: it must be a number from 1 to 1e13"),
         ({"nu": np.linspace(0.1, 0.7, 10)}, r"nu = 0\.7: it must be"),

@@ -75,7 +75,7 @@ def growth(fraction):
 
 def test_its_substeps_are_stable_up_to_the_limit_and_no_further():
     assert growth(0.98) < 1 < 10 < growth(1.03)
-    with pytest.raises(ValueError, match=r"cfl up to 0\.707, and this one has 0\.75"):
+    with pytest.raises(ValueError, match=r"cfl up to 0\.707, but this model has 0\.75"):
         make_solver(
             np.zeros((1, 3)), np.ones(1), [NeoHookean()], dx=0.2, cfl=0.75, scheme=Scheme(rpic=1)
         )

@@ -75,7 +75,7 @@ def run(few_gaussians) -> Simulation:
         ({"objects": [{**BOX, "picture": "a.png"}]}, "box has picture and shape. Give one of them"),
         ({"pairs": [{"between": ["object", "cat"]}]}, "no object is called cat. There are object"),
         ({"pairs": [{"between": ["object", "object"]}]}, "between names object twice"),
-        ({"pairs": [{}, {"friction": 0}]}, "two entries of pairs are about any and any"),
+        ({"pairs": [{}, {"friction": 0}]}, "two entries of pairs are for any and any"),
         ({"forces": [{"kind": "gravity", "object": "cat"}]}, "no object is called cat"),
     ],
 )
@@ -227,7 +227,7 @@ def test_each_object_is_made_from_its_own_file(tmp_path):
         pipeline.make_gaussians([one, two], scene(), generator=str(one))
     with pytest.raises(InputError, match="its file has not been read"):
         Simulation(prepare(ball(300), named))
-    with pytest.raises(InputError, match="are of 3 objects, the scene has 2"):
+    with pytest.raises(InputError, match="belong to 3 objects, but the scene has 2"):
         Simulation(prepare(as_objects({0: ball(300), 2: ball(300)}), waiting))
 
 
@@ -363,7 +363,7 @@ def test_an_object_with_a_motion_is_a_wall_where_it_is_drawn(changes, lower, upp
         ({"shape": None, "file": "a.ply"}, "Only shapes follow a motion"),
         ({"held": True}, "Leave out static, held, velocity and spin"),
         ({"velocity": [1, 0, 0]}, "Leave out static, held, velocity and spin"),
-        ({"on": "object"}, "stands on the floor. Use lift"),
+        ({"on": "object"}, "cannot stand on another object. Use lift"),
         ({"turn": [0, 0, 30]}, "cannot be turned. Leave turn out"),
         ({"shape": "sphere"}, "Give 3 equal sides"),
         ({"shape": "capsule", "sides": [0.4, 0.3, 1]}, "Give 2 equal sides"),
@@ -434,7 +434,7 @@ def test_a_file_of_more_objects_than_the_scene_has_is_refused(tmp_path):
     path = tmp_path / "several.ply"
     write_ply(path, replace(ball(300), object_id=np.arange(300, dtype=np.int32) % 3))
     scene = Scene.from_data({"objects": [{"name": "second", "place": [0, 2]}]})
-    with pytest.raises(InputError, match="are of 3 objects, the scene has 2"):
+    with pytest.raises(InputError, match="belong to 3 objects, but the scene has 2"):
         pipeline.make_gaussians(path, scene, generator=str(path))
 
 

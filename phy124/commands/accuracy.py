@@ -33,14 +33,14 @@ KEPT = "the results cover only the settings that were run"
 
 @dataclass(frozen=True)
 class ShowAccuracy:
-    """Verify the solver against known answers, or study error and time in a scene."""
+    """Verify the solver against exact solutions, or measure error and time of a scene."""
 
     scene: tyro.conf.Positional[str | None] = None
     """Preset or .toml file to study."""
     image: Path | None = None
     """Picture of the object, or a file of Gaussians; absent: a rubber ball."""
     verify: bool = False
-    """Solve problems whose answer is known; no scene is needed."""
+    """Solve problems whose exact solution is known; no scene is needed."""
     levels: tuple[int, ...] = (16, 24, 32, 48)
     """Three or more grids to study [cells across the object]."""
     frames: Annotated[int | None, help_of(Timing, "frames")] = None

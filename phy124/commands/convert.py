@@ -33,7 +33,7 @@ TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().i
 
 @dataclass(frozen=True)
 class Convert:
-    """Write a file of Gaussians in another format, turned to that format's up axis."""
+    """Write a file of Gaussians in another format, rotated to that format's up axis."""
 
     file: tyro.conf.Positional[Path]
     """PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB, recognised by its content."""

@@ -49,7 +49,7 @@ class CutoutOptions(Cutting):
 
 @dataclass(frozen=True)
 class CutOut:
-    """Cut the object out of a picture, save it, and report the method and any doubts."""
+    """Cut the object out of a picture, save it, and report the method and any warnings."""
 
     image: tyro.conf.Positional[Path]
     """PNG, JPEG, WebP, AVIF or HEIC picture of one object."""

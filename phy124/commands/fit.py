@@ -21,7 +21,7 @@ from phy124.studies.fit.declaration import parse_ranges
 
 @dataclass(frozen=True)
 class Fit:
-    """Find stiffness, damping, friction or a start from a clip, tracked points, or a video.
+    """Find stiffness, damping, friction or initial values from a clip, tracked points, or a video.
     `phy124 fit points.csv --object duck.ply --scene drop --find material.E=1e4..1e6` searches
     on a coarse grid and refines on finer grids; the same command continues an interrupted search.
     """

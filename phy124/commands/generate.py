@@ -170,7 +170,7 @@ class Generate:
 
 @dataclass(frozen=True)
 class Simulate:
-    """Move existing 3D Gaussians (.ply, .spz, .splat, .sog, .glb) and film them."""
+    """Simulate existing 3D Gaussians (.ply, .spz, .splat, .sog, .glb) and film them."""
 
     file: tyro.conf.Positional[Path]
     """The file of Gaussians: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB."""

@@ -32,7 +32,7 @@ Device = Annotated[str, tyro.conf.arg(help=CHOICES)]
 GeneratorName = Annotated[
     str,
     tyro.conf.arg(
-        help="What makes the Gaussians: a generator's name, a file of Gaussians, or a "
+        help="Source of the Gaussians: a generator's name, a file of Gaussians, or a "
         "command of your own: 'cmd: PROGRAM {image} {out}'.",
         help_behavior_hint=lambda default: f"(default: {default}; here: {', '.join(list_names())})",
     ),

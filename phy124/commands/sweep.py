@@ -33,7 +33,7 @@ class Sweep:
     file: tyro.conf.Positional[str]
     """A .toml file (see docs/guide/sweeps.md), or the word report."""
     folder: tyro.conf.Positional[str | None] = None
-    """After report: the folder that was the sweep's --out."""
+    """With `report`: the folder of the sweep's results (its --out)."""
     out: str | None = None
     """Folder, or address such as s3://bucket/sweep; default out/NAME."""
     dry_run: bool = False

@@ -27,7 +27,7 @@ OLDER = "(with huggingface_hub before 1.0 the command is `huggingface-cli downlo
 
 @dataclass(frozen=True)
 class Weights:
-    """List the known trained weights and which are present, or download a set of weights."""
+    """List the known trained weights and whether they are present, or download a set of them."""
 
     action: tyro.conf.Positional[Literal["list", "fetch"]] = "list"
     """`list` the weights, or `fetch` a set."""

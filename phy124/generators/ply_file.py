@@ -37,11 +37,12 @@ class Reading(Section):
 
     up: str | None = Field(
         default=None,
-        description="Direction of the file of Gaussians that points up: x, y, z, -x, -y, -z, or "
+        description="Up axis of the file of Gaussians: x, y, z, -x, -y, -z, or "
         "three numbers such as 0.1,-1,0.2; default: that of its dialect or format.",
     )
     front: str | None = Field(
-        default=None, description="Direction of the file that the object faces, in the same form."
+        default=None,
+        description="Axis of the file towards which the object faces, in the same form as --up.",
     )
     dialect: str | None = Field(
         default=None,
@@ -55,12 +56,12 @@ class Reading(Section):
     )
     crop: str | None = Field(
         default=None,
-        description="Keeps only the Gaussians in a box, x,y,z,X,Y,Z, in the file's units and axes.",
+        description="Keep only the Gaussians in a box, x,y,z,X,Y,Z, in the file's units and axes.",
     )
     floor: bool = Field(
         default=False,
-        description="Finds the floor of a capture by a plane fit, stands the object upright on "
-        "it and keeps it as scenery.",
+        description="Find the floor of a capture by a plane fit, place the object upright "
+        "on the floor, and keep the floor as scenery.",
     )
 
     def refuse(self, name: str, source: object) -> None:

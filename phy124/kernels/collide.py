@@ -116,7 +116,7 @@ FLAT = {"half_space"}
 
 @cache
 def make_settle(real: Any):
-    """Kernel over the nodes of a sub-box: adds the mean change that a node's columns request.
+    """Kernel over the nodes of a sub-box: adds the mean of the changes from a node's columns.
 
     `changes_out` holds the sums of weighted changes and of weights, and is zero afterwards. The
     weight of a column is the size of its change, so that the mean varies continuously when a column

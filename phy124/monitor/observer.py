@@ -101,7 +101,7 @@ class Observed(Protocol):
 
     @property
     def particles(self) -> Particles:
-        """Particles that move, at rest."""
+        """The moving particles, in their rest positions."""
         ...
 
     @property

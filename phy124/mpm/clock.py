@@ -83,8 +83,9 @@ class Clock:
     def complete(self, calm_strain: float) -> bool:
         """Return whether the next measurement must include stiffness and positions.
 
-        Speeds alone suffice while no particle can have strained by `calm_strain`, so that the
-        stiffness has hardly changed, and no particle can have left its margin of the window.
+        A measurement of the speeds alone suffices under two conditions: no particle can have been
+        strained by more than `calm_strain`, which would change the stiffness, and no particle can
+        have left its margin of the window.
         """
         late = self.since_complete + MEASURE_EVERY > self.measure_every
         elapsed = self.time - self._last_measured

@@ -110,13 +110,16 @@ class SceneObject(Object):
                 "velocity and spin"
             )
         if led and self.on != FLOOR:
-            raise ValueError(f"{self.name} has a motion, so it stands on the floor; use lift")
+            raise ValueError(
+                f"{self.name} has a motion, so it cannot stand on another object; use lift"
+            )
         if led and any(self.turn) and self.shape != "sphere":
             raise ValueError(f"{self.name} has a motion and cannot be rotated; leave turn out")
         round_ = sorted(self.sides)[: 3 if self.shape == "sphere" else 2]
         if self.shape != "box" and round_[0] != round_[-1]:
             raise ValueError(
-                f"{self.name} has a motion, so it must be round; give {len(round_)} equal sides"
+                f"{self.name} has a motion, so its cross-section must be "
+                f"round; give {len(round_)} equal sides"
             )
         return self
 

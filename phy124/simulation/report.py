@@ -142,7 +142,7 @@ def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
 
 
 def _cfl_note(run: Run) -> list[str]:
-    """Return a note if a large fraction of the elastic limit only shortened the substeps."""
+    """Return a note if a cfl close to 1 shortens the substeps of a viscous material."""
     clock = run.solver.clock
     cfl, taken = run.scene.resolution.fraction, sum(clock.limiters.values())
     if cfl <= CFL or 2 * clock.limiters.get("viscous", 0) <= taken:

@@ -174,7 +174,7 @@ def _option(option: str | Option) -> Option:
             "option",
             option,
             f"LGM has the options {', '.join(OPTIONS)}.",
-            "The public weights are those of `big`.",
+            "Weights are published only for `big`.",
         )
     return OPTIONS[option]
 
