@@ -398,3 +398,16 @@ def test_shape_without_shading_keeps_its_colour_behind():
     np.testing.assert_allclose(
         plain.rgb, np.array([200, 120, 60]) / 255 * np.ones_like(plain.rgb), atol=0.01
     )
+
+
+def test_colours_are_the_same_on_both_sides_of_the_rim():
+    """No seam: a rim that is darker than the front is as wide behind as in front."""
+    dark = np.clip((80 - np.hypot(X - 96, Y - 96)) / 30, 0, 1)
+    grey = (60 + 120 * dark)[..., None].repeat(3, axis=2)
+    gaussians = relief(picture(dark > 0, grey.astype(np.uint8)), count=20_000)
+    facing = rotation_matrices(gaussians.quats)[:, 0, 2]
+    before, behind = (
+        gaussians.rgb[(low < facing) & (facing < high)].mean()
+        for low, high in ((0.1, 0.3), (-0.3, -0.1))
+    )
+    assert behind == pytest.approx(before, abs=0.03)

@@ -15,8 +15,7 @@ from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
 REACH = 0.2
-"""Distance along the surface, beyond the rim, over which the image fades into the back, in image
-sizes."""
+"""Depth behind the rim over which the mirrored image fades into the back, in image sizes."""
 FRINGE = 2.0
 """Width of the edge whose colours are ignored [pixels]."""
 
@@ -40,7 +39,6 @@ def colour_points(
     points: Field,
     normals: Field,
     surface: Surface,
-    inside: NDArray[np.bool_],
     front: Field,
     back: Field,
     light: Field,
@@ -48,37 +46,29 @@ def colour_points(
 ) -> Field:
     """Colour surface points [N,3] from the front image, and continue it around the rim.
 
-    Behind the rim, the image is continued by reflection: a point at a distance from the rim along
-    the surface gets the colour at the same distance inside the rim. With increasing distance, this
-    colour fades into that of the back. Colours behind the rim are lit as the normals require.
+    Behind the rim, the mirrored image fades into the back, so that the rim is no seam. Colours
+    behind the rim are lit as the normals require.
 
     Args:
         points: Positions [N,3], pixels.
         normals: Unit normals [N,3].
         surface: The surface.
-        inside: Mask of the silhouette [H,W].
         front: Colours of the front [H,W,3].
         back: Colours of the back [H,W,3] without light.
         light: Direction and strength of the light (`light.fit_light`) [3].
-        reach: Distance along the surface over which the image fades into the back, pixels.
+        reach: Depth behind the rim over which the mirrored image fades into the back, pixels.
     """
     place = points[:, 1::-1].T
     shown = _sample(front, place)
-    hidden = points[:, 2] < surface.middle(points)
-    points, place = points[hidden], place[:, hidden]
+    below = surface.middle(points) - points[:, 2]
+    hidden = below > 0
+    place = place[:, hidden]
+    unlit = unlight(front, surface, light)
     behind = _sample(back, place)
     if reach > 0:
-        _, nearest = nearest_of(~inside)
-        at = np.clip(np.rint(place).astype(int), 0, np.array(inside.shape)[:, None] - 1)
-        rim = np.stack([axis[tuple(at)] for axis in nearest]).astype(np.float64)
-        inward = place - rim
-        far = np.maximum(np.linalg.norm(inward, axis=0), 0.5)
-        way = np.hypot(far, surface.middle(rim[::-1].T) - points[:, 2])
-        unlit = unlight(front, surface, light)
-        around = _sample(scipy.ndimage.gaussian_filter(unlit, (2, 2, 0)), rim + inward / far * way)
-        fraction = np.clip(way / reach, 0, 1)
+        fraction = np.clip(below[hidden] / reach, 0, 1)
         fraction = fraction * fraction * (3 - 2 * fraction)
-        behind = around * (1 - fraction) + behind * fraction
+        behind = _sample(unlit, place) * (1 - fraction) + behind * fraction
     shown[:, hidden] = behind * np.exp(normals[hidden] @ light)
     return np.clip(shown, 0, 1).T
 
