@@ -127,7 +127,7 @@ def test_a_list_of_other_files_is_no_video(tmp_path, monkeypatch, text):
         "phy124.studies.fit.video.subprocess.run", lambda *_, **__: pytest.fail("decoded")
     )
     (tmp_path / "film.mp4").write_text(text)
-    with pytest.raises(InputError, match="no video"):
+    with pytest.raises(InputError, match="not a readable video"):
         read_film(tmp_path / "film.mp4")
 
 
@@ -141,10 +141,10 @@ def test_only_videos_are_laid_on_the_object(tmp_path):
 def test_films_that_show_nothing_are_refused(tmp_path):
     with pytest.raises(InputError, match="picture 1 shows no object"):
         read_film(film_of(tmp_path / "film", [10, None]))
-    with pytest.raises(InputError, match="1 pictures"):
+    with pytest.raises(InputError, match="1 frames"):
         read_film(film_of(tmp_path / "short", [10]))
     (tmp_path / "film.mp4").write_text("no film")
-    with pytest.raises(InputError, match="no video"):
+    with pytest.raises(InputError, match="not a readable video"):
         read_film(tmp_path / "film.mp4")
 
 
@@ -167,5 +167,5 @@ def test_no_exception_of_a_decoder_reaches_a_user(tmp_path, monkeypatch, name):
     (tmp_path / name).write_bytes(file_of(Image.new("L", (9, 9)), "GIF"))
     monkeypatch.setattr(Image, "open", broken)
     path = tmp_path / name
-    with pytest.raises(InputError, match="that can be read"):
+    with pytest.raises(InputError, match="not a readable"):
         read_film(path.parent if path.suffix == ".png" else path)

@@ -364,7 +364,7 @@ def test_an_object_with_a_motion_is_a_wall_where_it_is_drawn(changes, lower, upp
         ({"held": True}, "Leave out static, held, velocity and spin"),
         ({"velocity": [1, 0, 0]}, "Leave out static, held, velocity and spin"),
         ({"on": "object"}, "cannot stand on another object. Use lift"),
-        ({"turn": [0, 0, 30]}, "cannot be turned. Leave turn out"),
+        ({"turn": [0, 0, 30]}, "cannot be rotated. Leave turn out"),
         ({"shape": "sphere"}, "Give 3 equal sides"),
         ({"shape": "capsule", "sides": [0.4, 0.3, 1]}, "Give 2 equal sides"),
     ],
