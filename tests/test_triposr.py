@@ -114,6 +114,20 @@ def test_generator_makes_an_upright_object(monkeypatch):
     assert np.ptp(made.means, axis=0) == pytest.approx([1, 1, 1], abs=0.02)
 
 
+def test_effort_states_time_memory_and_precision(tmp_path, monkeypatch):
+    monkeypatch.setenv("PHY124_WEIGHTS", str(tmp_path))
+    monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path))
+    effort = TripoSrGenerator().effort()
+    assert effort.seconds > 0 and effort.settings["weights"] == "triposr"
+    assert "GB of memory" in effort.words
+    (tmp_path / "TripoSR").mkdir()
+    (tmp_path / "TripoSR/model.ckpt").write_bytes(b"")
+    assert TripoSrGenerator().effort().settings["weights"] == "triposr-torch"
+    with pytest.raises(InputError, match="weights fetch triposr"):
+        (tmp_path / "TripoSR/model.ckpt").unlink()
+        TripoSrGenerator()(draw_cutout(5, 37, 53))
+
+
 def test_small_pieces_are_dropped():
     values = np.full((12, 12, 12), -2.0, np.float32)
     values[1:9, 1:9, 1:9] = 1.0

@@ -9,8 +9,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
+from phy124.commands.weights import describe, lines
 from phy124.errors import InputError
 from phy124.weights import store as weights
+from phy124.weights.catalogue import ABOUT
 from phy124.weights.store import KNOWN, WeightFile, check_all, fetch, find, require, search_first
 
 CONTENT = bytes(range(256)) * 2000
@@ -177,6 +179,22 @@ def test_known_files_are_stated_completely():
     assert KNOWN["lgm"][0].size == 830_126_160
 
 
+def test_list_says_what_a_set_brings_and_needs(monkeypatch):
+    monkeypatch.delitem(KNOWN, "toy")
+    assert set(ABOUT) == set(KNOWN)
+    assert not any("non-commercial" in f.licence for files in KNOWN.values() for f in files)
+    text = "\n".join(lines(check_all(check=False)))
+    for part in (
+        "triposr: an object with its unseen sides: --generator triposr",
+        "485 MB, may be used anywhere, also commercially; needs the extra onnx",
+        "2.6 GB of memory",
+        "imagedream: the four views that lgm needs",
+        "except for the harmful uses",
+    ):
+        assert part in text
+    assert describe("isnet")["extra"] == "onnx"
+
+
 def test_fetch_puts_a_checked_file_into_the_folder(hub, tmp_path):
     told = []
     (path,) = fetch(
@@ -238,7 +256,8 @@ def test_command_line_lists_and_fetches(hub, tmp_path, monkeypatch, capsys):
     assert main(["weights", "list", "--weights", str(folder)]) == 0
     out = capsys.readouterr().out
     for part in (
-        "lgm: ashawkey/LGM/model_fp16_fixrot.safetensors",
+        "lgm: 65,536 Gaussians from four views",
+        "ashawkey/LGM/model_fp16_fixrot.safetensors",
         "missing",
         "expected 830,126,160 bytes, sha256 744d6324",
         f"looked for {folder}/LGM/model_fp16_fixrot.safetensors",

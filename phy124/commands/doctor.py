@@ -21,6 +21,7 @@ from phy124.weights.store import check_all
 
 EXTRAS = {
     "lgm": ("torch", "diffusers", "transformers"),
+    "onnx": ("onnxruntime", "huggingface_hub"),
     "gpu": ("gsplat",),
     "eval": ("torch", "transformers"),
     "heic": ("pi_heif",),

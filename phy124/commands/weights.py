@@ -12,6 +12,8 @@ import tyro
 from phy124.commands.bars import Bars
 from phy124.errors import InputError
 from phy124.runtime.installation import with_program
+from phy124.weights.catalogue import ABOUT
+from phy124.weights.onnx import predict_seconds
 from phy124.weights.store import KNOWN, WeightStatus, check_all, fetch
 
 SENTENCES = {
@@ -32,7 +34,7 @@ class Weights:
     action: tyro.conf.Positional[Literal["list", "fetch"]] = "list"
     """`list` the weights, or `fetch` a set."""
     name: tyro.conf.Positional[str | None] = None
-    """Set to fetch: u2net, u2netp, lgm, imagedream, zero123, clip, ..."""
+    """Set to fetch: triposr, birefnet-lite, isnet, moge2, depth-anything, u2net, lgm, ..."""
     weights: Path | None = None
     """Folder to search first, and to download into."""
     json: bool = False
@@ -75,6 +77,7 @@ def data(statuses: list[WeightStatus]) -> list[dict[str, Any]]:
             "verdict": s.verdict,
             "licence": s.file.licence,
             "command": s.file.command,
+            **describe(s.weights),
         }
         for s in statuses
     ]
@@ -94,18 +97,47 @@ def summary(statuses: list[WeightStatus]) -> str:
     return f"{'; '.join(parts)} ({fetch}; `relief` needs none)"
 
 
+def describe(name: str) -> dict[str, Any]:
+    """Return what a set of weights brings, where it may be used, and its forecast, as data."""
+    about = ABOUT.get(name)
+    if about is None:
+        return {}
+    return {
+        "brings": about.brings,
+        "megabytes": about.megabytes,
+        "extra": about.extra,
+        "use": about.use,
+        "memory": about.memory or None,
+    }
+
+
 def lines(statuses: list[WeightStatus]) -> list[str]:
-    """Format the statuses as text, a paragraph for each file."""
-    text = []
-    for s in statuses:
-        text.append(f"{s.weights}: {s.file.repo}/{s.file.path}")
-        text.append(f"  {SENTENCES[s.verdict]}")
+    """Format the statuses as text: a heading for each set, and a paragraph for each file."""
+    text: list[str] = []
+    for i, s in enumerate(statuses):
+        if i == 0 or statuses[i - 1].weights != s.weights:
+            text += heading(s)
+        text.append(f"  {s.file.repo}/{s.file.path}")
+        text.append(f"    {SENTENCES[s.verdict]}")
         if s.found:
-            text.append(f"  at {s.found}, {s.size:,} bytes; expected {s.file.expected}")
+            text.append(f"    at {s.found}, {s.size:,} bytes; expected {s.file.expected}")
         else:
-            text.append(f"  expected {s.file.expected}")
-            text += [f"  looked for {path}" for path in s.looked]
-            text.append(f"  fetch with: {s.file.command}")
-            text.append(with_program(f"          or: `phy124 weights fetch {s.weights}`"))
-        text.append(f"  licence: {s.file.licence}")
+            text.append(f"    expected {s.file.expected}")
+            text += [f"    looked for {path}" for path in s.looked]
+            text.append(f"    fetch with: {s.file.command}")
+            text.append(with_program(f"            or: `phy124 weights fetch {s.weights}`"))
+        text.append(f"    licence: {s.file.licence}")
     return [*text, OLDER]
+
+
+def heading(status: WeightStatus) -> list[str]:
+    """Format what a set of weights brings, its size, where it may be used, and its forecast."""
+    name, about = status.weights, ABOUT.get(status.weights)
+    if about is None:
+        return [f"{name}:"]
+    needs = f"; needs the extra {about.extra}" if about.extra else ""
+    text = [f"{name}: {about.brings}", f"  {about.megabytes} MB, may be used {about.use}{needs}"]
+    seconds = predict_seconds(about)
+    if seconds is not None:
+        text.append(f"  now about {seconds:.0f} s a picture, {about.memory / 1e9:.1f} GB of memory")
+    return text

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 ANYWHERE = "anywhere, also commercially"
-OPENRAIL = "also commercially, but not for the harmful uses that the licence lists"
+OPENRAIL = "anywhere, also commercially, except for the harmful uses that its licence lists"
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,11 @@ class About:
     use: str = ANYWHERE
     """Where the weights may be used."""
     memory: float = 0.0
-    """Memory of a process that runs the network [bytes]; 0: not measured."""
+    """Measured memory of a process that runs the network [bytes]; 0: not measured."""
+    operations: float = 0.0
+    """Floating-point operations for one picture; 0: not counted."""
+    share: float = 1.0
+    """Measured speed relative to products of large float32 matrices on the same cores."""
 
 
 ABOUT: dict[str, About] = {
@@ -174,9 +178,30 @@ ABOUT: dict[str, About] = {
     ),
     "moge2": About("depth and normals of the front for relief: --depth moge2", 141, "onnx"),
     "depth-anything": About("depth of the front for relief: --depth depth-anything", 99, "onnx"),
-    "triposr": About("an object with its unseen sides: --generator triposr", 485, "onnx"),
-    "triposr-int8": About("the same network, all in 8 bits: --generator triposr", 430, "onnx"),
-    "triposr-torch": About("the same network in float32: --generator triposr", 1680, "lgm"),
+    "triposr": About(
+        "an object with its unseen sides: --generator triposr",
+        485,
+        "onnx",
+        memory=2.6e9,
+        operations=3.1e12,
+        share=2.2,
+    ),
+    "triposr-int8": About(
+        "the same network, all in 8 bits: --generator triposr",
+        430,
+        "onnx",
+        memory=2.9e9,
+        operations=3.1e12,
+        share=2.7,
+    ),
+    "triposr-torch": About(
+        "the same network in float32: --generator triposr",
+        1680,
+        "lgm",
+        memory=2.6e9,
+        operations=3.1e12,
+        share=1.1,
+    ),
     "lgm": About("65,536 Gaussians from four views: --generator lgm", 830, "lgm"),
     "lgm-fp32": About("LGM in float32, in place of lgm", 1660, "lgm"),
     "imagedream": About("the four views that lgm needs", 3993, "lgm", OPENRAIL),

@@ -19,6 +19,7 @@ from phy124.errors import InputError
 from phy124.io.opening import obstacle
 from phy124.runtime.cores import physical_cores
 from phy124.runtime.installation import install_command
+from phy124.weights.catalogue import About
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -103,8 +104,15 @@ def _open(path: Path) -> InferenceSession:
         ) from error
 
 
+def predict_seconds(about: About) -> float | None:
+    """Predict the time for one picture under the current load [s]; None if it is not known."""
+    if not about.operations:
+        return None
+    return about.operations / (about.share * multiply_rate())
+
+
 def multiply_rate() -> float:
-    """Measure the float32 multiply-adds of matrix products, counted as two operations each [1/s].
+    """Measure the floating-point operations per second of products of float32 matrices.
 
     This takes a fraction of a second, and includes the current load of the machine.
     """

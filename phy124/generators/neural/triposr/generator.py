@@ -21,7 +21,8 @@ from phy124.generators.neural.triposr.surface import COUNT, cover_field
 from phy124.generators.options import Effort
 from phy124.generators.ply_file import normalise_size
 from phy124.progress import Progress, silent
-from phy124.weights.onnx import OnnxNetwork, multiply_rate
+from phy124.weights.catalogue import ABOUT
+from phy124.weights.onnx import OnnxNetwork, predict_seconds
 from phy124.weights.store import is_complete, require
 
 SIZE = 512
@@ -32,10 +33,6 @@ GREY = 0.5
 """Colour behind the object."""
 SETS = ("triposr", "triposr-int8", "triposr-torch")
 """Sets of weights, best first: int8 weights, int8 weights and activations, float32 in torch."""
-OPERATIONS = 1.96e12
-"""Floating-point operations of the network; the decoder of the points adds `DECODING`."""
-DECODING = 2.0e11
-"""Typical operations of the decoder: coarse grid, fine grid near the surface, colours."""
 Image_ = Image.Image | NDArray[np.uint8]
 
 
@@ -83,11 +80,10 @@ class TripoSrGenerator:
     def effort(self) -> Effort:
         """Predict the run time for one object."""
         name = choose_set(self.weights)
-        share = SHARES[name]
-        seconds = OPERATIONS / (share * multiply_rate()) + DECODING / multiply_rate()
-        memory = MEMORY[name]
-        words = f"{PRECISIONS[name]} on the CPU, about {memory / 1e9:.1f} GB of memory"
-        return Effort(seconds, {"weights": name, "memory": memory}, words)
+        about = ABOUT[name]
+        words = f"{PRECISIONS[name]} on the CPU, about {about.memory / 1e9:.1f} GB of memory"
+        settings = {"weights": name, "memory": about.memory}
+        return Effort(predict_seconds(about) or 0.0, settings, words)
 
 
 PRECISIONS = {
@@ -96,10 +92,6 @@ PRECISIONS = {
     "triposr-torch": "float32 in torch",
 }
 """Precision of each set, in words."""
-SHARES = {"triposr": 0.6, "triposr-int8": 1.0, "triposr-torch": 0.8}
-"""Measured rate of the network relative to float32 products of large matrices."""
-MEMORY = {"triposr": 2.0e9, "triposr-int8": 2.0e9, "triposr-torch": 3.0e9}
-"""Measured memory of a whole process [bytes]."""
 
 
 def choose_set(folder: str | os.PathLike[str] | None = None) -> str:
