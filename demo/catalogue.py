@@ -13,7 +13,7 @@ from typing import Any
 
 from phy124.budget.cost import count_particles
 from phy124.errors import InputError
-from phy124.io.formats import endings
+from phy124.io.formats import object_endings
 from phy124.materials import Elastic
 from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
 from phy124.scene.files import files_named
@@ -72,7 +72,7 @@ def catalogue(settings: Settings) -> dict[str, Any]:
             "megapixels": settings.max_megapixels,
             "file_bytes": settings.max_file_bytes,
             "too_large": f"{settings.file_too_large} {SMALLER}",
-            "file_endings": endings(),
+            "file_endings": object_endings(),
         },
     }
 

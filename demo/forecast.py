@@ -34,6 +34,7 @@ class Estimate:
     """The forecast time and error bound of a run."""
 
     seconds: float
+    """Forecast time at the present load [s]."""
     substeps: int
     particles: int
     promise: Promise
@@ -48,6 +49,8 @@ class Estimate:
     """Local thickness of the object relative to its size, if it was probed."""
     compiling: float = 0.0
     """Time to compile missing kernels [s]."""
+    unloaded: float = 0.0
+    """Forecast time without other load [s]; 0 if unknown."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -113,7 +116,8 @@ class Estimator:
         costs["generate"] *= pictures
         done = dict.fromkeys(("simulate", "deform", "compile"), simulated)
         done |= {"generate": generated or simulated, "film": filmed, "rest": filmed}
-        seconds = {name: cost * load.of(name) for name, cost in costs.items() if not done[name]}
+        costs = {name: cost for name, cost in costs.items() if not done[name]}
+        seconds = {name: cost * load.of(name) for name, cost in costs.items()}
         return Estimate(
             sum(seconds.values()),
             round(work.substeps),
@@ -121,6 +125,7 @@ class Estimator:
             promise(scene, None),
             load=load,
             compiling=seconds.get("compile", 0.0),
+            unloaded=sum(costs.values()),
         )
 
     def study(

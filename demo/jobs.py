@@ -259,10 +259,11 @@ class Studio:
         self._check_time(source, scene)
         ready = self._ready(name, source, scene, extras)
         count, compiling = self.count(source), self._compiling(scene)
-        usual = self.forecaster(scene, gaussians=count, compiling=compiling, **ready).seconds
-        expected = visitor.forecasts.get(key(scene.data()), usual)
+        usual = self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
+        expected = visitor.forecasts.get(key(scene.data()), usual.seconds)
         stages = STAGES if isinstance(source, Cutout) else STAGES | READING
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
+        job.progress.unloaded = usual.unloaded
         order = self.order((visitor, source, scene), self.check_extras(name, extras))
         order = replace(order, stop=job.stop, expected=expected)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))

@@ -13,7 +13,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from statistics import median
 
 from phy124.errors import Cancelled, InputError
 from phy124.runtime.failures import Kind, failure
@@ -114,8 +113,8 @@ class Line:
         self.name, self.workers, self.most = name, workers, most
         self._waiting: deque[tuple[Job, Callable[[], None]]] = deque()
         self._running: set[Job] = set()
-        self._ratios: deque[float] = deque(maxlen=RECENT)
-        """Durations of the last jobs relative to their forecasts."""
+        self._slowdowns: deque[float] = deque(maxlen=RECENT)
+        """Durations of the last jobs relative to their forecasts without other load."""
         self._changed = threading.Condition()
         self._threads: list[threading.Thread] = []
 
@@ -154,16 +153,16 @@ class Line:
     def seconds_to_start(self, job: Job) -> float:
         """Forecast the time until a job starts [s]; 0 once it has started.
 
-        The forecasts of the jobs before it are corrected by the durations of the last jobs.
+        The forecasts of the jobs before it are those without other load times the slowdown of the
+        last jobs.
         """
         with self._changed:
             jobs = [waiting for waiting, _ in self._waiting]
             if job not in jobs:
                 return 0.0
             before = jobs[: jobs.index(job)]
-            ratio = median(self._ratios) if self._ratios else 1.0
-            waiting = sum(ratio * each.progress.expected for each in before)
-            running = sum(each.progress.seconds_left(ratio) for each in self._running)
+            waiting = sum(each.progress.duration(self._slowdowns) for each in before)
+            running = sum(each.progress.seconds_left(self._slowdowns) for each in self._running)
         return (running + waiting) / self.workers
 
     def drop(self, job: Job) -> bool:
@@ -196,8 +195,8 @@ class Line:
             job.end("failed", FAILED)
             with self._changed:
                 self._running.discard(job)
-                if job.progress.state == "done" and job.progress.expected > 0:
-                    self._ratios.append((time.monotonic() - start) / job.progress.expected)
+                if job.progress.state == "done" and job.progress.unloaded > 0:
+                    self._slowdowns.append((time.monotonic() - start) / job.progress.unloaded)
 
 
 def run_guarded(job: Job, work: Callable[[Job], None]) -> None:

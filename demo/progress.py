@@ -5,9 +5,10 @@ from __future__ import annotations
 import base64
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
@@ -25,6 +26,9 @@ class Progress:
     """waiting or running, then done, stopped, refused, full or failed."""
     message: str = ""
     expected: float = 0.0
+    """Forecast duration [s]."""
+    unloaded: float = 0.0
+    """Forecast duration without other load [s]; 0 if unknown."""
     names: Mapping[str, str] = field(default_factory=lambda: STAGES)
     """Stages and their titles."""
     start: float = field(default_factory=time.monotonic)
@@ -54,13 +58,19 @@ class Progress:
         """Mark the job as running."""
         self.state, self.start = "running", time.monotonic()
 
-    def seconds_left(self, ratio: float) -> float:
-        """Forecast the time until a running job ends [s].
+    def duration(self, slowdowns: Sequence[float]) -> float:
+        """Forecast the duration of the job [s].
 
         Args:
-            ratio: Factor on the forecast duration.
+            slowdowns: Durations of the last jobs relative to their forecasts without other load.
         """
-        return max(ratio * self.expected - (time.monotonic() - self.start), 0.0)
+        if slowdowns and self.unloaded:
+            return median(slowdowns) * self.unloaded
+        return self.expected
+
+    def seconds_left(self, slowdowns: Sequence[float]) -> float:
+        """Forecast the time until the running job ends [s]."""
+        return max(self.duration(slowdowns) - (time.monotonic() - self.start), 0.0)
 
     def data(self, seen: int = 0) -> dict[str, Any]:
         """Return plain data for the page, with the frames from index `seen` on."""

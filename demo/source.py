@@ -9,9 +9,11 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.mesh import is_mesh
 from phy124.generators.ply_file import PlyFile, normalise_size
 from phy124.imaging.objects import Point
 from phy124.io import ply
+from phy124.io.axes import FRONTS
 from phy124.io.dialect import Axes, likely_axes
 from phy124.io.files import replacing, staging
 from phy124.io.formats import recognise
@@ -139,10 +141,11 @@ def _open_gaussians(path: Path, out: Path, count: int) -> GaussianFile:
         _draw(few, folder)
         with replacing(folder / "gaussians.ply") as temporary:
             temporary.write_bytes(ply.encode(kept))
-    axes = likely_axes(path, file.axes)
+    up, front = file.axes
+    axes = Axes(up, front or FRONTS[up], True) if is_mesh(path) else likely_axes(path, file.axes)
     stored = str(out / "gaussians.ply")
     # Versions of a format are not distinguished in its title.
-    title = recognise(path).title.rstrip(" 0123456789")
+    title = "Mesh" if is_mesh(path) else recognise(path).title.rstrip(" 0123456789")
     return GaussianFile(stored, title, len(kept), axes, tuple(notes))
 
 

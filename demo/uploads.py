@@ -16,7 +16,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from phy124.errors import InputError
-from phy124.io.formats import endings
+from phy124.io.formats import object_endings
 from phy124.studies.fit.video import FILMS
 
 from .guard import address_of, cookie_of
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .jobs import Studio
 
 ADDRESS = "/gradio_api/upload"
-SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", ".avif", *FILMS, *endings()}
+SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", ".avif", *FILMS, *object_endings()}
 """Suffixes that uploads keep; other suffixes are removed."""
 NOT_READ = {
     ".ksplat": "Save it as .ply or .spz with the program it comes from, or convert it with"

@@ -148,7 +148,7 @@ def test_content_tells_the_kind_of_a_file_whatever_its_name(capsys, tmp_path, mo
 
 
 def test_every_kind_has_an_advice_and_every_command_its_kind():
-    assert {*KINDS.values(), *SIGNS.values()} == set(USES)
+    assert {*KINDS.values(), *SIGNS.values(), "a mesh"} == set(USES)
     for name, (field, kind) in TAKES.items():
         assert field in list_fields(COMMANDS[name])
         assert kind in USES

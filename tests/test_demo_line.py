@@ -57,7 +57,7 @@ def test_a_line_survives_work_that_breaks():
 
 
 def test_waiting_time_follows_the_durations_of_the_last_jobs():
-    """A job that took twice its forecast doubles the waiting times of the following jobs."""
+    """Jobs that take four times their time without load lengthen the waits behind them."""
     line, holding, done = _line()
     waiting = [Job(kind, Path("/nowhere/stop"), expected=10) for kind in ("one", "two")]
     holding.progress.expected = 20
@@ -67,7 +67,9 @@ def test_waiting_time_follows_the_durations_of_the_last_jobs():
     assert (
         holding.seconds_to_start == 0 and 19 < one <= 20 and two == pytest.approx(one + 10, abs=1)
     )
-    line._ratios.append(2.0)
+    for job in (holding, *waiting):
+        job.progress.unloaded = job.progress.expected / 2  # the machine is forecast to be busy
+    line._slowdowns.append(4.0)
     assert two + 25 < waiting[1].seconds_to_start <= 60
     done.append("let go")
     assert waiting[1].wait(60) and waiting[1].seconds_to_start == 0

@@ -1,16 +1,23 @@
 """Meshes: read by trimesh, covered with Gaussians, filled; what cannot be used is refused."""
 
+import json
 import struct
+import sys
 
 import numpy as np
 import pytest
 
 from phy124 import Scene
+from phy124.__main__ import main as run_command
 from phy124.errors import InputError
+from phy124.generators import make as make_generator
 from phy124.generators import mesh as meshes
-from phy124.generators.mesh import mesh
+from phy124.generators.mesh import is_mesh, mesh, read_mesh
+from phy124.generators.ply_file import PlyFile
+from phy124.io.formats import write_gaussians
 from phy124.particles.solid import find_solid
 from phy124.pipeline.gaussians import with_others
+from phy124.progress import silent
 from phy124.runtime import isolated
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
@@ -20,7 +27,7 @@ RED = (1.0, 0.0, 0.0)
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):
     """Starting another process for each file would take most of the time of these tests."""
-    monkeypatch.setattr(isolated, "run", lambda function, *given, deadline: function(*given))
+    monkeypatch.setattr(isolated, "run", lambda function, *given, **_: function(*given))
 
 
 def saved(path, one):
@@ -216,3 +223,65 @@ def test_the_content_of_a_mesh_tells_its_kind(tmp_path, kind, ending):
     box.export(right, file_type=kind)
     wrong.write_bytes(right.read_bytes())
     np.testing.assert_array_equal(mesh(wrong, RED).means, mesh(right, RED).means)
+
+
+def test_mesh_keeps_the_axes_and_unit_of_its_file(tmp_path):
+    """In millimetres, y up, off centre: the Gaussians lie where the file's triangles do."""
+    box = trimesh.creation.box((100, 300, 200))
+    box.apply_translation((50, 150, 100))
+    content = read_mesh(saved(tmp_path / "box.glb", box))
+    assert content.axes == ("y", "z") and not any(content.origin)
+    np.testing.assert_allclose(content.gaussians.means.min(axis=0), 0, atol=4)
+    np.testing.assert_allclose(content.gaussians.means.max(axis=0), (100, 300, 200), atol=4)
+    made = PlyFile(str(tmp_path / "box.glb"))()
+    np.testing.assert_allclose(np.ptp(made.means, axis=0), (2 / 3, 1 / 3, 1), atol=0.02)
+
+
+def test_mesh_far_from_the_origin_keeps_its_shape(tmp_path):
+    one = ball()
+    one.apply_translation((1e4, 0, 0))
+    content = read_mesh(saved(tmp_path / "ball.ply", one))
+    assert content.origin[0] == pytest.approx(1e4, abs=0.1)
+    np.testing.assert_allclose(np.linalg.norm(content.gaussians.means, axis=1), 1, atol=0.02)
+
+
+def test_meshes_are_told_from_files_of_gaussians(tmp_path):
+    mesh_file = saved(tmp_path / "mesh.glb", ball())
+    gaussians = mesh(mesh_file, RED)
+    assert is_mesh(mesh_file) and is_mesh(saved(tmp_path / "mesh.ply", ball()))
+    for name in ("gaussians.glb", "gaussians.ply"):
+        write_gaussians(tmp_path / name, gaussians)
+        assert not is_mesh(tmp_path / name)
+    points = saved(tmp_path / "points.ply", trimesh.PointCloud(np.eye(3)))
+    assert not is_mesh(points) and not is_mesh(tmp_path / "missing.ply")
+
+
+def test_generate_takes_a_mesh_instead_of_a_picture(tmp_path, capsys):
+    path = saved(tmp_path / "ball.obj", ball())
+    few = ["--set", "accuracy.cells=8", "--frames", "2", "--views", "front", "--size", "64"]
+    out = tmp_path / "out"
+    assert run_command(["generate", str(path), *few, "--gaussians", "500", "--out", str(out)]) == 0
+    report = json.loads((out / "report.json").read_text())
+    assert report["gaussians"] <= 500 and report["generator"] == str(path)
+    assert run_command(["convert", str(path), str(tmp_path / "x.ply")]) == 2
+    assert "it is a mesh" in capsys.readouterr().err
+
+
+def test_external_command_may_write_a_mesh(tmp_path):
+    path = saved(tmp_path / "ball.glb", ball())
+    copy = f"{sys.executable} -c 'import shutil, sys; shutil.copy(*sys.argv[2:])'"
+    for out in ("{out}", "{out}.glb"):
+        made = make_generator(f"cmd: {copy} {{image}} {path} {out}")
+        gaussians = made(np.zeros((4, 4, 4), np.uint8), seed=0, progress=silent)
+        np.testing.assert_allclose(np.linalg.norm(gaussians.means, axis=1), 0.5, atol=0.01)
+
+
+@pytest.mark.slow
+def test_page_opens_a_mesh(tmp_path):
+    pytest.importorskip("gradio", reason="the extra demo is not installed")
+    from demo.source import open_gaussians
+
+    path = saved(tmp_path / "ball.glb", ball())
+    read = open_gaussians(path, tmp_path / "out", 2000, isolated.Deadline(60))
+    assert read.format == "Mesh" and read.count <= 2000 and read.axes.up == "y"
+    assert (tmp_path / "out" / "y_z.webp").exists()

@@ -20,6 +20,7 @@ from phy124.commands.options import SceneOptions, default_out
 from phy124.commands.plan import PlanOptions, announce, predict
 from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.generators import needs_image
+from phy124.generators.mesh import is_mesh
 from phy124.generators.options import Effort
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
@@ -39,7 +40,7 @@ class Generate:
     """Turn one picture into a physically moving 3D object and MP4s."""
 
     image: tyro.conf.Positional[Path]
-    """PNG, JPEG, WebP, AVIF or HEIC picture of one object."""
+    """PNG, JPEG, WebP, AVIF or HEIC picture of one object, or a mesh: GLB, glTF, OBJ, STL, PLY."""
     more: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Pictures, or files of Gaussians, of the scene's further objects."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
@@ -54,6 +55,12 @@ class Generate:
 
     def run(self) -> int:
         """Generate a clip and its films; print files and durations."""
+        if is_mesh(self.image):
+            making = replace(self.making, generator=str(self.image))
+            return replace(self, making=making)._run()
+        return self._run()
+
+    def _run(self) -> int:
         scene = self.options.resolve()
         pipeline.check_sources(scene, self.more)
         out = self.out or default_out(str(self.image), self.options.scene)
@@ -173,7 +180,7 @@ class Simulate:
     """Simulate existing 3D Gaussians (.ply, .spz, .splat, .sog, .glb) and film them."""
 
     file: tyro.conf.Positional[Path]
-    """The file of Gaussians: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB."""
+    """The file of Gaussians: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB; or a mesh."""
     more: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Files of Gaussians, or pictures, of the scene's further objects."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from phy124.errors import InputError
-from phy124.io.formats import endings
+from phy124.io.formats import MESH_ENDINGS, endings
 from phy124.io.formats.spz import begins
 
 PICTURES = (
@@ -52,9 +52,12 @@ TAKES = {
     "evaluate": ("clip", "a clip"),
 }
 """Command -> its field that names a file, and the kind of file it takes."""
+TAKES_MESHES = ("generate", "simulate", "orient")
+"""Commands that also take a mesh."""
 USES = {
     "a picture": "Use `phy124 generate {}`.",
     "a file of Gaussians": "Use `phy124 simulate {}`.",
+    "a mesh": "Use `phy124 generate {}`.",
     "a clip": "Use `phy124 render {}` or `phy124 export {}`.",
     "a scene": "Give it after --scene.",
 }
@@ -72,7 +75,7 @@ def refuse_other_kind(name: str, command: Any) -> None:
     field, wanted = TAKES[name]
     path = Path(getattr(command, field))
     kind = _kind(path) or wanted
-    if kind != wanted:
+    if kind != wanted and not (kind == "a mesh" and name in TAKES_MESHES):
         limit = f"it is {kind}, and `phy124 {name}` takes {wanted}."
         raise InputError(field, path, limit, USES[kind].replace("{}", str(path)))
 
@@ -90,4 +93,10 @@ def _kind(path: Path) -> str | None:
     if head[8:10] == b'{"' and not any(head[4:8]):  # safetensors: header length, then JSON
         signed = "a clip"
     ending = path.suffix.lower()
+    if ending in (".glb", ".ply", *MESH_ENDINGS):
+        # Imported here, because it takes a quarter of a second.
+        from phy124.generators.mesh import is_mesh
+
+        if is_mesh(path):
+            return "a mesh"
     return signed or KINDS.get(ending) or ("a file of Gaussians" if ending in endings() else None)

@@ -2,9 +2,10 @@
 
     phy124 generate cat.jpg --generator "cmd: triposplat {image} {out}" --dialect triposplat
 
-The command gets a PNG with transparency and writes Gaussians; it may use a separate environment. It
-runs without a shell, for up to half an hour (with `cmd 120: ...`, two minutes). If its time runs
-out or the run is cancelled, the command and all processes that it started are killed.
+The command gets a PNG with transparency and writes Gaussians or a mesh ({out}.glb sets a mesh's
+format); it may use a separate environment. It runs without a shell, for up to half an hour (with
+`cmd 120: ...`, two minutes). If its time runs out or the run is cancelled, the command and all
+processes that it started are killed.
 """
 
 from __future__ import annotations
@@ -80,11 +81,13 @@ class Command:
             picture.convert("RGBA").save(picture_file)
             names = {"{image}": str(picture_file), "{out}": str(output_file), "{seed}": str(seed)}
             self._run([_fill(word, names) for word in words], seconds, Path(folder), progress)
-            if not output_file.is_file():
+            # Programs that choose a mesh's format by its extension write to {out}.glb or the like.
+            written = sorted(Path(folder).glob(f"{output_file.name}*"))
+            if not written:
                 raise self._failure(
                     "It finished without an error, but wrote no file to {out}.", USAGE
                 )
-            return PlyFile(str(output_file), self.reading)(progress=progress)
+            return PlyFile(str(written[0]), self.reading)(progress=progress)
 
     def _parse(self) -> tuple[list[str], float]:
         """Return the words of the command and its time limit [s]."""

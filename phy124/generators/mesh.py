@@ -7,13 +7,14 @@ defects.
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,8 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.shapes import choose_triangles, cover_surface
 from phy124.io.axes import orientation, rotate_gaussians
-from phy124.io.content import AGAIN, Y_UP, describe_coarseness, step_of
+from phy124.io.content import AGAIN, Y_UP, Content, describe_coarseness, step_of
+from phy124.io.formats import MESH_ENDINGS
 from phy124.io.opening import obstacle
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
@@ -40,8 +42,15 @@ LARGEST = 200_000_000
 MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 """Time limit for reading a mesh."""
-COUNT = 24_000
-"""Approximate number of Gaussians, enough to make edges look straight."""
+COUNT, OBJECT_COUNT = 24_000, 50_000
+"""Approximate number of Gaussians of a further object of a scene, enough to make edges look
+straight, and of the first object."""
+GREY = (0.7, 0.7, 0.7)
+"""Colour of a mesh without colours."""
+FAR = 100.0
+"""Distance from the origin, in sizes of a mesh, from which float32 positions are inexact."""
+LARGEST_HEADER = 1 << 20
+"""Number of leading bytes that are examined to recognise a mesh."""
 SMALLEST = 1e-6
 """Smallest area of a mesh divided by its longest side squared."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]
@@ -59,10 +68,68 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
     Raises:
         InputError: If the mesh cannot be read, is too large, or has no area.
     """
+    made, about = _cover(path, colour, COUNT, seed)
+    for note in about.notes:
+        warnings.warn(f"{path}: {note}", stacklevel=2)
+    return made
+
+
+def read_mesh(path: Path, *, seed: int = 0) -> Content:
+    """Make Gaussians of a mesh that is an object by itself, in the axes and unit of the file.
+
+    Args:
+        path: A .glb, .gltf, .obj, .stl or .ply file.
+        seed: Seed of the Gaussians' positions.
+
+    Raises:
+        InputError: If the mesh cannot be read, is too large, or has no area.
+    """
+    made, about = _cover(path, GREY, OBJECT_COUNT, seed)
+    there = rotate_gaussians(made, orientation(*about.axes).T)
+    far = float(np.abs(about.centre).max()) > FAR * about.size
+    x, y, z = about.centre.tolist()
+    return Content(
+        there.transform(about.size, np.zeros(3) if far else about.centre),
+        axes=about.axes,
+        notes=about.notes,
+        origin=(x, y, z) if far else (0.0, 0.0, 0.0),
+    )
+
+
+def is_mesh(path: Path) -> bool:
+    """Whether a file has triangles and no Gaussians, judged by its first bytes and its name."""
+    kind = path.suffix.lower()
+    if kind in MESH_ENDINGS:
+        return True
+    if kind not in (".glb", ".ply") or obstacle(path):
+        return False
+    with open(path, "rb") as file:
+        head = file.read(LARGEST_HEADER)
+    if head[:4] == b"glTF":
+        size = int.from_bytes(head[12:16], "little")
+        return b"KHR_gaussian_splatting" not in head[20 : 20 + size]
+    header = head.partition(b"end_header")[0]
+    faces = re.search(rb"element face +([1-9]\d*)", header)
+    return head[:3] == b"ply" and faces is not None and b"scale_0" not in header
+
+
+class _About(NamedTuple):
+    """The box of a mesh in its file, and notes about reading it."""
+
+    axes: tuple[str, str | None]
+    """Up and front directions of the file."""
+    centre: NDArray[np.float64]
+    size: float
+    """Longest side of the box."""
+    notes: tuple[str, ...]
+
+
+def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[Gaussians, _About]:
+    """Cover a mesh with about `count` Gaussians, in the axes of phy124, with a longest side 1."""
     _refuse(path)
     kind = _kind(path)
     try:
-        drawn, coarse = isolated.run(_read, str(path), kind, seed, deadline=TIME)
+        drawn, coarse = isolated.run(_read, str(path), kind, seed, count, deadline=TIME)
     except isolated.Unfinished as error:
         raise _unusable(path, f"reading it {error}.", "Give a smaller mesh.") from None
     except ValueError as error:
@@ -70,13 +137,13 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
         raise _unusable(
             path, limit, remedy or "Save it again from the program that made it."
         ) from None
-    if coarse:
-        warnings.warn(f"{path}: {coarse}", stacklevel=2)
     points, normals, colours = drawn
     rgb = np.broadcast_to(np.asarray(colour, float), points.shape) if colours is None else colours
     low, high = points.min(axis=0), points.max(axis=0)
-    made = cover_surface((points - (low + high) / 2) / (high - low).max(), normals, rgb)
-    return rotate_gaussians(made, orientation(*UPRIGHT[kind]))
+    centre, size = (low + high) / 2, float((high - low).max())
+    turn = orientation(*UPRIGHT[kind])
+    made = cover_surface((points - centre) / size @ turn.T, normals @ turn.T, rgb)
+    return made, _About(UPRIGHT[kind], centre, size, (coarse,) if coarse else ())
 
 
 def _kind(path: Path) -> str:
@@ -129,7 +196,7 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
     return InputError("mesh", path, limit, remedy)
 
 
-def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
+def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | None]:
     """Sample points of a mesh and check its resolution; runs in a separate process.
 
     Raises:
@@ -152,7 +219,7 @@ def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
         limit = f"it has {triangles:,} triangles, and {MOST_TRIANGLES:,} are allowed."
         raise ValueError(f"{limit}; Simplify it in the program that made it.")
     solids: Any = [piece for piece in pieces if len(getattr(piece, "faces", ()))]
-    drawn = _sample_surface(solids, seed)
+    drawn = _sample_surface(solids, seed, count)
     # The vertices of `shapes` are in the file's coordinates, before any transform of a node.
     largest: Any = max(shapes, key=lambda piece: len(getattr(piece, "faces", ())))
     return drawn, describe_coarseness(largest.vertices, step_of(largest.vertices))
@@ -190,7 +257,7 @@ def _is_text(line: bytes) -> bool:
     return False
 
 
-def _sample_surface(pieces: list[Trimesh], seed: int) -> Drawn:
+def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
     """Sample evenly spaced points on all pieces of a mesh.
 
     Raises:
@@ -211,7 +278,7 @@ def _sample_surface(pieces: list[Trimesh], seed: int) -> Drawn:
     normals = np.concatenate([piece.face_normals for piece in pieces])
     sign = 1.0 if (areas * (away * normals).sum(axis=1)).sum() >= 0 else -1.0
     triangles = corners.reshape(-1, 3, 3)
-    chosen, weights = choose_triangles(triangles, COUNT, seed)
+    chosen, weights = choose_triangles(triangles, count, seed)
     points = np.einsum("nc,nci->ni", weights, triangles[chosen])
     return points, sign * normals[chosen], _colours(pieces, chosen, weights)
 

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.mesh import is_mesh, read_mesh
 from phy124.generators.surroundings import surroundings
 from phy124.io.axes import orientation, parse_numbers, rotate_gaussians
 from phy124.io.content import Y_DOWN, Content, describe_coarseness
@@ -143,7 +144,8 @@ class PlyFile:
         axes = self.reading.up, self.reading.front, self.reading.dialect, self.reading.rotate
         orientation(*axes)  # refuses bad options before the file is read
         box = self._box()
-        content = read_as_is(self.path)
+        path = Path(self.path)
+        content = read_mesh(path) if is_mesh(path) else read_as_is(path)
         self._hint(content)
         everything, dropped = content.gaussians, content.dropped
         rotation = rotation_of(content, *axes)

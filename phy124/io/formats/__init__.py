@@ -106,11 +106,13 @@ class Format:
 
 __all__ = [
     "FORMATS",
+    "MESH_ENDINGS",
     "Format",
     "endings",
     "find_written_format",
     "formats",
     "is_file_of_gaussians",
+    "object_endings",
     "read_as_is",
     "read_gaussians",
     "recognise",
@@ -176,6 +178,8 @@ FORMATS = {
     )
 }  # fmt: skip
 """Formats by name. For writing, a shared suffix selects the first format that has it."""
+MESH_ENDINGS = (".gltf", ".obj", ".stl")
+"""Extensions of files that can only be meshes; .glb and .ply may be meshes or Gaussians."""
 GZIP = b"\x1f\x8b\x08"
 """First bytes of a file compressed with gzip."""
 HEAD = 4096
@@ -194,6 +198,11 @@ def formats() -> dict[str, Format]:
             if name not in FORMATS and isinstance(plugin, Format):
                 known[name] = replace(plugin, name=name)
     return known
+
+
+def object_endings() -> tuple[str, ...]:
+    """Return the file name extensions of all files of Gaussians and meshes that can be read."""
+    return (*endings(), *MESH_ENDINGS)
 
 
 def endings() -> tuple[str, ...]:
@@ -354,9 +363,9 @@ def _match_signature(known: Iterable[Format], head: bytes, ending: str) -> Forma
 
 
 def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
-    """Whether a file contains Gaussians, judged by its extension or else by its content."""
+    """Whether a file contains Gaussians or a mesh, judged by its extension or else its content."""
     path = Path(name)
-    if path.suffix.lower() in endings():
+    if path.suffix.lower() in object_endings():
         return True
     try:
         return recognise(path).read is not None
