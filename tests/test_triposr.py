@@ -11,6 +11,7 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.gaussians import rotation_matrices
+from phy124.generators.neural.triposr import surface
 from phy124.generators.neural.triposr.field import RADIUS, Field, sample_planes
 from phy124.generators.neural.triposr.generator import TripoSrGenerator, frame, prepare
 from phy124.generators.neural.triposr.surface import cover_field, drop_fragments
@@ -31,6 +32,11 @@ SMALL = Sizes(
     channels=5,
     decoder_width=16,
 )
+
+
+@pytest.fixture(autouse=True)
+def coarse_grid(monkeypatch):
+    monkeypatch.setattr(surface, "COARSE", 24)
 
 
 @pytest.fixture(scope="module")

@@ -53,8 +53,13 @@ def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path)
     """
     del solid
     (depth,) = OnnxNetwork(path, ["pixel_values"], ["predicted_depth"])(prepare_patches(rgb))
-    size = rgb.shape[1], rgb.shape[0]
-    return np.asarray(cv2.resize(depth[0], size, interpolation=cv2.INTER_LINEAR), np.float32)
+    # The original program aligns the centres of the corner pixels.
+    rows, columns = (
+        np.linspace(0, known - 1, wanted, dtype=np.float32)
+        for known, wanted in zip(depth[0].shape, rgb.shape[:2], strict=True)
+    )
+    x, y = np.meshgrid(columns, rows)
+    return np.asarray(cv2.remap(depth[0], x, y, cv2.INTER_LINEAR), np.float32)
 
 
 def prepare_patches(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -33,7 +33,7 @@ class OnnxNetwork:
 
     Args:
         path: The .onnx file; a file of external data must be in the same folder.
-        inputs: Names of its inputs, in the order in which they are passed.
+        inputs: Names of its inputs, in the order in which they are passed; None: its own order.
         outputs: Names of the outputs that are returned; None: the first output.
 
     Raises:
@@ -50,7 +50,7 @@ class OnnxNetwork:
         self.session = _open(self.path)
         known = [node.name for node in self.session.get_inputs()]
         results = [node.name for node in self.session.get_outputs()]
-        self.inputs = list(inputs or known[:1])
+        self.inputs = list(inputs or known)
         self.outputs = list(outputs or results[:1])
         if set(self.inputs) != set(known) or not set(self.outputs) <= set(results):
             limit = (
