@@ -85,32 +85,15 @@ def points(bag: Path, count: int = 6) -> Image.Image:
 
 
 def blender(frames: Path) -> Image.Image:
-    """Six instants of a folder of PLY frames, rendered by Cycles with docs/start/blender.py."""
+    """Render six frames in Blender's startup scene, as docs/start/blender.py sets it up."""
     import runpy
 
     import bpy
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_factory_settings()
     sys.argv[1:] = [str(frames)]
     runpy.run_path(str(START / "blender.py"), run_name="__main__")
     scene = bpy.context.scene
-    scene.world = bpy.data.worlds.new("sky")
-    if bpy.app.version < (5, 0):  # later worlds always have nodes
-        scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.5, 0.53, 0.56, 1)
-    lamp = bpy.data.lights.new("sun", "SUN")
-    lamp.energy = 2.0
-    camera = bpy.data.cameras.new("camera")
-    for data, location, turn in (
-        (lamp, (0, 0, 3), (0.6, 0.3, 0.4)),
-        (camera, (0.55, -1.9, 0.95), (np.radians(76), 0, np.radians(16))),
-    ):
-        placed = bpy.data.objects.new(data.name, data)
-        placed.location, placed.rotation_euler = location, turn
-        scene.collection.objects.link(placed)
-    scene.camera = bpy.data.objects["camera"]
-    bpy.ops.mesh.primitive_plane_add(size=20)
-    scene.view_settings.view_transform = "Standard"
     scene.render.engine, scene.cycles.samples = "CYCLES", 32
     scene.render.resolution_x = scene.render.resolution_y = HEIGHT
     images = []

@@ -101,7 +101,7 @@ def aim(shown):
         bpy.data.objects.remove(bpy.data.objects["Cube"])
     corners = np.array([each.matrix_world @ Vector(at) for each in shown for at in each.bound_box])
     centre, size = corners.mean(axis=0), np.ptp(corners, axis=0).max()
-    for name, direction in (("Camera", (0.9, -2.9, 0.9)), ("Light", (2.0, -2.5, 3.5))):
+    for name, direction in (("Camera", (0.6, -1.9, 0.6)), ("Light", (1.0, -1.8, 2.0))):
         if placed := bpy.data.objects.get(name):
             placed.location = centre + size * np.array(direction)
             placed.rotation_euler = Vector(-np.array(direction)).to_track_quat("-Z", "Y").to_euler()
