@@ -19,3 +19,14 @@ def test_tables_of_results_are_those_of_the_lab(page):
 def test_every_page_of_results_is_generated():
     pages = {page.stem for page in (ROOT / "docs/results").glob("*.md")}
     assert pages == set(summaries.BLOCKS)
+
+
+def test_times_of_the_readme_are_those_of_the_lab():
+    text = (ROOT / "README.md").read_text("utf-8")
+    assert text == summaries.fill_readme(), "run `python tests/benchmarks/summaries.py`"
+
+
+def test_numbers_of_results_are_read_from_the_lab():
+    pages = [(ROOT / f"docs/results/{page}.md").read_text("utf-8") for page in summaries.BLOCKS]
+    used = {found[2] for page in pages for found in summaries.NUMBER.finditer(page)}
+    assert used == set(summaries.NUMBERS)

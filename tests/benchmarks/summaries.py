@@ -1,4 +1,6 @@
-"""Write the tables and plots of docs/results from those of docs/lab; nothing is measured here.
+"""Write the tables, numbers and plots of docs/results and README from docs/lab.
+
+Nothing is measured here.
 
 `python tests/benchmarks/summaries.py`, after a table of the lab has changed.
 """
@@ -41,6 +43,38 @@ def pick(page: str, mark: str, columns: dict[str, int] | None = None) -> str:
     heads, *rows = read_table(page, mark)
     columns = columns or {head: column for column, head in enumerate(heads)}
     return markdown([*columns], [[row[i] for i in columns.values()] for row in rows])
+
+
+def quote(page: str, pattern: str) -> str:
+    """Return the first group of a pattern in a page of the lab, whose lines are joined."""
+    content = " ".join((DOCS / "lab" / page).read_text("utf-8").split())
+    return re.search(pattern, content)[1]
+
+
+def count_failed_gpu_tests() -> str:
+    """Return how many of the GPU tests failed."""
+    passed, failed = (quote("cuda.md", rf"\b(\d+) {outcome}\b") for outcome in ("passed", "failed"))
+    return f"{failed} of {int(passed) + int(failed)}"
+
+
+def compute_memory(*, process: bool) -> str:
+    """Return the memory of the process [MB], or of each particle [bytes], rounded to tens."""
+    mark = "Influence of the number of particles, neo-Hookean law on one thread:"
+    heads, *rows = read_table("benchmarks.md", mark)
+    counts = [int(head.replace(",", "")) for head in heads[1:]]
+    peaks = [float(cell) for row in rows if "memory" in row[0] for cell in row[1:]]
+    each = 1e6 * (peaks[-1] - peaks[0]) / (counts[-1] - counts[0])
+    return f"{round(peaks[0] if process else each, -1):.0f}"
+
+
+def tabulate_times() -> str:
+    """Return the seconds from a picture to videos, here and in the paper."""
+    rows = {row[0]: row for row in read_table("paper.md", "## Time")[1:]}
+    here = rows["here, Gaussians on a lattice (default)"]
+    paper = rows["Phy124, the paper's program"]
+    names = ("static object", "dynamics, 14 frames", "in all")
+    table = [[name, *pair] for name, *pair in zip(names, here[1:], paper[1:], strict=False)]
+    return markdown(["", "phy124, two CPU cores", "the paper, NVIDIA A40"], table)
 
 
 def tabulate_expected_errors() -> str:
@@ -152,14 +186,31 @@ BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
     },
 }
 """Tables of each page of docs/results, by the name of their marks."""
+NUMBERS: dict[str, Callable[[], str]] = {
+    "exceeded": lambda: quote("accuracy.md", r"The error exceeded (\d+ of \d+) bounds"),
+    "caution": lambda: quote("accuracy.md", r"In the median the bound is (\w+) times"),
+    "speed-up": lambda: quote("benchmarks.md", r"\| \| 16 \| [\d,]+ \| ([\d.]+) \|"),
+    "process": lambda: compute_memory(process=True),
+    "particle": lambda: compute_memory(process=False),
+    "damaged": lambda: quote("stability.md", r"\*\*Damaged files\.\*\* ([\d,]+)"),
+    "gpu tests": count_failed_gpu_tests,
+}
+"""Numbers in sentences, each between `<!-- =name -->` and `<!-- = -->`."""
+NUMBER = re.compile(r"(<!-- =([\w -]+) -->).*?(<!-- = -->)", re.S)
 
 
 def fill_page(page: str) -> str:
-    """Return a page of docs/results with its tables as the lab has them now."""
+    """Return a page of docs/results with tables and numbers as the lab has them now."""
     content = (DOCS / f"results/{page}.md").read_text("utf-8")
     for name, tabulate in BLOCKS[page].items():
         content = fill_block(content, name, tabulate())
-    return content
+    return NUMBER.sub(lambda found: found[1] + NUMBERS[found[2]]() + found[3], content)
+
+
+def fill_readme() -> str:
+    """Return the README with its table of times."""
+    content = (DOCS.parent / "README.md").read_text("utf-8")
+    return fill_block(content, "times", tabulate_times())
 
 
 def plot_validation() -> None:
@@ -223,6 +274,7 @@ def plot_presets() -> None:
 if __name__ == "__main__":
     for page in BLOCKS:
         (DOCS / f"results/{page}.md").write_text(fill_page(page), "utf-8")
+    (DOCS.parent / "README.md").write_text(fill_readme(), "utf-8")
     IMAGES.mkdir(exist_ok=True)
     plot_presets()
     plot_validation()
