@@ -25,6 +25,7 @@ from phy124.weights.onnx import OnnxNetwork
 from phy124.weights.store import is_complete, require
 
 Pixels = NDArray[np.uint8]
+Mask = NDArray[np.float32]
 SPARE = 0.8
 """Largest fraction of the free memory that a network may use if it is chosen by "auto"."""
 
@@ -42,8 +43,8 @@ class Salient:
     mean: tuple[float, float, float]
     std: tuple[float, float, float]
     """Mean and standard deviation that normalise the colours in 0..1."""
-    finish: Callable[[NDArray[np.float32]], NDArray[np.float32]]
-    """Maps the output [size,size] to the probability of the object, 0..1."""
+    finish: Callable[[Mask, tuple[int, int]], Mask]
+    """Maps the output [size,size], and (W, H), to the probability of the object [H,W], 0..1."""
     title: str
     """Name of the network in sentences."""
 
@@ -59,15 +60,20 @@ def resize_sharply(rgb: Pixels, size: int) -> Pixels:
     return np.floor(np.asarray(fine) + 1e-3).astype(np.uint8)
 
 
-def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the logistic function of the logits."""
-    return (0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32)
+def finish_logits(logits: Mask, size: tuple[int, int]) -> Mask:
+    """Resize the logistic function of the logits."""
+    return _resize((0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32), size)
 
 
-def stretch(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Scale values linearly to 0..1; equal values, which mean that nothing is salient, give 0."""
+def finish_stretched(values: Mask, size: tuple[int, int]) -> Mask:
+    """Resize, then scale to 0..1; equal values, which mean that nothing is salient, give 0."""
+    values = _resize(values, size)
     low, high = float(values.min()), float(values.max())
     return (values - low) / (high - low) if high > low else np.zeros_like(values)
+
+
+def _resize(values: Mask, size: tuple[int, int]) -> Mask:
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
@@ -75,12 +81,17 @@ IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 CENTRED = ((0.5, 0.5, 0.5), (1.0, 1.0, 1.0))
 NETWORKS: dict[str, Salient] = {
     "birefnet": Salient(
-        "birefnet-lite", 1024, resize_smoothly, *IMAGENET, sigmoid, "BiRefNet-lite"
+        "birefnet-lite", 1024, resize_smoothly, *IMAGENET, finish_logits, "BiRefNet-lite"
     ),
     "birefnet-512": Salient(
-        "birefnet-lite-512", 512, resize_smoothly, *IMAGENET, sigmoid, "BiRefNet-lite at 512 pixels"
+        "birefnet-lite-512",
+        512,
+        resize_smoothly,
+        *IMAGENET,
+        finish_logits,
+        "BiRefNet-lite at 512 pixels",
     ),
-    "isnet": Salient("isnet", 1024, resize_sharply, *CENTRED, stretch, "IS-Net"),
+    "isnet": Salient("isnet", 1024, resize_sharply, *CENTRED, finish_stretched, "IS-Net"),
 }
 """Networks by the name of their segmentation method."""
 
@@ -115,10 +126,9 @@ def _find_alpha(name: str, rgb: Pixels, path: Path) -> Pixels:
 def find_mask(rgb: Pixels, network: Salient, run: OnnxNetwork) -> Pixels:
     """Return the mask [H,W], 0..255, of the salient object in an image [H,W,3]."""
     (output,) = run(prepare(rgb, network))
-    mask = network.finish(np.asarray(output, np.float32).reshape(output.shape[-2:]))
-    size = rgb.shape[1], rgb.shape[0]
-    full = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_LINEAR))
-    return np.rint(255 * np.clip(full, 0, 1)).astype(np.uint8)
+    output = np.asarray(output, np.float32).reshape(output.shape[-2:])
+    mask = network.finish(output, (rgb.shape[1], rgb.shape[0]))
+    return np.rint(255 * np.clip(mask, 0, 1)).astype(np.uint8)
 
 
 def prepare(rgb: Pixels, network: Salient) -> NDArray[np.float32]:
