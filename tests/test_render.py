@@ -292,6 +292,23 @@ def test_bounded_lists_give_the_same_image(renderers, rng, form, monkeypatch):
     assert small._buffers["lists"].size < 2 * 1.2 * 801
 
 
+def test_started_pictures_are_those_of_single_calls(rng, monkeypatch):
+    g, renderer = cloud(rng, 800), Renderer(device="cpu", blend="pixel")
+    cameras = [Camera.orbit(azimuth, 0, 1.5, (130, 90)) for azimuth in (0, 40, 80)]
+    expected = [render.to_bytes(renderer(g, camera)) for camera in cameras]
+    reads = []
+    read = wp.array.numpy
+    monkeypatch.setattr(wp.array, "numpy", lambda array: reads.append(array.size) or read(array))
+    renderer._room = 10  # far too few entries, so that every picture is drawn twice
+    waits = [renderer.start_picture(g, camera) for camera in cameras]
+    assert not reads, "a GPU would have to wait for these"
+    for wait, picture in zip(waits, expected, strict=True):
+        np.testing.assert_array_equal(wait(), picture)
+    reads.clear()
+    renderer.picture(g, cameras[0])
+    assert sorted(reads) == [1, 130 * 90 * 3], "the number of entries, and a byte per channel"
+
+
 def test_runs_cover_every_tile_once_within_the_limit():
     counts = np.array([5, 0, 0, 7, 30, 1, 1, 1, 0])
     runs = list(render.runs(counts, 10))

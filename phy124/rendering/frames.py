@@ -21,6 +21,8 @@ from phy124.rendering.render import BLACK, WHITE, Colour, Renderer, to_bytes
 from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.cores import cores
 
+SHADOWS = 4
+"""Number of threads that compute the shadows of frames that a GPU draws one after the other."""
 LOOK_AHEAD = 4
 """Largest number of frames per thread that `render_frames` renders ahead of its reader."""
 
@@ -67,25 +69,31 @@ def render_frames(
     for renderer in [first] + [Renderer(device=device, filter=filter) for _ in range(threads - 1)]:
         renderers.put(renderer)
 
-    def draw(frame: Frame, camera: Camera) -> NDArray[np.uint8]:
+    def draw(frame: Frame, camera: Camera) -> Callable[[], NDArray[np.uint8]]:
+        if size is not None:
+            width, height = (size, size) if isinstance(size, int) else size
+            camera = replace(camera, width=width, height=height)
+        around = None if stage is None else stage(frame)
         renderer = renderers.get()
         try:
-            if size is not None:
-                width, height = (size, size) if isinstance(size, int) else size
-                camera = replace(camera, width=width, height=height)
-            around = None if stage is None else stage(frame)
             if background is not None or around is not None:
-                return renderer.picture(frame.gaussians, camera, background or BLACK, stage=around)
+                shown = background or BLACK
+                return renderer.start_picture(frame.gaussians, camera, shown, stage=around)
             image = renderer(frame.gaussians, camera, BLACK, alpha=True)
             image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
-            return to_bytes(np.minimum(image, 1))
+            picture = to_bytes(np.minimum(image, 1))
+            return lambda: picture
         finally:
             renderers.put(renderer)
 
+    if first.device.is_cuda and stage is not None:
+        threads = SHADOWS
     pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
     try:
         tasks = (pool.submit(draw, *task) for task in zip(frames, every, strict=False))
-        for done, image in enumerate(_in_order(tasks, LOOK_AHEAD * threads), 1):
+        # On a GPU a task only starts its picture, so that several are drawn without a wait.
+        for done, finish in enumerate(_in_order(tasks, LOOK_AHEAD * threads), 1):
+            image = finish()
             progress("render", done, total)
             yield image
     finally:

@@ -8,8 +8,9 @@ Every splat extends to where its contribution falls to 1/255, so that no cut-off
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Array, Gaussians
 from phy124.kernels.splat import blend, project, screen, stage
+from phy124.rendering.copies import HostCopies
 from phy124.rendering.stage.draw import Surroundings
 from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.compiling import compile_missing
@@ -30,6 +32,8 @@ WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
 """Largest number of tile entries at once; larger scenes are blended in several runs of tiles."""
+TILES_PER_SPLAT = 4
+"""Expected number of tiles that a splat touches, for the memory of a renderer's first picture."""
 BLENDS = {
     "simd": blend.blend_tiles_simd,
     "plain": blend.blend_tiles,
@@ -92,6 +96,13 @@ class Renderer:
         self._projection = (16, project.project_simd) if simd else (1, project.project)
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
         self._around = Surroundings(self.device, simd=simd)
+        self._room = 0
+        """Number of entries of all tiles' lists for which there is memory, if it is on the device
+        that the lists are counted.
+        """
+        self._free: list[HostCopies] = []
+        """Host memory of pictures that no caller waits for."""
+        self._seen: tuple[Camera, Any] | None = None
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
 
@@ -120,9 +131,10 @@ class Renderer:
         Raises:
             InputError: The camera or the background cannot be used.
         """
-        image, coverage = self._draw(gaussians, camera, background, stage)
+        arrays = ("image", "coverage") if alpha else ("image",)
+        drawn = self._start(gaussians, camera, background, stage, arrays)()
         # `concatenate` copies the image, because the next call overwrites the buffers.
-        channels = [image] + [coverage[:, None]] * alpha
+        channels = [drawn["image"], *([drawn["coverage"][:, None]] if alpha else [])]
         joined = np.concatenate(channels, axis=1, dtype=np.float32)
         return joined.reshape(camera.height, camera.width, -1)
 
@@ -146,19 +158,100 @@ class Renderer:
         Raises:
             InputError: The camera or the background cannot be used.
         """
-        image, _ = self._draw(gaussians, camera, background, stage)
+        return self.start_picture(gaussians, camera, background, stage=stage)()
+
+    @one_at_a_time
+    def start_picture(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        background: Colour = WHITE,
+        *,
+        stage: StageFrame | None = None,
+    ) -> Callable[[], NDArray[np.uint8]]:
+        """Start to render one image as bytes; return the function that waits for it, as `picture`.
+
+        A GPU draws while the caller prepares the next picture. The function is called once.
+
+        Args:
+            gaussians: The Gaussians to draw.
+            camera: The camera, which defines the image's size.
+            background: Colour behind the Gaussians, 0..1.
+            stage: Surroundings of the Gaussians, which replace the background.
+
+        Raises:
+            InputError: The camera or the background cannot be used.
+        """
+        shape = (camera.height, camera.width, 3)
+        if self._per_pixel:
+            finish = self._start(gaussians, camera, background, stage, ("bytes",))
+            return lambda: finish()["bytes"].reshape(shape).copy()
+        image = self._start(gaussians, camera, background, stage, ("image",))()["image"]
         # In place: clearing new memory for each picture takes up to half as long as drawing it.
         image *= 255
         image += 0.5
-        return image.astype(np.uint8).reshape(camera.height, camera.width, 3)
+        picture = image.astype(np.uint8).reshape(shape)
+        return lambda: picture
 
-    def _draw(
-        self, gaussians: Gaussians, camera: Camera, background: Colour, stage: StageFrame | None
-    ) -> tuple[Array, Array]:
-        """Render colours [H*W,3] and coverage [H*W]; on a CPU both alias the renderer's buffers."""
-        pixels = camera.width * camera.height
-        view, counts = self.prepare(gaussians, camera)
+    def _start(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        background: Colour,
+        stage: StageFrame | None,
+        names: tuple[str, ...],
+    ) -> Callable[[], dict[str, NDArray[Any]]]:
+        """Start to render an image; return the function that waits for the named arrays.
+
+        Colours `image` [H*W,3], `coverage` [H*W], and with a thread per pixel `bytes` [H*W*3]. On a
+        CPU without a thread per pixel they alias the renderer's buffers.
+        """
+        view, pixels = self._look(camera), camera.width * camera.height
         colour = wp.vec3(*_checked_background(BLACK if stage else background))
+        if not self._per_pixel:
+            self._draw(gaussians, view, colour, stage)
+            aliases = {name: np.asarray(self._buffers[name].numpy()) for name in names}
+            return lambda: {name: array[:pixels] for name, array in aliases.items()}
+        copies = self._free.pop() if self._free else HostCopies(self.device)
+
+        def draw() -> int:
+            self._draw(gaussians, view, colour, stage)
+            if "bytes" in names:
+                output: Any = self._buffer("bytes", 3 * pixels, wp.uint8)[: 3 * pixels]
+                outputs = [output.reshape((pixels, 3))]
+                image = self._buffers["image"]
+                wp.launch(blend.quantise, pixels, [image], outputs, device=self.device)
+            sizes = {"image": pixels, "coverage": pixels, "bytes": 3 * pixels}
+            arrays: dict[str, Any] = {name: self._buffers[name][: sizes[name]] for name in names}
+            total: Any = self._buffers["before"]
+            last = view.rows * view.columns
+            copies.start(total=total[last : last + 1], **arrays)
+            return self._room
+
+        room = draw()
+        return lambda: self._finish(copies, draw, room)
+
+    @one_at_a_time
+    def _finish(
+        self, copies: HostCopies, draw: Callable[[], int], room: int
+    ) -> dict[str, NDArray[Any]]:
+        """Wait for a picture; draw it again if the tiles' lists did not fit into their `room`."""
+        drawn = copies.wait()
+        while (total := int(drawn["total"][0])) > room:
+            enough = total if total > MAX_PAIRS else min(total + total // 5, MAX_PAIRS)
+            self._room = max(self._room, enough)
+            room = draw()
+            drawn = copies.wait()
+        self._free.append(copies)
+        return drawn
+
+    def _draw(self, gaussians: Gaussians, view: Any, colour: Any, stage: StageFrame | None) -> None:
+        """Draw colours and coverage into the buffers `image` [H*W,3] and `coverage` [H*W].
+
+        With a thread per pixel, nothing is drawn if the tiles' lists exceed `_room`.
+        """
+        pixels = view.width * view.height
+        self._project(gaussians, view)
         image = self._buffer("image", pixels, wp.vec3)
         coverage = self._buffer("coverage", pixels, wp.float32)
         around = None
@@ -166,11 +259,10 @@ class Renderer:
             around = self._around
             around.look(stage, view, gaussians.means)
             if around.among:
-                around.tint(self._upload(gaussians.means, wp.vec3), self._buffers["splats"])
+                around.tint(self._means, self._buffers["splats"])
         fused = around if around is not None and around.simd else None
         kernel, more = (BLEND_STAGED, fused.inputs()) if fused else (self._blend, [])
-        for first, last in runs(counts, MAX_PAIRS):
-            lists = self._bin(len(gaussians), view, counts, first, last)
+        for first, last, lists in self._lists(len(gaussians), view):
             wp.launch(
                 kernel,
                 dim=(last - first) * (screen.TILE**2 if self._per_pixel else 1),
@@ -180,47 +272,102 @@ class Renderer:
             )
         if around is not None and not around.simd:
             around.draw(image, coverage)
-        light, covered = (np.asarray(array.numpy(), np.float32) for array in (image, coverage))
-        return light[:pixels], covered[:pixels]
+
+    def _lists(self, n: int, view: Any) -> Iterator[tuple[int, int, tuple[Any, Any, Any]]]:
+        """Yield runs of tiles, first and last, with the splats of each tile; see `_bin`."""
+        if self._per_pixel:
+            self._room = self._room or min(TILES_PER_SPLAT * n, MAX_PAIRS)
+            if self._room <= MAX_PAIRS:
+                yield 0, view.rows * view.columns, self._bin_on_device(n, view)
+                return
+        counts = self._counts(view)
+        for first, last in runs(counts, MAX_PAIRS):
+            yield first, last, self._bin(n, view, counts, first, last)
 
     def prepare(self, gaussians: Gaussians, camera: Camera) -> tuple[Any, NDArray[np.int64]]:
         """Project the Gaussians; return the camera as a `screen.View` and the splats per tile."""
-        view = pinhole(camera)
-        view.low_pass, view.keeps_light = self._filter
-        view.low_area = float(np.float32(view.low_pass) ** 2)
-        return view, self._project(gaussians, view)
+        view = self._look(camera)
+        self._project(gaussians, view)
+        return view, self._counts(view)
 
-    def _project(self, gaussians: Gaussians, view: Any) -> NDArray[np.int64]:
-        """Compute `splats` and their `order` by depth; return the number per tile [tiles]."""
+    def _look(self, camera: Camera) -> Any:
+        """Return the camera as a `screen.View` with the renderer's filter."""
+        if self._seen is None or self._seen[0] is not camera:
+            view = pinhole(camera)
+            view.low_pass, view.keeps_light = self._filter
+            view.low_area = float(np.float32(view.low_pass) ** 2)
+            self._seen = camera, view
+        return self._seen[1]
+
+    def _project(self, gaussians: Gaussians, view: Any) -> None:
+        """Compute `splats`, their `order` by depth, and the marks from which tiles are counted."""
         n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
         # Sorting needs buffers of twice the size.
         depths = self._buffer("depths", 2 * n, wp.float32)
         order = self._buffer("order", 2 * n, wp.int32)
         shape = (view.rows + 1, view.columns + 1)
-        corners: Any = self._buffer("corners", math.prod(shape), wp.int32)
+        corners: Any = self._buffer("corners", math.prod(shape), wp.int32)[: math.prod(shape)]
         corners.zero_()
-        corners = corners[: math.prod(shape)].reshape(shape)
+        self._means = self._upload(gaussians.means, wp.vec3, "means")
         each, kernel = self._projection
         wp.launch(
             kernel,
             dim=math.ceil(n / each),
             inputs=[
-                self._upload(gaussians.means, wp.vec3),
-                self._upload(gaussians.quats, wp.vec4),
-                self._upload(gaussians.scales, wp.vec3),
+                self._means,
+                self._upload(gaussians.quats, wp.vec4, "quats"),
+                self._upload(gaussians.scales, wp.vec3, "scales"),
                 self._constant("opacities", gaussians.opacities, wp.float32),
                 self._constant("sh", gaussians.sh, wp.vec3),
                 gaussians.sh_degree,
                 view,
             ],
-            outputs=[splats, tiles, depths, order, corners],
+            outputs=[splats, tiles, depths, order, corners.reshape(shape)],
             device=self.device,
         )
         wp.utils.radix_sort_pairs(depths, order, n)
-        # The kernel marks the four corners of each splat's rectangle of tiles; cumulative sums
-        # along both axes turn the marks into counts.
-        return corners.numpy().cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
+        if self._per_pixel:
+            self._count_on_device(corners.reshape(shape), view)
+
+    def _count_on_device(self, corners: wp.array, view: Any) -> None:
+        """Compute, for each tile, the number of splats in all tiles `before` it, and in all tiles.
+
+        The projection marks the four corners of each splat's rectangle of tiles; cumulative sums
+        along both axes turn the marks into counts.
+        """
+        tiles = view.rows * view.columns
+        counts: Any = self._buffer("counts", tiles + 1, wp.int32)[: tiles + 1]
+        before: Any = self._buffer("before", tiles + 1, wp.int32)[: tiles + 1]
+        launch: Any = functools.partial(wp.launch, device=self.device)
+        launch(project.sum_columns, view.columns, outputs=[corners])
+        launch(project.count_splats, view.rows, inputs=[view.columns, corners], outputs=[counts])
+        wp.utils.array_scan(counts, before, inclusive=False)
+
+    def _counts(self, view: Any) -> NDArray[np.int64]:
+        """Return the number of splats per tile [tiles], after `_project`."""
+        tiles = view.rows * view.columns
+        if self._per_pixel:
+            before: Any = self._buffers["before"][: tiles + 1]
+            return np.diff(before.numpy().astype(np.int64))
+        shape = (view.rows + 1, view.columns + 1)
+        corners = self._buffers["corners"].numpy()[: math.prod(shape)].reshape(shape)
+        return corners.cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
+
+    def _bin_on_device(self, n: int, view: Any) -> tuple[Any, Any, Any]:
+        """Return the splats of all tiles, as `_bin`, without reading their number.
+
+        The lists are empty if there are more than `_room` entries.
+        """
+        tiles, room = view.rows * view.columns, self._room
+        before: Any = self._buffers["before"]
+        starts, ends = (self._buffer(name, tiles, wp.int32)[:tiles] for name in ("starts", "ends"))
+        inputs = [room, before]
+        wp.launch(
+            project.start_lists, tiles, inputs=inputs, outputs=[starts, ends], device=self.device
+        )
+        total = before[tiles : tiles + 1]
+        return starts, ends, self._sort_lists(n, view, (0, tiles), room, total, starts, ends)
 
     def _bin(
         self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
@@ -230,22 +377,30 @@ class Renderer:
         bounds[first + 1 : last + 1] = counts[first:last].cumsum()
         total = int(bounds[last])
         starts, ends = (self._fill(name, bounds[:-1]) for name in ("starts", "ends"))
-        order, tiles = self._buffers["order"], self._buffers["tiles"]
-        if not self._per_pixel:
-            lists = self._buffer("lists", total, wp.int32)
-            inputs = [n, view.columns, first, last, order, tiles]
-            wp.launch(
-                project.bin_serial, 1, inputs=inputs, outputs=[ends, lists], device=self.device
-            )
+        if self._per_pixel:
+            entries = self._fill("entries", bounds[last : last + 1])
+            lists = self._sort_lists(n, view, (first, last), total, entries, starts, ends)
             return starts, ends, lists
-        ranks = self._buffer("ranks", 2 * total, wp.int32)
-        lists = self._buffer("lists", 2 * total, wp.int32)
-        inputs = [view.columns, first, last, order, tiles]
+        lists = self._buffer("lists", total, wp.int32)
+        order, tiles = self._buffers["order"], self._buffers["tiles"]
+        inputs = [n, view.columns, first, last, order, tiles]
+        wp.launch(project.bin_serial, 1, inputs=inputs, outputs=[ends, lists], device=self.device)
+        return starts, ends, lists
+
+    def _sort_lists(
+        self, n: int, view: Any, run: tuple[int, int], room: int, total: Any, starts: Any, ends: Any
+    ) -> wp.array:
+        """Return the lists of a run of tiles by depth; `room` and `total` as in `bin_parallel`."""
+        first, last = run
+        ranks = self._buffer("ranks", 2 * room, wp.int32)
+        lists = self._buffer("lists", 2 * room, wp.int32)
+        order, tiles = self._buffers["order"], self._buffers["tiles"]
+        inputs = [view.columns, first, last, room, total, order, tiles]
         wp.launch(
             project.bin_parallel, n, inputs=inputs, outputs=[ends, ranks, lists], device=self.device
         )
-        wp.utils.segmented_sort_pairs(ranks, lists, total, starts[first:last], ends[first:last])
-        return starts, ends, lists
+        wp.utils.segmented_sort_pairs(ranks, lists, room, starts[first:last], ends[first:last])
+        return lists
 
     def _buffer(self, name: str, size: int, dtype: Any) -> wp.array:
         """Return the named buffer with room for at least `size` items; its content may be lost."""
@@ -262,9 +417,19 @@ class Renderer:
         buffer.assign(values)
         return buffer
 
-    def _upload(self, array: NDArray, dtype: Any) -> wp.array:
-        """Wrap a NumPy array as a Warp array: shared on a CPU, copied to a GPU."""
-        return wp.array(array, dtype=dtype, device=self.device, copy=False)
+    def _upload(self, array: NDArray, dtype: Any, name: str | None = None) -> wp.array:
+        """Wrap a NumPy array as a Warp array: shared on a CPU, copied to a GPU.
+
+        Args:
+            array: The array.
+            dtype: Warp's type of its items.
+            name: Buffer that receives the copy; None: new memory.
+        """
+        if name is None or not self.device.is_cuda:
+            return wp.array(array, dtype=dtype, device=self.device, copy=False)
+        buffer: Any = self._buffer(name, len(array), dtype)[: len(array)]
+        wp.copy(buffer, wp.array(array, dtype=dtype, device="cpu", copy=False))
+        return buffer
 
     def _constant(self, name: str, array: Array, dtype: Any) -> wp.array:
         """Upload an array that is constant within a clip; later calls reuse the uploaded copy."""

@@ -43,9 +43,9 @@ def shell(count: int) -> Gaussians:
     return Gaussians.from_rgb(means, rng.normal(size=(count, 4)), scales, opacities, rgb)
 
 
-def standing(gaussians: Gaussians, device: str) -> Stage:
+def standing(gaussians: Gaussians, device: str, frames: int = 1) -> Stage:
     """The stage of a scene with a floor and a press."""
-    clip = Clip.from_frames([Frame(0, 0.0, gaussians)])
+    clip = Clip.from_frames([Frame(i, i / 24, gaussians) for i in range(frames)])
     boundaries = [{"kind": "ground", "height": -0.5}, {"kind": "press"}]
     stage = make_stage(
         replace(clip, scene={"boundaries": boundaries}), View(stage="studio"), device=device

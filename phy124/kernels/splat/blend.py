@@ -60,6 +60,15 @@ def blend_pixels(
 
 
 @kernel("phy124_blend")
+def quantise(image: wp.array(dtype=wp.vec3), bytes_out: wp.array2d(dtype=wp.uint8)):
+    """Convert an image in 0..1 to bytes [pixels,3], rounded to the nearest integer."""
+    pixel = wp.tid()
+    colour = 255.0 * image[pixel] + wp.vec3(0.5, 0.5, 0.5)
+    for channel in range(3):
+        bytes_out[pixel, channel] = wp.uint8(colour[channel])
+
+
+@kernel("phy124_blend")
 def blend_tiles(
     view: View,
     background: wp.vec3,

@@ -235,10 +235,49 @@ def bin_serial(
 
 
 @kernel("phy124_bin")
+def sum_columns(corners_out: wp.array2d(dtype=int)):
+    """Replace the corner marks of each column by their cumulative sums, one thread per column."""
+    column = wp.tid()
+    total = int(0)
+    for row in range(corners_out.shape[0]):
+        total += corners_out[row, column]
+        corners_out[row, column] = total
+
+
+@kernel("phy124_bin")
+def count_splats(columns: int, sums: wp.array2d(dtype=int), counts_out: wp.array(dtype=int)):
+    """Count the splats of each tile, from the sums of the columns; one thread per row of tiles."""
+    row = wp.tid()
+    count = int(0)
+    for column in range(columns):
+        count += sums[row, column]
+        counts_out[row * columns + column] = count
+
+
+@kernel("phy124_bin")
+def start_lists(
+    room: int,
+    before: wp.array(dtype=int),
+    starts_out: wp.array(dtype=int),
+    ends_out: wp.array(dtype=int),
+):
+    """Start each tile's list after the entries of all tiles before it, as an empty list.
+
+    The lists have `room` entries in all; starts beyond it are moved to its end.
+    """
+    tile = wp.tid()
+    start = wp.min(before[tile], room)
+    starts_out[tile] = start
+    ends_out[tile] = start
+
+
+@kernel("phy124_bin")
 def bin_parallel(
     columns: int,
     first: int,
     last: int,
+    room: int,
+    total: wp.array(dtype=int),
     order: wp.array(dtype=int),
     tiles: wp.array(dtype=wp.vec4i),
     # in place: start of each tile's list, then the list's end
@@ -246,7 +285,12 @@ def bin_parallel(
     ranks_out: wp.array(dtype=int),
     pairs_out: wp.array(dtype=int),
 ):
-    """Fill the tiles' lists, one thread per splat, for GPUs; lists must then be sorted by rank."""
+    """Fill the tiles' lists, one thread per splat, for GPUs; lists must then be sorted by rank.
+
+    If the `total` number of entries exceeds the `room`, the lists stay empty.
+    """
+    if total[0] > room:
+        return
     k = wp.tid()
     i = order[k]
     box = tiles[i]

@@ -27,12 +27,13 @@ class Uploaded:
         levels = NO_SHADE if shown.floor is None else shown.floor.levels
         self.setting = setting(shown)
         self.shade = wp.array(levels, dtype=wp.uint16, device=device, copy=False)
-        self._numbers: Any = wp.array(shown.table, dtype=float, device=device)
+        # The few solids are arranged on the CPU, so that no picture waits for their number.
+        self._numbers: Any = wp.array(shown.table, dtype=float, device="cpu")
         kind: Any = glass.Solid
         # An alias of `_numbers`, which owns the memory. A structured NumPy array would be
         # simpler, but with several threads Warp sometimes rejects the array's type.
         self.solids = wp.array(
-            ptr=self._numbers.ptr, shape=len(shown.solids), dtype=kind, device=device
+            ptr=self._numbers.ptr, shape=len(shown.solids), dtype=kind, device="cpu"
         )
 
 
@@ -47,8 +48,8 @@ class Surroundings:
         self.device, self.simd = device, simd
         self._uploaded: WeakKeyDictionary[StageFrame, Uploaded] = WeakKeyDictionary()
         self._picture: tuple[Any, wp.array] | None = None
-        self._arrays: dict[int, tuple[Any, Any]] = {}
-        self._counts = wp.zeros(3, dtype=int, device=device)
+        self._arrays: dict[tuple[int, str], tuple[Any, Any]] = {}
+        self._counts = wp.zeros(3, dtype=int, device="cpu")
 
     def look(self, shown: StageFrame, view: Any, means: Array) -> None:
         """Upload a stage and sort its solids for a `screen.View` and Gaussians at means [N,3]."""
@@ -56,13 +57,18 @@ class Surroundings:
         if uploaded is None:
             uploaded = self._uploaded[shown] = Uploaded(shown, self.device)
         self._view, self._backdrop, self._current = view, shown.backdrop, uploaded
-        self._before, self.among, self._solids = 0, 0, self._allocate(count)
+        self._before, self.among, self._solids = 0, 0, self._allocate(count, self.device)
         if count:
             low, high = shown.box or bounds(means)
             inputs = [view, wp.vec3(*low), wp.vec3(*high), uploaded.solids]
-            outputs = [*self._solids, self._counts]
-            wp.launch(arrange, count, inputs=inputs, outputs=outputs, device=self.device)
+            arranged = self._allocate(count, wp.get_device("cpu"))
+            wp.launch(
+                arrange, count, inputs=inputs, outputs=[*arranged, self._counts], device="cpu"
+            )
             self._before, self.among, _ = self._counts.numpy().tolist()
+            if self.device.is_cuda:
+                for array, source in zip(self._solids, arranged, strict=True):
+                    wp.copy(array, source)
 
     def tint(self, means: wp.array, splats: wp.array) -> None:
         """Tint splats that are seen through a glass solid."""
@@ -86,13 +92,14 @@ class Surroundings:
         threads = view.width * view.height
         wp.launch(stage.draw_setting, threads, inputs=inputs, outputs=[image], device=self.device)
 
-    def _allocate(self, count: int) -> tuple[Any, Any]:
+    def _allocate(self, count: int, device: Any) -> tuple[Any, Any]:
         """Return arrays for the sorted solids and their outlines, reused for equal counts."""
-        if count not in self._arrays:
+        key = count, str(device)
+        if key not in self._arrays:
             kinds: tuple[Any, Any] = glass.Solid, glass.Outline
-            solids, outlines = (wp.empty(count, dtype=kind, device=self.device) for kind in kinds)
-            self._arrays[count] = solids, outlines
-        return self._arrays[count]
+            solids, outlines = (wp.empty(count, dtype=kind, device=device) for kind in kinds)
+            self._arrays[key] = solids, outlines
+        return self._arrays[key]
 
 
 def setting(shown: StageFrame) -> Any:

@@ -1,9 +1,15 @@
-"""Our renderer and gsplat side by side: milliseconds per picture, and how far they differ."""
+"""Our renderer and gsplat in turn: milliseconds per picture, and how far they differ.
+
+`ours_ms` is an image in float32, as gsplat makes it, and `bytes_ms` a picture in bytes, both with
+the copy to the host. `gpu_ms` is one of `FRAMES` pictures in bytes that are started together,
+`film_ms` one of a clip's `FRAMES` pictures, and `staged_ms` one of these on the stage studio.
+"""
 
 import json
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,14 +19,15 @@ import warp as wp
 from arguments import device_asked
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from render import shell
+from render import shell, standing
 
 from phy124.camera import Camera
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Frame, Gaussians
+from phy124.rendering.frames import render_frames
 from phy124.rendering.render import Renderer
 
 wp.config.log_level = wp.LOG_WARNING
-SIZES, TURNS = (256, 512, 800), 20
+SIZES, TURNS, FRAMES = (256, 512, 800), 20, 70
 
 
 def timed(draw: Callable[[], Any], device: str) -> tuple[Any, float]:
@@ -62,6 +69,36 @@ def with_gsplat(g: Gaussians, camera: Camera, device: str) -> Callable[[], np.nd
     return draw
 
 
+def films(g: Gaussians, camera: Camera, renderer: Renderer) -> dict[str, float]:
+    """Milliseconds per picture of a clip: started together, as a film, and on a stage."""
+    device = str(renderer.device)
+    count = FRAMES if renderer.device.is_cuda else 2
+    frames = [
+        Frame(i, i / 24, replace(g, means=g.means + np.float32(1e-3 * i))) for i in range(count)
+    ]
+    standing_stage = standing(g, device, count)
+
+    def together() -> None:
+        for wait in [renderer.start_picture(frame.gaussians, camera) for frame in frames]:
+            wait()
+
+    def film(stage: Any = None) -> None:
+        for _ in render_frames(frames, camera, device=device, stage=stage):
+            pass
+
+    def staged() -> None:
+        standing_stage.frames.clear()
+        film(standing_stage.at)
+
+    spent = {}
+    for name, draw in (("gpu_ms", together), ("film_ms", film), ("staged_ms", staged)):
+        draw()
+        start = time.perf_counter()
+        draw()
+        spent[name] = (time.perf_counter() - start) / count * 1e3
+    return spent
+
+
 def main(count: int, device: str) -> None:
     """A row per size."""
     g, renderer = shell(count), Renderer(device=device)
@@ -70,6 +107,9 @@ def main(count: int, device: str) -> None:
         camera = Camera.orbit(30, 20, 1.6, size)
         ours, ms = timed(lambda camera=camera: renderer(g, camera), device)
         row = {"what": "pictures", "gaussians": count, "size": size, "ours_ms": round(ms, 3)}
+        _, ms = timed(lambda camera=camera: renderer.picture(g, camera), device)
+        row |= {"bytes_ms": round(ms, 3)}
+        row |= {name: round(ms, 3) for name, ms in films(g, camera, renderer).items()}
         if there:
             theirs, ms = timed(with_gsplat(g, camera, device), device)
             row |= {"gsplat_ms": round(ms, 3), "largest": float(np.abs(theirs - ours).max())}
