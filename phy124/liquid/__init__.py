@@ -6,10 +6,11 @@ grid, `Projection` the conjugate gradients, `Phases` the launches of a step, and
 impulses of walls. docs/design/liquids.md has the method.
 """
 
+from phy124.lattice import LatticeSolver
 from phy124.liquid.solver import LiquidSolver, kernels
 from phy124.mpm import Solver
 
-AnySolver = Solver | LiquidSolver
+AnySolver = Solver | LiquidSolver | LatticeSolver
 """The solver of a run."""
 
 __all__ = ["AnySolver", "LiquidSolver", "kernels"]

@@ -4,6 +4,12 @@ from phy124.monitor.contacts import Contacts
 from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.interior import Interior
+from phy124.monitor.lattice import (
+    LatticeMethod,
+    LatticeWatchdog,
+    LatticeWork,
+    LatticeWrenches,
+)
 from phy124.monitor.observer import Observer
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.softening import Softening
@@ -28,3 +34,12 @@ Each observer wraps the result of earlier observers, so `ExternalWork` measures 
 outside the measurements of single walls. A violation ends an attempt, so `Tearing` reads only sound
 frames.
 """
+LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
+    LatticeMethod,
+    Softening,
+    LatticeWrenches,
+    LatticeWork,
+    LatticeWatchdog,
+    Sleep,
+)
+"""Observers of a body on its lattice, which cannot tear."""

@@ -121,10 +121,14 @@ class Watchdog(Observer):
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
         self.external = find(observers, ExternalWork)
         self._dissipation = find(observers, Dissipation)
-        self._totals = Totals(solver.model, solver.state)
+        self._totals = self.totals_of(solver)
         self.first = self.last = self._totals.read(self.clock)
         self.min_J, self.max_J = self.first.min_J, self.first.max_J
         self._stopped, self._pushed = solver.pairs.impulse(), solver.free.impulses()
+
+    def totals_of(self, solver: AnySolver) -> Totals:
+        """Return the sums over the solver's state."""
+        return Totals(solver.model, solver.state)
 
     def before_attempt(self, *, closely: bool = False) -> None:
         """Start counting external work; in the first frame, also start the balance.

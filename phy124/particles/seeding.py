@@ -44,6 +44,10 @@ class Particles:
     """Index of the Gaussian at the particle's position [P]; -1 if there is none."""
     body: NDArray[np.int32] | None = None
     """Index of the scene's object to which each particle belongs [P]; None for a single object."""
+    surface: NDArray[np.float64] | None = None
+    """Surface points [m] and their outward normals [S,6] of a body on its lattice at rest; None for
+    other bodies.
+    """
 
     def __len__(self) -> int:
         return len(self.x)

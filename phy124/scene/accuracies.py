@@ -50,6 +50,13 @@ class Accuracy(Section):
         "particle (MLS-MPM), with which objects that bend over several cells are too soft. spline: "
         "gradients of the weights, which takes 1.7 to 4 times as long; for transfer = apic only.",
     )
+    solver: Literal["mpm", "lattice"] = Field(
+        default="mpm",
+        exclude_if=lambda value: value == "mpm",
+        description="mpm: the material point method, for every material. lattice: the nodes of a "
+        "lattice at rest move with the body, which bends right, cannot tear and loses no energy in "
+        "transfers; for a single elastic object, and transfer = apic only.",
+    )
     rpic_damping: float = Field(
         default=0.0,
         ge=0,
@@ -73,6 +80,11 @@ class Accuracy(Section):
     def fraction(self) -> float:
         """Length of a substep as a fraction of the elastic limit, including RPIC damping."""
         return beside_rpic(self.cfl) if self.rpic_damping > 0 else self.cfl
+
+    @property
+    def on_lattice(self) -> bool:
+        """Whether bodies run on their lattice at rest."""
+        return self.solver == "lattice"
 
     @property
     def passes(self) -> int:
@@ -113,7 +125,7 @@ def check_transfer(accuracy: Accuracy) -> None:
 
     Raises:
         ValueError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic; or
-            one of them is set for a liquid by projection.
+            one of them is set for a liquid by projection or for the lattice solver.
     """
     transfer = accuracy.transfer
     if accuracy.liquid == "projection":
@@ -132,6 +144,13 @@ def check_transfer(accuracy: Accuracy) -> None:
         raise ValueError(
             f"accuracy.gradient = {accuracy.gradient} needs transfer = apic, not {transfer}; leave "
             "one of the two out"
+        )
+    if accuracy.solver != "mpm" and (
+        transfer != "apic" or accuracy.gradient != "affine" or accuracy.rpic_damping > 0
+    ):
+        raise ValueError(
+            f"accuracy.solver = {accuracy.solver} has no transfers; leave transfer, gradient and "
+            "rpic_damping out"
         )
     if accuracy.blend != Accuracy.model_fields["blend"].default and transfer != "aflip":
         raise ValueError(

@@ -23,9 +23,11 @@ from phy124.gaussians import Gaussians, as_objects, quaternions
 from phy124.generators.shapes import make_shape
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.axes import euler
+from phy124.lattice.refusals import refuse_for_lattice
 from phy124.materials import AnyMaterial
 from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
+from phy124.particles.lattice import cells_of, make_lattice, points_of, repeat_for_points
 from phy124.particles.scenery import Scenery
 from phy124.particles.thickness import relative_thickness
 from phy124.scene import Scene, SceneObject
@@ -239,12 +241,18 @@ def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> _Placed:
 def _with_particles(placed: _Placed, spacing: float) -> Body:
     """Make the particles of one object, and its appearance."""
     scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
-    particles = make_particles(
-        gaussians.select(belonging),
-        density=scene.material.density,
-        spacing=spacing,
-        binding=scene.binding,
-    )
+    points = None
+    if scene.resolution.on_lattice:
+        density = scene.material.density
+        points = make_lattice(gaussians.select(belonging), density=density, dx=2 * spacing)
+        particles = cells_of(points)
+    else:
+        particles = make_particles(
+            gaussians.select(belonging),
+            density=scene.material.density,
+            spacing=spacing,
+            binding=scene.binding,
+        )
     particles = number_among_all(particles, belonging)
     particles, moves = assign_materials(particles, gaussians.means, scene, placed.crop)
     particles, materials, stiffness = vary_materials(
@@ -255,6 +263,9 @@ def _with_particles(placed: _Placed, spacing: float) -> Body:
         belonging=belonging,
         crop=placed.crop,
     )
+    if points is not None:
+        refuse_for_lattice(scene, materials)
+        particles, stiffness = points_of(particles, points), repeat_for_points(stiffness)
     appearance = make_appearance(gaussians, particles, moves, materials, scene, spacing)
     return Body(scene, placed.cleaned.sentences, gaussians, appearance, materials, stiffness)
 

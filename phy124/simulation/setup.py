@@ -18,8 +18,9 @@ from phy124.budget.cost import Estimate
 from phy124.budget.limits import check_limits
 from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
+from phy124.lattice.refusals import refuse_for_lattice
 from phy124.materials import AnyMaterial
-from phy124.monitor import OBSERVERS
+from phy124.monitor import LATTICE_OBSERVERS, OBSERVERS
 from phy124.monitor.observer import Observer, Subject
 from phy124.mpm import FreeBody
 from phy124.mpm.workers import layers, usable_workers
@@ -113,7 +114,7 @@ def prepare(
     keep: bool = True,
     shapes: bool = True,
     changes: bool = False,
-    observers: Sequence[type[Observer]] = OBSERVERS,
+    observers: Sequence[type[Observer]] | None = None,
 ) -> Setup:
     """Place the objects of a scene, make their particles and estimate the cost.
 
@@ -127,19 +128,25 @@ def prepare(
         keep: Whether to keep all frames for a clip; if not, the frames may exceed the memory.
         shapes: Whether to deform the Gaussians of each frame.
         changes: Whether to allow `Simulation.change`.
-        observers: Classes of observers to choose from.
+        observers: Classes of observers to choose from; None: those of the scene's solver.
 
     Raises:
         InputError: The Gaussians or the scene cannot be used, or the run would exceed its time
             budget or the free memory.
     """
     context = context or RunContext()
+    if observers is None:
+        observers = LATTICE_OBSERVERS if scene.resolution.on_lattice else OBSERVERS
     refuse_threads(context.threads)
+    if scene.resolution.on_lattice:
+        refuse_for_lattice(scene, scene.materials)
     with context.watch.stage("particles"):
         body = make_body(gaussians, scene, crop)
         look, shown = body.appearance, body.appearance.gaussians
         solid_scene = scene.with_solids()
         threads = usable_workers(len(look.particles), context.device, context.threads)
+        if scene.resolution.on_lattice:
+            along = 0  # Cells stay in the order of the lattice.
         along = slab_axis(look.particles, threads) if along is None else along
         particles, stiffness = sort_for_slabs(
             look.particles, body.materials, body.stiffness, scene.dx, along

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.boundaries import Ground
+from phy124.lattice import LatticeSolver
+from phy124.lattice import kernels as lattice_kernels
 from phy124.liquid import AnySolver, LiquidSolver
 from phy124.liquid import kernels as liquid_kernels
-from phy124.monitor import OBSERVERS
+from phy124.monitor import LATTICE_OBSERVERS, OBSERVERS
 from phy124.monitor.observer import Observer, Subject
 from phy124.monitor.wrenches import wall_names
 from phy124.mpm import (
@@ -78,6 +80,16 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         acting = wrap(scene, observers)
         state = State.of(model, v, C)
         return LiquidSolver(model, state, **acting, ceiling=ceiling, threads=setup.threads)
+    if scene.resolution.on_lattice:
+        assert particles.surface is not None
+        return LatticeSolver(
+            model,
+            particles.surface,
+            State.of(model, v, C),
+            **wrap(scene, observers),
+            ceiling=ceiling,
+            threads=setup.threads,
+        )
     return Solver(
         model,
         State.of(model, v, C),
@@ -129,13 +141,19 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
             if observer.called_for(subject):
                 yield from observer.kernels(subject, real)
         return
-    yield from substep.kernels(subject.laws, real, form)
-    yield from fluctuation.kernels(scheme_of(scene), real, form)
     yield from repair.kernels(subject.laws, real)
     yield from deform.kernels(real, scene.binding, device)
-    for observer in OBSERVERS:
+    for observer in LATTICE_OBSERVERS if scene.resolution.on_lattice else OBSERVERS:
         if observer.called_for(subject):
             yield from observer.kernels(subject, real)
+    if scene.resolution.on_lattice:
+        viscous = [math.isfinite(section.viscous_limit(scene.dx)) for section in scene.materials]
+        named = zip(scene.materials, viscous, strict=True)
+        laws = {section.device_law.name: (section.device_law, damped) for section, damped in named}
+        yield from lattice_kernels(list(laws.values()), scene.boundaries, real)
+        return
+    yield from substep.kernels(subject.laws, real, form)
+    yield from fluctuation.kernels(scheme_of(scene), real, form)
     for boundary in scene.boundaries:
         yield from boundary.kernels(real, scene.dx)
     if scene.objects:

@@ -1,0 +1,288 @@
+"""Contact of surface points with a wall, by impulses on the nodes.
+
+A point at signed distance g from the wall must not approach it faster than g / dt, or leaves it at
+`RESTORE` times its depth / dt. Impulses of the last substep are applied first; then one pass of
+projected Gauss-Seidel corrects them (friction in Coulomb's cone). An impulse J changes the
+velocities of a point's nodes by w_i J / m_i, and so its own velocity by (sum w_i^2 / m_i) J.
+
+The result of Gauss-Seidel depends on the order of points, so each of its kernels is one thread.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.diagnostics import add3, wide
+from phy124.kernels.distance import SHAPES
+from phy124.kernels.work import GIVEN, add_given
+
+RESTORE = wp.constant(0.1)
+"""Fraction of the depth that a contact removes in a substep."""
+NODES = 27
+"""Largest number of nodes of a surface point."""
+MOMENT, SUMS = GIVEN, 16
+"""Index of the moment of all impulses about the origin [N m s], and numbers reserved for each wall.
+The first `GIVEN` sums are those of phy124/kernels/work.py.
+"""
+RESPONSES = ("separate", "slip", "sticky")
+
+
+@wp.func
+def moved_by(
+    values: wp.array(dtype=Any),
+    nodes: wp.array2d(dtype=int),
+    weights: wp.array2d(dtype=Any),
+    s: int,
+):
+    """Return the sum of w_i a_i over the nodes of a surface point."""
+    total = weights[s, 0] * values[nodes[s, 0]]
+    for k in range(1, wp.static(NODES)):
+        total += weights[s, k] * values[nodes[s, k]]
+    return total
+
+
+@wp.func
+def yielding(
+    inverse: wp.array(dtype=Any),
+    nodes: wp.array2d(dtype=int),
+    weights: wp.array2d(dtype=Any),
+    s: int,
+):
+    """Return sum w_i^2 / m_i: the change of a point's velocity by an impulse of 1 N s [1/kg]."""
+    total = weights[s, 0] * weights[s, 0] * inverse[nodes[s, 0]]
+    for k in range(1, wp.static(NODES)):
+        total += weights[s, k] * weights[s, k] * inverse[nodes[s, k]]
+    return total
+
+
+@wp.func
+def strike(
+    v: wp.array(dtype=Any),
+    inverse: wp.array(dtype=Any),
+    nodes: wp.array2d(dtype=int),
+    weights: wp.array2d(dtype=Any),
+    s: int,
+    impulse: Any,
+):
+    """Apply an impulse [N s] to the nodes of a surface point."""
+    for k in range(wp.static(NODES)):
+        n = nodes[s, k]
+        v[n] = v[n] + (weights[s, k] * inverse[n]) * impulse
+
+
+@cache
+def make_touch(shape: str, moving: bool, real: Any):
+    """Kernel of one thread: finds points near a wall and applies their impulse of the last substep.
+
+    `force_out` holds the mean force on each point in the last substep [N]; it becomes zero where a
+    point has left. `gap_out` is the normal and the distance of each point near the wall; its
+    distance is infinite for others. `near` lists the points within reach.
+
+    Args:
+        shape: Name of a distance function.
+        moving: Whether the wall has a track.
+        real: wp.float32 or wp.float64.
+    """
+    t = types(real)
+    distance = SHAPES[shape]
+
+    @kernel(
+        f"phy124_lattice_touch_{shape}_{'moving' if moving else 'still'}_{real.__name__}",
+        real,
+        seconds=0.6,
+    )
+    def touch(
+        near: Ints,
+        count,
+        reach: real,
+        geometry,
+        slot,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        rest: t.vec3s,
+        inverse: t.reals,
+        u: t.vec3s,
+        clock,
+        values,
+        v_out: t.vec3s,
+        gap_out: t.vec4s,
+        place_out: t.vec3s,
+        yields_out: t.reals,
+        force_out: t.vec3s,
+    ):
+        moved = t.vec3()
+        active = real(1.0)
+        if wp.static(moving):
+            moved = wp.vector(values[slot][0], values[slot][1], values[slot][2])
+            active = values[slot][3]
+        for a in range(count):
+            s = near[a]
+            y = rest[s] + moved_by(u, nodes, weights, s)
+            d = distance(y - moved, geometry)
+            place_out[s] = y
+            if active > real(0.0) and d[3] < reach:
+                gap_out[s] = d
+                yields = yielding(inverse, nodes, weights, s)
+                yields_out[s] = yields
+                impulse = clock[0] * force_out[s]
+                if wp.dot(impulse, impulse) > real(0.0):
+                    strike(v_out, inverse, nodes, weights, s, impulse)
+            else:
+                gap_out[s] = wp.vector(d[0], d[1], d[2], real(wp.inf))
+                force_out[s] = t.vec3()
+
+    return touch
+
+
+@cache
+def make_resist(response: str, moving: bool, real: Any):
+    """Kernel of one thread: one pass of projected Gauss-Seidel over the points near a wall.
+
+    Args:
+        response: separate (may leave, with friction), slip (stays without friction) or sticky.
+        moving: Whether the wall has a track.
+        real: wp.float32 or wp.float64.
+    """
+    t = types(real)
+
+    @kernel(
+        f"phy124_lattice_resist_{response}_{'moving' if moving else 'still'}_{real.__name__}",
+        real,
+        seconds=0.6,
+    )
+    def resist(
+        near: Ints,
+        count,
+        friction,
+        slot,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        inverse: t.reals,
+        gap: t.vec4s,
+        yields: t.reals,
+        clock,
+        rates,
+        v_out: t.vec3s,
+        force_out: t.vec3s,
+    ):
+        wall = t.vec3()
+        if wp.static(moving):
+            wall = wp.vector(rates[slot][0], rates[slot][1], rates[slot][2])
+        zero = real(0.0)
+        for a in range(count):
+            s = near[a]
+            g = gap[s]
+            if not wp.isinf(g[3]) and yields[s] > zero and clock[0] > zero:
+                n = wp.vector(g[0], g[1], g[2])
+                relative = moved_by(v_out, nodes, weights, s) - wall
+                last = clock[0] * force_out[s]
+                bias = g[3] / clock[1]
+                if bias < zero:
+                    bias = real(RESTORE) * bias
+                speed = wp.dot(relative, n)
+                along = relative - speed * n
+                pressed = wp.dot(last, n)
+                dragged = last - pressed * n
+                press = pressed - (speed + bias) / yields[s]
+                drag = dragged - along / yields[s]
+                if wp.static(response == "separate"):
+                    press = wp.max(press, zero)
+                    most = friction * press
+                    size = wp.length(drag)
+                    if size > most:
+                        drag = drag * (most / size)
+                else:
+                    # These walls hold what has touched them.
+                    if g[3] > zero and pressed == zero:
+                        press = wp.max(press, zero)
+                    if wp.static(response == "slip") or press == zero:
+                        drag = t.vec3()
+                impulse = press * n + drag
+                change = impulse - last
+                force_out[s] = impulse / clock[0]
+                if wp.dot(change, change) > zero:
+                    strike(v_out, inverse, nodes, weights, s, change)
+
+    return resist
+
+
+@cache
+def make_account(real: Any):
+    """Kernel over the points near a wall: adds impulse, moment and work of a substep to its sums.
+
+    The work is the impulse times the mean of the velocities before the kick and after the substep.
+    With this mean, the work of all impulses is exactly the change of the kinetic energy. The mean
+    of the velocities before and after the contact would also count work of the stress.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_account_{real.__name__}", real, seconds=0.4)
+    def account(
+        near: Ints,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        place: t.vec3s,
+        force: t.vec3s,
+        clock,
+        v_before: t.vec3s,
+        v: t.vec3s,
+        sums_out,
+    ):
+        s = near[wp.tid()]
+        impulse = wide(clock[0] * force[s])
+        if wp.dot(impulse, impulse) > wp.float64(0.0):
+            before = moved_by(v_before, nodes, weights, s)
+            after = moved_by(v, nodes, weights, s)
+            work = wp.float64(0.5) * wp.dot(impulse, wide(before) + wide(after))
+            add_given(sums_out, impulse, work, wp.length(impulse), wp.abs(work))
+            add3(sums_out, wp.static(MOMENT), wp.cross(wide(place[s]), impulse))
+
+    return account
+
+
+@cache
+def make_reach(shape: str, moving: bool, real: Any):
+    """Kernel over surface points: lists the points within a distance of a wall, in any order."""
+    t = types(real)
+    distance = SHAPES[shape]
+
+    @kernel(
+        f"phy124_lattice_reach_{shape}_{'moving' if moving else 'still'}_{real.__name__}",
+        real,
+        seconds=0.4,
+    )
+    def lattice_reach(
+        reach: real,
+        geometry,
+        slot,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        rest: t.vec3s,
+        u: t.vec3s,
+        values,
+        near_out: Ints,
+    ):
+        s = wp.tid()
+        y = rest[s] + moved_by(u, nodes, weights, s)
+        if wp.static(moving):
+            y -= wp.vector(values[slot][0], values[slot][1], values[slot][2])
+        d = distance(y, geometry)
+        near_out[s] = int(d[3] < reach)
+
+    return lattice_reach
+
+
+@cache
+def make_distances(shape: str, real: Any):
+    """Kernel over points: normal of a shape, and signed distance from it [m]."""
+    t = types(real)
+    distance = SHAPES[shape]
+
+    @kernel(f"phy124_lattice_distances_{shape}_{real.__name__}", real, seconds=0.2)
+    def distances(geometry, points: t.vec3s, distance_out: t.vec4s):
+        distance_out[wp.tid()] = distance(points[wp.tid()], geometry)
+
+    return distances

@@ -1,0 +1,213 @@
+"""Nodes of the lattice: kick by forces, holding, drift, and ties of nodes of almost no mass.
+
+`pool` holds the forces of all workers: worker w summed those of nodes `low[w]` to `high[w]`, which
+begin at `begin[w]`. `donor_*` and `tied_*` are the ties as sparse matrices: the tied nodes that
+each node carries, and the nodes that carry each tied node.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.diagnostics import ANGULAR, KINETIC, MIDDLE, MOMENTUM, add3, wide
+from phy124.kernels.lattice.contact import MOMENT
+from phy124.kernels.reduction import add_to
+from phy124.kernels.work import add_given
+
+
+@wp.func
+def sum_workers(pool: wp.array(dtype=Any), low: Ints, high: Ints, begin: Ints, n: int):
+    """Return the sum of the forces of all workers on a node, in the order of the workers."""
+    total = wp.vector(length=3, dtype=type(pool[0][0]))
+    for w in range(low.shape[0]):
+        if n >= low[w] and n < high[w]:
+            total += pool[begin[w] + n - low[w]]
+    return total
+
+
+@cache
+def make_kick(real: Any):
+    """Kernel over nodes: velocities change by forces and by the uniform acceleration.
+
+    `before_out` keeps the velocities before, from which the work of walls is computed.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_kick_{real.__name__}", real, seconds=0.3)
+    def kick(
+        start: int,
+        inverse: t.reals,
+        pool: t.vec3s,
+        low: Ints,
+        high: Ints,
+        begin: Ints,
+        donor_starts: Ints,
+        donor_nodes: Ints,
+        donor_weights: t.reals,
+        clock,
+        values,
+        v_out: t.vec3s,
+        before_out: t.vec3s,
+    ):
+        n = start + wp.tid()
+        before_out[n] = v_out[n]
+        if inverse[n] > real(0.0):
+            force = sum_workers(pool, low, high, begin, n)
+            for k in range(donor_starts[n], donor_starts[n + 1]):
+                force += donor_weights[k] * sum_workers(pool, low, high, begin, donor_nodes[k])
+            a = wp.vector(values[0][0], values[0][1], values[0][2])
+            v_out[n] = v_out[n] + clock[0] * (inverse[n] * force + a)
+
+    return kick
+
+
+@cache
+def make_hold(real: Any):
+    """Kernel over held nodes: velocities become the clamp's while its track is active.
+
+    `movable_out` is the inverse mass of nodes that contact may move, 0 for held nodes.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_hold_{real.__name__}", real, seconds=0.3)
+    def hold(
+        held: Ints,
+        slot,
+        inverse: t.reals,
+        rest: t.vec3s,
+        u: t.vec3s,
+        values,
+        rates,
+        v_before: t.vec3s,
+        v_out: t.vec3s,
+        movable_out: t.reals,
+        sums_out,
+    ):
+        n = held[wp.tid()]
+        if values[slot][3] > real(0.0):
+            rate = wp.vector(rates[slot][0], rates[slot][1], rates[slot][2])
+            if inverse[n] > real(0.0):
+                mass = wp.float64(1.0) / wp.float64(inverse[n])
+                impulse = mass * (wide(rate) - wide(v_out[n]))
+                at = wide(rest[n]) + wide(u[n])
+                work = wp.float64(0.5) * wp.dot(impulse, wide(rate) + wide(v_before[n]))
+                add_given(sums_out, impulse, work, wp.length(impulse), wp.abs(work))
+                add3(sums_out, wp.static(MOMENT), wp.cross(at, impulse))
+            v_out[n] = rate
+            movable_out[n] = real(0.0)
+        else:
+            movable_out[n] = inverse[n]
+
+    return hold
+
+
+@cache
+def make_pin(real: Any):
+    """Kernel over pairs of a held and a free node: the motion is zero where the clamp ends.
+
+    The quadratic B-spline of the pair vanishes at the clamp's surface if the held node moves at
+    `ratio` times the velocity of the free node relative to the clamp. Momenta are projected on this
+    motion, as in the columns of a wall (phy124/kernels/columns.py).
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_pin_{real.__name__}", real, seconds=0.3)
+    def pin(
+        pairs: wp.array(dtype=wp.vec2i),
+        ratio: t.reals,
+        slot,
+        inverse: t.reals,
+        rest: t.vec3s,
+        u: t.vec3s,
+        values,
+        rates,
+        v_before: t.vec3s,
+        v_out: t.vec3s,
+        movable_out: t.reals,
+        sums_out,
+    ):
+        i = wp.tid()
+        held = pairs[i][0]
+        free = pairs[i][1]
+        movable_out[held] = inverse[held]
+        if values[slot][3] > real(0.0) and inverse[held] > real(0.0) and inverse[free] > real(0.0):
+            movable_out[held] = real(0.0)
+            wall = wp.vec3d(wp.vector(rates[slot][0], rates[slot][1], rates[slot][2]))
+            g = wp.float64(ratio[i])
+            m = wp.vec2d(
+                wp.float64(1.0) / wp.float64(inverse[held]),
+                wp.float64(1.0) / wp.float64(inverse[free]),
+            )
+            held_before = wide(v_out[held])
+            free_before = wide(v_out[free])
+            momentum = g * m[0] * (held_before - wall) + m[1] * (free_before - wall)
+            motion = momentum / (g * g * m[0] + m[1])
+            v_out[held] = t.vec3(wall + g * motion)
+            v_out[free] = t.vec3(wall + motion)
+            first = m[0] * (wide(v_out[held]) - held_before)
+            second = m[1] * (wide(v_out[free]) - free_before)
+            half = wp.float64(0.5)
+            work = half * wp.dot(first, wide(v_out[held]) + wide(v_before[held]))
+            work += half * wp.dot(second, wide(v_out[free]) + wide(v_before[free]))
+            impulse = first + second
+            add_given(sums_out, impulse, work, wp.length(impulse), wp.abs(work))
+            moment = wp.cross(wide(rest[held]) + wide(u[held]), first)
+            moment += wp.cross(wide(rest[free]) + wide(u[free]), second)
+            add3(sums_out, wp.static(MOMENT), moment)
+
+    return pin
+
+
+@cache
+def make_drift(real: Any):
+    """Kernel over nodes: displacements change over the drift; tied nodes follow their donors."""
+    t = types(real)
+
+    @kernel(f"phy124_lattice_drift_{real.__name__}", real, seconds=0.3)
+    def drift(
+        start: int,
+        tied_starts: Ints,
+        tied_nodes: Ints,
+        tied_weights: t.reals,
+        clock,
+        v_out: t.vec3s,
+        u_out: t.vec3s,
+        residue_out,
+    ):
+        n = start + wp.tid()
+        if tied_starts[n + 1] > tied_starts[n]:
+            v = t.vec3()
+            for k in range(tied_starts[n], tied_starts[n + 1]):
+                v += tied_weights[k] * v_out[tied_nodes[k]]
+            v_out[n] = v
+        # Compensated summation: a small step does not vanish next to a large displacement.
+        step = clock[1] * v_out[n] + residue_out[n]
+        before = u_out[n]
+        after = before + step
+        residue_out[n] = step - (after - before)
+        u_out[n] = after
+
+    return drift
+
+
+@cache
+def make_node_totals(real: Any):
+    """Kernel over nodes: momentum, angular momentum, kinetic energy, and mass times position."""
+    t = types(real)
+
+    @kernel(f"phy124_lattice_node_totals_{real.__name__}", real, seconds=0.3)
+    def node_totals(inverse: t.reals, rest: t.vec3s, u: t.vec3s, v: t.vec3s, sums_out):
+        n = wp.tid()
+        if inverse[n] > real(0.0):
+            mass = wp.float64(1.0) / wp.float64(inverse[n])
+            at = wide(rest[n]) + wide(u[n])
+            momentum = mass * wide(v[n])
+            add3(sums_out, MOMENTUM, momentum)
+            add3(sums_out, ANGULAR, wp.cross(at, momentum))
+            add3(sums_out, MIDDLE, mass * at)
+            add_to(sums_out, KINETIC, wp.float64(0.5) * wp.dot(momentum, wide(v[n])))
+
+    return node_totals

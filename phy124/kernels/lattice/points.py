@@ -1,0 +1,194 @@
+"""Integration points: position, velocity and deformation from the nodes, and pushes to the nodes.
+
+`rows` holds the first node of each of a cell's nine rows of three nodes along z, `offset` a point's
+position relative to its cell's first node [cells]. Eight consecutive points form a cell.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.transfer import slope, spline
+
+PER_CELL, ROWS = 8, 9
+"""Points and rows of nodes of a cell."""
+
+
+@wp.func
+def at_point(values: wp.array(dtype=Any), rows: wp.array(dtype=int), cell: int, f: Any):
+    """Return the sum of w_i a_i over the nodes of a cell."""
+    wx = spline(f[0])
+    wy = spline(f[1])
+    wz = spline(f[2])
+    total = wp.vector(length=3, dtype=type(f[0]))
+    for i in range(3):
+        for j in range(3):
+            n = rows[cell * 9 + i * 3 + j]
+            row = wz[0] * values[n] + wz[1] * values[n + 1] + wz[2] * values[n + 2]
+            total += (wx[i] * wy[j]) * row
+    return total
+
+
+@wp.func
+def slopes_at(values: wp.array(dtype=Any), rows: wp.array(dtype=int), cell: int, f: Any):
+    """Return the matrix with columns sum (dw/dx) a, sum (dw/dy) a, sum (dw/dz) a, per cell."""
+    wx = spline(f[0])
+    wy = spline(f[1])
+    wz = spline(f[2])
+    sx = slope(f[0])
+    sy = slope(f[1])
+    sz = slope(f[2])
+    by_x = wp.vector(length=3, dtype=type(f[0]))
+    by_y = wp.vector(length=3, dtype=type(f[0]))
+    by_z = wp.vector(length=3, dtype=type(f[0]))
+    for i in range(3):
+        for j in range(3):
+            n = rows[cell * 9 + i * 3 + j]
+            low = values[n]
+            middle = values[n + 1]
+            high = values[n + 2]
+            row = wz[0] * low + wz[1] * middle + wz[2] * high
+            by_x += (sx[i] * wy[j]) * row
+            by_y += (wx[i] * sy[j]) * row
+            by_z += (wx[i] * wy[j]) * (sz[0] * low + sz[1] * middle + sz[2] * high)
+    return wp.matrix_from_cols(by_x, by_y, by_z)
+
+
+@wp.func
+def spread(
+    sums: wp.array(dtype=Any), low: int, rows: wp.array(dtype=int), cell: int, f: Any, a: Any
+):
+    """Add w_i a to the nodes of a cell; `sums` begins with node `low`."""
+    wx = spline(f[0])
+    wy = spline(f[1])
+    wz = spline(f[2])
+    for i in range(3):
+        for j in range(3):
+            n = rows[cell * 9 + i * 3 + j] - low
+            part = (wx[i] * wy[j]) * a
+            for k in range(3):
+                wp.atomic_add(sums, n + k, wz[k] * part)
+
+
+@wp.func
+def spread_slopes(
+    sums: wp.array(dtype=Any), low: int, rows: wp.array(dtype=int), cell: int, f: Any, P: Any
+):
+    """Add P (dw_i/dx, dw_i/dy, dw_i/dz) to the nodes of a cell; `sums` begins with node `low`."""
+    wx = spline(f[0])
+    wy = spline(f[1])
+    wz = spline(f[2])
+    sx = slope(f[0])
+    sy = slope(f[1])
+    sz = slope(f[2])
+    by_x = wp.vector(P[0, 0], P[1, 0], P[2, 0])
+    by_y = wp.vector(P[0, 1], P[1, 1], P[2, 1])
+    by_z = wp.vector(P[0, 2], P[1, 2], P[2, 2])
+    for i in range(3):
+        for j in range(3):
+            n = rows[cell * 9 + i * 3 + j] - low
+            along = (sx[i] * wy[j]) * by_x + (wx[i] * sy[j]) * by_y
+            across = (wx[i] * wy[j]) * by_z
+            for k in range(3):
+                wp.atomic_add(sums, n + k, wz[k] * along + sz[k] * across)
+
+
+@wp.func
+def inverse_rows(F: Any):
+    """Return the cofactors of F: the transpose of its inverse times its determinant."""
+    return wp.matrix_from_rows(wp.cross(F[1], F[2]), wp.cross(F[2], F[0]), wp.cross(F[0], F[1]))
+
+
+@wp.func
+def safe_volume(J: Any):
+    """Return J, but at least the volume ratio at which laws continue log J by its tangent."""
+    return wp.max(J, type(J)(1.0e-4))
+
+
+@cache
+def make_follow(real: Any):
+    """Kernel over points: computes x, v, F and C = dF/dt F^-1 from the nodes."""
+    t = types(real)
+
+    @kernel(f"phy124_lattice_follow_{real.__name__}", real, seconds=0.4)
+    def follow(
+        start: int,
+        dx,
+        rows: Ints,
+        offset: t.vec3s,
+        rest: t.vec3s,
+        u: t.vec3s,
+        v: t.vec3s,
+        x_out,
+        v_out,
+        C_out,
+        F_out,
+    ):
+        p = start + wp.tid()
+        cell = p / wp.static(PER_CELL)
+        f = offset[p]
+        x_out[p] = rest[p] + at_point(u, rows, cell, f)
+        v_out[p] = at_point(v, rows, cell, f)
+        F = wp.identity(3, dtype=real) + slopes_at(u, rows, cell, f) / dx
+        rate = slopes_at(v, rows, cell, f) / dx
+        F_out[p] = F
+        C_out[p] = rate * wp.transpose(inverse_rows(F)) / safe_volume(wp.determinant(F))
+
+    return follow
+
+
+@cache
+def make_locate(real: Any):
+    """Kernel over points: computes x and v from the nodes, before forces act on the points."""
+    t = types(real)
+
+    @kernel(f"phy124_lattice_locate_{real.__name__}", real, seconds=0.3)
+    def locate(
+        start: int,
+        rows: Ints,
+        offset: t.vec3s,
+        rest: t.vec3s,
+        u: t.vec3s,
+        v: t.vec3s,
+        x_out,
+        v_out,
+        kept_out: t.vec3s,
+    ):
+        p = start + wp.tid()
+        cell = p / wp.static(PER_CELL)
+        f = offset[p]
+        x_out[p] = rest[p] + at_point(u, rows, cell, f)
+        now = at_point(v, rows, cell, f)
+        v_out[p] = now
+        kept_out[p] = now
+
+    return locate
+
+
+@cache
+def make_push(real: Any):
+    """Kernel over points: adds the force m (v - kept) / kick of pushes to the nodes' forces."""
+    t = types(real)
+
+    @kernel(f"phy124_lattice_push_{real.__name__}", real, seconds=0.3)
+    def push(
+        start: int,
+        low: int,
+        mass,
+        clock,
+        rows: Ints,
+        offset: t.vec3s,
+        v,
+        kept: t.vec3s,
+        force_out: t.vec3s,
+    ):
+        p = start + wp.tid()
+        change = v[p] - kept[p]
+        if wp.dot(change, change) > real(0.0) and clock[0] > real(0.0):
+            cell = p / wp.static(PER_CELL)
+            spread(force_out, low, rows, cell, offset[p], (mass[p] / clock[0]) * change)
+
+    return push

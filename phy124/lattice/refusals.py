@@ -1,0 +1,69 @@
+"""What the lattice solver cannot do yet; each refusal names the field and the solver that can."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+from phy124.errors import InputError
+from phy124.materials import Material
+from phy124.materials.elastic import Elastic
+
+REMEDY = 'Use accuracy.solver = "mpm", or leave {field} out.'
+
+
+class Refusal(NamedTuple):
+    """A choice that the lattice solver does not support."""
+
+    field: str
+    value: object
+    limit: str
+    remedy: str = ""
+
+
+def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
+    """Check that the lattice solver can run a scene.
+
+    Args:
+        scene: The scene, a `phy124.scene.Scene`.
+        materials: Materials of its particles.
+
+    Raises:
+        InputError: The scene has something that the lattice solver cannot do yet.
+    """
+    for refusal in _refusals(scene, materials):
+        remedy = refusal.remedy or REMEDY.format(field=refusal.field)
+        raise InputError(refusal.field, refusal.value, refusal.limit, remedy)
+
+
+def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
+    """Yield what the lattice solver does not support, in the order of the scene's fields."""
+    other = 'Use accuracy.solver = "mpm", or an elastic law.'
+    for section in materials:
+        if not is_elastic(section):
+            limit = "the lattice solver is for elastic laws, which do not yield."
+            yield Refusal("material.law", getattr(section, "law", "?"), limit, other)
+    if scene.objects:
+        names = ", ".join(body.name for body in scene.objects)
+        yield Refusal("objects", names, "the lattice solver runs a single object.")
+    if scene.binding != "lattice":
+        yield Refusal("binding", scene.binding, "its particles are not on a lattice.")
+    if scene.contacts or "force" in scene.view.outputs:
+        yield Refusal("contacts", "on", "the lattice solver does not share wall forces yet.")
+    if scene.checks.energy:
+        yield Refusal("checks.energy", "on", "the lattice solver does not split its losses yet.")
+    accuracy = scene.resolution
+    if accuracy.particles_per_axis not in (None, 2.0):
+        limit = "the lattice has two points per cell and axis."
+        yield Refusal("accuracy.particles_per_axis", accuracy.particles_per_axis, limit)
+    for boundary in scene.boundaries:
+        if boundary.holds and boundary.contact != "sticky":
+            field = f"boundaries.{boundary.kind}.contact"
+            limit = "on its lattice a body can only be held in all directions."
+            remedy = 'Use contact = "sticky", or accuracy.solver = "mpm".'
+            yield Refusal(field, boundary.contact, limit, remedy)
+
+
+def is_elastic(section: Material) -> bool:
+    """Return whether a material's law can run on its lattice: elastic, and one of phy124's."""
+    return isinstance(section, Elastic) and section.device_law.project is None

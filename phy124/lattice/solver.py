@@ -1,0 +1,387 @@
+"""LatticeSolver: explicit substeps of elastic bodies on their lattice at rest.
+
+A substep sums the forces of the stress on the nodes, kicks the nodes, lets clamps and walls act,
+and lets the nodes drift. Points only integrate: their x, v, C and F follow the nodes before forces
+on particles act, when limits are measured, and at the end of `advance`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.kernels.lattice.stress import GRADIENT, SPEED, STIFFNESS
+from phy124.lattice.rest import RestLattice
+from phy124.lattice.surface import make_surface
+from phy124.lattice.walls import Boundary, Nodes, Walls
+from phy124.lattice.workers import Crew
+from phy124.mpm.clock import Clock
+from phy124.mpm.free import FreeBodies
+from phy124.mpm.grid import Grid, Unstable
+from phy124.mpm.model import Model, State
+from phy124.mpm.outliers import Outliers
+from phy124.mpm.pairs import Pairs
+from phy124.mpm.rejection import StepRejection
+from phy124.mpm.repair import Repair
+from phy124.mpm.stage import Accumulator, Attachable, Stage, launches
+from phy124.mpm.threads import Team
+from phy124.mpm.timestep import Extremes
+from phy124.mpm.tracks import Tracks
+from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_workers
+
+SLOWEST = 16
+"""Largest number of substeps between two measurements of the limits."""
+STRAIN, WAY = 0.05, 0.25
+"""Largest strain, and largest way of a point [cells], between two measurements."""
+ROUNDS, PROBE = 60, 1e-3
+"""Power iterations for the largest frequency at rest, and size of their displacements [cells]."""
+LONGEST = 1.25
+"""Largest ratio of the stable substep to dx / c that is used."""
+MEASURE = -1
+"""Task of workers in addition to phases: measure the limits."""
+
+
+class LatticeSolver:
+    """Advances the nodes of a body in time under forces and boundaries."""
+
+    def __init__(
+        self,
+        model: Model,
+        surface: NDArray,
+        state: State | None = None,
+        *,
+        forces: Sequence[Attachable] = (),
+        boundaries: Sequence[Boundary] = (),
+        accumulators: Sequence[Accumulator] = (),
+        planes: Sequence[Any] = (),
+        ceiling: float = math.inf,
+        threads: int | None = None,
+    ) -> None:
+        """Build the lattice of a model whose particles are integration points.
+
+        Args:
+            model: The integration points, cell by cell (phy124/particles/lattice.py).
+            surface: Surface points [m] and outward normals at rest [S,6].
+            state: The initial motion of the points; None: at rest.
+            forces: Forces, in the order in which they act.
+            boundaries: Boundaries, in the order in which they act.
+            accumulators: Sums that are updated in every substep.
+            planes: Flat walls for free bodies, of which there are none.
+            ceiling: Longest substep allowed [s].
+            threads: Number of CPU threads; None: as many as there are free cores and enough points
+                for.
+
+        Raises:
+            InputError: The region of a force holds no particle, or a clamp holds only some
+                directions.
+        """
+        self.model = model
+        self.state = State.of(model) if state is None else state
+        self.clock = Clock(model, ceiling=ceiling)
+        # Viscosity is part of the measured stiffness.
+        self.clock.viscous = math.inf
+        mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
+        self.lattice = RestLattice.of(model.rest, mass, volume, model.dx)
+        self._surface = make_surface(surface, self.lattice)
+        self.nodes_state = _nodes(model, self.lattice, self.state)
+        count = usable_workers(len(model), model.device, threads)
+        self._crew = Crew(model, self.state, self.lattice, self.nodes_state, count)
+        self.workers = self._crew.workers
+        self.team = Team[int](count, self._run_member)
+        self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
+        self.grid.size = np.ptp(self.lattice.index, axis=0) + 1
+        # A single elastic body has none of these; observers and reports read them.
+        self.pairs, self.free = Pairs(model, (), count), FreeBodies(model, ())
+        self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
+        self.softened = 1.0
+        """Factor by which all stiffnesses are currently scaled."""
+        self._longer = 1.0
+        """Longest stable substep at rest, relative to that of the law's stiffness in one cell."""
+        self.bind(forces, boundaries, accumulators, planes)
+        self._record_measures()
+        self._longer = self._measure_rest()
+        self._record_measures()
+
+    def bind(
+        self,
+        forces: Sequence[Attachable] = (),
+        boundaries: Sequence[Boundary] = (),
+        accumulators: Sequence[Accumulator] = (),
+        planes: Sequence[Any] = (),
+    ) -> None:
+        """Replace forces, boundaries and sums, from the next substep on.
+
+        Args:
+            forces: Forces, in the order in which they act.
+            boundaries: Boundaries, in the order in which they act.
+            accumulators: Sums that are updated in every substep.
+            planes: Flat walls for free bodies, of which there are none.
+
+        Raises:
+            InputError: The region of a force holds no particle, or a clamp holds only some
+                directions; in this case nothing has changed.
+        """
+        model, state = self.model, self.state
+        tracks = Tracks(real=model.real, device=model.device)
+        acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
+        walls = Walls(boundaries, model, self.lattice, self._surface, self.nodes_state, tracks)
+        sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
+        self.free.bind(planes, tracks)
+        tracks.upload(self.clock.values)
+        self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
+        self._sample = tracks.record()
+        self._sample.launch()
+        self.rejection = StepRejection(model, state, tracks, acting, accumulators)
+        self.walls.look()
+        self.clock.expire()
+        self.record()
+
+    def record(self) -> None:
+        """Record the launches of one substep."""
+        crew, pushed = self._crew, bool(self._forces)
+        for index, worker in enumerate(self.workers):
+            before = [crew.locate(worker), self._push(index)] if pushed else []
+            worker.phases = [
+                *before,
+                crew.force(worker, self.tracks if pushed else None),
+                crew.kick(worker, self.tracks),
+                launches(self.walls.record()) if index == 0 else [],
+                crew.drift(worker, self.tracks),
+            ]
+        last = [(stage.name, stage.record(self.grid)) for stage in self._sums]
+        self.workers[0].phases[-1] += launches(last)
+
+    def _record_measures(self) -> None:
+        """Record the launches that measure the limits of each worker's points."""
+        for worker in self.workers:
+            worker.measures = self._crew.measure(worker, self._longer * self.model.dx)
+
+    def _measure_rest(self) -> float:
+        """Return the longest stable substep 2 / omega of the body at rest, relative to dx / c.
+
+        omega is the largest angular frequency, by power iteration, and c^2 the measured stiffness
+        per density. The ratio depends on the shape: from 0.65 for a rod thinner than a cell to 1.3
+        for a block of whole cells.
+        """
+        stiffness = self._largest()[STIFFNESS]
+        nodes, lattice = self.nodes_state, self.lattice
+        inverse = np.asarray(nodes.inverse.numpy(), np.float64)[:, None]
+        motion, u = nodes.v.numpy().copy(), nodes.u.numpy().copy()
+        # Rates of strain must not contribute.
+        nodes.v.zero_()
+        shape = np.random.default_rng(0).normal(size=u.shape)
+        square, size = 0.0, PROBE * self.model.dx
+        for _ in range(ROUNDS):
+            shape[lattice.tied] = lattice.ties @ shape
+            shape /= np.abs(shape).max()
+            nodes.u.assign(size * shape)
+            force = -self._crew.forces() / size
+            force += lattice.ties.T @ force[lattice.tied]
+            faster = inverse * force
+            square = float(np.linalg.norm(faster) / np.linalg.norm(shape * (inverse > 0)))
+            shape = faster
+        nodes.v.assign(motion)
+        nodes.u.assign(u)
+        ratio = 2 / math.sqrt(square) * math.sqrt(stiffness) / self.model.dx
+        return min(ratio, LONGEST)
+
+    def _push(self, worker: int) -> list[Any]:
+        """Return a worker's pushes; the first worker has all, unless all can be divided."""
+
+        def record(stages: Sequence[Stage]) -> list[Any]:
+            return launches([(stage.name, stage.record(self.grid)) for stage in stages])
+
+        if all(stage.by_run for stage in self._forces):
+            with self.grid.only(None, worker, len(self.workers)):
+                return record(self._forces)
+        return record(self._forces) if worker == 0 else []
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes."""
+        return len(self.lattice)
+
+    @property
+    def timings(self) -> Timings:
+        """Seconds and launches of each stage, in the first thread."""
+        return self.workers[0].timings
+
+    def advance(
+        self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
+    ) -> None:
+        """Take substeps of stable length, and let the points follow.
+
+        Args:
+            until: The time at which to stop [s].
+            after: Called after each substep.
+            each: Whether `after` must be called after each substep, which it always is.
+
+        Raises:
+            Unstable: A number is no longer finite.
+        """
+        del each
+        self.rejection.begin(self.clock.time, until)
+        self.clock.interval = min(self.clock.interval, self._interval())
+        with self._threads():
+            while self.clock.time < until:
+                self._stable_step(until)
+                if after is not None:
+                    run_timed(self.timings, FOLLOW, after)
+            self.follow()
+
+    def follow(self) -> None:
+        """Compute x, v, C and F of the points from the nodes."""
+        self.workers[0].run(self._crew.follow())
+
+    def _stable_step(self, until: float) -> None:
+        """Take one substep, of a stable length that divides the remaining time evenly."""
+        self._measure_if_due()
+        clock = self.clock
+        limit = run_timed(self.timings, SCHEDULE, clock.stable)
+        rest = until - clock.time
+        dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
+        self.step((clock.last_dt + dt) / 2, dt)
+        if dt == rest:
+            clock.time = until
+        clock.last_dt = dt
+        clock.count(limit.limiter, needed=dt / limit.dt)
+
+    def step(self, kick: float, drift: float) -> None:
+        """Take one substep: velocities change over `kick` [s], displacements over `drift` [s]."""
+        self._measure_if_due()
+        self.clock.begin(kick, drift)
+        if self.tracks.vary:
+            run_timed(self.timings, "tracks", self._sample.launch)
+        for phase in range(len(self.workers[0].phases)):
+            self._run(phase)
+        if self.team.alive:
+            run_timed(self.timings, "wait", self.team.join)
+        self.clock.finish(drift)
+
+    def _run(self, phase: int) -> None:
+        """Run a phase; threads wait for each other before the phase."""
+        if self.team.alive:
+            run_timed(self.timings, "wait", lambda: self.team.put(phase))
+            self.workers[0].run(self.workers[0].phases[phase])
+        else:
+            for worker in self.workers:
+                worker.run(worker.phases[phase])
+
+    def _run_member(self, member: int, phase: int) -> None:
+        """Run a phase in one of the other threads."""
+        worker = self.workers[member]
+        worker.run(worker.measures if phase == MEASURE else worker.phases[phase])
+
+    @contextmanager
+    def _threads(self) -> Iterator[None]:
+        """Run each worker on its own thread within this context."""
+        if len(self.workers) == 1:
+            yield
+            return
+        # Loading kernels is not thread-safe: this loads those of the measurement.
+        self._measure_if_due()
+        with self.team.running():
+            yield
+
+    def _measure_if_due(self) -> None:
+        if self.clock.due:
+            self._measure()
+
+    def _measure(self) -> None:
+        """Measure the limits of the substep; raises Unstable."""
+        largest = self._largest()
+        stiffness = float(largest[STIFFNESS]) / self._longer**2
+        measured = Extremes(float(largest[SPEED]), float(largest[GRADIENT]), stiffness)
+        clock = self.clock
+        clock.limit_by(measured.after(clock.extremes, substeps=clock.since_complete), complete=True)
+        clock.interval = self._interval()
+        if run_timed(self.timings, "near", self.walls.look):
+            self.record()
+
+    def _largest(self) -> NDArray[np.float64]:
+        """Return the largest speed, rate of strain and stiffness of all points; raises Unstable."""
+        if self.team.alive:
+            self.team.put(MEASURE)
+            self.workers[0].run(self.workers[0].measures)
+            self.team.join()
+        else:
+            for worker in self.workers:
+                worker.run(worker.measures)
+        if int(self._crew.stray.numpy()[0]):
+            raise Unstable(f"{int(self._crew.stray.numpy()[0])} particles are NaN or infinite")
+        rows = np.array([worker.maxima.numpy() for worker in self.workers], np.float64)
+        largest: NDArray[np.float64] = rows.max(axis=0)
+        return largest
+
+    def _interval(self) -> int:
+        """Return the number of substeps until the limits must be measured."""
+        clock, dx = self.clock, self.model.dx
+        dt = clock.stable().dt
+        if not math.isfinite(dt):
+            return 1
+        speed = max(clock.extremes.speed, self.rejection.wall)
+        steps = [float(SLOWEST)]
+        steps.append(STRAIN / max(clock.extremes.gradient * dt, 1e-9))
+        steps.append(WAY * dx / max(speed * dt, 1e-30))
+        steps.append(math.sqrt(2 * WAY * dx / max(self.rejection.acceleration, 1e-30)) / dt)
+        return max(1, int(min(steps)))
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state that `restore` needs to continue bit for bit."""
+        nodes = self.nodes_state
+        return {
+            "state": self.state.snapshot(),
+            "nodes": {name: wp.clone(getattr(nodes, name)) for name in ("u", "residue", "v")},
+            "walls": self.walls.snapshot(),
+            "clock": self.clock.snapshot(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        self.state.restore(snapshot["state"])
+        for name, array in snapshot["nodes"].items():
+            getattr(self.nodes_state, name).assign(array)
+        self.walls.restore(snapshot["walls"])
+        self.clock.restore(snapshot["clock"])
+        self._crew.stray.zero_()
+        self.walls.look()
+        self.record()
+
+
+def _nodes(model: Model, lattice: RestLattice, state: State) -> Nodes:
+    """Return the nodes at rest with the motion of the points, which is exact if it is affine."""
+    t, count = types(model.real), len(lattice)
+    inverse = np.divide(1, lattice.mass, out=np.zeros(count), where=lattice.mass > 0)
+    zeros = [model.array(np.zeros((count, 3)), t.vec3) for _ in range(3)]
+    return Nodes(
+        rest=model.array(lattice.x, t.vec3),
+        u=zeros[0],
+        residue=zeros[1],
+        before=zeros[2],
+        v=model.array(_motion(model, lattice, state), t.vec3),
+        inverse=model.array(inverse, model.real),
+        movable=model.array(inverse, model.real),
+    )
+
+
+def _motion(model: Model, lattice: RestLattice, state: State) -> NDArray[np.float64]:
+    """Return velocities of the nodes [N,3]: means over the cells around, extrapolated by C."""
+    v, C = (np.asarray(a.numpy(), np.float64) for a in (state.v, state.C))
+    if not v.any() and not C.any():
+        return np.zeros((len(lattice), 3))
+    points = (lattice.rows[:, :, None] + np.arange(3)).reshape(len(lattice.rows), 27)
+    nodes = np.repeat(points, 8, axis=0)
+    total, number = np.zeros((len(lattice), 3)), np.zeros(len(lattice))
+    for k in range(27):
+        n = nodes[:, k]
+        there = v + np.einsum("pij,pj->pi", C, lattice.x[n] - model.rest)
+        np.add.at(total, n, there)
+        np.add.at(number, n, 1)
+    return total / number[:, None]

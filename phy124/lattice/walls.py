@@ -1,0 +1,331 @@
+"""Walls and clamps of a body on its lattice: the launches of contact, and what each wall exchanged.
+
+Surface points respond to walls. Nodes inside a clamp take its velocity. The node next to the
+clamp's surface moves against its free neighbour, so that the motion vanishes at the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.kernels.arguments import types
+from phy124.kernels.lattice.contact import (
+    SUMS,
+    make_account,
+    make_distances,
+    make_reach,
+    make_resist,
+    make_touch,
+)
+from phy124.kernels.lattice.nodes import make_hold, make_pin
+from phy124.lattice.rest import RestLattice, splines
+from phy124.lattice.surface import Surface
+from phy124.mpm.model import Model
+from phy124.mpm.stage import Recorded
+from phy124.mpm.tracks import Track, Tracks
+
+REACH = 1.0
+"""Distance from a wall within which contact is computed [cells]."""
+TRAVEL = 1.0
+"""Further distance within which points are listed. The list is renewed before a point can have
+approached a wall by as much [cells].
+"""
+HELD = 0.5
+"""Distance from a clamp's surface up to which a node moves against its free neighbour, so that the
+motion vanishes at the surface [cells]; nodes farther inside do not move.
+"""
+STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
+"""The track of a wall that never moves."""
+
+
+class Boundary(Protocol):
+    """The members of a boundary (phy124.boundaries) that contact reads."""
+
+    holds: ClassVar[bool]
+    """Whether the boundary holds material in place, instead of blocking it."""
+
+    def parts(self) -> list[Any]:
+        """Return the simple walls of which the boundary consists."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Arrays of the nodes on the device."""
+
+    rest: wp.array
+    """Positions at rest [N,3], m."""
+    u: wp.array
+    """Displacements [N,3], m."""
+    residue: wp.array
+    """Rounding errors of the displacements, which the next substep adds [N,3], m."""
+    v: wp.array
+    """Velocities [N,3], m/s, half a substep behind the displacements."""
+    before: wp.array
+    """Velocities before the kick of the current substep [N,3], m/s."""
+    inverse: wp.array
+    """Inverse masses [N], 1/kg; 0 for tied nodes."""
+    movable: wp.array
+    """Inverse masses [N], 1/kg; 0 for tied nodes and for nodes that a clamp holds."""
+
+
+class Walls:
+    """All walls of a run: their launches, and the sums of what they exchanged with the body."""
+
+    def __init__(
+        self,
+        boundaries: Sequence[Boundary],
+        model: Model,
+        lattice: RestLattice,
+        surface: Surface,
+        nodes: Nodes,
+        tracks: Tracks,
+    ) -> None:
+        """Prepare the walls of a run.
+
+        Args:
+            boundaries: The boundaries of the scene.
+            model: The constants of the run.
+            lattice: The lattice at rest.
+            surface: Points that touch walls.
+            nodes: Arrays of the nodes.
+            tracks: The tracks to which displacements of walls are added.
+
+        Raises:
+            InputError: A clamp holds only some directions, which the lattice cannot do.
+        """
+        simple = [(boundary.holds, part) for boundary in boundaries for part in boundary.parts()]
+        self.sums = wp.zeros((len(simple), SUMS), dtype=wp.float64, device=model.device)
+        """Impulse, work and moment of each simple wall [W,16] (phy124/kernels/lattice/contact.py).
+        """
+        points = _Points.of(surface, model)
+        self._clamps, self._contacts = [], []
+        for number, (holds, part) in enumerate(simple):
+            sums = cast("wp.array", self.sums[number])
+            if holds:
+                self._clamps.append(_Clamp(part, model, lattice, nodes, tracks, sums))
+            elif points.count:
+                self._contacts.append(_Contact(part, model, points, nodes, tracks, sums))
+
+    def __bool__(self) -> bool:
+        """Return whether there is any wall or clamp."""
+        return bool(self._clamps or self._contacts)
+
+    def record(self) -> list[Recorded]:
+        """Return the launches of one substep: clamps, last impulses, then their correction."""
+        near = [contact for contact in self._contacts if contact.near]
+        return [
+            *(("clamp", launch) for clamp in self._clamps for launch in clamp.record()),
+            *(("contact", contact.record_touch()) for contact in near),
+            *(("contact", contact.record_resist()) for contact in near),
+            *(("contact", contact.record_account()) for contact in near),
+        ]
+
+    def look(self) -> bool:
+        """List the surface points near each wall; return whether a list has changed."""
+        changed = [contact.look() for contact in self._contacts]
+        return any(changed)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return sums and contact forces."""
+        forces = {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
+        return {"sums": wp.clone(self.sums), "forces": forces}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        self.sums.assign(snapshot["sums"])
+        for i, contact in enumerate(self._contacts):
+            contact.force.assign(snapshot["forces"][str(i)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Surface points on the device."""
+
+    count: int
+    nodes: wp.array
+    weights: wp.array
+    rest: wp.array
+
+    @classmethod
+    def of(cls, surface: Surface, model: Model) -> _Points:
+        """Copy the points to the device."""
+        nodes = wp.array(surface.nodes, dtype=int, device=model.device)
+        weights = model.array(surface.weights, model.real)
+        return cls(surface.count, nodes, weights, model.array(surface.x, types(model.real).vec3))
+
+
+class _Clamp:
+    """The nodes that a clamp holds, and the launch that gives them its velocity."""
+
+    def __init__(
+        self,
+        part: Any,
+        model: Model,
+        lattice: RestLattice,
+        nodes: Nodes,
+        tracks: Tracks,
+        sums: wp.array,
+    ) -> None:
+        if part.contact != "sticky":
+            raise InputError(
+                f"boundaries.{type(part).__name__.lower()}.contact",
+                part.contact,
+                "on its lattice an elastic body can only be held in all directions.",
+                'Use contact = "sticky", or accuracy.solver = "mpm".',
+            )
+        self._model, self._nodes, self._tracks, self._sums = model, nodes, tracks, sums
+        self._slot = tracks.add(part.track(model) or STILL)
+        far = distances(part, model, lattice.x)
+        held = np.flatnonzero(far[:, 3] < -HELD * model.dx)
+        self._held = wp.array(held.astype(np.int32), dtype=int, device=model.device)
+        pairs, ratios = _pins(lattice, far)
+        self._pairs = wp.array(pairs.astype(np.int32), dtype=wp.vec2i, device=model.device)
+        self._ratios = model.array(ratios, model.real)
+
+    def record(self) -> list[wp.Launch | None]:
+        """Record the launches of one substep."""
+        model, nodes, tracks = self._model, self._nodes, self._tracks
+        inputs = [self._slot, nodes.inverse, nodes.rest, nodes.u, tracks.values, tracks.rates]
+        inputs.append(nodes.before)
+        outputs = [nodes.v, nodes.movable, self._sums]
+        held = [self._held, *inputs]
+        pinned = [self._pairs, self._ratios, *inputs]
+        return [
+            model.launch(make_hold(model.real), len(self._held), held, outputs),
+            model.launch(make_pin(model.real), len(self._pairs), pinned, outputs),
+        ]
+
+
+def _pins(
+    lattice: RestLattice, far: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return pairs of the last held node and the first free node of a column, and their ratios.
+
+    Args:
+        lattice: The lattice at rest.
+        far: Normal and distance of each node from the clamp [N,4].
+    """
+    axis = np.argmax(np.abs(far[:, :3]), axis=1)
+    lean = np.take_along_axis(far[:, :3], axis[:, None], axis=1)[:, 0]
+    across = np.maximum(np.abs(lean), 1e-3) * lattice.dx
+    middle = np.flatnonzero(np.abs(far[:, 3] / across) <= HELD)
+    step = np.zeros((len(middle), 3), np.int64)
+    step[np.arange(len(middle)), axis[middle]] = np.sign(lean[middle]).astype(np.int64)
+    front = lattice.find(lattice.index[middle] + step)
+    # A node may be the front of one column only, so that no two threads write to it.
+    present = np.flatnonzero(front >= 0)
+    _, first = np.unique(front[present], return_index=True)
+    chosen = present[first]
+    offset = 1 + far[middle[chosen], 3] / across[middle[chosen]]
+    weights = splines(offset)
+    return np.stack([middle[chosen], front[chosen]], axis=1), -weights[:, 0] / weights[:, 1]
+
+
+class _Contact:
+    """The contact of the surface points with one simple wall."""
+
+    def __init__(
+        self,
+        part: Any,
+        model: Model,
+        points: _Points,
+        nodes: Nodes,
+        tracks: Tracks,
+        sums: wp.array,
+    ) -> None:
+        t, track = types(model.real), part.track(model)
+        self._model, self._points, self._nodes, self._tracks = model, points, nodes, tracks
+        self._part, self._sums, self._moving = part, sums, track is not None
+        self._slot = 0 if track is None else tracks.add(track)
+        self._shape = t.mat33(*np.ravel(part.geometry(model)))
+        self.near = 0
+        """Number of points that are listed as near the wall."""
+        count, device = points.count, model.device
+        self._list = wp.zeros(count, dtype=int, device=device)
+        self._flags = wp.zeros(count, dtype=int, device=device)
+        self.force = wp.zeros(count, dtype=t.vec3, device=device)
+        """Mean force of the wall on each point in the last substep [S,3], N."""
+        self._gap = wp.zeros(count, dtype=t.vec4, device=device)
+        self._place = wp.zeros(count, dtype=t.vec3, device=device)
+        self._yields = wp.zeros(count, dtype=model.real, device=device)
+
+    def look(self) -> bool:
+        """List the points near the wall; return whether their number has changed."""
+        model, points, tracks = self._model, self._points, self._tracks
+        wp.launch(
+            make_reach(self._part.outline(), self._moving, model.real),
+            points.count,
+            [
+                (REACH + TRAVEL) * model.dx, self._shape, self._slot, points.nodes,
+                points.weights, points.rest, self._nodes.u, tracks.values,
+            ],
+            [self._flags],
+            device=model.device,
+        )  # fmt: skip
+        near = np.flatnonzero(self._flags.numpy()).astype(np.int32)
+        listed: NDArray[np.int32] = np.zeros(points.count, np.int32)
+        listed[: len(near)] = near
+        self._list.assign(listed)
+        before, self.near = self.near, len(near)
+        return before != self.near
+
+    def record_touch(self) -> wp.Launch | None:
+        """Record the launch that finds touching points and applies their last impulses."""
+        model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
+        inputs = [
+            self._list, self.near, REACH * model.dx, self._shape, self._slot, points.nodes,
+            points.weights, points.rest, nodes.movable, nodes.u, tracks.clock, tracks.values,
+        ]  # fmt: skip
+        outputs = [nodes.v, self._gap, self._place, self._yields, self.force]
+        kernel = make_touch(self._part.outline(), self._moving, model.real)
+        return model.launch(kernel, 1, inputs, outputs)
+
+    def record_resist(self) -> wp.Launch | None:
+        """Record the launch that corrects the impulses."""
+        model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
+        inputs = [
+            self._list, self.near, self._part.friction, self._slot, points.nodes, points.weights,
+            nodes.movable, self._gap, self._yields, tracks.clock, tracks.rates,
+        ]  # fmt: skip
+        kernel = make_resist(self._part.response(), self._moving, model.real)
+        return model.launch(kernel, 1, inputs, [nodes.v, self.force])
+
+    def record_account(self) -> wp.Launch | None:
+        """Record the launch that sums what the wall exchanged."""
+        points, nodes = self._points, self._nodes
+        inputs = [self._list, points.nodes, points.weights, self._place, self.force]
+        inputs += [self._tracks.clock, nodes.before, nodes.v]
+        kernel = make_account(self._model.real)
+        return self._model.launch(kernel, self.near, inputs, [self._sums])
+
+
+def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
+    """Return the normals of a simple wall at points [N,3], and their distances from it [N,4], m."""
+    t = types(model.real)
+    shape, points = t.mat33(*np.ravel(part.geometry(model))), model.array(x, t.vec3)
+    out = wp.zeros(len(x), dtype=t.vec4, device=model.device)
+    kernel = make_distances(part.outline(), model.real)
+    wp.launch(kernel, len(x), [shape, points], [out], device=model.device)
+    far: NDArray[Any] = out.numpy()
+    return far.astype(np.float64)
+
+
+def kernels(boundaries: Sequence[Boundary], real: Any) -> Iterator[Any]:
+    """Yield the kernels of the walls and clamps."""
+    for boundary in boundaries:
+        for part in boundary.parts():
+            if boundary.holds:
+                yield from (make_hold(real), make_pin(real), make_distances(part.outline(), real))
+            else:
+                yield make_account(real)
+                yield make_reach(part.outline(), part.tracked, real)
+                yield make_touch(part.outline(), part.tracked, real)
+                yield make_resist(part.response(), part.tracked, real)

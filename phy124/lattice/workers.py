@@ -1,0 +1,253 @@
+"""Workers: the cells and nodes that each thread processes, and the launches of a substep.
+
+Cells and nodes are sorted by x, so consecutive cells touch consecutive nodes. Each worker adds the
+forces of its cells to memory of its own; each node then sums over the workers in their order, so
+that a run repeats bit for bit with the same number of threads.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.kernels.lattice import nodes as node_kernels
+from phy124.kernels.lattice import points as point_kernels
+from phy124.kernels.lattice.stress import MAXIMA, make_lattice_measure, make_stress
+from phy124.lattice.rest import RestLattice
+from phy124.lattice.walls import Nodes
+from phy124.mpm.model import Group, Model, State
+from phy124.mpm.stage import Named, Recorded, launches
+from phy124.mpm.tracks import Tracks
+from phy124.mpm.workers import Timings
+from phy124.particles.lattice import PER_CELL
+
+LINE = 16
+"""Numbers per cache line: no two workers write to the same line."""
+
+
+@dataclass
+class Worker:
+    """The points and nodes of one thread, and its launches."""
+
+    points: slice
+    """Span of its points, a whole number of cells."""
+    nodes: slice
+    """Span of the nodes that it moves."""
+    touched: slice
+    """Span of the nodes that its cells touch."""
+    forces: wp.array
+    """Forces of its cells on the touched nodes, N."""
+    maxima: wp.array
+    """Largest speed, rate of strain and stiffness of its points."""
+    phases: list[list[Named]] = field(default_factory=list)
+    """Launches of a substep by phase; threads wait for each other between phases."""
+    measures: list[Named] = field(default_factory=list)
+    """Launches that measure the limits of the substep."""
+    follows: list[Named] = field(default_factory=list)
+    """Launches that update the state of its points."""
+    timings: Timings = field(default_factory=dict)
+
+    def run(self, named: Sequence[Named]) -> None:
+        """Run launches; time between two launches counts for the second launch."""
+        before = time.perf_counter()
+        for name, launch in named:
+            launch()
+            after = time.perf_counter()
+            entry = self.timings.setdefault(name, [0.0, 0])
+            entry[0] += after - before
+            entry[1] += 1
+            before = after
+
+
+class Crew:
+    """All workers of a run, and the launches on their points and nodes."""
+
+    def __init__(
+        self, model: Model, state: State, lattice: RestLattice, nodes: Nodes, count: int
+    ) -> None:
+        """Divide cells and nodes evenly.
+
+        Args:
+            model: The integration points.
+            state: Their state, which follows the nodes.
+            lattice: The lattice at rest.
+            nodes: Arrays of the nodes.
+            count: Number of workers.
+        """
+        self._model, self._state, self._nodes = model, state, nodes
+        t, device = types(model.real), model.device
+        self._rows = wp.array(lattice.rows.ravel(), dtype=int, device=device)
+        self._offset = model.array(lattice.offset, t.vec3)
+        self._rest = model.array(model.rest, t.vec3)
+        self._kept = wp.zeros(len(model), dtype=t.vec3, device=device)
+        cells = np.linspace(0, len(lattice.rows), count + 1).astype(int)
+        edges = np.linspace(0, len(lattice), count + 1).astype(int)
+        spans = [_span_of_cells(lattice, int(a), int(b)) for a, b in itertools.pairwise(cells)]
+        room = [-(-(span.stop - span.start) // LINE) * LINE for span in spans]
+        begin = np.cumsum([0, *room])
+        self._pool = wp.zeros(int(begin[-1]), dtype=t.vec3, device=device)
+        low, high = ([getattr(span, end) for span in spans] for end in ("start", "stop"))
+        self._sums = [
+            self._pool,
+            *(wp.array(np.array(a, np.int32), device=device) for a in (low, high, begin[:-1])),
+        ]
+        self.workers = [
+            Worker(
+                slice(PER_CELL * int(cells[w]), PER_CELL * int(cells[w + 1])),
+                slice(int(edges[w]), int(edges[w + 1])),
+                spans[w],
+                cast("wp.array", self._pool[int(begin[w]) : int(begin[w]) + room[w]]),
+                wp.zeros(MAXIMA, dtype=model.real, device=device),
+            )
+            for w in range(count)
+        ]
+        self._tied = self._sparse(lattice, lattice.ties.tocsr())
+        self._donors = self._sparse(lattice, lattice.ties.T.tocsr())
+        self.stray = wp.zeros(1, dtype=int, device=device)
+
+    def _sparse(self, lattice: RestLattice, ties: Any) -> list[wp.array]:
+        """Return rows, node numbers and weights of the ties on the device, a row per node."""
+        model, count = self._model, len(lattice)
+        starts, columns = ties.indptr, ties.indices
+        if ties.shape[0] != count:  # A row per tied node: the other nodes get empty rows.
+            lengths = np.zeros(count, np.int64)
+            lengths[lattice.tied] = np.diff(starts)
+            starts = np.concatenate([[0], np.cumsum(lengths)])
+        elif ties.shape[1] != count:  # A column per tied node.
+            columns = lattice.tied[columns]
+        numbers = [np.asarray(values, np.int32) for values in (starts, columns)]
+        arrays = [wp.array(values, dtype=int, device=model.device) for values in numbers]
+        return [*arrays, model.array(ties.data, model.real)]
+
+    def locate(self, worker: Worker) -> list[Named]:
+        """Return the launch that computes x and v of a worker's points, before pushes."""
+        nodes, state, span = self._nodes, self._state, worker.points
+        inputs = [span.start, self._rows, self._offset, self._rest, nodes.u, nodes.v]
+        kernel = point_kernels.make_locate(self._model.real)
+        launch = self._model.launch(
+            kernel, span.stop - span.start, inputs, [state.x, state.v, self._kept]
+        )
+        return launches([("locate", launch)])
+
+    def force(self, worker: Worker, pushes: Tracks | None = None) -> list[Named]:
+        """Return the launches that sum the forces of a worker's points on the nodes.
+
+        Args:
+            worker: The worker.
+            pushes: The tracks of forces on points; None: no force acts on points.
+        """
+        records = [] if pushes is None else [self._push(worker, pushes)]
+        records += [self._stress(worker, group) for group in self._model.groups]
+        return [("clear", worker.forces.zero_), *launches(records)]
+
+    def _push(self, worker: Worker, tracks: Tracks) -> Recorded:
+        span, state = worker.points, self._state
+        inputs = [span.start, worker.touched.start, self._model.mass, tracks.clock, self._rows]
+        inputs += [self._offset, state.v, self._kept]
+        kernel = point_kernels.make_push(self._model.real)
+        launch = self._model.launch(kernel, span.stop - span.start, inputs, [worker.forces])
+        return "push", launch
+
+    def _stress(self, worker: Worker, group: Group) -> Recorded:
+        model, nodes = self._model, self._nodes
+        span = _common(worker.points, group.particles)
+        inputs = [span.start, group.start, worker.touched.start, group.theta, model.volume]
+        inputs += [model.dx, self._rows, self._offset, nodes.u, nodes.v]
+        kernel = make_stress(group.law, model.real, is_viscous(group, model))
+        launch = model.launch(kernel, span.stop - span.start, inputs, [worker.forces])
+        return f"stress {group.law.name}", launch
+
+    def kick(self, worker: Worker, tracks: Tracks) -> list[Named]:
+        """Return the launch that changes the velocities of a worker's nodes by the forces."""
+        span, nodes = worker.nodes, self._nodes
+        inputs = [span.start, nodes.inverse, *self._sums, *self._donors]
+        inputs += [tracks.clock, tracks.values]
+        outputs = [nodes.v, nodes.before]
+        kernel = node_kernels.make_kick(self._model.real)
+        return launches(
+            [("nodes", self._model.launch(kernel, span.stop - span.start, inputs, outputs))]
+        )
+
+    def drift(self, worker: Worker, tracks: Tracks) -> list[Named]:
+        """Return the launch that moves a worker's nodes."""
+        span, nodes = worker.nodes, self._nodes
+        inputs = [span.start, *self._tied, tracks.clock]
+        outputs = [nodes.v, nodes.u, nodes.residue]
+        kernel = node_kernels.make_drift(self._model.real)
+        return launches(
+            [("nodes", self._model.launch(kernel, span.stop - span.start, inputs, outputs))]
+        )
+
+    def follow(self) -> list[Named]:
+        """Return the launch that computes x, v, C and F of all points."""
+        return [launch for worker in self.workers for launch in self._follow(worker)]
+
+    def _follow(self, worker: Worker) -> list[Named]:
+        span, state, nodes, model = worker.points, self._state, self._nodes, self._model
+        inputs = [span.start, model.dx, self._rows, self._offset, self._rest, nodes.u, nodes.v]
+        outputs = [state.x, state.v, state.C, state.F]
+        kernel = point_kernels.make_follow(model.real)
+        return launches([("follow", model.launch(kernel, span.stop - span.start, inputs, outputs))])
+
+    def forces(self) -> NDArray[np.float64]:
+        """Return the forces of the stress on the nodes [N,3], N, for the current displacements."""
+        total = np.zeros((len(self._nodes.u), 3))
+        for worker in self.workers:
+            worker.run(self.force(worker))
+            touched: NDArray[Any] = worker.forces.numpy()
+            total[worker.touched] += touched[: worker.touched.stop - worker.touched.start]
+        return total
+
+    def measure(self, worker: Worker, length: float) -> list[Named]:
+        """Return the launches that follow a worker's points and measure their limits.
+
+        Args:
+            worker: The worker.
+            length: Length over which viscosity acts in the fastest vibration [m].
+        """
+        model, state, records = self._model, self._state, []
+        for group in model.groups:
+            span = _common(worker.points, group.particles)
+            inputs = [span.start, group.start, group.theta, model.mass, model.volume, length]
+            inputs += [state.v, state.C, state.F]
+            kernel = make_lattice_measure(group.law, model.real, is_viscous(group, model))
+            outputs = [worker.maxima, self.stray]
+            records.append(
+                ("measure", model.launch(kernel, span.stop - span.start, inputs, outputs))
+            )
+        return [*self._follow(worker), ("measure", worker.maxima.zero_), *launches(records)]
+
+
+def is_viscous(group: Group, model: Model) -> bool:
+    """Return whether a group's stress depends on the rate of strain."""
+    laws = [section for section in model.materials if section.device_law.name == group.law.name]
+    return any(np.isfinite(section.viscous_limit(model.dx)) for section in laws)
+
+
+def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any) -> Iterator[Any]:
+    """Yield the kernels of a run; `model_laws` are laws, and whether each is viscous."""
+    yield from (node_kernels.make_kick(real), node_kernels.make_drift(real))
+    yield from (node_kernels.make_node_totals(real), point_kernels.make_follow(real))
+    for law, viscous in model_laws:
+        yield make_stress(law, real, viscous)
+        yield make_lattice_measure(law, real, viscous)
+
+
+def _span_of_cells(lattice: RestLattice, first: int, last: int) -> slice:
+    """Return the span of the nodes that cells first <= c < last touch."""
+    rows = lattice.rows[first:last]
+    return slice(int(rows.min()), int(rows.max()) + 3) if len(rows) else slice(0, 0)
+
+
+def _common(a: slice, b: slice) -> slice:
+    """Return the indices in both spans."""
+    start = max(a.start, b.start)
+    return slice(start, max(start, min(a.stop, b.stop)))

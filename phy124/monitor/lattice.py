@@ -1,0 +1,189 @@
+"""Observers of a body on its lattice: momentum and energy of the nodes, and what walls exchanged.
+
+Walls sum their impulses, moments and work themselves (phy124/kernels/lattice/contact.py), so that
+nothing is copied before and after they act.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.boundaries import Boundary
+from phy124.gaussians import Frame, Wrench
+from phy124.kernels import diagnostics as at
+from phy124.kernels.lattice.contact import MOMENT
+from phy124.kernels.lattice.nodes import make_node_totals
+from phy124.lattice import LatticeSolver
+from phy124.monitor.diagnostics import Diagnostics, Totals
+from phy124.monitor.external_work import WALL, ExternalWork
+from phy124.monitor.observer import Effect, Observer, Subject
+from phy124.monitor.watchdog import Watchdog
+from phy124.monitor.wrenches import Wrenches, summary, wall_names
+from phy124.mpm import Attachable, Clock
+from phy124.scene import Scene
+
+
+class LatticeTotals(Totals):
+    """Sums over the nodes for momentum and kinetic energy, and over the points for the rest."""
+
+    def __init__(self, solver: LatticeSolver) -> None:
+        """Record the launches."""
+        super().__init__(solver.model, solver.state)
+        model, nodes = solver.model, solver.nodes_state
+        self._of_nodes = wp.zeros(at.SUMS, dtype=wp.float64, device=model.device)
+        inputs = [nodes.inverse, nodes.rest, nodes.u, nodes.v]
+        kernel = make_node_totals(model.real)
+        self._launch = model.launch(kernel, len(nodes.u), inputs, [self._of_nodes])
+
+    def read(self, clock: Clock) -> Diagnostics:
+        """Return the diagnostics of the current state, which the points must have followed."""
+        points = super().read(clock)
+        self._of_nodes.zero_()
+        if self._launch is not None:
+            self._launch.launch()
+        total: NDArray[Any] = self._of_nodes.numpy()
+        return replace(
+            points,
+            momentum=total[at.MOMENTUM : at.MOMENTUM + 3].copy(),
+            angular=total[at.ANGULAR : at.ANGULAR + 3].copy(),
+            kinetic=float(total[at.KINETIC]),
+            middle=total[at.MIDDLE : at.MIDDLE + 3].copy(),
+        )
+
+
+class LatticeWatchdog(Watchdog):
+    """Checks one run of a body on its lattice."""
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernels that sum over nodes and points."""
+        yield from super().kernels(subject, real)
+        yield make_node_totals(real)
+
+    def totals_of(self, solver: Any) -> Totals:
+        """Return the sums over the solver's nodes and points."""
+        return LatticeTotals(solver)
+
+
+class LatticeWork(ExternalWork):
+    """External impulse and work, for which walls keep their own sums."""
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield nothing: walls need no measuring kernels."""
+        del subject, real
+        yield from ()
+
+    def wrap_walls(
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+    ) -> Any:
+        """Return the walls unchanged."""
+        return walls if inner is None else inner
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Read the sums of the solver's walls."""
+        super().bind(solver, observers)
+        self._solver = solver
+        self._device[WALL] = solver.walls.sums
+        solver.record()
+
+    def change(self, scene: Scene) -> None:
+        """Keep the sums of the earlier walls, and read those of the new walls."""
+        self._closed[WALL] = self._closed[WALL] + self._open(WALL)
+        self._device[WALL] = self._solver.walls.sums
+        self._solver.record()
+
+
+class LatticeWrenches(Wrenches):
+    """Wrenches on walls, from the sums that the walls keep."""
+
+    @classmethod
+    def called_for(cls, subject: Subject) -> bool:
+        """Return whether the scene requests wrenches."""
+        return subject.scene.keeps_wrenches
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield nothing: walls need no measuring kernels."""
+        del subject, real
+        yield from ()
+
+    @property
+    def walls(self) -> tuple[str, ...]:
+        """Names of the simple walls, in the order of the scene."""
+        return self._names
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all wrenches of a frame, in order."""
+        return self._names
+
+    def wrap_walls(
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+    ) -> Any:
+        """Return the walls unchanged, and keep their names."""
+        self._names = tuple(
+            name if len(wall.parts()) == 1 else f"{name}_{part}"
+            for name, wall in zip(wall_names(walls), walls, strict=True)
+            for part in wall.part_names()
+        )
+        return walls if inner is None else inner
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, whose walls keep the sums."""
+        self._solver = solver
+        self._before = self._now()
+
+    def before_attempt(self, *, closely: bool = False) -> None:
+        """Store the sums at the start of the frame."""
+        self._before = self._now()
+
+    def contacts(self, solver: Any, fps: float) -> dict[str, Wrench]:
+        """Return the mean wrench on each wall since the frame began.
+
+        Args:
+            solver: The solver.
+            fps: Frames per second.
+        """
+        del solver
+        arrays = (self._solver.model.mass, self._solver.state.x)
+        mass, x = (np.asarray(array.numpy(), np.float64) for array in arrays)
+        centre = mass @ x / mass.sum()
+        wrenches = {}
+        for name, row in zip(self._names, self._before - self._now(), strict=True):
+            impulse, moment = row[:3], row[MOMENT : MOMENT + 3]
+            wrenches[name] = Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
+        return wrenches
+
+    def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
+        """Return the report section of walls."""
+        return {"walls": summary(frames, self.walls)}
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return nothing: the solver keeps the sums, and a frame starts with the next attempt."""
+        return {}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Do nothing."""
+
+    def _now(self) -> NDArray[np.float64]:
+        sums: NDArray[Any] = self._solver.walls.sums.numpy()
+        return sums.astype(np.float64)
+
+
+class LatticeMethod(Observer):
+    """The row of the effects report that names the solver and what it leaves out."""
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row."""
+        del subject
+        return Effect(
+            "rest lattice (accuracy.solver = lattice): no transfers, no tearing, no sorting"
+        )

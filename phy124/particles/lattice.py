@@ -1,0 +1,246 @@
+"""Integration points and surface points of a body on its lattice at rest.
+
+The body is divided into cubic cells of side dx, from i dx to (i + 1) dx along each axis. Each cell
+has eight points of equal volume at c +- s1 e1 +- s2 e2 +- s3 e3, where c is the centre of the part
+of the body in the cell, and s^2 and e are the eigenvalues and eigenvectors of its second moments
+per volume. The points have the volume, the centre and the second moments of the part. In a full
+cell they are the 2 x 2 x 2 Gauss points. Exact second moments matter: without them, plates thinner
+than a cell are up to 12 % too stiff.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.particles.seeding import MAX_PARTICLES, Particles
+from phy124.particles.solid import Solid, find_solid
+
+PER_CELL = 8
+"""Number of integration points of a cell."""
+SMALLEST = 1e-3
+"""Smallest part of a cell that gets points, as a fraction of the cell."""
+APART = 0.5
+"""Distance between neighbouring surface points [cells]."""
+SHEET = 0.25
+"""Length of the gradient of the filled fraction [1/voxel] below which a voxel is part of a sheet,
+which has no single outward normal.
+"""
+ALIGNED = 1e-7
+"""Difference of second moments [cells^2] below which the points lie along the lattice."""
+CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def make_lattice(gaussians: Gaussians, *, density: float, dx: float) -> Particles:
+    """Return the integration points of clean Gaussians in metres, cell by cell.
+
+    Args:
+        gaussians: The object, N Gaussians.
+        density: Mass density [kg/m^3].
+        dx: Side of a cell [m].
+
+    Raises:
+        InputError: The cells are so small that the object needs more than `MAX_PARTICLES` points.
+    """
+    return lattice_of(find_solid(gaussians, dx / 2), density=density, dx=dx)
+
+
+def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
+    """Return the integration points and surface points of a solid whose voxels align with cells.
+
+    Args:
+        solid: The body; its voxels are an integer fraction or an integer multiple of dx wide.
+        density: Mass density [kg/m^3].
+        dx: Side of a cell [m].
+
+    Raises:
+        InputError: The solid needs more than `MAX_PARTICLES` points.
+    """
+    if solid.volume / dx**3 * PER_CELL > MAX_PARTICLES:
+        limit = f"the object would need more than {MAX_PARTICLES:,} integration points."
+        raise InputError("accuracy.cells", f"{dx:.3g} m per cell", limit, "Choose fewer cells.")
+    solid = _subdivide(solid, dx)
+    x, volume = integration_points(solid, dx)
+    count = len(x)
+    points = Particles(
+        x=x.astype(np.float32),
+        volume=volume,
+        density=np.full(count, float(density)),
+        material=np.zeros(count, np.int32),
+        gaussian=np.full(count, -1, np.int32),
+    )
+    return replace(points, surface=surface_points(solid, dx))
+
+
+def cells_of(points: Particles) -> Particles:
+    """Return one particle for each cell of eight points, so that materials are chosen per cell."""
+    centre = points.x.reshape(-1, PER_CELL, 3).mean(axis=1)
+    return Particles(
+        x=centre,
+        volume=points.volume.reshape(-1, PER_CELL).sum(axis=1),
+        density=points.density[::PER_CELL],
+        material=points.material[::PER_CELL],
+        gaussian=points.gaussian[::PER_CELL],
+    )
+
+
+def points_of(cells: Particles, points: Particles) -> Particles:
+    """Return the points of some cells, in the cells' order and with the cells' materials.
+
+    Args:
+        cells: Some of the cells of `points`, in any order.
+        points: All points.
+    """
+    every = cells_of(points).x
+    rows = np.concatenate([every, cells.x])
+    _, number = np.unique(rows, axis=0, return_inverse=True)
+    number = number.reshape(-1)
+    place = np.empty(number.max() + 1, np.int64)
+    place[number[: len(every)]] = np.arange(len(every))
+    cell = place[number[len(every) :]]
+    index = (PER_CELL * cell[:, None] + np.arange(PER_CELL)).reshape(-1)
+    return Particles(
+        x=points.x[index],
+        volume=points.volume[index],
+        density=np.repeat(cells.density, PER_CELL),
+        material=np.repeat(cells.material, PER_CELL),
+        gaussian=points.gaussian[index],
+        body=None if cells.body is None else np.repeat(cells.body, PER_CELL),
+        surface=points.surface,
+    )
+
+
+def repeat_for_points(values: NDArray | None) -> NDArray | None:
+    """Return values of cells [C] for their points [8C]; None for None."""
+    return None if values is None else np.repeat(values, PER_CELL, axis=0)
+
+
+def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the points of all cells [8C,3], m, and their volumes [8C], m^3; x varies slowest."""
+    index, fraction, normal = _find_voxels(solid)
+    side = solid.voxel
+    across = side * np.abs(normal).sum(axis=1)
+    # A voxel that is partly inside counts at the centre of its filled part, as thick as that is.
+    shift = normal * ((1 - fraction) * across / 2)[:, None]
+    middle = (index + solid.first + 0.5) * side - shift
+    thinner = (np.minimum(fraction * across, side) ** 2 - side**2) / 12
+    spread = thinner[:, None, None] * normal[:, :, None] * normal[:, None, :]
+    spread += np.eye(3) * side**2 / 12
+    cells, cell = _cells(np.floor((index + solid.first) * (side / dx) + 1e-9).astype(np.int64))
+    count = len(cells)
+    filled = np.bincount(cell, fraction, count)
+    centre = _sums(cell, fraction[:, None] * middle, count) / filled[:, None]
+    arm = middle - centre[cell]
+    second = arm[:, :, None] * arm[:, None, :] + spread
+    second = _sums(cell, (fraction[:, None, None] * second).reshape(-1, 9), count)
+    second = second.reshape(-1, 3, 3) / filled[:, None, None]
+    # Equal moments have no axes of their own: the points then lie along those of the lattice.
+    _, axes = np.linalg.eigh(second + np.diag([0.0, 1.0, 2.0]) * ALIGNED * dx**2)
+    squares = np.einsum("cik,cij,cjk->ck", axes, second, axes)
+    reach = np.sqrt(np.maximum(squares, 0))
+    x = centre[:, None] + np.einsum("qk,ck,cik->cqi", CORNERS, reach, axes)
+    volume = filled * side**3
+    kept = volume >= SMALLEST * dx**3
+    if not kept.any():
+        kept[:] = True
+    volume = volume[kept] * (solid.volume / volume[kept].sum())
+    return x[kept].reshape(-1, 3), np.repeat(volume / PER_CELL, PER_CELL)
+
+
+def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
+    """Return points on the surface [S,3], m, and outward normals, as rows of six numbers [S,6].
+
+    The normal is zero on sheets, which have no single outward side.
+    """
+    index, fraction, normal = _find_voxels(solid)
+    padded = np.pad(solid.fraction, 1)
+    at = index + 1
+    outside = np.zeros(len(index), bool)
+    for axis in range(3):
+        for step in (-1, 1):
+            neighbour = at.copy()
+            neighbour[:, axis] += step
+            outside |= padded[tuple(neighbour.T)] <= 0
+    index, fraction, normal = index[outside], fraction[outside], normal[outside]
+    across = solid.voxel * np.abs(normal).sum(axis=1)
+    out = normal * ((fraction - 0.5) * across)[:, None]
+    x = (index + solid.first + 0.5) * solid.voxel + out
+    rows = np.concatenate([x, normal], axis=1)
+    if solid.voxel > 1.2 * APART * dx:
+        rows = _spread_along(rows, solid.voxel / 4)
+    return _outermost(rows, APART * dx)
+
+
+def _subdivide(solid: Solid, dx: float) -> Solid:
+    """Return a solid with voxels of at most one cell."""
+    parts = round(solid.voxel / dx)
+    if parts <= 1:
+        return solid
+    fraction = solid.fraction
+    for axis in range(3):
+        fraction = np.repeat(fraction, parts, axis=axis)
+    return Solid(solid.first * parts, solid.voxel / parts, fraction)
+
+
+def _find_voxels(
+    solid: Solid,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return indices [V,3], fractions [V] and outward normals [V,3] of the voxels not empty."""
+    padded = np.pad(solid.fraction.astype(np.float64), 1)
+    index = np.argwhere(solid.fraction > 0)
+    normal = np.empty((len(index), 3))
+    for axis in range(3):
+        step = np.eye(3, dtype=np.int64)[axis]
+        ahead, behind = (padded[tuple((index + 1 + way).T)] for way in (step, -step))
+        normal[:, axis] = behind - ahead
+    length = np.linalg.norm(normal, axis=1)
+    normal[length < SHEET] = 0
+    normal /= np.maximum(length, SHEET)[:, None]
+    return index, padded[tuple((index + 1).T)], normal
+
+
+def _cells(cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the keys of distinct cells, x slowest, and the number of each voxel's cell [V]."""
+    low = cell.min(axis=0)
+    keys = np.ravel_multi_index(tuple((cell - low).T), tuple(cell.max(axis=0) - low + 1))
+    return np.unique(keys, return_inverse=True)
+
+
+def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
+    """Return the sum of the rows [V,K] of each of `count` groups."""
+    total = np.zeros((count, values.shape[1]))
+    for number, column in enumerate(values.T):
+        total[:, number] = np.bincount(which, column, count)
+    return total
+
+
+def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
+    """Return four copies of each surface point, moved along the surface by a distance [m]."""
+    normal = rows[:, 3:]
+    helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    first = np.cross(normal, helper)
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-9)
+    second = np.cross(normal, first)
+    copies = []
+    for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+        moved = rows[:, :3] + distance * (a * first + b * second)
+        copies.append(np.concatenate([moved, normal], axis=1))
+    return np.concatenate(copies)
+
+
+def _outermost(rows: NDArray, side: float) -> NDArray[np.float64]:
+    """Return, of the points in each cube, the one farthest outwards."""
+    cube = np.floor(rows[:, :3] / side - 1e-6).astype(np.int64)
+    _, which = np.unique(cube, axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    count = which.max() + 1
+    number = np.bincount(which, minlength=count)[:, None]
+    mean = _sums(which, rows, count) / number
+    height = ((rows[:, :3] - mean[which, :3]) * mean[which, 3:]).sum(axis=1)
+    order = np.lexsort((-height, which))
+    first = np.flatnonzero(np.diff(which[order], prepend=-1))
+    return rows[order[first]]

@@ -1,0 +1,251 @@
+"""Elastic bodies on their lattice at rest (phy124/lattice), against analytic cases."""
+
+import math
+
+import numpy as np
+import pytest
+
+from phy124.boundaries import Ground, Held
+from phy124.boundaries.motion import Path
+from phy124.errors import InputError
+from phy124.forces import Gravity, TotalForce, Wind
+from phy124.kernels.work import IMPULSE, WORK
+from phy124.lattice import LatticeSolver, RestLattice
+from phy124.materials import Hencky, NeoHookean
+from phy124.monitor.lattice import LatticeTotals
+from phy124.mpm import Model, State
+from phy124.mpm.tracks import Keyframes
+from phy124.particles.lattice import integration_points, lattice_of, surface_points
+from phy124.particles.solid import Solid
+from phy124.runtime.context import RunContext
+from phy124.scene import Scene
+from phy124.schema.region import Region
+from phy124.simulation import Simulation, prepare
+from phy124.studies.validation.bodies import surface_of_ball
+
+DX = 0.1
+SOFT = NeoHookean(E=1e5, nu=0.3, density=1000)
+
+
+def block(size, low=(0, 0, 0), per=2, dx=DX):
+    """Return a solid box; all lengths are multiples of dx / per."""
+    counts = [round(length * per / dx) for length in size]
+    first = np.array([round(x * per / dx) for x in low])
+    return Solid(first, dx / per, np.ones(counts, np.float32))
+
+
+def make(solid, material=SOFT, *, v=None, C=None, precision="float64", **options):
+    """Return a solver of a solid's lattice."""
+    points = lattice_of(solid, density=material.density, dx=DX)
+    x = points.x.astype(np.float64)
+    model = Model.of(x, points.volume, [material], dx=DX, precision=precision)
+    motion = None if v is None else np.tile(np.asarray(v, float), (len(x), 1))
+    options = {"threads": 1, **options}
+    return LatticeSolver(model, points.surface, State.of(model, motion, C), **options)
+
+
+def test_full_cells_have_gauss_points():
+    x, volume = integration_points(block((0.2, 0.1, 0.1)), DX)
+    offset = np.abs(x[:8] - 0.05)
+    assert np.allclose(offset, DX / (2 * math.sqrt(3)))
+    assert np.allclose(volume, DX**3 / 8)
+
+
+def test_cut_cells_keep_volume_centre_and_moments():
+    solid = block((0.25, 0.35, 0.075), low=(0.025, 0.05, 0.025), per=4)
+    x, volume = integration_points(solid, DX)
+    low, size = np.array([0.025, 0.05, 0.025]), np.array([0.25, 0.35, 0.075])
+    assert np.isclose(volume.sum(), size.prod())
+    centre = volume @ x / volume.sum()
+    assert np.allclose(centre, low + size / 2)
+    second = np.einsum("p,pi,pj->ij", volume, x - centre, x - centre) / volume.sum()
+    assert np.allclose(second, np.diag(size**2 / 12), atol=1e-12)
+
+
+def test_surface_points_lie_on_a_box():
+    rows = surface_points(block((0.4, 0.3, 0.3)), DX)
+    out = np.maximum(-rows[:, :3], rows[:, :3] - (0.4, 0.3, 0.3))
+    assert np.allclose(out.max(axis=1), 0)
+    assert {tuple(x) for x in np.round(rows[:, :3], 9)} >= {(0.4, 0.3, 0.3)}
+
+
+def test_ties_extrapolate_linear_motions():
+    solid = block((0.35, 0.325, 0.325), low=(0.075, 0.075, 0.0875), per=8)
+    x, volume = integration_points(solid, DX)
+    lattice = RestLattice.of(x, volume, volume, DX)
+    assert len(lattice.tied) > 10
+    assert np.allclose(lattice.ties @ lattice.x, lattice.x[lattice.tied])
+    assert np.isclose(lattice.mass.sum(), volume.sum())
+    assert np.allclose(lattice.mass @ lattice.x, volume @ x)
+
+
+def test_free_swing_keeps_its_energy():
+    solver = make(block((1.0, 0.2, 0.2)))
+    lattice, nodes = solver.lattice, solver.nodes_state
+    shape = np.cos(4.73 * lattice.x[:, 0]) + np.cosh(4.73 * lattice.x[:, 0] - 2.365) / 9
+    nodes.v.assign(np.outer(shape - lattice.mass @ shape / lattice.mass.sum(), [0, 0, 0.5]))
+    solver.follow()
+    totals = LatticeTotals(solver)
+    start = totals.read(solver.clock)
+    solver.advance(3.0)
+    end = totals.read(solver.clock)
+    assert end.energy == pytest.approx(start.energy, rel=0.01)
+    assert np.allclose(end.momentum, start.momentum, atol=1e-12)
+
+
+def test_bar_stretched_four_times_comes_back():
+    far = Held(
+        lower=(0.85, -1, -1),
+        upper=(2, 2, 2),
+        end=0.8,
+        motion=Path(times=(0.0, 0.8), points=((0, 0, 0), (3.0, 0, 0))),
+    )
+    near = Held(lower=(-1, -1, -1), upper=(0.15, 2, 2), end=1.0)
+    damped = NeoHookean(E=1e5, nu=0.0, density=1000, damping=300.0)
+    solver = make(block((1.0, 0.2, 0.2)), damped, boundaries=[near, far])
+    solver.advance(0.78)
+    longer = np.ptp(solver.state.x.numpy()[:, 0]) - np.ptp(solver.model.rest[:, 0])
+    assert longer == pytest.approx(3 * 0.78 / 0.8, abs=0.06)
+    solver.advance(3.0)
+    F = solver.state.F.numpy()
+    stretch = np.linalg.svd(F, compute_uv=False)
+    assert np.abs(stretch - 1).max() < 1e-3
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.5])
+def test_block_on_a_slope_obeys_friction(friction):
+    angle = math.radians(20)
+    g = 0.5
+    pull = Gravity(g=(g * math.sin(angle), 0, -g * math.cos(angle)))
+    damped = NeoHookean(E=1e5, nu=0.3, density=1000, damping=300.0)
+    ground = Ground(friction=friction)
+    solver = make(block((0.4, 0.3, 0.3)), damped, forces=[pull], boundaries=[ground])
+    totals = LatticeTotals(solver)
+    solver.advance(1.0)
+    before = totals.read(solver.clock)
+    solver.advance(2.0)
+    gained = totals.read(solver.clock).momentum[0] - before.momentum[0]
+    slides = math.sin(angle) - friction * math.cos(angle)
+    expected = max(slides, 0.0) if friction < math.tan(angle) else 0.0
+    assert gained / 36 / g == pytest.approx(expected, abs=2e-3)
+    assert solver.state.x.numpy()[:, 2].min() > 0.015
+
+
+def test_elastica_bends_right_at_two_cells():
+    """Euler's elastica, with the shear of a thick beam: pushed in the middle and at the ends."""
+    length, thick = 1.2, 0.2
+    beam = NeoHookean(E=1e6, nu=0.0, density=1000)
+    bending = 1e6 * 0.1 * thick**3 / 12
+    load = bending / length**2
+    omega = 3.516 * math.sqrt(bending / (1000 * 0.1 * thick)) / length**2
+    slowly = Keyframes(times=(0.0, 6 / omega, 1e3), factors=(0.0, 1.0, 1.0))
+
+    def push(at, force):
+        region = Region(lower=(at - 0.051, -1, -1), upper=(at + 0.051, 1, 1))
+        return TotalForce(f=(0, 0, force), region=region, profile=slowly)
+
+    forces = [push(-1.2, -load), push(1.2, -load), push(0.0, 2 * load)]
+    solid = block((2.5, 0.1, 0.2), low=(-1.25, 0, 0))
+    solver = make(solid, beam, forces=forces)
+    for k in range(60):
+        solver.advance((k + 1) * 0.3 / omega)
+        slower = math.exp(-2 * 0.3)
+        solver.nodes_state.v.assign(solver.nodes_state.v.numpy() * slower)
+    x, rest = solver.state.x.numpy(), solver.model.rest
+    middle, tip = np.abs(rest[:, 0]) < 0.05, np.abs(np.abs(rest[:, 0]) - 1.2) < 0.05
+    drop = (x[middle, 2].mean() - x[tip, 2].mean()) / length
+    sheared = 0.3017 * (1 + 0.96 * (thick / length) ** 2)
+    assert drop == pytest.approx(sheared, rel=0.01)
+
+
+def test_walls_impulse_and_work_close_the_balance():
+    damped = NeoHookean(E=1e5, nu=0.3, density=1000)
+    solid = block((0.35, 0.3, 0.3), low=(0, 0, 0.025), per=4)
+    solver = make(solid, damped, v=(0.3, 0, -0.5), boundaries=[Ground()])
+    totals = LatticeTotals(solver)
+    start = totals.read(solver.clock)
+    solver.advance(0.2)
+    end = totals.read(solver.clock)
+    sums = solver.walls.sums.numpy()[0]
+    assert np.allclose(end.momentum - start.momentum, sums[IMPULSE : IMPULSE + 3], atol=1e-12)
+    assert sums[WORK] < 0
+    assert end.energy - start.energy - sums[WORK] == pytest.approx(0, abs=0.05 * start.energy)
+
+
+def test_forces_on_particles_give_their_momentum():
+    region = Region(lower=(0.2, -1, -1), upper=(1, 1, 1))
+    forces = [TotalForce(f=(0, 2.0, 0), region=region), Wind(v=(0, 0, 1), rate=0.5)]
+    solver = make(block((0.4, 0.2, 0.2)), forces=forces)
+    solver.advance(0.5)
+    momentum = LatticeTotals(solver).read(solver.clock).momentum
+    mass, late = 16.0, solver.clock.last_dt / 2
+    assert momentum[2] == pytest.approx(mass * (1 - math.exp(-0.5 * (0.5 - late))), rel=1e-6)
+    assert momentum[1] == pytest.approx(2.0 / 0.5 * (1 - math.exp(-0.5 * (0.5 - late))), rel=1e-2)
+
+
+def test_hencky_runs_on_its_lattice():
+    solver = make(block((0.3, 0.2, 0.2)), Hencky(E=1e5, nu=0.3), v=(0, 0, -1), precision="float32")
+    solver.bind(boundaries=[Ground()])
+    solver.advance(0.05)
+    assert np.linalg.det(solver.state.F.numpy()).min() > 0.5
+
+
+def lattice_scene(name="drop", frames=4, **accuracy):
+    """Return a preset on the lattice at 8 cells."""
+    data = Scene.named(name).data()
+    data["accuracy"] = {"cells": 8, "solver": "lattice", **accuracy}
+    data["time"]["frames"] = frames
+    return Scene.from_data(data)
+
+
+def run(scene, threads=1):
+    """Return a finished run of a ball."""
+    setup = prepare(surface_of_ball(500), scene, RunContext(threads=threads))
+    simulation = Simulation(setup)
+    simulation.run()
+    return simulation
+
+
+def test_scene_runs_and_reports_its_solver():
+    simulation = run(lattice_scene(frames=9))
+    report = simulation.report()
+    assert report["stopped"] is None
+    assert report["balance"]["momentum_gain"] < 1e-6
+    assert report["balance"]["energy_gain"] < 0.02
+    assert any("rest lattice" in effect for effect in report["effects"]["ran"])
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_lattice_resumes_bit_for_bit(threads):
+    scene = lattice_scene(frames=9)
+    setup = prepare(surface_of_ball(500), scene, RunContext(threads=threads))
+    first = Simulation(setup)
+    for _ in range(6):
+        first.step()
+    saved = first.snapshot()
+    ahead = [first.step().gaussians.means for _ in range(3)]
+    second = Simulation(setup)
+    second.restore(saved)
+    again = [second.step().gaussians.means for _ in range(3)]
+    assert all(np.array_equal(a, b) for a, b in zip(ahead, again, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"material": {"law": "sand"}}, "material.law"),
+        ({"binding": "particles"}, "binding"),
+        ({"contacts": True}, "contacts"),
+        ({"objects": [{"name": "ball", "shape": "sphere"}]}, "objects"),
+    ],
+)
+def test_lattice_refuses_what_it_cannot_do(changes, field):
+    scene = Scene.from_data({**lattice_scene().data(), **changes})
+    with pytest.raises(InputError, match='solver = "mpm"') as refusal:
+        prepare(surface_of_ball(500), scene, RunContext(threads=1))
+    assert refusal.value.field == field
+
+
+def test_lattice_has_no_transfer_options():
+    with pytest.raises(InputError, match="transfer"):
+        lattice_scene(transfer="xpic2")
