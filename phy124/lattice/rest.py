@@ -107,7 +107,7 @@ class RestLattice:
     def find(self, index: NDArray) -> NDArray[np.int64]:
         """Return the numbers of nodes from their indices [...,3]; -1 where there is no node."""
         low, size = self.index.min(axis=0), np.ptp(self.index, axis=0) + 1
-        keys = np.ravel_multi_index(tuple((self.index - low).T), tuple(size))
+        keys: NDArray = np.asarray(np.ravel_multi_index(tuple((self.index - low).T), tuple(size)))
         inside = ((index >= low) & (index < low + size)).all(axis=-1)
         at = np.clip(index - low, 0, size - 1)
         wanted = np.ravel_multi_index(tuple(np.moveaxis(at, -1, 0)), tuple(size))

@@ -209,6 +209,11 @@ class LatticeSolver:
         return len(self.lattice)
 
     @property
+    def boundaries(self) -> Sequence[Stage]:
+        """Stages of boundaries on a grid: none, since walls act on surface points."""
+        return ()
+
+    @property
     def timings(self) -> Timings:
         """Seconds and launches of each stage, in the first thread."""
         return self.workers[0].timings
