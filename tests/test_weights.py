@@ -235,7 +235,7 @@ def test_file_of_unknown_checksum_is_checked_against_the_server(hub, tmp_path):
     KNOWN["toy"] = (WeightFile("maker/toy", "part/model.bin", "MIT"),)
     fetch("toy", tmp_path / "good", endpoint=hub.endpoint)
     hub.content = CONTENT[::-1]
-    with pytest.raises(InputError, match="not the public one"):
+    with pytest.raises(InputError, match="differs from the published file"):
         fetch("toy", tmp_path / "bad", endpoint=hub.endpoint)
 
 

@@ -154,7 +154,9 @@ class PictureOptions:
                 if isinstance(value, Section):
                     name = next(iter(value.model_dump(exclude_defaults=True)))
                 limit = f"--{name} is for a picture."
-                raise InputError("image", "none", limit, "Add --image FILE, or leave that out.")
+                raise InputError(
+                    "image", "none", limit, f"Add --image FILE, or leave --{name} out."
+                )
 
 
 def announce_generator(generator: str, effort: Effort) -> str:

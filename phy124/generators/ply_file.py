@@ -75,7 +75,9 @@ class Reading(Section):
         if options:
             verb = "is" if len(options) == 1 else "are"
             limit = f"{' and '.join(options)} {verb} for a file of Gaussians."
-            raise InputError(name, source, limit, "Give such a file, or leave that out.")
+            raise InputError(
+                name, source, limit, f"Give such a file, or leave {' and '.join(options)} out."
+            )
 
 
 NO_AXES = Reading().model_dump(include={"up", "front", "dialect", "rotate"})

@@ -197,7 +197,7 @@ def make_probe(law: Law, real: Any):
 
 @cache
 def make_reset(real: Any):
-    """Kernel: replaces deformations that no law can handle by the identity.
+    """Kernel: sets deformations that no law can handle to the identity.
 
     A deformation is sound if its volume ratio is between `min_J` and `max_J`, its norm is at most
     `max_norm`, and its smallest stretch is at least the fraction `narrowest` of the largest,

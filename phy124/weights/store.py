@@ -133,7 +133,8 @@ def _wrong(name: str, path: Path, what: str, file: WeightFile) -> InputError:
     return InputError(
         "weights",
         path,
-        f"the file is cut short or not the public one: {what}, expected {file.expected}.",
+        "the file is cut short, or differs from the published file: "
+        f"{what}, expected {file.expected}.",
         f"Delete it and run `phy124 weights fetch {name}`.",
     )
 

@@ -44,7 +44,7 @@ def broken_numbers(setting: Setting) -> list[Check]:
     return [
         at_most("files with one bad number that stay unsound", unsound, 0),
         equal("every row with NaN dropped and counted", dropped == len(names)),
-        equal("clip of a file full of bad numbers complete", clip.report["complete"]),
+        equal("complete clip from a file with many bad numbers", clip.report["complete"]),
         equal("its numbers finite", bool(np.isfinite(clip.means).all())),
     ]
 
