@@ -80,7 +80,9 @@ class Options(Section):
             raise ValueError("Give x y z w, or roll pitch yaw.")
         length = math.hypot(*value)
         if length < 1e-9:
-            raise ValueError("A quaternion of zeros is no rotation. Use 0 0 0 1 for none.")
+            raise ValueError(
+                "A quaternion of zeros is not a rotation. Use 0 0 0 1 for no rotation."
+            )
         x, y, z, w = (component / length for component in value)
         if abs(x) >= abs(w):
             now, before = (

@@ -13,7 +13,7 @@ from bridge.options import LIVE_POINTS, Options, angles, quaternion
     [
         ({"frame_id": "/map"}, "begin with a slash. Leave it out"),
         ({"frame_id": "map"}, "cannot be its own parent. Rename one"),
-        ({"rotation": (0, 0, 0, 0)}, "Use 0 0 0 1 for none"),
+        ({"rotation": (0, 0, 0, 0)}, "Use 0 0 0 1 for no rotation"),
         ({"rotation": (0, 1)}, "x y z w, or roll pitch yaw"),
         ({"rotation": (1, 0, 0, 0)}, "3.14159 0 0 if it is x y z w, 0 0 0 if it is w x y z"),
         ({"rotation": (0.8, 0, 0, 0.6)}, "0 0 1.287 if it is w x y z"),

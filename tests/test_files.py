@@ -53,7 +53,7 @@ def test_an_older_file_stays_until_the_new_one_is_whole(tmp_path, ending):
 def test_what_cannot_be_written_is_refused(tmp_path, name):
     (tmp_path / "folder").mkdir()
     with (
-        pytest.raises(InputError, match="no file can be written there"),
+        pytest.raises(InputError, match="no file can be written to this path"),
         replacing(tmp_path / name),
     ):
         pytest.fail("it began")

@@ -198,7 +198,7 @@ def test_only_what_is_asked_for_is_made(tmp_path, clip):
     [
         ({"outputs": ["depth", "depth"]}, "outputs names an output twice. Name each once."),
         ({"outputs": ["z"]}, "view.outputs.0 = z: it must be one of depth, alpha"),
-        ({"outputs": []}, "formats must name at least one format"),
+        ({"outputs": []}, "formats must not be empty"),
     ],
 )
 def test_outputs_that_cannot_be_are_refused(changes, sentence):

@@ -115,7 +115,7 @@ def test_a_way_that_the_clip_cuts_off_is_told_of(clip):
     ("moving", "sentence"),
     [
         ([{"kind": "dolly"}] * 2, "view = "),
-        ([{"kind": "dolly", "name": "front"}], "no name twice"),
+        ([{"kind": "dolly", "name": "front"}], "and their names must differ"),
         ([{"kind": "dolly", "name": "../x"}], "view.cameras.0.name = ../x: it must be text"),
         ([{"kind": "crane"}], "view.cameras.0.kind = crane: there is no such kind"),
         ([{"kind": "dolly", "first": 0.1}], "view.cameras.0.first = 0.1: it must be a number"),

@@ -58,9 +58,9 @@ def _nested(depth: int, kind: type) -> object:
 @pytest.mark.parametrize("depth", [DEEPEST + 1, 3000])
 def test_nested_data_is_refused_in_words(kind, depth):
     nested = _nested(depth, kind)
-    with pytest.raises(InputError, match="nested more than 32 deep"):
+    with pytest.raises(InputError, match="nested more than 32 levels deep"):
         Scene.from_data({"material": nested})
-    with pytest.raises(InputError, match="nested more than 32 deep"):
+    with pytest.raises(InputError, match="nested more than 32 levels deep"):
         Scene.named("drop").replaced({"material": nested})
 
 

@@ -93,7 +93,9 @@ class McapSink:
                         f"{existing.name} exists already and was not finished: `{PROGRAM} recover "
                         f"{self.path}` keeps its frames."
                     )
-                raise InputError("recording", self.path, limit, "Choose a new name or overwrite.")
+                raise InputError(
+                    "recording", self.path, limit, "Choose a new name or use --overwrite."
+                )
         if not writable(self.file.parent):
             limit = "It cannot be written there."
             raise InputError("recording", self.path, limit, "Choose another folder.")

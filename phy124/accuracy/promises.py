@@ -272,13 +272,13 @@ def _describe_harder(scene: Scene, kind: Mapping[str, Any]) -> str:
     The result is empty if there is no such property.
     """
     if violence(scene) > MARGIN * kind["violence"]:
-        return "so violent, or so soft"
+        return "with so fast a motion or so soft a material"
     if yielding(scene) > MARGIN * kind["yielding"]:
         return "with so large a plastic deformation"
     if damping(scene) * MARGIN < kind["damping"]:
         return "with so little damping"
     if poisson(scene) > kind["nu"] + NEARBY:
-        return f"so nearly incompressible (nu above {kind['nu']:g})"
+        return f"with Poisson's ratio above {kind['nu']:g}"
     return ""
 
 

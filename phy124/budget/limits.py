@@ -103,7 +103,7 @@ def _check_distance(scene: Scene) -> None:
         raise InputError(
             "object.lift",
             f"{lift:g} m",
-            f"Gaussians are float32, whose resolution there is "
+            "positions of Gaussians are float32, whose resolution at this height is "
             f"{np.spacing(np.float32(lift)):.2g} m, and a cell is {scene.dx:.2g} m wide.",
             f"Use at most {most:g} m, and move everything below by the same distance.",
             [change_field("object.lift", most)],

@@ -282,7 +282,7 @@ def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
     _read_metadata(Path(path))
     with safe_open(path, framework="np") as file:
         if "means" not in file.keys():  # noqa: SIM118
-            raise _refusal(path, "the tensors means are missing.")
+            raise _refusal(path, "the tensor means is missing.")
         frames, gaussians, _ = file.get_slice("means").get_shape()
     return frames, gaussians
 

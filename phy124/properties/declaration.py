@@ -99,8 +99,8 @@ class Properties(Section):
             raise InputError(
                 "properties.file",
                 self.file,
-                f"its points fill a box of {_sides(scale * (high - low))} m, the object one of "
-                f"{_sides(last - first)} m.",
+                f"its points fill a box of {_sides(scale * (high - low))} m, but the "
+                f"object fills one of {_sides(last - first)} m.",
                 "Set properties.up and properties.front to the directions of its axes.",
             )
         return (points - (low + high) / 2) * scale + (first + last) / 2

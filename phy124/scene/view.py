@@ -157,11 +157,11 @@ class View(Section):
     def _check_names(self) -> View:
         if not self.sides or len(set(self.sides)) != len(self.sides):
             raise ValueError(
-                "there must be at least one view, azimuth or camera, and no name twice; name each "
-                "once"
+                "there must be at least one view, azimuth or camera, and "
+                "their names must differ; name each once"
             )
         if not (self.formats or self.outputs) or len(set(self.formats)) != len(self.formats):
-            raise ValueError("formats must name at least one format, each once; name each once")
+            raise ValueError("formats must not be empty or name a format twice; name each once")
         if len(set(self.outputs)) != len(self.outputs):
             raise ValueError("outputs names an output twice; name each once")
         return self

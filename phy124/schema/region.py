@@ -45,8 +45,8 @@ class Region(Section):
             name != self.cylinder and max(-low, high) >= EVERYWHERE for name, low, high in sides
         ):
             raise ValueError(
-                f"a cylinder along {self.cylinder} needs lower and upper on the two other axes; "
-                "give both corners"
+                f"a cylinder along {self.cylinder} needs the coordinates of both corners "
+                "on the two other axes; give lower and upper"
             )
         return self
 

@@ -42,7 +42,7 @@ def broken_numbers(setting: Setting) -> list[Check]:
     gaussians, _ = _read(table, together)
     clip = Simulation(prepare(gaussians, quick(setting), RunContext(device=setting.device))).run()
     return [
-        at_most("files with one bad number that stay unsound", unsound, 0),
+        at_most("files with one bad number that are read as invalid Gaussians", unsound, 0),
         equal("every row with NaN dropped and counted", dropped == len(names)),
         equal("complete clip from a file with many bad numbers", clip.report["complete"]),
         equal("its numbers finite", bool(np.isfinite(clip.means).all())),
@@ -141,7 +141,7 @@ def odd_gaussians(setting: Setting) -> list[Check]:
             at_least(f"{name}: least volume", float(made.volume.min()), 1e-12),
             at_most(f"{name}: mass error", abs(made.mass.sum() / wanted - 1), 1e-6),
         ]
-    return [*checks, equal("zero volume and mass refused", _refuses_nothing(setting))]
+    return [*checks, equal("zero volume and mass are refused", _refuses_nothing(setting))]
 
 
 def _refuses_nothing(setting: Setting) -> bool:
