@@ -196,7 +196,7 @@ def test_longer_scene_is_promised_its_measured_beginning():
     assert longer.missing == "error after 0.54 s not measured" and not brief.missing
     assert longer.off(3.0).endswith("(3 px) in the first 0.54 s")
     assert check_promise(longer, 0.5).endswith("for the first 0.54 s only; measured here: 50.0%")
-    assert check_promise(brief, 0.5).startswith("DOES NOT HOLD")
+    assert check_promise(brief, 0.5).endswith("DOES NOT HOLD")
 
 
 def test_a_grid_between_two_has_the_error_of_the_coarser(monkeypatch):

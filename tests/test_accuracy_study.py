@@ -220,8 +220,8 @@ def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
     found, scene = Convergence(1.0, (0.01,)), Scene.named("press")
     monkeypatch.setattr(study_of, "promise", lambda scene, thickness: Promise(0.06, ""))
     said = kept_promises(scene, 0.5, (row(16, 0.05, 1), row(32, 0.08, 3)), found)
-    assert said["draft"] == "holds: 5.0% of at most 6.0%"
-    assert said["standard"] == "DOES NOT HOLD: 8.0% of at most 6.0%"
+    assert said["draft"] == "at most 6.0%, measured 5.0%: holds"
+    assert said["standard"] == "at most 6.0%, measured 8.0%: DOES NOT HOLD"
     assert said["fine"] == "not tried"
     monkeypatch.setattr(study_of, "promise", lambda scene, thickness: Promise(None, "not measured"))
     said = kept_promises(scene, 0.5, (row(16, 0.05, 1),), found)
@@ -236,7 +236,8 @@ def test_the_recommendation_is_the_fastest_that_is_good_enough():
     found = Convergence(1.0, (0.01,))
     rows = (row(16, 0.09, 1.0), row(32, 0.03, 3.0), row(48, 0.02, 9.0))
     assert recommend(rows, found, (4, 4)) == (
-        "Take D/32: 3.0% of the object's size in 3.0 s; D/48 would take 3.0 times as long for 2.0%."
+        "Recommended: D/32, with an error of 3.0% of the object's size in 3.0 s; "
+        "D/48 would take 3.0 times as long, with an error of 2.0%."
     )
     unknown = Convergence(None, why_not="not converging: x")
     assert "no level reached 4%" in recommend((row(16, 0.2, 1.0),), found, (4, 4))
@@ -247,7 +248,7 @@ def test_brief_errors_recommend_nothing():
     rows, found = (row(4, 0.001, 0.1), row(6, 0.001, 0.2)), Convergence(1.0, (0.01,))
     assert "coarser than D/8" in recommend(rows, found, (4, 4))
     fine = (row(16, 0.01, 1.0),)
-    assert recommend(fine, found, (2, 4)).startswith("Take D/16")
+    assert recommend(fine, found, (2, 4)).startswith("Recommended: D/16,")
     for known in ((1, 1), (1, 2), (2, 5)):
         assert f"for only {known[0]} of {known[1]} frames" in recommend(fine, found, known)
 

@@ -485,7 +485,7 @@ def check_promise(promised: Promise, error: float, until: float | None = None) -
     if until is not None:
         return f"at most {promised.error:.1%} was expected for the whole motion; {here}"
     verdict = "holds" if error <= promised.error else "DOES NOT HOLD"
-    return f"{verdict}: {error:.1%} of at most {promised.error:.1%}"
+    return f"at most {promised.error:.1%}, measured {error:.1%}: {verdict}"
 
 
 def _join_names(names: Sequence[str]) -> str:

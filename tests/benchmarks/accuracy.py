@@ -98,10 +98,10 @@ def study_table(report: Report) -> str:
     found = report.convergence
     order = "none" if found.order is None else f"{found.order:.2f}"
     said = [
-        f"Observed order: {order}. {found.why_not or found.note}".strip(),
+        f"Observed order: {order}; {found.why_not or found.note}".rstrip("; "),
         report.recommendation,
     ]
-    said += [f"Promise of {name}: {text}." for name, text in report.promises.items()]
+    said += [f"Expected error of {name}: {text}." for name, text in report.promises.items()]
     said += report.skipped
     return "\n\n".join([markdown(heads, [study_row(row) for row in report.rows]), *said])
 

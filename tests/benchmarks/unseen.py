@@ -97,7 +97,7 @@ def main() -> None:
             report = Study(gaussians, beginning(preset), levels=LEVELS, thorough=False).run()
             for level in ("draft", "standard"):
                 verdict = report.promises[level]
-                kept, broken = kept + ("holds:" in verdict), broken + ("DOES NOT HOLD" in verdict)
+                kept, broken = kept + (": holds" in verdict), broken + ("DOES NOT HOLD" in verdict)
                 print(f"{name} {preset} {level}: {verdict}", flush=True)
     print(f"{broken} of {kept + broken} promises do not hold")
 

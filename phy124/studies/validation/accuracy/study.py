@@ -452,15 +452,18 @@ def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int,
         return f"{no}: every level is coarser than D/{COARSEST}."
     good = [row for row in levels if row.error is not None and row.error <= GOOD]
     best = min(good or levels[-1:], key=lambda row: row.seconds)
-    advice = f"Take {best.name}: {best.error or 0:.1%} of the object's size in {best.seconds:.1f} s"
+    advice = (
+        f"Recommended: {best.name}, with an error of {best.error or 0:.1%} of the object's size "
+        f"in {best.seconds:.1f} s"
+    )
     finer = [row for row in levels if row.cells > best.cells]
     if not good:
         return f"{advice}; no level reached {GOOD:.0%}, which needs a finer grid."
     if not finer:
         return f"{advice}; it is the finest grid that was run."
     ratio = finer[0].seconds / best.seconds
-    better = f"{finer[0].error or 0:.1%}"
-    return f"{advice}; {finer[0].name} would take {ratio:.1f} times as long for {better}."
+    better = f"with an error of {finer[0].error or 0:.1%}"
+    return f"{advice}; {finer[0].name} would take {ratio:.1f} times as long, {better}."
 
 
 def kept_promises(
