@@ -158,49 +158,65 @@ class About:
     """Where the weights may be used."""
     memory: float = 0.0
     """Measured memory of a process that runs the network [bytes]; 0: not measured."""
-    operations: float = 0.0
-    """Floating-point operations for one picture; 0: not counted."""
-    share: float = 1.0
-    """Measured speed relative to products of large float32 matrices on the same cores."""
+    work: float = 0.0
+    """Measured work for one picture, in operations of float32 matrix products that take the same
+    time on the same cores; 0: not measured."""
 
 
 ABOUT: dict[str, About] = {
     "u2net": About("cuts objects out: --foreground u2net", 176),
     "u2netp": About("cuts objects out: --foreground u2netp; part of phy124", 5),
     "isnet": About(
-        "cuts objects out, with fine edges: --foreground isnet", 179, "onnx", memory=1.5e9
+        "cuts objects out, with fine edges: --foreground isnet",
+        179,
+        "onnx",
+        memory=1.2e9,
+        work=0.18e12,
     ),
     "birefnet-lite": About(
-        "cuts objects out, with the finest edges: --foreground birefnet", 224, "onnx", memory=5e9
+        "cuts objects out, with the finest edges: --foreground birefnet",
+        224,
+        "onnx",
+        memory=5e9,
+        work=1.05e12,
     ),
     "birefnet-lite-512": About(
-        "cuts objects out, faster and coarser: --foreground birefnet-512", 183, "onnx", memory=2e9
+        "cuts objects out, faster and coarser: --foreground birefnet-512",
+        183,
+        "onnx",
+        memory=2e9,
+        work=0.26e12,
     ),
-    "moge2": About("depth and normals of the front for relief: --depth moge2", 141, "onnx"),
-    "depth-anything": About("depth of the front for relief: --depth depth-anything", 99, "onnx"),
+    "moge2": About(
+        "depth and normals of the front for relief: --depth moge2",
+        148,
+        "onnx",
+        memory=2e9,
+        work=0.39e12,
+    ),
+    "depth-anything": About(
+        "depth of the front for relief: --depth depth-anything",
+        99,
+        "onnx",
+        memory=0.6e9,
+        work=0.15e12,
+    ),
     "triposr": About(
         "an object with its unseen sides: --generator triposr",
         485,
         "onnx",
         memory=2.6e9,
-        operations=3.1e12,
-        share=2.2,
+        work=1.54e12,
     ),
     "triposr-int8": About(
         "the same network, all in 8 bits: --generator triposr",
         430,
         "onnx",
-        memory=2.9e9,
-        operations=3.1e12,
-        share=2.7,
+        memory=2.8e9,
+        work=1.31e12,
     ),
     "triposr-torch": About(
-        "the same network in float32: --generator triposr",
-        1680,
-        "lgm",
-        memory=2.6e9,
-        operations=3.1e12,
-        share=1.1,
+        "the same network in float32: --generator triposr", 1680, "lgm", memory=2.6e9, work=3.4e12
     ),
     "lgm": About("65,536 Gaussians from four views: --generator lgm", 830, "lgm"),
     "lgm-fp32": About("LGM in float32, in place of lgm", 1660, "lgm"),

@@ -106,9 +106,7 @@ def _open(path: Path) -> InferenceSession:
 
 def predict_seconds(about: About) -> float | None:
     """Predict the time for one picture under the current load [s]; None if it is not known."""
-    if not about.operations:
-        return None
-    return about.operations / (about.share * multiply_rate())
+    return about.work / multiply_rate() if about.work else None
 
 
 def multiply_rate() -> float:

@@ -118,13 +118,14 @@ def load_onnx(encoder: Path, decoder: Path) -> Any:
     """Load the ONNX files of the encoder and of the decoder.
 
     Two forms of decoder are public: one maps features to density and colour, the other one maps
-    the triplane and points.
+    the triplane and points. The encoder is opened for each image and released after it, since it
+    takes most of the memory.
 
     Raises:
         InputError: If onnxruntime is not installed, or a file is unreadable or another network.
     """
-    encode, decode = OnnxNetwork(encoder, ["image"]), OnnxNetwork(decoder, None, RESULTS)
-    return lambda image: _onnx_field(encode(image)[0], decode)
+    decode = OnnxNetwork(decoder, None, RESULTS)
+    return lambda image: _onnx_field(OnnxNetwork(encoder, ["image"])(image)[0], decode)
 
 
 RESULTS = ("density", "color")
