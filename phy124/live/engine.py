@@ -405,7 +405,7 @@ class Live:
         return self._run.step()
 
     def _drop(self, time: float) -> None:
-        """Drop the inputs from a time on [s]."""
+        """Remove the inputs that act after a time [s]."""
         self._inputs.forget(time)
         self._target, self._offsets = None, {}
         self._run.change(self._inputs.scene())

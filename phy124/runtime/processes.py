@@ -64,6 +64,6 @@ def as_done(
 
 
 def _begin() -> None:
-    """Start Warp, and ignore Ctrl-C: all processes of a terminal get it, and the parent acts."""
+    """Start Warp, and ignore Ctrl-C, which the parent process handles."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     start()

@@ -130,13 +130,20 @@ def heap(setting: Setting) -> list[Check]:
         moved = float(np.quantile(np.linalg.norm(host(s.state.x) - earlier, axis=1), 0.99))
         result = slope(s)
         checks += [
-            at_most(f"heap of {angle:g} degrees: flatter by [degrees]", angle - result, 3.0),
-            at_most("steeper than an endless slope by [degrees]", result - endless(angle), 1.0),
-            at_most("99 % move in 0.2 s by less than / R", moved / HEAP, 0.003),
+            at_most(
+                f"heap of friction angle {angle:g}: loss of slope [degrees]", angle - result, 3.0
+            ),
+            at_most(
+                "slope above the stable infinite slope [degrees]", result - endless(angle), 1.0
+            ),
+            at_most("largest displacement of 99 % in 0.2 s / R", moved / HEAP, 0.003),
         ]
     s = cone(25.0, 45.0, cells, setting)
     s.advance(1.0)
-    return [*checks, at_most("45 degrees of 25 collapse to [degrees]", slope(s), endless(25.0))]
+    return [
+        *checks,
+        at_most("slope after a heap of 45 degrees collapses [degrees]", slope(s), endless(25.0)),
+    ]
 
 
 def endless(angle: float) -> float:

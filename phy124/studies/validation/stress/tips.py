@@ -139,7 +139,7 @@ def tips(setting: Setting) -> list[Check]:
     lifts = (0.0, 0.1, 0.3) if setting.long else (0.1, 0.3)
     return [
         at_most(
-            f"{inside.__name__} at {accuracy}, dropped from {lift:g} m [cells]",
+            f"depth of {inside.__name__} at {accuracy}, dropped from {lift:g} m [cells]",
             depth(inside, lift, accuracy, setting),
             DEEPEST,
         )
@@ -153,7 +153,7 @@ def tips_on_body(setting: Setting) -> list[Check]:
     """Check that tips, edges and hairs penetrate another body at most by the known depth."""
     return [
         at_most(
-            f"{inside.__name__} at {accuracy} in a cushion [cells]",
+            f"depth of {inside.__name__} at {accuracy} in a cushion [cells]",
             depth_in_body(inside, accuracy, setting),
             PIERCED,
         )
