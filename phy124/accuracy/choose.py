@@ -5,7 +5,7 @@ and the order of convergence and their errors are estimated. Then the coarsest g
 predicted to meet the goal is run, and the errors are estimated again from all levels. If the levels
 do not converge yet, another level is run. If the error still exceeds the goal, the grid is refined
 once more, and only once. If a level tears the material (phy124/monitor/tearing.py), that level is
-repeated with one more particle per cell and axis, and all later levels use as many.
+repeated with one more particle per cell and axis, and all later levels use this number, too.
 
 For a maximum time, the finest grid whose forecast fits is run.
 """

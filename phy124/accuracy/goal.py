@@ -1,4 +1,4 @@
-"""Defines the goal of a run, a maximum error or time, and the error for too short a time."""
+"""Defines the goal of a run: a maximum error or time; too short a time is refused."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Goal:
 
 
 def format_error(kind: Kind, value: float) -> str:
-    """Format an error, whose unit is that of a kind of goal."""
+    """Format an error in the unit of a kind of goal."""
     if kind == "pixels":
         return f"{value:.1f}px"
     return f"{value:.1%}" if kind == "fraction" else f"{value * 1000:.2g}mm"

@@ -98,7 +98,7 @@ def summary(statuses: list[WeightStatus]) -> str:
 
 
 def describe(name: str) -> dict[str, Any]:
-    """Return what a set of weights brings, where it may be used, and its forecast, as data."""
+    """Return purpose, permitted use and forecast of a set of weights, as data."""
     about = ABOUT.get(name)
     if about is None:
         return {}
@@ -131,7 +131,7 @@ def lines(statuses: list[WeightStatus]) -> list[str]:
 
 
 def heading(status: WeightStatus) -> list[str]:
-    """Format what a set of weights brings, its size, where it may be used, and its forecast."""
+    """Format purpose, size, permitted use and forecast of a set of weights."""
     name, about = status.weights, ABOUT.get(status.weights)
     if about is None:
         return [f"{name}:"]

@@ -64,7 +64,7 @@ def can_read_heic() -> bool:
 
 
 def open_heic(data: bytes) -> Image.Image:
-    """Open a HEIC image in the orientation of its container; libheif ignores that of EXIF.
+    """Open a HEIC image in the orientation of its container; libheif ignores EXIF's orientation.
 
     Raises:
         Exception: An exception of any type, if the file is damaged.

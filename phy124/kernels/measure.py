@@ -120,7 +120,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
 def make_measure_speeds(real: Any):
     """Kernel: measures only `SPEED` and `GRADIENT`, of all particles of any law.
 
-    Its threads handle the same particles as those of `make_measure`.
+    Thread i handles the same particles as thread i of `make_measure`.
     """
     t = types(real)
 

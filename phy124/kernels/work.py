@@ -74,7 +74,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
 
 @cache
 def make_push_sums_v(real: Any):
-    """Kernel: does what `make_push_sums` does for forces that do not change C."""
+    """Kernel: like `make_push_sums`, for forces that do not change C."""
     t = types(real)
 
     @kernel(f"phy124_push_sums_v_{real.__name__}", real)

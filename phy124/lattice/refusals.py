@@ -1,4 +1,4 @@
-"""What the lattice solver cannot do yet; each refusal names the field and the solver that can."""
+"""Refuses scenes that the lattice solver does not support; the error names the field."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
 
 
 def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
-    """Yield what the lattice solver does not support, in the order of the scene's fields."""
+    """Yield the features that the lattice solver lacks, in the order of the scene's fields."""
     other = 'Use accuracy.solver = "mpm", or an elastic law.'
     for section in materials:
         if not is_elastic(section):

@@ -1,4 +1,4 @@
-"""Walls and clamps of a body on its lattice: the launches of contact, and what each wall exchanged.
+"""Walls and clamps of a body on its lattice: launches of contact, impulse and work.
 
 Surface points respond to walls. Nodes inside a clamp take its velocity. The node next to the
 clamp's surface moves against its free neighbour, so that the motion vanishes at the surface.
@@ -77,7 +77,7 @@ class Nodes:
 
 
 class Walls:
-    """All walls of a run: their launches, and the sums of what they exchanged with the body."""
+    """All walls of a run: their launches, and their impulse and work on the body."""
 
     def __init__(
         self,
@@ -299,7 +299,7 @@ class _Contact:
         return model.launch(kernel, 1, inputs, [nodes.v, self.force])
 
     def record_account(self) -> wp.Launch | None:
-        """Record the launch that sums what the wall exchanged."""
+        """Record the launch that sums the wall's impulse and work."""
         points, nodes = self._points, self._nodes
         inputs = [self._list, points.nodes, points.weights, self._place, self.force]
         inputs += [self._tracks.clock, nodes.before, nodes.v]

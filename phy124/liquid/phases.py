@@ -41,7 +41,7 @@ class Phases:
         workers: Sequence[Worker],
         missed: wp.array,
     ) -> None:
-        """Allocate what the launches of every window share.
+        """Allocate the arrays that the launches of every window share.
 
         Args:
             model: The particles.

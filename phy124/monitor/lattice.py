@@ -1,4 +1,4 @@
-"""Observers of a body on its lattice: momentum and energy of the nodes, and what walls exchanged.
+"""Observers of a body on its lattice: momentum and energy, impulse and work of walls.
 
 Walls sum their impulses, moments and work themselves (phy124/kernels/lattice/contact.py), so that
 nothing is copied before and after they act.
@@ -178,7 +178,7 @@ class LatticeWrenches(Wrenches):
 
 
 class LatticeMethod(Observer):
-    """The row of the effects report that names the solver and what it leaves out."""
+    """The row of the effects report that names the solver and the effects that it leaves out."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:

@@ -74,7 +74,8 @@ class Team(Generic[Task]):
     def put(self, task: Task) -> None:
         """Wait until all members have finished their previous task, and start this task.
 
-        An exception of the previous task is re-raised; of several, that of the lowest member.
+        An exception of the previous task is re-raised; if there are several, the exception of the
+        lowest member.
         """
         self._hand_over(task)
 

@@ -117,7 +117,7 @@ def stable_substep(
 
 
 def decay(value: float, substeps: int) -> float:
-    """Return the value still assumed some substeps after it was measured, decayed by `MEMORY`."""
+    """Return the value that is assumed some substeps after a measurement: it decays by `MEMORY`."""
     return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 

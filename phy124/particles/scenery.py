@@ -48,8 +48,8 @@ class Scenery:
     ) -> Frame:
         """Add all other Gaussians to a frame of the Gaussians that the solver moves.
 
-        Static Gaussians are unchanged bit for bit. Those of tracks and rigid solids are at their
-        position at the frame's time.
+        Static Gaussians are unchanged bit for bit. Gaussians of tracks and rigid solids are at
+        their position at the frame's time.
 
         Args:
             frame: Frame of the Gaussians that the solver moves.

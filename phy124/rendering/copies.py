@@ -17,7 +17,7 @@ class HostCopies:
     """
 
     def __init__(self, device: Any) -> None:
-        """Allocate nothing yet; the device is that of the arrays."""
+        """Allocate nothing yet; the arrays determine the device."""
         self._device = device
         self._memory: dict[str, wp.array] = {}
         self._started: dict[str, wp.array] = {}

@@ -54,7 +54,7 @@ def _obstacles(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[tuple
 
 
 def _of_materials(materials: Sequence[AnyMaterial]) -> Iterator[tuple[str, object, str]]:
-    """Yield what is not supported of some materials."""
+    """Yield the unsupported features of some materials."""
     for section in materials:
         if section.law != "fluid":
             yield "material.law", section.law, "materials other than fluid in the same scene"

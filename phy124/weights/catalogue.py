@@ -146,7 +146,7 @@ KNOWN: dict[str, tuple[WeightFile, ...]] = {
 
 @dataclass(frozen=True)
 class About:
-    """What a set of weights is for."""
+    """Purpose of a set of weights."""
 
     brings: str
     """What phy124 does with it."""

@@ -37,7 +37,8 @@ class Hull(Implicit):
     """The zero set of F = w(x, y) + r(y)^2 (s(z, y) - 1), cut off at flat ends.
 
     Here w is the squared half thickness from the front, and r^2 its largest value in the row; s is
-    that of the side divided by its largest value in the row. For a ball F = r^2 - |p|^2.
+    the squared half thickness from the side, divided by its largest value in the row. For a ball F
+    = r^2 - |p|^2.
     """
 
     kernels: ClassVar[implicit.Kernels] = implicit.HULL

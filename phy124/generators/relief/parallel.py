@@ -36,7 +36,7 @@ class Profile:
     """Whether the top and the bottom are flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """Return how far each row's thickest point and nearest edge lie towards the other camera.
+        """Return each row's thickest point and nearest edge, as offsets towards the other camera.
 
         Args:
             y: Rows relative to the centre [N].

@@ -1,7 +1,7 @@
 """Nodes of the lattice: kick by forces, holding, drift, and ties of nodes of almost no mass.
 
-`pool` holds the forces of all workers: worker w summed those of nodes `low[w]` to `high[w]`, which
-begin at `begin[w]`. `donor_*` and `tied_*` are the ties as sparse matrices: the tied nodes that
+`pool` holds the forces of all workers: the forces of worker w are for nodes `low[w]` to `high[w]`,
+and begin at `begin[w]`. `donor_*` and `tied_*` are the ties as sparse matrices: the tied nodes that
 each node carries, and the nodes that carry each tied node.
 """
 

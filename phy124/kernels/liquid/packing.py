@@ -2,8 +2,8 @@
 
 The error of the density is the right side of the pressure equation's matrix, and the displacement
 is the gradient of its solution (Kugelstadt et al. 2019, "Implicit density projection for volume
-conserving liquids"). Under the surface only what is too dense counts, and in the first row below it
-the density is compared with that below a flat surface.
+conserving liquids"). Below the surface only excess density counts. In the first row below the
+surface, the density is compared with the density below a flat surface.
 """
 
 from functools import cache

@@ -67,8 +67,9 @@ def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
 def make_wall_distance(shape: str, real: Any):
     """Kernel over points of half the spacing: lowers the distance to that of a wall.
 
-    `wall` is the wall's number, which the points that are nearest to it keep; `slot` is that of its
-    displacement, or 0 for a wall that never moves. A wall whose track has ended has no effect.
+    `wall` is the wall's number, which is stored in the points nearest to the wall; `slot` is the
+    index of the wall's displacement, or 0 for a wall that never moves. A wall whose track has ended
+    has no effect.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -144,8 +145,8 @@ def make_openings(real: Any):
 def make_eighths(shape: str, real: Any):
     """Kernel over eighths of cells: multiplies the open fraction of each by that before a wall.
 
-    The product is exact where walls are perpendicular to each other. The arguments are those of
-    the kernel of distances.
+    The product is exact where walls are perpendicular to each other. The arguments are the same as
+    for the kernel of distances.
     """
     t = types(real)
     distance = SHAPES[shape]

@@ -16,7 +16,7 @@ class CrossAttention(nn.Module):
     """Multi-head attention from x [B,L,C] to a context [B,M,D], or to x itself.
 
     If `picture_tokens` > 0, the last `picture_tokens` tokens of the context come from the image and
-    have separate keys and values. The results for text and image are added; that of the image is
+    have separate keys and values. The results for text and image are added; the image's result is
     multiplied by `picture_weight`.
     """
 
