@@ -116,13 +116,13 @@ class ExternalWork(Observer):
         """
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
-        """Return the forces as one, with stages that measure them before and after they act."""
+        """Combine all forces; measure the particles before and after the forces act."""
         return [Measured(forces, self._attach_push)] if forces else []
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> list[Attachable]:
-        """Return the walls as one, with stages that measure them before and after they act."""
+        """Combine all walls; measure the nodes before and after the walls act."""
         if not walls:
             return []
         inner = walls if inner is None else inner

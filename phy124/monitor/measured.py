@@ -19,7 +19,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class Measured:
-    """Forces or boundaries as one, with stages before and after their stages, if they have any."""
+    """Combines forces or boundaries, with stages before and after their own stages, if any."""
 
     def __init__(
         self,

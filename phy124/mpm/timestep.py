@@ -46,7 +46,7 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return the extremes, raised to the decayed earlier stiffness and to a speed.
+        """Return the extremes, with lower bounds: the decayed earlier stiffness, and `speed`.
 
         Args:
             before: Extremes measured `substeps` earlier.
