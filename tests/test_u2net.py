@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -210,3 +211,26 @@ def test_full_network_runs_at_full_size():
         outputs = network(formula.inputs("u2net/x64", (1, 3, 320, 320), -2, 2))
     assert [tuple(d.shape) for d in outputs] == [(1, 1, 320, 320)] * 7
     assert float(outputs[0].std()) > 0.01 and float(outputs[0].min()) > 0
+
+
+def test_small_object_is_segmented_again_in_its_surroundings():
+    """Gaps of two pixels in an image of 1280 close at the network's 320 pixels."""
+    seen, shape = [], np.zeros((1280, 1280), bool)
+    shape[400:700, 500:800] = True
+    shape[420:680, 520:780:12] = shape[420:680, 521:780:12] = False
+    rgb = np.where(shape[..., None], 250, 5).astype(np.uint8).repeat(3, axis=2)
+
+    def network(x):
+        seen.append(x.shape)
+        return (x.mean(axis=1, keepdims=True) > 0).astype(np.float32)
+
+    def overlap(probability):
+        mask = cv2.resize(probability, (1280, 1280)) > 0.5
+        return (mask & shape).sum() / (mask | shape).sum()
+
+    coarse = u2net.saliency(rgb, network)
+    assert overlap(u2net.look_closer(rgb, coarse, network)) > overlap(coarse) + 0.05
+    large = rgb[380:720, 480:820]
+    first = u2net.saliency(large, network)
+    assert u2net.look_closer(large, first, network) is first
+    assert len(seen) == 3

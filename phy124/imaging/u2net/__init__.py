@@ -28,6 +28,11 @@ from phy124.weights.store import KNOWN, WeightFile, find, require
 SIZE = 320
 """Width and height of the network's input [pixels]."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+CLOSER, AROUND = 1.4, 0.15
+"""Smallest enlargement for which an object is segmented again, and the width of the surroundings,
+in longest sides of the object."""
+AGREED = 0.85
+"""Smallest overlap (IoU) of both masks of an object for which the second one is used."""
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Function from a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
 Style = Literal["rembg", "original"]
@@ -77,12 +82,50 @@ def _find_alpha(rgb: NDArray[np.uint8], weights: Path) -> NDArray[np.uint8]:
     if is_blank(rgb):
         # The network would report an object even in a blank image.
         return np.zeros(rgb.shape[:2], np.uint8)
-    return fit_edge(rgb, saliency(rgb, load(weights)))
+    network = load(weights)
+    return fit_edge(rgb, look_closer(rgb, saliency(rgb, network), network))
 
 
 def saliency(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.float32]:
     """Return the probability of the object [320,320] in an image [H,W,3]."""
     return network(prepare_rembg(rgb))[0, 0]
+
+
+def look_closer(
+    rgb: NDArray[np.uint8], coarse: NDArray[np.float32], network: Network
+) -> NDArray[np.float32]:
+    """Segment a small object again in its surroundings, where thin parts cover more pixels.
+
+    The second result replaces the first if both agree (IoU of at least `AGREED`).
+
+    Args:
+        rgb: The image [H,W,3].
+        coarse: Probability of the object in the whole image [320,320].
+        network: The network.
+
+    Returns:
+        Probability of the object, [320,320] or [H,W].
+    """
+    height, width = rgb.shape[:2]
+    whole = np.asarray(cv2.resize(coarse, (width, height)), np.float32)
+    first = whole > 0.5
+    if not first.any():
+        return coarse
+    rows, columns = np.flatnonzero(first.any(axis=1)), np.flatnonzero(first.any(axis=0))
+    margin = int(AROUND * max(np.ptp(rows), np.ptp(columns)))
+    top, bottom = max(0, rows[0] - margin), min(height, rows[-1] + margin)
+    left, right = max(0, columns[0] - margin), min(width, columns[-1] + margin)
+    if (
+        CLOSER * max(bottom - top, right - left) > max(height, width)
+        or min(bottom - top, right - left) < 2
+    ):
+        return coarse
+    near = saliency(np.ascontiguousarray(rgb[top:bottom, left:right]), network)
+    closer = np.zeros_like(whole)
+    closer[top:bottom, left:right] = cv2.resize(near, (int(right - left), int(bottom - top)))
+    second = closer > 0.5
+    both = np.count_nonzero(first & second) / np.count_nonzero(first | second)
+    return closer if both >= AGREED else coarse
 
 
 def load(path: str | os.PathLike[str]) -> Network:
