@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,6 +25,26 @@ FAR = 1e3
 """Distance of the nearest wall [cells] where there is none."""
 
 
+ROOM = 4
+"""Cells around a solid in which it changes distances or shares."""
+
+
+class Region:
+    """A box of cells in a window, which may move but never changes its size."""
+
+    def __init__(self, cells: Cells, size: NDArray) -> None:
+        self._cells, self.size = cells, size
+        """Number of cells along each axis."""
+        corners = np.stack([np.zeros(3, int), size]).astype(np.int32)
+        self.box = wp.array(corners, dtype=wp.vec3i, device=cells.window.device)
+        """First cell of the window, and size."""
+
+    def centre(self, x: NDArray[np.float64]) -> None:
+        """Move the box so that a position [3], m, is in its middle."""
+        at = np.floor((x - self._cells.origin) / self._cells.dx).astype(int) - self._cells.low
+        self.box.assign(np.stack([at - self.size // 2, self.size]).astype(np.int32))
+
+
 class Cells:
     """The arrays of a window: sums, velocities, walls, and the pressure equation."""
 
@@ -37,9 +58,12 @@ class Cells:
         self._model, self._copies = model, copies
         self._t = types(model.real)
         self.lattice = self._t.vec4(*model.origin, model.dx)
+        self.origin, self.dx = np.array(model.origin), model.dx
         self.window = wp.zeros(2, dtype=wp.vec3i, device=model.device)
         self.low, self.size = np.zeros(3, int), np.zeros(3, int)
         self.pressure = self._zeros(0, wp.float64)
+        self._regions: dict[float, Region] = {}
+        self._kept: list[wp.array] = []
 
     @property
     def count(self) -> int:
@@ -84,6 +108,8 @@ class Cells:
         self.low, self.size = np.array(low, int), np.array(size, int)
         self.window.assign(np.stack([self.low, self.size]).astype(np.int32))
         self._allocate(int(np.prod(self.size)))
+        self.whole, self._regions = Region(self, self.size), {}
+        """The region of all cells."""
         pressure = np.zeros(self.size)
         first = np.maximum(before, self.low)
         last = np.minimum(before + kept.shape, self.low + self.size)
@@ -116,7 +142,39 @@ class Cells:
         """Solutions: p dt / (rho dx) [m/s], and the potential of displacements."""
         self.residual, self.z, self.product = (self._zeros(count, wp.float64) for _ in range(3))
         self.directions = [self._zeros(count, wp.float64) for _ in range(2)]
+        self.jumps, self.turns = (self._zeros(count, wp.vec3d) for _ in range(2))
+        """Flux out of each cell per velocity and angular velocity of a free solid."""
         self.listed = self._zeros(count, int)
+
+    def region(self, reach: float) -> Region:
+        """Return the region of all cells up to `reach` [m] around a solid's centre."""
+        if not math.isfinite(reach):
+            return self.whole
+        if reach not in self._regions:
+            count = 2 * math.ceil(reach / self.dx + ROOM)
+            self._regions[reach] = Region(self, np.full(3, count))
+        return self._regions[reach]
+
+    def clear_walls(self) -> None:
+        """Describe cells without walls."""
+        self.distances.fill_(FAR * self.dx)
+        self.owners.fill_(-1)
+        self.eighths.fill_(1.0)
+        self.open.fill_(1.0)
+        self.shares.zero_()
+
+    def keep_walls(self) -> None:
+        """Store the description of all walls that never move."""
+        self._kept = [wp.clone(array) for array in self._walls]
+
+    def restore_walls(self) -> None:
+        """Return to the description of the walls that never move."""
+        for array, kept in zip(self._walls, self._kept, strict=True):
+            wp.copy(array, kept)
+
+    @property
+    def _walls(self) -> list[wp.array]:
+        return [self.distances, self.owners, self.eighths, self.open, self.shares]
 
     def _zeros(self, count: int, dtype: Any) -> wp.array:
         return wp.zeros(count, dtype=dtype, device=self._model.device)

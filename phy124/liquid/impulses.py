@@ -18,22 +18,24 @@ MEASURED = 6
 class WallImpulses:
     """Sums of a step for each worker and wall, and their totals."""
 
-    def __init__(self, names: Sequence[str], workers: int, device: str) -> None:
+    def __init__(self, names: Sequence[str], count: int, workers: int, device: str) -> None:
         """Start all sums at zero.
 
         Args:
             names: Names of the walls.
+            count: Number of walls, including the surfaces of free solids, which come last.
             workers: Number of workers.
             device: Warp device.
         """
         self.names = tuple(names)
         """Names of the walls."""
-        walls, real = max(len(names), 1), wp.float64
-        self._step = wp.zeros((workers, walls, COLUMNS), dtype=real, device=device)
+        walls, real = max(count, 1), wp.float64
+        self.step = wp.zeros((workers, walls, COLUMNS), dtype=real, device=device)
+        """Sums of the current step [workers,walls,7]."""
         self._totals = wp.zeros((walls, MEASURED), dtype=real, device=device)
         self.total = wp.zeros((1, GIVEN), dtype=real, device=device)
         """Impulse and work of all walls, in the order of `phy124.kernels.work`."""
-        outputs = [self._step, self._totals, self.total]
+        outputs = [self.step, self._totals, self.total]
         launch: Any = wp.launch(
             settle, 1, inputs=[len(names)], outputs=outputs, device=device, record_cmd=True
         )
@@ -42,7 +44,7 @@ class WallImpulses:
 
     def rows(self, worker: int) -> wp.array:
         """Return a worker's sums of the current step [walls,7]."""
-        return cast("wp.array", self._step[worker])
+        return cast("wp.array", self.step[worker])
 
     def wrench(self, name: str) -> wp.array:
         """Return the total impulse and moment of a wall on the liquid [6]."""
@@ -55,7 +57,7 @@ class WallImpulses:
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
-        self._step.zero_()
+        self.step.zero_()
         self.total.assign(np.array(snapshot["all"]))
         if list(snapshot["names"]) == list(self.names):
             self._totals.assign(np.array(snapshot["totals"]))

@@ -16,8 +16,9 @@ from phy124.kernels.reduction import shared_out
 from phy124.liquid.cells import Cells
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.projection import Projection
+from phy124.liquid.solids import Solids
 from phy124.liquid.walls import Walls, span
-from phy124.mpm import Grid, Model, Stage, State
+from phy124.mpm import FreeBodies, Grid, Model, Stage, State
 from phy124.mpm.model import part_of
 from phy124.mpm.stage import Named, Recorded, launches
 from phy124.mpm.tracks import Tracks
@@ -40,6 +41,7 @@ class Phases:
         projection: Projection,
         workers: Sequence[Worker],
         missed: wp.array,
+        bodies: FreeBodies,
     ) -> None:
         """Allocate the arrays that the launches of every window share.
 
@@ -49,6 +51,7 @@ class Phases:
             cells: The window of the grid.
             projection: The solutions.
             workers: The workers, whose phases are recorded.
+            bodies: Free solids.
             missed: 1 for each worker with a particle outside the window [W,1].
         """
         self._model, self._state, self._cells = model, state, cells
@@ -61,7 +64,8 @@ class Phases:
         """Number of particles that are not finite."""
         self.carry = wp.ones(1, dtype=wp.float64, device=device)
         """Factor from the last pressure to the first guess of the next one."""
-        self._density = float(model.total_mass / np.sum(model.volume.numpy(), dtype=np.float64))
+        density = float(model.total_mass / np.sum(model.volume.numpy(), dtype=np.float64))
+        self._density, self._solids = density, Solids(model, bodies, density)
 
     def record(
         self,
@@ -81,7 +85,6 @@ class Phases:
             grid: A grid without nodes, which stages of forces expect.
         """
         self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
-        self._still = wp.zeros_like(tracks.rates)
         names: list[str] = []
         for index, worker in enumerate(self._workers):
             named = list(self._phases(pushes, index, grid))
@@ -108,34 +111,64 @@ class Phases:
         self, pushes: Sequence[Stage], worker: int, grid: Grid
     ) -> Iterator[tuple[str, list[Named]]]:
         """Yield a worker's phases, each with the name of its group."""
-        cells, solve = self._cells, self._projection
-        for phase in self._walls.describe(cells, worker, len(self._workers)):
+        cells, solve, solids = self._cells, self._projection, self._solids.present
+        for phase in self._walls.describe(cells, worker, len(self._workers), move=False):
             yield "walls", launches(phase)
+        for phase in self._walls.describe(cells, worker, len(self._workers), move=True):
+            yield "move", launches(phase)
         yield "scatter", self._push(pushes, worker, grid)
         yield "scatter", self._scatter(worker)
-        yield "scatter", launches([self._sum_copies(worker), self._levels(worker)])
-        yield "scatter", launches([self._assemble(worker), self._divergence(worker)])
-        for phase in solve.list_cells(cells, worker):
-            yield "scatter", launches(phase)
-        for phase in solve.phases(cells, cells.pressure, worker):
+        for records in self._equation(worker):
+            yield "scatter", launches(records)
+        for phase in solve.phases(cells, cells.pressure, worker, solids=solids):
             yield "pressure", launches(phase)
-        yield "gather", launches([*self._gradient(cells.pressure, worker), self._impulses(worker)])
-        for turn in range(LAYERS):
-            yield "gather", launches([self._spread(worker, turn)])
-        yield "gather", launches([self._slide(worker, self._tracks.rates, rubs=self._walls.rub)])
-        yield "gather", launches([self._gather(worker), *self._push_out(worker, stops=True)])
-        yield "gather", self._fill(worker)
-        yield "gather", launches([self._sum_fills(worker), self._refill(worker)])
-        yield "gather", launches([self._assemble(worker), self._excess(worker)])
-        for phase in solve.list_cells(cells, worker):
-            yield "gather", launches(phase)
+        for records in self._follow(worker):
+            yield "gather", launches(records)
+        if solids:
+            yield "drift", launches(self._drift(worker))
+            yield "fill", launches(self._push_out(worker, stops=False))
+        yield "fill", self._fill(worker)
+        for records in self._density_equation(worker):
+            yield "fill", launches(records)
         for phase in solve.phases(cells, cells.packing, worker):
             yield "packing", launches(phase)
         yield "displace", self._shift(worker)
+        for records in self._displacements(worker):
+            yield "displace", launches(records)
+
+    def _equation(self, worker: int) -> Iterator[list[Recorded]]:
+        """Yield a worker's phases that set up the pressure equation."""
+        cells, solve = self._cells, self._projection
+        yield [self._sum_copies(worker), self._levels(worker)]
+        yield [self._assemble(worker), *self._jumps(worker)]
+        yield from solve.list_cells(cells, worker)
+        yield from self._couple(worker)
+        yield [self._divergence(worker)]
+        if self._solids.present:
+            yield solve.project(cells, cells.pressure, worker)
+
+    def _follow(self, worker: int) -> Iterator[list[Recorded]]:
+        """Yield a worker's phases in which velocities and particles follow the pressure."""
+        yield [*self._gradient(self._cells.pressure, worker), self._impulses(worker)]
+        yield self._respond(worker)
         for turn in range(LAYERS):
-            yield "displace", launches([self._spread(worker, turn)])
-        yield "displace", launches([self._slide(worker, self._still, rubs=False)])
-        yield "displace", launches([self._displace(worker), *self._push_out(worker, stops=False)])
+            yield [self._spread(worker, turn)]
+        yield [self._slide(worker, self._walls.motions, rubs=self._walls.rub)]
+        yield [self._gather(worker), *self._push_out(worker, stops=True)]
+        yield self._respond(worker)
+
+    def _density_equation(self, worker: int) -> Iterator[list[Recorded]]:
+        """Yield a worker's phases that set up the equation of the density."""
+        yield [self._sum_fills(worker), self._refill(worker)]
+        yield [self._assemble(worker), self._excess(worker)]
+        yield from self._projection.list_cells(self._cells, worker)
+
+    def _displacements(self, worker: int) -> Iterator[list[Recorded]]:
+        """Yield a worker's phases that move particles along the density's gradient."""
+        for turn in range(LAYERS):
+            yield [self._spread(worker, turn)]
+        yield [self._slide(worker, self._walls.still, rubs=False)]
+        yield [self._displace(worker), *self._push_out(worker, stops=False)]
 
     def _run(self, worker: int) -> slice:
         """Return the particles of a worker."""
@@ -194,11 +227,29 @@ class Phases:
 
     def _divergence(self, worker: int) -> Recorded:
         cells, walls = self._cells, self._walls
-        inputs = [int(walls.move), cells.window, self._tracks.rates, walls.slots, cells.open]
+        inputs = [int(walls.move), cells.lattice, cells.window, walls.motions, cells.open]
         inputs += [cells.owners, cells.liquid, self.carry, cells.velocity]
         kernel = pressure.make_divergence(self._model.real)
         outputs = [cells.right, cells.pressure]
         return self._over_cells(worker, "levels", kernel, inputs, outputs)
+
+    def _jumps(self, worker: int) -> list[Recorded]:
+        if not self._solids.present:
+            return []
+        return [self._solids.jumps(self._cells, self._walls, worker, len(self._workers))]
+
+    def _couple(self, worker: int) -> list[list[Recorded]]:
+        if not self._solids.present:
+            return []
+        return self._solids.couple(self._cells, self._walls, self._projection, self._tracks, worker)
+
+    def _respond(self, worker: int) -> list[Recorded]:
+        if worker > 0 or not self._solids.present:
+            return []
+        return self._solids.respond(self._walls, self._impulses_of_walls)
+
+    def _drift(self, worker: int) -> list[Recorded]:
+        return self._solids.bodies.drift() if worker == 0 else []
 
     def _gradient(self, solution: wp.array, worker: int) -> list[Recorded]:
         cells = self._cells
@@ -213,7 +264,7 @@ class Phases:
             return "walls", None
         part, parts = self._projection.part(worker)
         inputs = [part, self._density, self._projection.counts, cells.listed, cells.lattice]
-        inputs += [cells.window, tracks.clock, tracks.values, tracks.rates, walls.slots]
+        inputs += [cells.window, tracks.clock, tracks.values, walls.motions]
         inputs += [cells.open, cells.distances, cells.owners, cells.pressure]
         kernel = impulses.make_wall_impulses(model.real)
         return "walls", model.launch(kernel, parts, inputs, [self._impulses_of_walls.rows(worker)])
@@ -225,10 +276,10 @@ class Phases:
         kernel = spread.make_spread(self._model.real)
         return self._over_cells(worker, "spread", kernel, [cells.window, *read], [*written])
 
-    def _slide(self, worker: int, rates: wp.array, *, rubs: bool) -> Recorded:
+    def _slide(self, worker: int, motions: wp.array, *, rubs: bool) -> Recorded:
         cells, walls, dx = self._cells, self._walls, self._model.dx
-        inputs = [int(rubs), self._density * dx**3, cells.lattice, cells.window, rates]
-        inputs += [walls.slots, walls.frictions, cells.open, cells.distances, cells.owners]
+        inputs = [int(rubs), self._density * dx**3, cells.lattice, cells.window, motions]
+        inputs += [walls.frictions, cells.open, cells.distances, cells.owners]
         inputs += [cells.liquid, cells.pressure, cells.velocity]
         kernel = spread.make_slide(self._model.real)
         outputs = [cells.other, self._impulses_of_walls.rows(worker)]

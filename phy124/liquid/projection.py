@@ -33,11 +33,13 @@ class Projection:
         device = model.device
         self.counts = wp.zeros(self._parts, dtype=int, device=device)
         """Number of cells of liquid in each part of all cells."""
-        self._sums = wp.zeros((ROWS, self._parts), dtype=wp.float64, device=device)
+        self.sums = wp.zeros((ROWS, self._parts), dtype=wp.float64, device=device)
         self.iterations = 0
         """Iterations of all solutions so far."""
         self.solutions = 0
         """Number of solutions so far."""
+        self.mobility = wp.zeros(10, dtype=wp.float64, device=device)
+        """Mobility of a free solid, per impulse of q."""
 
     def part(self, worker: int) -> tuple[int, int]:
         """Return the first part of a worker, and its number of parts."""
@@ -51,27 +53,42 @@ class Projection:
         listed = launch(conjugate.list_liquid, parts, [*inputs, self.counts], [cells.listed])
         return [(STAGE, count)], [(STAGE, listed)]
 
-    def phases(self, cells: Cells, x: wp.array, worker: int) -> list[list[Recorded]]:
+    def phases(
+        self, cells: Cells, x: wp.array, worker: int, *, solids: bool = False
+    ) -> list[list[Recorded]]:
         """Return a worker's launches of a solution: begin, then pairs of advance and improve.
 
         The pairs are for the first iteration, odd and even iterations.
+
+        Args:
+            cells: The cells.
+            x: The solution, which holds the first guess.
+            worker: Index of the worker.
+            solids: Whether a free solid moves with the liquid.
         """
         launch, (part, parts) = self._model.launch, self.part(worker)
         row, layer = cells.strides
         listed, equation = [self.counts, cells.listed], [cells.diagonal, cells.links]
-        inputs = [part, row, layer, *listed, *equation, cells.right, x]
-        outputs = [cells.inverse, cells.residual, cells.z, cells.directions[1], self._sums]
+        rows = [int(solids), cells.jumps, cells.turns]
+        inputs = [part, row, layer, *listed, *equation, cells.right, x, *rows, self.mobility]
+        outputs = [cells.inverse, cells.residual, cells.z, cells.directions[1], self.sums]
         phases = [[(STAGE, launch(conjugate.begin, parts, inputs, outputs))]]
         for begun, turn in ((0, 0), (1, 1), (1, 0)):
             before, after = cells.directions[1 - turn], cells.directions[turn]
-            inputs = [part, turn, begun, row, layer, *listed, *equation, cells.z, before]
-            outputs = [after, cells.product, self._sums]
+            inputs = [part, turn, begun, row, layer, *listed, *equation, cells.z, before, *rows]
+            outputs = [after, cells.product, self.sums]
             phases.append([(STAGE, launch(conjugate.advance, parts, inputs, outputs))])
             inputs = [part, turn, row, layer, *listed, cells.links, cells.inverse]
-            inputs += [after, cells.product]
-            outputs = [x, cells.residual, cells.z, self._sums]
+            inputs += [after, cells.product, *rows, self.mobility]
+            outputs = [x, cells.residual, cells.z, self.sums]
             phases.append([(STAGE, launch(conjugate.improve, parts, inputs, outputs))])
         return phases
+
+    def project(self, cells: Cells, x: wp.array, worker: int) -> list[Recorded]:
+        """Return a worker's launch that sums the impulse of a solution on the free solid."""
+        part, parts = self.part(worker)
+        inputs = [part, self.counts, cells.listed, cells.jumps, cells.turns, x]
+        return [(STAGE, self._model.launch(conjugate.project, parts, inputs, [self.sums]))]
 
     def solve(self, run: Callable[[int], None], begin: int, tolerance: float) -> int:
         """Run a recorded solution until the residual is small; return the iterations.
@@ -98,12 +115,12 @@ class Projection:
         return taken
 
     def _small(self, tolerance: float) -> bool:
-        sums: Any = self._sums.numpy()
+        sums: Any = self.sums.numpy()
         largest, right = np.max(sums[[RESIDUAL, RIGHT]], axis=1).tolist()
         return largest <= tolerance * right or right == 0.0
 
 
 def kernels() -> Iterator[Any]:
     """Yield the kernels of a solution."""
-    yield from (conjugate.count_liquid, conjugate.list_liquid, conjugate.begin)
-    yield from (conjugate.advance, conjugate.improve)
+    yield from (conjugate.count_liquid, conjugate.list_liquid, conjugate.project)
+    yield from (conjugate.begin, conjugate.advance, conjugate.improve)

@@ -23,8 +23,19 @@ from phy124.liquid.clock import LiquidClock
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.phases import Phases
 from phy124.liquid.projection import Projection
-from phy124.liquid.walls import Walls, wall_kernels, walls_of
-from phy124.mpm import Accumulator, Attachable, FreeBodies, Grid, Model, State, Unstable
+from phy124.liquid.solids import solid_kernels
+from phy124.liquid.walls import Walls, wall_kernels, walls_of, walls_of_solids
+from phy124.mpm import (
+    Accumulator,
+    Attachable,
+    FreeBodies,
+    FreeBody,
+    Grid,
+    Model,
+    State,
+    Unstable,
+)
+from phy124.mpm.free import Plane
 from phy124.mpm.grid import grids_of
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pairs
@@ -66,6 +77,8 @@ class LiquidSolver:
         forces: Sequence[Attachable] = (),
         boundaries: Sequence[tuple[str, Boundary]] = (),
         accumulators: Sequence[Accumulator] = (),
+        free: Sequence[FreeBody] = (),
+        planes: Sequence[Plane] = (),
         ceiling: float = math.inf,
         threads: int | None = None,
     ) -> None:
@@ -77,6 +90,8 @@ class LiquidSolver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries with their names.
             accumulators: Sums that are updated in every step.
+            free: Rigid solids that move freely; at most one.
+            planes: Flat walls with which the free solid collides.
             ceiling: Longest step allowed [s].
             threads: Number of CPU threads; None: as many as pay.
 
@@ -92,25 +107,26 @@ class LiquidSolver:
         self.workers = [Worker(numbers(0, model), numbers(0, model)) for _ in range(count)]
         self.slabs, self.softened = None, 1.0
         self.outliers, self.repair = Outliers(model, self.state), Repair(model, self.state)
-        self.pairs, self.free = Pairs(model, (), count), FreeBodies(model, ())
+        self.pairs, self.free = Pairs(model, (), count), FreeBodies(model, free)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
         self.cells, self.projection = Cells(model, count), Projection(model, count)
         self._phases = Phases(
-            model, self.state, self.cells, self.projection, self.workers, self._missed
+            model, self.state, self.cells, self.projection, self.workers, self._missed, self.free
         )
         self.team = Team[int](count, self._run_member)
         self._kick = 0.0
         """Duration over which the current pressure acted [s]."""
         self._fitted = False
-        self.impulses = WallImpulses((), count, model.device)
+        self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""
-        self.bind(forces, boundaries, accumulators)
+        self.bind(forces, boundaries, accumulators, planes)
 
     def bind(
         self,
         forces: Sequence[Attachable] = (),
         boundaries: Sequence[tuple[str, Boundary]] = (),
         accumulators: Sequence[Accumulator] = (),
+        planes: Sequence[Plane] = (),
     ) -> None:
         """Replace forces, walls and sums, from the next step on.
 
@@ -118,6 +134,7 @@ class LiquidSolver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries with their names.
             accumulators: Sums that are updated in every step.
+            planes: Flat walls with which the free solid collides.
 
         Raises:
             InputError: The region of a force holds no particle, or a wall is too thin for the grid;
@@ -127,12 +144,14 @@ class LiquidSolver:
         tracks = Tracks(real=model.real, device=model.device)
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
-        walls = Walls(model, tracks, list(walls_of(boundaries, model, tracks)))
+        fixed = list(walls_of(boundaries, model, tracks))
+        walls = Walls(model, tracks, [*fixed, *walls_of_solids(self.free, model)])
+        self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self.boundaries: list[Any] = []
-        before, names = self.impulses.total, [wall.name for wall in walls.all]
-        self.impulses = WallImpulses(names, len(self.workers), model.device)
+        before, names = self.impulses.total, [wall.name for wall in fixed]
+        self.impulses = WallImpulses(names, len(walls.all), len(self.workers), model.device)
         wp.copy(self.impulses.total, before)
         self._sample = tracks.record()
         self._sample.launch()
@@ -189,11 +208,15 @@ class LiquidSolver:
             run_timed(self.timings, "tracks", self._sample.launch)
         self._guess(kick)
         if self.walls.move:
-            run_timed(self.timings, "walls", lambda: self.walls.clear(self.cells))
-            self._group("walls")
+            self._move_walls()
         self._group("scatter")
         self._solve("pressure", TOLERANCE)
         self._group("gather")
+        if self.free.all:
+            self._group("drift")
+            self._join()
+            self._move_walls()
+        self._group("fill")
         self._solve("packing", LOOSE)
         self._group("displace")
         self._join()
@@ -212,6 +235,7 @@ class LiquidSolver:
             "repair": self.repair.snapshot(),
             "cells": self.cells.snapshot(),
             "kick": self._kick,
+            **({"free": self.free.snapshot()} if self.free.all else {}),
             "impulses": self.impulses.snapshot(),
         }
 
@@ -223,6 +247,7 @@ class LiquidSolver:
         self._phases.stray.zero_()
         self._missed.zero_()
         self._kick = snapshot["kick"]
+        self.free.restore(snapshot.get("free", {}))
         self.cells.restore(snapshot["cells"])
         self.impulses.restore(snapshot["impulses"])
         self._fitted = self.cells.count > 0
@@ -237,7 +262,8 @@ class LiquidSolver:
         """Bound forces and walls until a time [s]."""
         clock, rejection = self.clock, self.rejection
         rejection.begin(clock.time, until)
-        clock.acceleration, clock.wall = rejection.acceleration, rejection.wall
+        clock.acceleration = rejection.acceleration
+        clock.wall = max(rejection.wall, self.free.fastest())
 
     def _stable_step(self, until: float) -> None:
         """Take one step, of a stable length that divides the remaining time evenly."""
@@ -259,6 +285,14 @@ class LiquidSolver:
 
     def _solve(self, name: str, tolerance: float) -> None:
         self.projection.solve(self._run, self._phases.group(name)[0], tolerance)
+
+    def _move_walls(self) -> None:
+        """Describe walls that have moved to the cells."""
+        self._join()
+        run_timed(self.timings, "walls", self.cells.restore_walls)
+        self.walls.centre(self.cells)
+        _launch_all(self._following)
+        self._group("move")
 
     def _group(self, name: str) -> None:
         """Run all phases of a group."""
@@ -345,10 +379,13 @@ class LiquidSolver:
         self._phases.record(self._forces, self.walls, self.tracks, self.impulses, self.grid)
         sums = launches([(stage.name, stage.record(self.grid)) for stage in self._sums])
         self._ending = [("walls", self.impulses.settle), *sums]
-        self.walls.clear(self.cells)
+        self._following = launches(self.walls.follow())
+        self.cells.clear_walls()
         for phase in self._phases.group("walls"):
             for worker in self.workers:
                 worker.run(phase)
+        if self.walls.move:
+            self.cells.keep_walls()
 
 
 def _launch_all(named: Sequence[Named]) -> None:
@@ -356,8 +393,16 @@ def _launch_all(named: Sequence[Named]) -> None:
         launch()
 
 
-def kernels(boundaries: Sequence[Boundary], real: Any) -> Iterator[Any]:
-    """Yield the kernels that a liquid's steps launch, without forces on particles."""
-    yield from wall_kernels(boundaries, real)
+def kernels(boundaries: Sequence[Boundary], solids: Sequence[str], real: Any) -> Iterator[Any]:
+    """Yield the kernels that a liquid's steps launch, without forces on particles.
+
+    Args:
+        boundaries: The walls.
+        solids: Shapes of free solids.
+        real: wp.float32 or wp.float64.
+    """
+    yield from wall_kernels(boundaries, solids, real)
+    if solids:
+        yield from solid_kernels(real)
     yield from phases.kernels(real)
     yield from projection.kernels()

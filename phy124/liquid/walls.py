@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,8 +13,9 @@ import warp as wp
 from phy124.boundaries import Boundary
 from phy124.kernels.arguments import types
 from phy124.kernels.liquid import walls as kernels
-from phy124.liquid.cells import FAR, Cells
-from phy124.mpm import Model
+from phy124.kernels.liquid.solids import make_motions
+from phy124.liquid.cells import Cells, Region
+from phy124.mpm import FreeBodies, Model
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
@@ -37,6 +39,15 @@ class Wall:
     """Coefficient of Coulomb friction."""
     sticky: bool
     """Whether the liquid sticks to it."""
+    frame: wp.array
+    """The numbers of a free solid (phy124/kernels/free/numbers.py); empty for other walls."""
+    reach: float = math.inf
+    """Distance from a solid's centre up to which it may be [m]; infinite for other walls."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether the wall moves or ends."""
+        return self.slot > 0 or len(self.frame) > 0
 
 
 def walls_of(
@@ -56,7 +67,17 @@ def walls_of(
                 0 if track is None else tracks.add(track),
                 0.0 if part.contact == "slip" else part.friction,
                 part.contact == "sticky",
+                wp.zeros(0, dtype=wp.float64, device=model.device),
             )
+
+
+def walls_of_solids(bodies: FreeBodies, model: Model) -> Iterator[Wall]:
+    """Yield the surfaces of free solids, on which the liquid has no friction."""
+    t = types(model.real)
+    for solid, frame in zip(bodies.all, bodies.numbers, strict=True):
+        geometry = t.mat33(*np.ravel(solid.geometry()))
+        reach = float(np.linalg.norm(solid.half))
+        yield Wall(solid.name, solid.shape, geometry, 0, 0.0, False, frame, reach)
 
 
 class Walls:
@@ -71,48 +92,76 @@ class Walls:
         slots = [wall.slot for wall in walls] or [0]
         self.slots = wp.array(np.array(slots, np.int32), dtype=int, device=device)
         """Slot of each wall."""
-        self.move = any(wall.slot for wall in walls)
+        self.motions = wp.zeros((len(slots), 3), dtype=t.vec3, device=device)
+        """Velocity, angular velocity and centre of each wall."""
+        self.still = wp.zeros_like(self.motions)
+        """Motions of walls at rest."""
+        self.move = any(wall.moves for wall in walls)
         """Whether any wall moves or ends."""
         self.rub = any(wall.friction > 0 or wall.sticky for wall in walls)
         """Whether any wall has friction."""
 
-    def describe(self, cells: Cells, worker: int, workers: int) -> list[list[Recorded]]:
-        """Return a worker's launches that compute distances, and from them the shares of cells.
+    def describe(
+        self, cells: Cells, worker: int, workers: int, *, move: bool
+    ) -> list[list[Recorded]]:
+        """Return a worker's launches that describe walls to the cells.
 
         Args:
             cells: The cells, which the launches write.
             worker: Index of the worker.
             workers: Number of workers.
+            move: True: the walls that move, in addition to the others; False: the others.
 
         Returns:
             Two lists; workers wait for each other between them.
         """
-        model, tracks = self._model, self._tracks
-        real, lattice, window = model.real, cells.lattice, cells.window
-        first, count = span(cells.points, worker, workers)
-        distances = []
-        for index, wall in enumerate(self.all):
-            inputs = [first, index, wall.slot, wall.geometry, lattice, window, tracks.values]
-            kernel = kernels.make_wall_distance(wall.shape, real)
-            outputs = [cells.distances, cells.owners]
-            distances.append((STAGE, model.launch(kernel, count, inputs, outputs)))
-        first, count = span(8 * cells.count, worker, workers)
-        for wall in self.all:
-            inputs = [first, wall.slot, wall.geometry, lattice, window, tracks.values]
-            kernel = kernels.make_eighths(wall.shape, real)
-            distances.append((STAGE, model.launch(kernel, count, inputs, [cells.eighths])))
-        first, count = span(cells.count, worker, workers)
-        inputs = [first, window, cells.distances]
-        openings = model.launch(kernels.make_openings(real), count, inputs, [cells.open])
-        inputs = [first, window, lattice, cells.distances, cells.eighths]
-        shares = model.launch(kernels.make_solid_shares(real), count, inputs, [cells.shares])
-        return [distances, [(STAGE, openings), (STAGE, shares)]]
+        chosen = [(index, wall) for index, wall in enumerate(self.all) if wall.moves == move]
+        records = [
+            record
+            for index, wall in chosen
+            for record in self._describe_wall(cells, index, wall, worker, workers)
+        ]
+        regions = [cells.region(wall.reach) for _, wall in chosen] if move else [cells.whole]
+        shares = [self._share(cells, region, worker, workers) for region in regions]
+        return [records, shares]
 
-    def clear(self, cells: Cells) -> None:
-        """Set all distances to a large one, and all eighths of cells to open."""
-        cells.distances.fill_(FAR * self._model.dx)
-        cells.eighths.fill_(1.0)
-        cells.owners.fill_(-1)
+    def _describe_wall(
+        self, cells: Cells, index: int, wall: Wall, worker: int, workers: int
+    ) -> Iterator[Recorded]:
+        """Yield a worker's launches that combine a wall with the walls described before it."""
+        model, tracks, region = self._model, self._tracks, cells.region(wall.reach)
+        shape = [wall.slot, wall.geometry, cells.lattice, cells.window, tracks.values, wall.frame]
+        size = region.size
+        first, count = span(int(np.prod(2 * size + 1)), worker, workers)
+        kernel = kernels.make_wall_distance(wall.shape, model.real)
+        outputs = [cells.distances, cells.owners]
+        inputs = [first, index, *shape, region.box]
+        yield STAGE, model.launch(kernel, count, inputs, outputs)
+        first, count = span(int(np.prod(size)), worker, workers)
+        kernel = kernels.make_openings(wall.shape, model.real)
+        yield STAGE, model.launch(kernel, count, [first, *shape, region.box], [cells.open])
+        first, count = span(8 * int(np.prod(size)), worker, workers)
+        kernel = kernels.make_eighths(wall.shape, model.real)
+        yield STAGE, model.launch(kernel, count, [first, *shape, region.box], [cells.eighths])
+
+    def _share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
+        """Return a worker's launch that computes the solid shares of the kernels in a region."""
+        first, count = span(int(np.prod(region.size)), worker, workers)
+        inputs = [first, cells.window, cells.lattice, region.box, cells.distances, cells.eighths]
+        kernel = kernels.make_solid_shares(self._model.real)
+        return STAGE, self._model.launch(kernel, count, inputs, [cells.shares])
+
+    def follow(self) -> list[Recorded]:
+        """Return the launch that writes the motions of walls from their tracks."""
+        rates, count = self._tracks.rates, len(self.all)
+        kernel = make_motions(self._model.real)
+        return [(STAGE, self._model.launch(kernel, count, [rates, self.slots], [self.motions]))]
+
+    def centre(self, cells: Cells) -> None:
+        """Move the region of a free solid to its current place."""
+        for wall in self.all:
+            if len(wall.frame):
+                cells.region(wall.reach).centre(np.asarray(wall.frame.numpy()[:3]))
 
     def push_out(
         self, cells: Cells, run: slice, x: wp.array, v: wp.array, sums: wp.array, *, stops: bool
@@ -132,7 +181,8 @@ class Walls:
         for index, wall in enumerate(self.all):
             kernel = kernels.make_push_out(wall.shape, model.real)
             inputs = [index, wall.slot, wall.geometry, wall.friction, int(stops), model.mass[run]]
-            inputs += [cells.lattice, cells.window, tracks.values, tracks.rates, cells.distances]
+            inputs += [cells.lattice, cells.window, tracks.values, self.motions, wall.frame]
+            inputs.append(cells.distances)
             outputs = [x[run], v[run], sums]
             launch = model.launch(kernel, run.stop - run.start, inputs, outputs)
             launches.append((STAGE, launch))
@@ -145,10 +195,11 @@ def span(count: int, worker: int, workers: int) -> tuple[int, int]:
     return first, last - first
 
 
-def wall_kernels(boundaries: Iterable[Boundary], real: Any) -> Iterator[Any]:
-    """Yield the kernels of the walls of some boundaries."""
-    yield from (kernels.make_openings(real), kernels.make_solid_shares(real))
-    for shape in sorted({part.outline() for wall in boundaries for part in wall.parts()}):
+def wall_kernels(boundaries: Iterable[Boundary], solids: Iterable[str], real: Any) -> Iterator[Any]:
+    """Yield the kernels of the walls of some boundaries, and of solids of some shapes."""
+    yield from (kernels.make_solid_shares(real), make_motions(real))
+    outlines = {part.outline() for wall in boundaries for part in wall.parts()}
+    for shape in sorted(outlines | set(solids)):
         yield kernels.make_wall_distance(shape, real)
-        yield kernels.make_eighths(shape, real)
+        yield from (make(shape, real) for make in (kernels.make_openings, kernels.make_eighths))
         yield kernels.make_push_out(shape, real)

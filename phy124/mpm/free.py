@@ -173,6 +173,15 @@ class FreeBodies:
             for reach in map(self._reach, solids)
         ]
 
+    @property
+    def numbers(self) -> list[wp.array]:
+        """State of each solid on the device, as phy124/kernels/free/numbers.py describes it."""
+        return self._bodies
+
+    def total(self, index: int) -> wp.array:
+        """Return the sums that a solid has transferred to the first body of particles."""
+        return self._totals[index][0]
+
     def _zeros(self, size: int) -> wp.array:
         return wp.zeros(size, dtype=wp.float64, device=self._model.device)
 

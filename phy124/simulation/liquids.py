@@ -38,8 +38,6 @@ def _obstacles(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[tuple
     for body in scene.every_object:
         if body.held:
             yield "object.held", body.name, "liquids that are held"
-        if getattr(body, "free", False):
-            yield "objects.motion", body.name, "free solids"
     for wall in scene.boundaries:
         if wall.holds:
             yield "boundaries", wall.kind, "boundaries that hold material"

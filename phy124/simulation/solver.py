@@ -79,7 +79,9 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     if scene.projects:
         acting = wrap(scene, observers)
         state = State.of(model, v, C)
-        return LiquidSolver(model, state, **acting, ceiling=ceiling, threads=setup.threads)
+        return LiquidSolver(
+            model, state, **acting, free=setup.free, ceiling=ceiling, threads=setup.threads
+        )
     if scene.resolution.on_lattice:
         assert particles.surface is not None
         return LatticeSolver(
@@ -117,7 +119,8 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
     sums = [observer for observer in observers if observer.in_substeps]
     if scene.projects:
         named = list(zip(wall_names(scene.boundaries), scene.boundaries, strict=True))
-        return {"forces": forces, "boundaries": named, "accumulators": sums}
+        planes = planes_for_free(scene)
+        return {"forces": forces, "boundaries": named, "accumulators": sums, "planes": planes}
     planes = planes_for_free(scene)
     return {"forces": forces, "boundaries": walls, "accumulators": sums, "planes": planes}
 
@@ -134,7 +137,9 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     subject = Subject(scene, scene.materials)
     yield from tracks.kernels(real)
     if scene.projects:
-        yield from liquid_kernels(scene.boundaries, real)
+        solids = [body.shape or "" for body in scene.objects if body.free]
+        yield from liquid_kernels(scene.boundaries, solids, real)
+        yield from free.kernels_of(solids, real)
         yield from repair.kernels(subject.laws, real)
         yield from deform.kernels(real, scene.binding, device)
         for observer in OBSERVERS:

@@ -16,7 +16,9 @@ TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
 RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
 """Rows of sums: largest residual, largest right side, and s A s. Rows 0 and 1 are r M r, in turn.
 """
-ROWS = 5
+RIGID = wp.constant(5)
+"""First of six rows: force and moment J^T s of a vector s on a free solid (see `solids`)."""
+ROWS = 11
 """Number of rows of sums."""
 Vectors = wp.array(dtype=wp.vec3d)
 Table = wp.array2d(dtype=wp.float64)
@@ -158,6 +160,62 @@ def precondition(
         z[n] = p * value
 
 
+@wp.func
+def rigid_sums(sums: Table):
+    """Return the force and the moment of a vector on a free solid."""
+    return (
+        wp.vec3d(total(sums, RIGID), total(sums, RIGID + 1), total(sums, RIGID + 2)),
+        wp.vec3d(total(sums, RIGID + 3), total(sums, RIGID + 4), total(sums, RIGID + 5)),
+    )
+
+
+@wp.func
+def mobile(mobility: Doubles, force: wp.vec3d, turn: wp.vec3d):
+    """Return the velocity and the angular velocity of a solid for a force and a moment."""
+    inverse = wp.mat33d(
+        mobility[1],
+        mobility[2],
+        mobility[3],
+        mobility[4],
+        mobility[5],
+        mobility[6],
+        mobility[7],
+        mobility[8],
+        mobility[9],
+    )
+    return mobility[0] * force, inverse @ turn
+
+
+@wp.func
+def put_rigid(sums: Table, p: int, force: wp.vec3d, turn: wp.vec3d):
+    """Write a part's force and moment on a free solid."""
+    for axis in range(3):
+        sums[RIGID + axis, p] = force[axis]
+        sums[RIGID + 3 + axis, p] = turn[axis]
+
+
+@kernel("phy124_liquid_project", seconds=0.2)
+def project(
+    part: int,
+    counts: Ints,
+    listed: Ints,
+    jumps: Vectors,
+    turns: Vectors,
+    x: Doubles,
+    sums_out: Table,
+):
+    """Sum J^T x over a part of the listed cells; `jumps` and `turns` are the rows of J."""
+    p = part + wp.tid()
+    span = share(count_of(counts), p, counts.shape[0])
+    force = wp.vec3d()
+    turn = wp.vec3d()
+    for k in range(span[0], span[1]):
+        n = listed[k]
+        force += x[n] * jumps[n]
+        turn += x[n] * turns[n]
+    put_rigid(sums_out, p, force, turn)
+
+
 @kernel("phy124_liquid_begin", seconds=0.5)
 def begin(
     part: int,
@@ -169,6 +227,10 @@ def begin(
     links: Vectors,
     right: Doubles,
     x: Doubles,
+    solids: int,
+    jumps: Vectors,
+    turns: Vectors,
+    mobility: Doubles,
     inverse_out: Doubles,
     residual_out: Doubles,
     z_out: Doubles,
@@ -181,11 +243,18 @@ def begin(
     largest = wp.float64(0.0)
     right_size = wp.float64(0.0)
     product = wp.float64(0.0)
+    V = wp.vec3d()
+    w = wp.vec3d()
+    if solids > 0:
+        force, moment = rigid_sums(sums_out)
+        V, w = mobile(mobility, force, moment)
     if span[1] > span[0]:
         factorise(span[0], span[1], listed, row, layer, diagonal, links, inverse_out)
         for k in range(span[0], span[1]):
             n = listed[k]
             r = right[n] - multiply(n, row, layer, diagonal, links, x)
+            if solids > 0:
+                r -= wp.dot(jumps[n], V) + wp.dot(turns[n], w)
             residual_out[n] = r
             largest = wp.max(largest, wp.abs(r))
             right_size = wp.max(right_size, wp.abs(right[n]))
@@ -213,6 +282,9 @@ def advance(
     links: Vectors,
     z: Doubles,
     before: Doubles,
+    solids: int,
+    jumps: Vectors,
+    turns: Vectors,
     direction_out: Doubles,
     product_out: Doubles,
     sums_out: Table,
@@ -224,6 +296,8 @@ def advance(
     if begun > 0:
         beta = total(sums_out, turn) / total(sums_out, 1 - turn)
     steep = wp.float64(0.0)
+    force = wp.vec3d()
+    turning = wp.vec3d()
     for k in range(span[0], span[1]):
         n = listed[k]
         here = z[n] + beta * before[n]
@@ -242,7 +316,12 @@ def advance(
         direction_out[n] = here
         product_out[n] = value
         steep += here * value
+        if solids > 0:
+            force += here * jumps[n]
+            turning += here * turns[n]
     sums_out[STEEP, p] = steep
+    if solids > 0:
+        put_rigid(sums_out, p, force, turning)
 
 
 @kernel("phy124_liquid_improve", seconds=0.4)
@@ -257,6 +336,10 @@ def improve(
     inverse: Doubles,
     direction: Doubles,
     product: Doubles,
+    solids: int,
+    jumps: Vectors,
+    turns: Vectors,
+    mobility: Doubles,
     x_out: Doubles,
     residual_out: Doubles,
     z_out: Doubles,
@@ -266,6 +349,12 @@ def improve(
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     steep = total(sums_out, STEEP)
+    V = wp.vec3d()
+    w = wp.vec3d()
+    if solids > 0:
+        force, moment = rigid_sums(sums_out)
+        V, w = mobile(mobility, force, moment)
+        steep += wp.dot(force, V) + wp.dot(moment, w)
     alpha = wp.float64(0.0)
     if steep > wp.float64(0.0):
         alpha = total(sums_out, turn) / steep
@@ -275,7 +364,10 @@ def improve(
         for k in range(span[0], span[1]):
             n = listed[k]
             x_out[n] = x_out[n] + alpha * direction[n]
-            r = residual_out[n] - alpha * product[n]
+            change = product[n]
+            if solids > 0:
+                change += wp.dot(jumps[n], V) + wp.dot(turns[n], w)
+            r = residual_out[n] - alpha * change
             residual_out[n] = r
             largest = wp.max(largest, wp.abs(r))
         precondition(span[0], span[1], listed, row, layer, links, inverse, residual_out, z_out)

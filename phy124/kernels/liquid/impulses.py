@@ -14,12 +14,52 @@ from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.liquid.conjugate import count_of, share
 from phy124.kernels.liquid.faces import cell_of, stride
-from phy124.kernels.liquid.walls import point
+from phy124.kernels.liquid.walls import centre_of, halves, point, solid_face, speed_of
 from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
 
+Sums = wp.array3d(dtype=wp.float64)
 vec7d = wp.types.vector(7, wp.float64)
 COLUMNS = 7
 """Numbers for each wall: impulse on the liquid, its moment about the origin, and its work."""
+
+
+@wp.func
+def way_to_wall(
+    cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i, distances: wp.array(dtype=Any), dx: Any
+):
+    """Return the way along an axis from a cell's centre to the wall in it [m].
+
+    The wall lies where the distance, linear between the centre and the face, is zero. At the edge
+    of a solid, that is on the line, of nine across the face, that ends deepest in the solid.
+    """
+    d = distances[point(cell, 1, 1, 1, size)]
+    f = distances[solid_face(cell, axis, jump, size)]
+    if f >= type(dx)(0.0):
+        points = halves(size)
+        to_face = solid_face(cell, axis, jump, size) - point(cell, 1, 1, 1, size)
+        a = stride((axis + 1) % 3, points)
+        b = stride((axis + 2) % 3, points)
+        for u in range(-1, 2):
+            for v in range(-1, 2):
+                at = point(cell, 1, 1, 1, size) + u * a + v * b
+                if distances[at + to_face] < f:
+                    f = distances[at + to_face]
+                    d = distances[at]
+    way = type(dx)(0.5) * dx
+    if f < type(dx)(0.0) and d > f:
+        way *= wp.clamp(d / (d - f), type(dx)(-1.0), type(dx)(1.0))
+    return -wp.sign(jump) * way
+
+
+@wp.func
+def take_row(sums: Sums, wall: int):
+    """Return a wall's sums of all workers, and clear them."""
+    row = vec7d()
+    for worker in range(sums.shape[0]):
+        for k in range(7):
+            row[k] += sums[worker, wall, k]
+            sums[worker, wall, k] = wp.float64(0.0)
+    return row
 
 
 @cache
@@ -37,8 +77,7 @@ def make_wall_impulses(real: Any):
         window,
         clock,
         values,
-        rates,
-        slots: Ints,
+        motions: wp.array2d(dtype=t.vec3),
         open: t.vec4s,
         distances: t.reals,
         owners: Ints,
@@ -58,34 +97,18 @@ def make_wall_impulses(real: Any):
             for axis in range(3):
                 jump = open[n + stride(axis, size)][axis] - open[n][axis]
                 if jump != real(0.0):
-                    at = wp.vec3i(1, 1, 1)
-                    at[axis] = 0
-                    if jump < real(0.0):
-                        at[axis] = 2
-                    owner = owners[point(cell, at[0], at[1], at[2], size)]
+                    owner = owners[solid_face(cell, axis, jump, size)]
                     if owner >= 0:
-                        # The wall lies where the distance, linear towards the face, is zero.
-                        d = distances[point(cell, 1, 1, 1, size)]
-                        f = distances[point(cell, at[0], at[1], at[2], size)]
-                        way = real(0.5) * dx
-                        if f < real(0.0) and d > f:
-                            way *= wp.clamp(d / (d - f), real(-1.0), real(1.0))
-                        way *= -wp.sign(jump)
+                        way = way_to_wall(cell, axis, jump, size, distances, dx)
                         # p dt / (density dx) at the wall.
                         here = real(pressure[n]) + clock[0] * way * a[axis] / dx
                         impulse = here * density * dx * dx * dx * jump
-                        x = wp.vector(
-                            lattice[0] + dx * (real(low[0] + cell[0]) + real(0.5)),
-                            lattice[1] + dx * (real(low[1] + cell[1]) + real(0.5)),
-                            lattice[2] + dx * (real(low[2] + cell[2]) + real(0.5)),
-                        )
+                        x = centre_of(cell, lattice, low)
+                        speed = speed_of(motions, owner, x)[axis]
                         x[axis] = x[axis] + way
                         force = t.vec3()
                         force[axis] = impulse
                         turn = wp.cross(x, force)
-                        speed = real(0.0)
-                        if slots[owner] > 0:
-                            speed = rates[slots[owner]][axis]
                         wp.atomic_add(sums_out, owner, axis, wp.float64(impulse))
                         for b in range(3):
                             wp.atomic_add(sums_out, owner, 3 + b, wp.float64(turn[b]))
@@ -97,7 +120,7 @@ def make_wall_impulses(real: Any):
 @kernel("phy124_liquid_settle", seconds=0.2)
 def settle(
     walls: int,
-    sums_out: wp.array3d(dtype=wp.float64),
+    sums_out: Sums,
     totals_out: wp.array2d(dtype=wp.float64),
     all_out: wp.array2d(dtype=wp.float64),
 ):
@@ -107,11 +130,7 @@ def settle(
     wall; `all_out` has one row, in the order of `phy124.kernels.work`.
     """
     for wall in range(walls):
-        row = vec7d()
-        for worker in range(sums_out.shape[0]):
-            for k in range(7):
-                row[k] += sums_out[worker, wall, k]
-                sums_out[worker, wall, k] = wp.float64(0.0)
+        row = take_row(sums_out, wall)
         for k in range(6):
             totals_out[wall, k] += row[k]
         for k in range(3):

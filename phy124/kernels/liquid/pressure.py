@@ -15,7 +15,7 @@ import warp as wp
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.liquid.faces import cell_of, inner, stride
-from phy124.kernels.liquid.walls import point
+from phy124.kernels.liquid.walls import centre_of, solid_face, speed_of
 
 NEAREST = wp.constant(0.02)
 """Smallest distance of the surface from a cell's centre [cells]; closer, a pressure would be
@@ -31,27 +31,6 @@ def beyond(here: Any, there: Any):
     if apart < type(here)(0.0):
         return wp.clamp(here / apart, type(here)(NEAREST), type(here)(1.0e3))
     return type(here)(1.0e3)
-
-
-@wp.func
-def wall_speed(
-    cell: wp.vec3i,
-    axis: int,
-    size: wp.vec3i,
-    owners: wp.array(dtype=int),
-    slots: wp.array(dtype=int),
-    rates: wp.array(dtype=Any),
-):
-    """Return the velocity along an axis of the wall nearest to a cell's low face [m/s]."""
-    at = wp.vec3i(1, 1, 1)
-    at[axis] = 0
-    owner = owners[point(cell, at[0], at[1], at[2], size)]
-    speed = rates[0][0] - rates[0][0]
-    if owner >= 0:
-        slot = slots[owner]
-        if slot > 0:
-            speed = rates[slot][axis]
-    return speed
 
 
 @cache
@@ -114,9 +93,9 @@ def make_divergence(real: Any):
     def divergence(
         first,
         moving: int,
+        lattice,
         window,
-        rates,
-        slots: Ints,
+        motions: wp.array2d(dtype=t.vec3),
         open: t.vec4s,
         owners: Ints,
         liquid: Ints,
@@ -135,13 +114,12 @@ def make_divergence(real: Any):
                 low = open[n][axis]
                 high = open[m][axis]
                 flux += high * velocity[m][axis] - low * velocity[n][axis]
-                if moving > 0 and low + high < real(2.0):
-                    step = wp.vec3i()
-                    step[axis] = 1
-                    flux += (real(1.0) - high) * wall_speed(
-                        cell + step, axis, size, owners, slots, rates
-                    )
-                    flux -= (real(1.0) - low) * wall_speed(cell, axis, size, owners, slots, rates)
+                jump = high - low
+                if moving > 0 and jump != real(0.0):
+                    owner = owners[solid_face(cell, axis, jump, size)]
+                    if owner >= 0:
+                        x = centre_of(cell, lattice, window[0])
+                        flux -= jump * speed_of(motions, owner, x)[axis]
         right_out[n] = -wp.float64(flux)
         guess = wp.float64(0.0)
         if liquid[n] == 1:

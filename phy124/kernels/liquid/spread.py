@@ -14,7 +14,7 @@ import warp as wp
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.liquid.faces import cell_of, inner, stride
-from phy124.kernels.liquid.walls import point
+from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
 
 @cache
@@ -101,8 +101,7 @@ def make_slide(real: Any):
         weight: real,
         lattice,
         window,
-        rates,
-        slots: Ints,
+        motions: wp.array2d(dtype=t.vec3),
         frictions: t.vec2s,
         open: t.vec4s,
         distances: t.reals,
@@ -129,9 +128,9 @@ def make_slide(real: Any):
                     rough = t.vec2()
                     if owner >= 0:
                         rough = frictions[owner]
-                        if slots[owner] > 0:
-                            r = rates[slots[owner]]
-                            u = wp.vector(r[0], r[1], r[2])
+                        x = centre_of(cell, lattice, window[0])
+                        x[axis] = x[axis] - real(0.5) * lattice[3]
+                        u = speed_of(motions, owner, x)
                     normal = normal_at(distances, cell, at, size)
                     relative = whole(velocity, n, axis, size) - u
                     across = wp.dot(relative, normal)

@@ -10,9 +10,12 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
+from phy124.kernels.arguments import Box, Doubles, Ints, types
 from phy124.kernels.build import kernel
+from phy124.kernels.collide import FLAT
+from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
+from phy124.kernels.free.numbers import PLACE, at3, axes
 from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number
 
 SHUT = wp.constant(1.0e-3)
@@ -63,13 +66,41 @@ def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
     )
 
 
+@wp.func
+def framed(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dtype=wp.float64)):
+    """Return a position in the frame of a shape, and whether the shape acts.
+
+    A wall is displaced by the value of its track, if its slot is above 0; a free solid has the
+    place and turn of its array (phy124/kernels/free/numbers.py).
+    """
+    active = type(x[0])(1.0)
+    at = x
+    if slot > 0:
+        q = values[slot]
+        at = x - wp.vector(q[0], q[1], q[2])
+        active = q[3]
+    if frame.shape[0] > 0:
+        arm = wp.transpose(axes(frame)) @ (wide(x) - at3(frame, PLACE))
+        at = wp.vector(type(x[0])(arm[0]), type(x[0])(arm[1]), type(x[0])(arm[2]))
+    return at, active
+
+
+@wp.func
+def unframed(n: Any, frame: wp.array(dtype=wp.float64)):
+    """Return a direction in the frame of a shape along the world's axes."""
+    if frame.shape[0] == 0:
+        return n
+    w = axes(frame) @ wide(n)
+    return wp.vector(type(n[0])(w[0]), type(n[0])(w[1]), type(n[0])(w[2]))
+
+
 @cache
 def make_wall_distance(shape: str, real: Any):
     """Kernel over points of half the spacing: lowers the distance to that of a wall.
 
     `wall` is the wall's number, which is stored in the points nearest to the wall; `slot` is the
     index of the wall's displacement, or 0 for a wall that never moves. A wall whose track has ended
-    has no effect.
+    has no effect. The points are those of a region of the window: its first cell and its size.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -83,11 +114,15 @@ def make_wall_distance(shape: str, real: Any):
         lattice,
         window,
         values,
+        frame: Doubles,
+        region: Box,
         distances_out: t.reals,
         owners_out: Ints,
     ):
-        n = first + wp.tid()
-        at = cell_of(n, halves(window[1]))
+        at = cell_of(first + wp.tid(), halves(region[1])) + 2 * region[0]
+        if not inner(at, halves(window[1]), 0):
+            return
+        n = number(at, halves(window[1]))
         low = window[0]
         half = real(0.5) * lattice[3]
         x = wp.vector(
@@ -95,12 +130,8 @@ def make_wall_distance(shape: str, real: Any):
             lattice[1] + half * real(2 * low[1] + at[1]),
             lattice[2] + half * real(2 * low[2] + at[2]),
         )
-        active = real(1.0)
-        if slot > 0:
-            q = values[slot]
-            x -= wp.vector(q[0], q[1], q[2])
-            active = q[3]
-        s = distance(x, geometry)
+        place, active = framed(x, slot, values, frame)
+        s = distance(place, geometry)
         if active > real(0.0) and s[3] < distances_out[n]:
             distances_out[n] = s[3]
             owners_out[n] = wall
@@ -108,30 +139,112 @@ def make_wall_distance(shape: str, real: Any):
     return wall_distance
 
 
-@cache
-def make_openings(real: Any):
-    """Kernel over cells: the open share of the three low faces of each cell."""
-    t = types(real)
+@wp.func
+def speed_of(motions: wp.array2d(dtype=Any), wall: int, x: Any):
+    """Return the velocity of a wall at a point [m/s]; motions hold V, w and a centre."""
+    return motions[wall, 0] + wp.cross(motions[wall, 1], x - motions[wall, 2])
 
-    @kernel(f"phy124_liquid_openings_{real.__name__}", real, seconds=0.3)
-    def openings(first, window, distances: t.reals, open_out: t.vec4s):
-        n = first + wp.tid()
-        size = window[1]
-        cell = cell_of(n, size)
-        d0 = distances[point(cell, 0, 0, 0, size)]
-        dx = distances[point(cell, 2, 0, 0, size)]
-        dy = distances[point(cell, 0, 2, 0, size)]
-        dz = distances[point(cell, 0, 0, 2, size)]
-        dyz = distances[point(cell, 0, 2, 2, size)]
-        dxz = distances[point(cell, 2, 0, 2, size)]
-        dxy = distances[point(cell, 2, 2, 0, size)]
-        share = wp.vector(
-            square(d0, dy, dyz, dz, distances[point(cell, 0, 1, 1, size)]),
-            square(d0, dx, dxz, dz, distances[point(cell, 1, 0, 1, size)]),
-            square(d0, dx, dxy, dy, distances[point(cell, 1, 1, 0, size)]),
-            real(0.0),
-        )
+
+@wp.func
+def centre_of(cell: wp.vec3i, lattice: Any, low: wp.vec3i):
+    """Return the position of a cell's centre [m]."""
+    dx = lattice[3]
+    half = type(dx)(0.5)
+    return wp.vector(
+        lattice[0] + dx * (type(dx)(low[0] + cell[0]) + half),
+        lattice[1] + dx * (type(dx)(low[1] + cell[1]) + half),
+        lattice[2] + dx * (type(dx)(low[2] + cell[2]) + half),
+    )
+
+
+@wp.func
+def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
+    """Return the point in the middle of a cell's face that is less open than the opposite one."""
+    at = wp.vec3i(1, 1, 1)
+    at[axis] = 0
+    if jump < type(jump)(0.0):
+        at[axis] = 2
+    return point(cell, at[0], at[1], at[2], size)
+
+
+@cache
+def make_openings(shape: str, real: Any):
+    """Kernel over cells: multiplies the open shares of the low faces by those before a wall.
+
+    The share before a plane follows from the distances at the face's corners; that before other
+    shapes from 64 points of the face, since distances bend at edges. The product is exact where
+    walls are perpendicular to each other.
+    """
+    t = types(real)
+    distance = SHAPES[shape]
+    flat = shape in FLAT
+
+    @wp.func
+    def far(
+        middle: t.vec3,
+        axis: int,
+        a: real,
+        b: real,
+        slot: int,
+        geometry: t.mat33,
+        values: wp.array(dtype=t.vec4),
+        frame: Doubles,
+    ):
+        """Return the distance at a point of a face, a and b [m] from its middle."""
+        x = middle
+        x[(axis + 1) % 3] = middle[(axis + 1) % 3] + a
+        x[(axis + 2) % 3] = middle[(axis + 2) % 3] + b
+        place, active = framed(x, slot, values, frame)
+        if active <= real(0.0):
+            return real(wp.inf)
+        return distance(place, geometry)[3]
+
+    @kernel(f"phy124_liquid_openings_{shape}_{real.__name__}", real, seconds=0.4)
+    def openings(
+        first,
+        slot,
+        geometry,
+        lattice,
+        window,
+        values,
+        frame: Doubles,
+        region: Box,
+        open_out: t.vec4s,
+    ):
+        cell = cell_of(first + wp.tid(), region[1]) + region[0]
+        if not inner(cell, window[1], 0):
+            return
+        n = number(cell, window[1])
+        dx = lattice[3]
+        share = open_out[n]
+        centre = centre_of(cell, lattice, window[0])
         for axis in range(3):
+            middle = centre
+            middle[axis] = centre[axis] - real(0.5) * dx
+            d = far(middle, axis, real(0.0), real(0.0), slot, geometry, values, frame)
+            part = real(1.0)
+            if d < real(-0.75) * dx:
+                part = real(0.0)
+            elif d < real(0.75) * dx:
+                if wp.static(flat):
+                    h = real(0.5) * dx
+                    part = square(
+                        far(middle, axis, -h, -h, slot, geometry, values, frame),
+                        far(middle, axis, h, -h, slot, geometry, values, frame),
+                        far(middle, axis, h, h, slot, geometry, values, frame),
+                        far(middle, axis, -h, h, slot, geometry, values, frame),
+                        d,
+                    )
+                else:
+                    part = real(0.0)
+                    for a in range(8):
+                        for b in range(8):
+                            u = dx * (real(a) - real(3.5)) * real(0.125)
+                            v = dx * (real(b) - real(3.5)) * real(0.125)
+                            e = far(middle, axis, u, v, slot, geometry, values, frame)
+                            if e > real(1.0e-4) * dx:
+                                part += real(0.015625)
+            share[axis] = share[axis] * part
             if share[axis] < real(SHUT):
                 share[axis] = real(0.0)
             if share[axis] > real(1.0) - real(SHUT):
@@ -152,10 +265,21 @@ def make_eighths(shape: str, real: Any):
     distance = SHAPES[shape]
 
     @kernel(f"phy124_liquid_eighths_{shape}_{real.__name__}", real, seconds=0.2)
-    def eighths(first, slot, geometry, lattice, window, values, vacant_out: t.reals):
-        n = first + wp.tid()
-        size = window[1]
-        at = cell_of(n, wp.vec3i(2 * size[0], 2 * size[1], 2 * size[2]))
+    def eighths(
+        first,
+        slot,
+        geometry,
+        lattice,
+        window,
+        values,
+        frame: Doubles,
+        region: Box,
+        vacant_out: t.reals,
+    ):
+        at = cell_of(first + wp.tid(), 2 * region[1]) + 2 * region[0]
+        if not inner(at, 2 * window[1], 0):
+            return
+        n = number(at, 2 * window[1])
         low = window[0]
         half = real(0.5) * lattice[3]
         middle = real(0.5)
@@ -164,13 +288,9 @@ def make_eighths(shape: str, real: Any):
             lattice[1] + half * (real(2 * low[1] + at[1]) + middle),
             lattice[2] + half * (real(2 * low[2] + at[2]) + middle),
         )
-        active = real(1.0)
-        if slot > 0:
-            q = values[slot]
-            x -= wp.vector(q[0], q[1], q[2])
-            active = q[3]
+        place, active = framed(x, slot, values, frame)
         if active > real(0.0):
-            d = distance(x, geometry)[3]
+            d = distance(place, geometry)[3]
             vacant_out[n] = vacant_out[n] * wp.clamp(middle + d / half, real(0.0), real(1.0))
 
     return eighths
@@ -184,11 +304,19 @@ def make_solid_shares(real: Any):
 
     @kernel(f"phy124_liquid_solid_shares_{real.__name__}", real, seconds=0.3)
     def solid_shares(
-        first, window, lattice, distances: t.reals, vacant: t.reals, shares_out: t.vec2s
+        first,
+        window,
+        lattice,
+        region: Box,
+        distances: t.reals,
+        vacant: t.reals,
+        shares_out: t.vec2s,
     ):
-        n = first + wp.tid()
         size = window[1]
-        cell = cell_of(n, size)
+        cell = cell_of(first + wp.tid(), region[1]) + region[0]
+        if not inner(cell, size, 0):
+            return
+        n = number(cell, size)
         d = distances[point(cell, 1, 1, 1, size)]
         result = t.vec2()
         if d < real(-2.7) * lattice[3]:
@@ -233,7 +361,8 @@ def make_push_out(shape: str, real: Any):
         lattice,
         window,
         values,
-        rates,
+        motions: wp.array2d(dtype=t.vec3),
+        frame: Doubles,
         distances: t.reals,
         x_out,
         v_out,
@@ -248,18 +377,11 @@ def make_push_out(shape: str, real: Any):
         if inner(cell, size, 0):
             d = distances[point(cell, 1, 1, 1, size)]
         if d < real(NEAR) * dx:
-            moved = t.vec3()
-            u = t.vec3()
-            active = real(1.0)
-            if slot > 0:
-                q = values[slot]
-                r = rates[slot]
-                moved = wp.vector(q[0], q[1], q[2])
-                u = wp.vector(r[0], r[1], r[2])
-                active = q[3]
-            s = distance(x - moved, geometry)
+            place, active = framed(x, slot, values, frame)
+            s = distance(place, geometry)
             if active > real(0.0) and s[3] < real(GAP) * dx:
-                normal = wp.vector(s[0], s[1], s[2])
+                normal = unframed(wp.vector(s[0], s[1], s[2]), frame)
+                u = speed_of(motions, wall, x)
                 x_out[p] = x + (real(GAP) * dx - s[3]) * normal
                 if stops > 0:
                     relative = v_out[p] - u

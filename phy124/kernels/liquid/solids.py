@@ -1,0 +1,238 @@
+"""Free solids in a liquid: the pressure moves liquid and solid together.
+
+Let J (V, w) be the flux out of each cell through the surface of a solid with velocity V and angular
+velocity w. The pressure's impulse on the solid is rho dx^3 J^T q, so the pressure equation becomes
+(A + rho dx^3 J M^-1 J^T) q = right side, with the solid's mass and inertia M (Batty, Bertails and
+Bridson 2007). The added matrix has rank six: conjugate gradients sum J^T s and apply the mobility
+rho dx^3 M^-1 in each iteration (`conjugate`).
+
+A cell's pressure acts at its centre. The weight of the liquid between centre and surface is added,
+without which buoyancy would jump when the solid's bottom passes a layer of centres.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.diagnostics import wide
+from phy124.kernels.free.numbers import (
+    ANGULAR,
+    KICKED,
+    MOMENT,
+    MOVED,
+    PLACE,
+    TURNED,
+    VELOCITY,
+    WORK,
+    at3,
+    axes,
+    inertia_of,
+    put3,
+    spin_of,
+)
+from phy124.kernels.liquid.conjugate import (
+    Table,
+    Vectors,
+    count_of,
+    put_rigid,
+    rigid_sums,
+    share,
+)
+from phy124.kernels.liquid.faces import cell_of, stride
+from phy124.kernels.liquid.impulses import Sums, take_row, way_to_wall
+from phy124.kernels.liquid.walls import centre_of, solid_face
+
+
+@cache
+def make_motions(real: Any):
+    """Kernel over walls: velocity, angular velocity and centre of each wall, from its track."""
+    t = types(real)
+
+    @kernel(f"phy124_liquid_motions_{real.__name__}", real, seconds=0.15)
+    def motions(rates, slots: Ints, motions_out: wp.array2d(dtype=t.vec3)):
+        wall = wp.tid()
+        if slots[wall] > 0:
+            r = rates[slots[wall]]
+            motions_out[wall, 0] = wp.vector(r[0], r[1], r[2])
+
+    return motions
+
+
+@wp.func
+def write_motion(
+    motions: wp.array2d(dtype=Any), wall: int, body: wp.array(dtype=wp.float64), moments: wp.vec3d
+):
+    """Write velocity, angular velocity and centre of a solid."""
+    V = at3(body, VELOCITY)
+    w = spin_of(axes(body), moments, at3(body, ANGULAR))
+    X = at3(body, PLACE)
+    like = motions[wall, 0]
+    for k in range(3):
+        like[k] = type(like[0])(V[k])
+    motions[wall, 0] = like
+    for k in range(3):
+        like[k] = type(like[0])(w[k])
+    motions[wall, 1] = like
+    for k in range(3):
+        like[k] = type(like[0])(X[k])
+    motions[wall, 2] = like
+
+
+@cache
+def make_jumps(real: Any):
+    """Kernel over cells: the rows of J, for the velocity and for the angular velocity."""
+    t = types(real)
+
+    @kernel(f"phy124_liquid_jumps_{real.__name__}", real, seconds=0.2)
+    def jumps(
+        first,
+        wall: int,
+        lattice,
+        window,
+        open: t.vec4s,
+        owners: Ints,
+        liquid: Ints,
+        body,
+        jumps_out: Vectors,
+        turns_out: Vectors,
+    ):
+        n = first + wp.tid()
+        size = window[1]
+        row = wp.vec3d()
+        cell = cell_of(n, size)
+        if liquid[n] == 1:
+            for axis in range(3):
+                jump = open[n + stride(axis, size)][axis] - open[n][axis]
+                if jump != real(0.0):
+                    if owners[solid_face(cell, axis, jump, size)] == wall:
+                        row[axis] = -wp.float64(jump)
+        jumps_out[n] = row
+        arm = wide(centre_of(cell, lattice, window[0])) - at3(body, PLACE)
+        turns_out[n] = wp.cross(arm, row)
+
+    return jumps
+
+
+@cache
+def make_lift(real: Any):
+    """Kernel over parts: sums the weight between the cells' centres and the solid's surface.
+
+    The sums are an impulse on the solid and its moment, per rho dx^3.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_lift_{real.__name__}", real, seconds=0.3)
+    def lift(
+        part: int,
+        counts: Ints,
+        listed: Ints,
+        lattice,
+        window,
+        clock,
+        values,
+        distances: t.reals,
+        jumps: Vectors,
+        body,
+        sums_out: Table,
+    ):
+        p = part + wp.tid()
+        size = window[1]
+        dx = lattice[3]
+        span = share(count_of(counts), p, counts.shape[0])
+        force = wp.vec3d()
+        turn = wp.vec3d()
+        for k in range(span[0], span[1]):
+            n = listed[k]
+            j = jumps[n]
+            cell = cell_of(n, size)
+            f = wp.vec3d()
+            for axis in range(3):
+                if j[axis] != wp.float64(0.0):
+                    way = way_to_wall(cell, axis, -real(j[axis]), size, distances, dx)
+                    f[axis] = j[axis] * wp.float64(clock[0] * way * values[0][axis] / dx)
+            force += f
+            arm = wide(centre_of(cell, lattice, window[0])) - at3(body, PLACE)
+            turn += wp.cross(arm, f)
+        put_rigid(sums_out, p, force, turn)
+
+    return lift
+
+
+@cache
+def make_predict(real: Any):
+    """Kernel of one thread: kicks the solid, and writes its predicted motion and its mobility.
+
+    `scale` is rho dx^3 [kg]. The mobility is scale / M, then scale times the inverse inertia.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_predict_{real.__name__}", real, seconds=0.3)
+    def predict(
+        mass: wp.float64,
+        scale: wp.float64,
+        moments,
+        wall: int,
+        clock,
+        values,
+        sums: Table,
+        motions_out: wp.array2d(dtype=t.vec3),
+        mobility_out: Doubles,
+        body_out,
+    ):
+        if body_out[KICKED] == wp.float64(0.0):
+            pull = wp.float64(clock[0]) * wide(values[0])
+            put3(body_out, VELOCITY, at3(body_out, VELOCITY) + pull)
+            body_out[KICKED] = wp.float64(1.0)
+        V = at3(body_out, VELOCITY)
+        L = at3(body_out, ANGULAR)
+        inverse = wp.inverse(inertia_of(axes(body_out), moments))
+        force, turn = rigid_sums(sums)
+        put3(body_out, VELOCITY, V + (scale / mass) * force)
+        put3(body_out, ANGULAR, L + scale * turn)
+        write_motion(motions_out, wall, body_out, moments)
+        put3(body_out, VELOCITY, V)
+        put3(body_out, ANGULAR, L)
+        mobility_out[0] = scale / mass
+        for a in range(3):
+            for b in range(3):
+                mobility_out[1 + 3 * a + b] = scale * inverse[a, b]
+
+    return predict
+
+
+@cache
+def make_respond(real: Any):
+    """Kernel of one thread: the solid takes the opposite of its impulses on the liquid.
+
+    `total_out` sums the impulses on the liquid, as phy124/kernels/free does.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_respond_{real.__name__}", real, seconds=0.3)
+    def respond(
+        mass: wp.float64,
+        moments,
+        wall: int,
+        sums_out: Sums,
+        motions_out: wp.array2d(dtype=t.vec3),
+        total_out: Doubles,
+        body_out,
+    ):
+        row = take_row(sums_out, wall)
+        J = wp.vec3d(row[0], row[1], row[2])
+        moment = wp.vec3d(row[3], row[4], row[5])
+        about = moment - wp.cross(at3(body_out, PLACE), J)
+        put3(body_out, VELOCITY, at3(body_out, VELOCITY) - J / mass)
+        put3(body_out, ANGULAR, at3(body_out, ANGULAR) - about)
+        for k in range(3):
+            total_out[k] += J[k]
+            total_out[MOMENT + k] += moment[k]
+        total_out[WORK] += row[6]
+        total_out[MOVED] += wp.length(J)
+        total_out[TURNED] += wp.abs(row[6])
+        write_motion(motions_out, wall, body_out, moments)
+
+    return respond
