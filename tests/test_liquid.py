@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from phy124.boundaries import Container, HalfSpace
+from phy124.boundaries import Box, Container, HalfSpace
 from phy124.errors import InputError
 from phy124.forces import Gravity
 from phy124.liquid import LiquidSolver
 from phy124.materials import Fluid
-from phy124.mpm import Model, State
+from phy124.mpm import FreeBody, Model, State
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
@@ -29,7 +29,9 @@ def block(low, high, cells: int, per_axis: int = 2) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
 
 
-def liquid(x, cells: int, walls=(), *, gravity=(0, 0, -G), offset=0.0, threads=1) -> LiquidSolver:
+def liquid(
+    x, cells: int, walls=(), *, gravity=(0, 0, -G), offset=0.0, threads=1, **solids
+) -> LiquidSolver:
     """A liquid of particles, with 8 in each cell, in walls; the grid is off by some cells."""
     dx = 1 / cells
     volume = np.full(len(x), dx**3 / 8)
@@ -37,7 +39,8 @@ def liquid(x, cells: int, walls=(), *, gravity=(0, 0, -G), offset=0.0, threads=1
     model = Model.of(x, volume, [Fluid(density=DENSITY)], dx=dx, origin=origin)
     named = [(f"wall_{index}", wall) for index, wall in enumerate(walls)]
     forces = [Gravity(g=gravity)] if np.any(gravity) else []
-    return LiquidSolver(model, State.of(model), forces=forces, boundaries=named, threads=threads)
+    options = {"forces": forces, "boundaries": named, "threads": threads, **solids}
+    return LiquidSolver(model, State.of(model), **options)
 
 
 def run(solver: LiquidSolver, steps: int) -> LiquidSolver:
@@ -58,6 +61,8 @@ def heights(solver: LiquidSolver) -> np.ndarray:
     found = []
     for i, j in np.argwhere(wet.any(axis=2)):
         k = np.flatnonzero(wet[i, j])[-1]
+        if phi[i, j, k + 1] <= 0:  # a wall
+            continue
         part = phi[i, j, k] / (phi[i, j, k] - phi[i, j, k + 1])
         found.append(solver.model.origin[2] + dx * (solver.cells.low[2] + k + 0.5 + part))
     return np.array(found)
@@ -96,6 +101,79 @@ def test_pile_slides_down_a_smooth_slope():
     duration = solver.clock.time - solver.clock.last_dt / 2
     speed = solver.state.v.numpy().mean(axis=0) @ along
     assert speed == pytest.approx(G * np.sin(tilt) * duration, rel=0.02)
+
+
+def test_immersed_box_is_lifted_by_the_water_that_it_displaces():
+    cells, lower, upper = 16, (0.35, 0.35, 0.3), (0.65, 0.65, 0.5)
+    x = block((0, 0, 0), (1, 1, 0.375), cells)
+    x = x[~((x > lower) & (x < upper)).all(axis=1)]
+    solver = liquid(x, cells, [TANK, Box(lower=lower, upper=upper, contact="slip")])
+    run(solver, 8)
+    before = solver.impulses.wrench("wall_1").numpy()[2]
+    run(solver, 8)
+    force = (before - solver.impulses.wrench("wall_1").numpy()[2]) * FPS / 8
+    depth = np.median(heights(solver)) - lower[2]
+    assert force == pytest.approx(DENSITY * G * 0.3**2 * depth, rel=0.05)
+
+
+def floating(density: float, bottom: float, threads: int = 1) -> LiquidSolver:
+    """A flat block of some density in a tank whose water is 0.4 m deep, 16 cells per metre."""
+    half, cells = (0.15, 0.15, 0.075), 16
+    body = FreeBody("block", "box", half, (0.5, 0.5, bottom + half[2]), density=density)
+    x = block((0, 0, 0), (1, 1, 0.4), cells)
+    x = x[(np.abs(x - body.place) >= half).any(axis=1)]
+    return liquid(x, cells, [TANK], free=[body], planes=TANK.sides(), threads=threads)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_block_of_half_the_density_stays_at_half_its_height(threads):
+    solver = run(floating(0.5 * DENSITY, 0.325, threads), 12)
+    level = solver.model.total_mass / DENSITY + 0.5 * solver.free.all[0].volume
+    depth = level - (solver.free.poses()[0, 2] - 0.075)
+    assert depth == pytest.approx(0.075, abs=0.05 * 0.15)
+    other = run(floating(0.5 * DENSITY, 0.325, threads), 12)
+    np.testing.assert_array_equal(other.free.poses(), solver.free.poses())
+
+
+def test_momentum_of_liquid_and_solid_is_conserved():
+    """Without walls and gravity, a solid that hits a blob moves it."""
+    x = block((0, 0, 0), (0.5, 0.5, 0.5), 16)
+    body = FreeBody("stone", "sphere", (0.1,) * 3, (0.25, 0.25, 0.7), velocity=(0, 0, -2))
+    solver = liquid(x, 16, gravity=(0, 0, 0), free=[body])
+    start = body.mass * np.array(body.velocity)
+    run(solver, 8)
+    moved = solver.model.mass.numpy() @ solver.state.v.numpy()
+    assert moved[2] < 0.1 * start[2]
+    total = moved + body.mass * solver.free.motions()[0, :3]
+    np.testing.assert_allclose(total, start, atol=0.03 * abs(start[2]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.3, 0.5, 0.7])
+def test_block_floats_at_the_depth_of_its_density(ratio):
+    solver = floating(ratio * DENSITY, 0.4 - ratio * 0.15)
+    level = solver.model.total_mass / DENSITY + ratio * solver.free.all[0].volume
+    run(solver, 480)
+    depths = []
+    for _ in range(96):
+        run(solver, 1)
+        depths.append(level - (solver.free.poses()[0, 2] - 0.075))
+    assert np.mean(depths) == pytest.approx(ratio * 0.15, abs=0.03 * 0.15)
+
+
+@pytest.mark.slow
+def test_stone_sinks_to_the_floor():
+    solver = run(floating(2.5 * DENSITY, 0.2), 96)
+    assert solver.free.poses()[0, 2] == pytest.approx(0.075, abs=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cells", "offset"), [(8, 0.0), (16, 0.0), (16, 0.37)])
+def test_tank_keeps_its_level_for_a_minute(cells, offset):
+    solver = liquid(block((0, 0, 0), (1, 1, 0.5), cells), cells, [TANK], offset=offset)
+    run(solver, 60 * FPS)
+    assert heights(solver).mean() == pytest.approx(0.5, rel=0.005)
+    assert np.linalg.norm(solver.state.v.numpy(), axis=1).mean() < 0.005
 
 
 def test_full_box_without_a_surface_stays_still():
