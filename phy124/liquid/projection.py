@@ -69,16 +69,28 @@ class Projection:
         launch, (part, parts) = self._model.launch, self.part(worker)
         row, layer = cells.strides
         listed, equation = [self.counts, cells.listed], [cells.diagonal, cells.links]
-        rows = [int(solids), cells.jumps, cells.turns]
-        inputs = [part, row, layer, *listed, *equation, cells.right, x, *rows, self.mobility]
+        rows, some = [cells.jumps, cells.turns], int(solids)
+        inputs = [part, row, layer, some, *listed, *equation, cells.right, x, *rows, self.mobility]
         outputs = [cells.inverse, cells.residual, cells.z, cells.directions[1], self.sums]
         phases = [[(STAGE, launch(conjugate.begin, parts, inputs, outputs))]]
         for begun, turn in ((0, 0), (1, 1), (1, 0)):
             before, after = cells.directions[1 - turn], cells.directions[turn]
-            inputs = [part, turn, begun, row, layer, *listed, *equation, cells.z, before, *rows]
+            inputs = [
+                part,
+                turn,
+                begun,
+                row,
+                layer,
+                some,
+                *listed,
+                *equation,
+                cells.z,
+                before,
+                *rows,
+            ]
             outputs = [after, cells.product, self.sums]
             phases.append([(STAGE, launch(conjugate.advance, parts, inputs, outputs))])
-            inputs = [part, turn, row, layer, *listed, cells.links, cells.inverse]
+            inputs = [part, turn, row, layer, some, *listed, cells.links, cells.inverse]
             inputs += [after, cells.product, *rows, self.mobility]
             outputs = [x, cells.residual, cells.z, self.sums]
             phases.append([(STAGE, launch(conjugate.improve, parts, inputs, outputs))])

@@ -44,6 +44,13 @@ class Solids:
     ) -> list[list[Recorded]]:
         """Return a worker's launches before the divergence of the velocities is computed.
 
+        Args:
+            cells: The cells.
+            walls: The walls, of which the solid's surface is the last.
+            projection: The solutions, whose sums and mobility the launches write.
+            tracks: Quantities that change over time.
+            worker: Index of the worker.
+
         Returns:
             Two lists; workers wait for each other between them. The first worker predicts.
         """

@@ -161,7 +161,7 @@ class Walls:
         """Move the region of a free solid to its current place."""
         for wall in self.all:
             if len(wall.frame):
-                cells.region(wall.reach).centre(np.asarray(wall.frame.numpy()[:3]))
+                cells.region(wall.reach).centre(np.asarray(wall.frame.numpy(), np.float64)[:3])
 
     def push_out(
         self, cells: Cells, run: slice, x: wp.array, v: wp.array, sums: wp.array, *, stops: bool

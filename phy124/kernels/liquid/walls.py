@@ -67,7 +67,7 @@ def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
 
 
 @wp.func
-def framed(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dtype=wp.float64)):
+def to_frame(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dtype=wp.float64)):
     """Return a position in the frame of a shape, and whether the shape acts.
 
     A wall is displaced by the value of its track, if its slot is above 0; a free solid has the
@@ -86,7 +86,7 @@ def framed(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dtype
 
 
 @wp.func
-def unframed(n: Any, frame: wp.array(dtype=wp.float64)):
+def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
     """Return a direction in the frame of a shape along the world's axes."""
     if frame.shape[0] == 0:
         return n
@@ -130,7 +130,7 @@ def make_wall_distance(shape: str, real: Any):
             lattice[1] + half * real(2 * low[1] + at[1]),
             lattice[2] + half * real(2 * low[2] + at[2]),
         )
-        place, active = framed(x, slot, values, frame)
+        place, active = to_frame(x, slot, values, frame)
         s = distance(place, geometry)
         if active > real(0.0) and s[3] < distances_out[n]:
             distances_out[n] = s[3]
@@ -194,7 +194,7 @@ def make_openings(shape: str, real: Any):
         x = middle
         x[(axis + 1) % 3] = middle[(axis + 1) % 3] + a
         x[(axis + 2) % 3] = middle[(axis + 2) % 3] + b
-        place, active = framed(x, slot, values, frame)
+        place, active = to_frame(x, slot, values, frame)
         if active <= real(0.0):
             return real(wp.inf)
         return distance(place, geometry)[3]
@@ -288,7 +288,7 @@ def make_eighths(shape: str, real: Any):
             lattice[1] + half * (real(2 * low[1] + at[1]) + middle),
             lattice[2] + half * (real(2 * low[2] + at[2]) + middle),
         )
-        place, active = framed(x, slot, values, frame)
+        place, active = to_frame(x, slot, values, frame)
         if active > real(0.0):
             d = distance(place, geometry)[3]
             vacant_out[n] = vacant_out[n] * wp.clamp(middle + d / half, real(0.0), real(1.0))
@@ -377,10 +377,10 @@ def make_push_out(shape: str, real: Any):
         if inner(cell, size, 0):
             d = distances[point(cell, 1, 1, 1, size)]
         if d < real(NEAR) * dx:
-            place, active = framed(x, slot, values, frame)
+            place, active = to_frame(x, slot, values, frame)
             s = distance(place, geometry)
             if active > real(0.0) and s[3] < real(GAP) * dx:
-                normal = unframed(wp.vector(s[0], s[1], s[2]), frame)
+                normal = to_world(wp.vector(s[0], s[1], s[2]), frame)
                 u = speed_of(motions, wall, x)
                 x_out[p] = x + (real(GAP) * dx - s[3]) * normal
                 if stops > 0:
