@@ -69,7 +69,14 @@ class Solids:
         return [[(STAGE, lift)], [(STAGE, predict)]]
 
     def jumps(self, cells: Cells, walls: Walls, worker: int, workers: int) -> Recorded:
-        """Return a worker's launch that writes the rows of J."""
+        """Return a worker's launch that writes the rows of J.
+
+        Args:
+            cells: The cells.
+            walls: The walls, of which the solid's surface is the last.
+            worker: Index of the worker.
+            workers: Number of workers.
+        """
         model, (first, count) = self._model, span(cells.count, worker, workers)
         inputs = [first, len(walls.all) - 1, cells.lattice, cells.window, cells.open]
         inputs += [cells.owners, cells.liquid, self.bodies.numbers[0]]
