@@ -1,4 +1,4 @@
-"""Exceptions that end a run early but are no bugs: bad input, cancellation, partial results."""
+"""Exceptions that end a run early but are not bugs: bad input, cancellation, partial results."""
 
 from __future__ import annotations
 

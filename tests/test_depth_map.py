@@ -28,7 +28,7 @@ def spoiled(folder):
     return {
         "colours.npy": "shape",
         "hole.npy": "not finite",
-        "text.npy": "no array",
+        "text.npy": "not an array",
         "text.png": "not a PNG",
         "absent.npy": "no such file",
         "absent.png": "no such file",

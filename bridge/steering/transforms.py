@@ -31,7 +31,7 @@ class Transforms:
         """Store the transforms of a TFMessage.
 
         Raises:
-            InputError: A transform is no rotation or not finite, or there are too many frames.
+            InputError: A transform is not a rotation or not finite, or there are too many frames.
         """
         for link in message.transforms:
             child = link.child_frame_id

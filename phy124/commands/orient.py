@@ -41,7 +41,7 @@ class Orient:
         """Draw the candidates; print the path of the contact sheet.
 
         Raises:
-            InputError: The file cannot be read, `up` is no axis, or `out` is no PNG file.
+            InputError: The file cannot be read, `up` is not an axis, or `out` is not a PNG file.
         """
         out = self.out or Path("out") / f"{self.file.stem}-orient.png"
         if out.suffix.lower() != ".png":

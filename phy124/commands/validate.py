@@ -98,7 +98,7 @@ class Validate:
         """Refuse --docs if the page cannot be written as a whole.
 
         Raises:
-            InputError: This is no clone, or only some experiments are run.
+            InputError: This is not a clone, or only some experiments are run.
         """
         if not self.docs:
             return

@@ -114,7 +114,7 @@ def _array(path: Path) -> NDArray:
             raise ValueError("it is too large")
         values = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
-        limit = f"It is no array ({error})."
+        limit = f"It is not an array ({error})."
         raise InputError("depth", path, limit, "Save it with numpy.save.") from error
     return np.squeeze(values)
 

@@ -1,6 +1,6 @@
 """Splits two objects that touch, where the silhouette has a neck and the colours change.
 
-A neck alone is no evidence (a head on shoulders), nor are colours alone (trousers and shirt). Both
+A neck alone is not evidence (a head on shoulders), nor are colours alone (trousers and shirt). Both
 are required, and each part must be large. A sail is still taken for a separate object; error rates
 are in docs/lab/cutouts.md.
 """

@@ -57,7 +57,7 @@ from phy124.mpm.workers import (
 )
 
 EXTENT = -1
-"""Task of the workers that is no phase: measure the particles' extent."""
+"""Task of the workers that is not a phase: measure the particles' extent."""
 TOLERANCE, LOOSE = 1e-5, 1e-2
 """Largest residual of the pressure and of the density, as a fraction of the right side."""
 MOST_CELLS = 2**22

@@ -289,7 +289,7 @@ def at_rest(path: PathLike) -> Gaussians:
     """Return the object of a clip in its first frame.
 
     Raises:
-        InputError: The file is no clip, or the clip has several objects.
+        InputError: The file is not a clip, or the clip has several objects.
     """
     gaussians = Clip.load(path).surface.frame(0).gaussians
     if gaussians.object_id is not None:

@@ -41,7 +41,7 @@ def _hardware_threads() -> int:
 
 
 def _within_quota(threads: int) -> int:
-    """Cap threads at the quota's whole CPUs: threads wait for each other, a fraction is no use."""
+    """Cap threads at the quota's whole CPUs: threads wait for each other, a fraction is useless."""
     return max(1, int(min(threads, cpu_quota())))
 
 

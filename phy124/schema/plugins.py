@@ -136,7 +136,9 @@ class Kinds:
         if kind is None:
             return usual(value)
         if not (isinstance(kind, type) and issubclass(kind, self.base)):
-            limit = f"the class registered under this name is no subclass of {self.base.__name__}."
+            limit = (
+                f"the class registered under this name is not a subclass of {self.base.__name__}."
+            )
             remedy = "Correct or remove the package that registers it."
             raise InputError(f"phy124.{self.group}", name, limit, remedy)
         return kind.model_validate(value)

@@ -46,8 +46,8 @@ def colour_points(
 ) -> Field:
     """Colour surface points [N,3] from the front image, and continue it around the rim.
 
-    Behind the rim, the mirrored image fades into the back, so that the rim is no seam. Colours
-    behind the rim are lit as the normals require.
+    Behind the rim, the mirrored image fades into the back, so that there is no seam at the rim.
+    Colours behind the rim are lit as the normals require.
 
     Args:
         points: Positions [N,3], pixels.

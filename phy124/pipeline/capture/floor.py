@@ -123,7 +123,7 @@ def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, fl
 
 
 def _check(x: Vectors, floor: Floor) -> None:
-    """Refuse a plane that is no floor."""
+    """Refuse a plane that is not a floor."""
     heights = floor.heights(x)
     on, above = np.abs(heights) <= floor.tolerance, heights > floor.tolerance
     if on.mean() < MIN_FRACTION:

@@ -113,7 +113,7 @@ EXPERIMENT = Experiment(
     published=publish,
     run=run,
     control=control,
-    mistake="friction_angle = 50°, which in a channel is no angle of sand",
+    mistake="friction_angle = 50°, which sand does not have in a channel",
     grids=(10, 14, 20),
     across="a square of the column's area",
     axis="height / width",
