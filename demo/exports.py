@@ -96,9 +96,13 @@ class Export:
     moving: float = 0.0
     """Approximate size per Gaussian and frame [bytes]."""
 
+    frame: float = 0.0
+    """Approximate size per frame, whatever the number of Gaussians [bytes]."""
+
     def about(self, frames: int, gaussians: int) -> int:
         """Estimate the size of the file [bytes]."""
-        return self.empty + round((self.still + self.moving * frames) * gaussians)
+        each = self.still + self.moving * frames
+        return self.empty + round(self.frame * frames + each * gaussians)
 
 
 def _html(done: Done, path: Path) -> None:
@@ -149,6 +153,8 @@ def _export_of(format: Format) -> Export:
         f"phy124-{format.name}{format.suffix}",
         partial(_write_format, format),
         lambda: format.installed,
+        empty=0 if moves else round(format.bytes_fixed),
+        frame=format.bytes_fixed if moves else 0.0,
         still=0.0 if moves else format.bytes_each,
         moving=format.bytes_each if moves else 0.0,
     )

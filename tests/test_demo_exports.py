@@ -71,7 +71,14 @@ def test_a_sequence_of_ply_files_is_made_once(export, done):
     assert [p.name for p in done.exports.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize("kind", [kind for kind, offer in EXPORTS.items() if offer.available()])
+OF_GAUSSIANS = [
+    kind
+    for kind, offer in EXPORTS.items()
+    if offer.available() and not (kind in FORMATS and FORMATS[kind].bytes_fixed)
+]
+
+
+@pytest.mark.parametrize("kind", OF_GAUSSIANS)
 def test_the_size_that_is_told_is_about_that_of_the_file(export, done, rng, kind):
     g = many(rng, 5000, 0)
     made = Clip.from_frames(
@@ -116,7 +123,7 @@ def test_each_format_is_offered_with_size_and_program(export, done, name, result
     assert path.suffix == FORMATS[name].suffix
     clip = Clip.load(done.clip / "clip.safetensors")
     assert offer.about(*read_shape(done.clip / "clip.safetensors")) > 0
-    if FORMATS[name].encode:
+    if FORMATS[name].encode and FORMATS[name].read:
         there = read_gaussians(path).gaussians.means
         np.testing.assert_allclose(there, clip.means[0], atol=1e-3)
     (told,) = [f for f in results.takeaway_of(done)["files"] if f["file"].get("path") == str(path)]

@@ -30,7 +30,7 @@ FOREIGN = Path(__file__).parent / "support" / "formats"
 GUIDE = (Path(__file__).parents[1] / "docs/guide/formats.md").read_text("utf-8")
 CUT = ("sog", "splat")
 """Formats whose other writers cut digits off instead of rounding: a whole step may be missing."""
-STILL = [name for name, f in FORMATS.items() if f.encode]
+STILL = [name for name, f in FORMATS.items() if f.encode and f.read]
 
 
 def assert_same(found: Gaussians, wanted: Gaussians) -> None:
@@ -210,7 +210,7 @@ def test_bombs_are_refused_before_they_unfold(tmp_path, count, words):
 
 def test_unknown_formats_and_folders_are_refused(tmp_path, three_gaussians):
     for path, name, words in (
-        ("a.obj", None, "no format"),
+        ("a.xyz", None, "no format"),
         ("a.ply", "obj", "Choose one of ply"),
         ("a.ply", "compressed-ply", "This output format is not supported"),
         ("no/a.glb", None, "folder that exists"),

@@ -13,6 +13,7 @@ from phy124.commands.bars import Bars
 from phy124.commands.options import help_of
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.mesh import load_pieces
 from phy124.generators.ply_file import Reading
 from phy124.io.clip import Clip
 from phy124.io.content import Content
@@ -24,6 +25,7 @@ from phy124.io.formats import (
     write_gaussians,
     written_formats,
 )
+from phy124.io.formats.moving_mesh import fit_to_clip, write_moved
 from phy124.particles.merging import merge_clip_to, merge_to
 
 MERGE = tyro.conf.arg(metavar="N")
@@ -86,6 +88,9 @@ class Export:
     """File to write, or with --all a folder or a name ending in .zip; default next to the clip."""
     merge: Annotated[int | None, MERGE] = None
     """Largest number of Gaussians; those that stay neighbours in all frames are merged."""
+    surface: Path | None = None
+    """With --to moving-mesh: the mesh from which the object was made; its triangles and its
+    texture are moved, instead of a surface of the Gaussians."""
     json: bool = False
     """Print what was done as JSON and nothing else."""
 
@@ -102,6 +107,9 @@ class Export:
         if self.frame is not None and not 0 <= self.frame < len(clip):
             limit = f"The clip has the frames 0 to {len(clip) - 1}."
             raise InputError("frame", self.frame, limit, "Choose one of them.")
+        if self.surface is not None and (self.to != "moving-mesh" or self.frame is not None):
+            limit = "It is for --to moving-mesh, with all frames."
+            raise InputError("surface", self.surface, limit, "Leave it out.")
         if self.merge is not None:
             clip = merge_clip_to(clip, self.merge)
         with Bars(quiet=self.json) as bars:
@@ -114,6 +122,10 @@ class Export:
         moving = chosen.write_clip is not None
         if self.frame is None and moving:
             path = self.out or self.clip.with_suffix(chosen.suffix)
+            if self.surface is not None:
+                pieces, axes = load_pieces(self.surface)
+                write_moved(path, clip, fit_to_clip(pieces, clip, axes), progress=bars)
+                return [path]
             chosen.write_clip(path, clip, progress=bars)  # pyright: ignore[reportOptionalCall]
             return [path]
         if self.all:

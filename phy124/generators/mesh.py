@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from io import BytesIO
@@ -96,6 +96,20 @@ def read_mesh(path: Path, *, seed: int = 0) -> Content:
     )
 
 
+def load_pieces(path: Path) -> tuple[list[Trimesh], tuple[str, str | None]]:
+    """Return the pieces of a mesh with their colours and textures, and its up and front directions.
+
+    Args:
+        path: A .glb, .gltf, .obj, .stl or .ply file.
+
+    Raises:
+        InputError: If the mesh cannot be read or is too large.
+    """
+    _refuse(path)
+    kind = _kind(path)
+    return _read_apart(path, _load_solids, str(path), kind)[0], UPRIGHT[kind]
+
+
 def is_mesh(path: Path) -> bool:
     """Whether a file has triangles and no Gaussians, judged by its first bytes and its name."""
     kind = path.suffix.lower()
@@ -128,15 +142,7 @@ def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[
     """Cover a mesh with about `count` Gaussians, in the axes of phy124, with a longest side 1."""
     _refuse(path)
     kind = _kind(path)
-    try:
-        drawn, coarse = isolated.run(_read, str(path), kind, seed, count, deadline=TIME)
-    except isolated.Unfinished as error:
-        raise _unusable(path, f"reading it {error}.", "Give a smaller mesh.") from None
-    except ValueError as error:
-        limit, _, remedy = str(error).partition("; ")
-        raise _unusable(
-            path, limit, remedy or "Save it again from the program that made it."
-        ) from None
+    drawn, coarse = _read_apart(path, _read, str(path), kind, seed, count)
     points, normals, colours = drawn
     rgb = np.broadcast_to(np.asarray(colour, float), points.shape) if colours is None else colours
     low, high = points.min(axis=0), points.max(axis=0)
@@ -144,6 +150,23 @@ def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[
     turn = orientation(*UPRIGHT[kind])
     made = cover_surface((points - centre) / size @ turn.T, normals @ turn.T, rgb)
     return made, _About(UPRIGHT[kind], centre, size, (coarse,) if coarse else ())
+
+
+def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function that reads a mesh in a separate process, with a time limit.
+
+    Raises:
+        InputError: If the function takes too long or raises ValueError("limit; remedy").
+    """
+    try:
+        return isolated.run(function, *arguments, deadline=TIME)
+    except isolated.Unfinished as error:
+        raise _unusable(path, f"reading it {error}.", "Give a smaller mesh.") from None
+    except ValueError as error:
+        limit, _, remedy = str(error).partition("; ")
+        raise _unusable(
+            path, limit, remedy or "Save it again from the program that made it."
+        ) from None
 
 
 def _kind(path: Path) -> str:
@@ -202,6 +225,19 @@ def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | Non
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
     """
+    solids, shapes = _load_solids(path, kind)
+    drawn = _sample_surface(solids, seed, count)
+    # The vertices of `shapes` are in the file's coordinates, before any transform of a node.
+    largest: Any = max(shapes, key=lambda piece: len(getattr(piece, "faces", ())))
+    return drawn, describe_coarseness(largest.vertices, step_of(largest.vertices))
+
+
+def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
+    """Return the pieces of a mesh that have triangles, in place, and the shapes in its file.
+
+    Raises:
+        ValueError: If the mesh is unusable; its message is "limit; remedy".
+    """
     try:
         scene = _load(path, kind)
         shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
@@ -218,11 +254,7 @@ def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | Non
     if triangles > MOST_TRIANGLES:
         limit = f"it has {triangles:,} triangles, and {MOST_TRIANGLES:,} are allowed."
         raise ValueError(f"{limit}; Simplify it in the program that made it.")
-    solids: Any = [piece for piece in pieces if len(getattr(piece, "faces", ()))]
-    drawn = _sample_surface(solids, seed, count)
-    # The vertices of `shapes` are in the file's coordinates, before any transform of a node.
-    largest: Any = max(shapes, key=lambda piece: len(getattr(piece, "faces", ())))
-    return drawn, describe_coarseness(largest.vertices, step_of(largest.vertices))
+    return [piece for piece in pieces if len(getattr(piece, "faces", ()))], shapes
 
 
 def _load(path: str, kind: str) -> Any:

@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Protocol
@@ -27,8 +28,9 @@ from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.clip import Clip
 from phy124.io.content import Y_DOWN, Y_UP, Content
 from phy124.io.files import replacing
-from phy124.io.formats import compressed_ply, glb, sog, splat, spz
+from phy124.io.formats import compressed_ply, glb, mesh, sog, splat, spz
 from phy124.io.formats.fourdgs import write_fourdgs
+from phy124.io.formats.moving_mesh import write_moving_mesh
 from phy124.io.formats.usd import write_usd
 from phy124.io.opening import obstacle
 from phy124.io.plyheader import read_header
@@ -67,6 +69,8 @@ class Format:
     """Programs that read the format."""
     bytes_each: float
     """Bytes per frame and Gaussian of degree 0, measured with the example of a duck."""
+    bytes_fixed: float = 0.0
+    """Bytes per frame in addition, whatever the number of Gaussians."""
     degree: int = 3
     """Highest degree of the spherical harmonics."""
     objects: str = ""
@@ -174,6 +178,27 @@ FORMATS = {
             "4dgs", "4DGS container", ".4dgs", "motion, within bounds that the file declares",
             "programs with the fourdgs libraries", 5,
             degree=0, axes=Y_UP, write_clip=write_fourdgs, package="fourdgs",
+        ),
+        Format(
+            "mesh", "mesh (GLB)", ".glb", "surface of each frame with colours, watertight",
+            "Blender, Unity, Unreal, three.js, nearly every 3D program", 0, 800_000,
+            degree=0, axes=Y_UP, encode=partial(mesh.encode, kind="glb"), package="skimage",
+        ),
+        Format(
+            "mesh-obj", "mesh (OBJ)", ".obj", "surface of each frame with colours, watertight",
+            "Blender, MeshLab, Maya, Houdini", 0, 2_000_000,
+            degree=0, axes=Y_UP, encode=partial(mesh.encode, kind="obj"), package="skimage",
+        ),
+        Format(
+            "mesh-ply", "mesh (PLY)", ".ply", "surface of each frame with colours, watertight",
+            "Blender, MeshLab, CloudCompare, Open3D", 0, 800_000,
+            degree=0, axes=("z", "x"), encode=partial(mesh.encode, kind="ply"), package="skimage",
+        ),
+        Format(
+            "moving-mesh", "animated mesh (GLB)", ".glb",
+            "surface of the first frame with colours, and its motion",
+            "Blender, Unity, three.js, model-viewer, Windows 3D Viewer", 0, 140_000,
+            degree=0, axes=Y_UP, write_clip=write_moving_mesh, package="skimage",
         ),
     )
 }  # fmt: skip

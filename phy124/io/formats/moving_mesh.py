@@ -1,0 +1,232 @@
+"""Writes a clip as one animated GLB: a mesh, and its position in each frame as a morph target.
+
+The mesh is the surface of the first frame, or a mesh that the user gives, such as the file that the
+object was made of, with its texture. Each vertex follows the Gaussians near it: it is moved by the
+rigid motion that fits theirs best (Kabsch 1976). The weights of the morph targets are animated
+linearly from frame to frame, so that at most two targets are active. The axes are those of glTF
+(y up, z to the front, metres). The topology is constant: of objects that tear or flow, write a mesh
+of each frame instead (`phy124/io/formats/mesh.py`).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from phy124.errors import InputError
+from phy124.io.axes import orientation
+from phy124.io.clip import Clip
+from phy124.io.content import Y_UP
+from phy124.io.files import replacing
+from phy124.io.formats.mesh import find_surface, to_trimesh
+from phy124.progress import Progress, silent
+
+CELLS = 56
+"""Number of cells along the longest side of the surface of the first frame."""
+NEAREST = 12
+"""Number of Gaussians that a vertex follows."""
+FLOAT, VERTICES = 5126, 34962
+"""Constants of glTF: type of a number, target of a buffer view."""
+TYPES = {1: "SCALAR", 3: "VEC3"}
+
+
+def write_moving_mesh(
+    path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent
+) -> None:
+    """Write a clip as an animated GLB of its surface, which appears whole or not at all.
+
+    Raises:
+        InputError: The clip is empty, a package is missing, or the file cannot be written.
+    """
+    if not len(clip):
+        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    first = clip.frame(0).gaussians.select(clip.object_mask)
+    piece = to_trimesh(find_surface(first, CELLS), linear=True)
+    write_moved(path, clip, [piece], progress=progress)
+
+
+def write_moved(
+    path: str | os.PathLike[str], clip: Clip, pieces: list[Any], *, progress: Progress = silent
+) -> None:
+    """Write meshes that follow a clip as an animated GLB.
+
+    Args:
+        path: The file, which appears whole or not at all.
+        clip: The clip.
+        pieces: Meshes of the package trimesh, in the pose of the clip's first frame.
+        progress: Called as progress("export", frames done, total frames).
+    """
+    import trimesh
+
+    turn = orientation(*Y_UP).T
+    ends = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    points = np.concatenate([np.asarray(piece.vertices, np.float64) for piece in pieces])
+    scene = trimesh.Scene()
+    for index, piece in enumerate(pieces):
+        moved = piece.copy()
+        moved.vertices = moved.vertices @ turn.T
+        scene.add_geometry(moved, geom_name=_name(index), node_name=_name(index))
+    data: Any = scene.export(file_type="glb", include_normals=True)
+    document, buffer = _split(data)
+    frames = []
+    for index, places in enumerate(follow(clip, points)):
+        frames.append((places - points) @ turn.T)
+        progress("export", index + 1, len(clip))
+    named = {mesh["name"]: mesh for mesh in document["meshes"]}
+    for index in range(len(pieces)):
+        shifts = [frame[ends[index] : ends[index + 1]] for frame in frames[1:]]
+        _add_targets(document, buffer, named[_name(index)], shifts)
+    _animate(document, buffer, clip.times - clip.times[0])
+    _unlit(document)
+    with replacing(path) as temporary:
+        temporary.write_bytes(_join(document, buffer))
+
+
+def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> list[Any]:
+    """Return meshes scaled and shifted to the object of a clip in its first frame.
+
+    Args:
+        pieces: Meshes of the package trimesh, in the axes and unit of their file.
+        clip: A clip of the object that was made of this file.
+        axes: Up and front directions of the file.
+    """
+    turn = orientation(*axes)
+    placed = [piece.copy() for piece in pieces]
+    for piece in placed:
+        piece.vertices = piece.vertices @ turn.T
+    low, high = _box(np.concatenate([piece.vertices for piece in placed]))
+    start, end = _box(clip.means[0][clip.object_mask].astype(np.float64))
+    scale = float((end - start).max() / (high - low).max())
+    for piece in placed:
+        piece.vertices = (piece.vertices - (low + high) / 2) * scale + (start + end) / 2
+    return placed
+
+
+def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    """Yield the positions [V,3] of points in each frame; in the first frame they are `points`.
+
+    Args:
+        clip: The clip whose Gaussians the points follow.
+        points: Positions in the first frame [V,3], m.
+    """
+    mask = clip.object_mask
+    rest = clip.means[0][mask].astype(np.float64)
+    count = min(NEAREST, len(rest))
+    distance, near = KDTree(rest).query(points, count)
+    distance, near = distance.reshape(-1, count), near.reshape(-1, count)
+    weights = 1 / (distance**2 + (0.5 * distance.mean()) ** 2 + 1e-18)
+    weights /= weights.sum(axis=1, keepdims=True)
+    centre = np.einsum("vk,vkc->vc", weights, rest[near])
+    arms = weights[..., None] * (rest[near] - centre[:, None])
+    for index in range(len(clip)):
+        now = clip.means[index][mask].astype(np.float64)[near]
+        middle = np.einsum("vk,vkc->vc", weights, now)
+        turns = _fit_rotations(np.einsum("vki,vkj->vij", arms, now - middle[:, None]))
+        yield middle + np.einsum("vij,vj->vi", turns, points - centre)
+
+
+def _fit_rotations(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotations [V,3,3] that fit sum(w a b^T) [V,3,3] best: b = R a."""
+    u, _, vt = np.linalg.svd(correlation)
+    sign = np.linalg.det(u) * np.linalg.det(vt)
+    u[:, :, 2] *= sign[:, None]
+    return np.einsum("vij,vkj->vik", vt.transpose(0, 2, 1), u)
+
+
+def _box(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _name(index: int) -> str:
+    return f"object{index}"
+
+
+def _split(data: bytes) -> tuple[dict[str, Any], bytearray]:
+    """Return the JSON and the buffer of a GLB."""
+    size = int.from_bytes(data[12:16], "little")
+    return json.loads(data[20 : 20 + size]), bytearray(data[28 + size :])
+
+
+def _join(document: dict[str, Any], buffer: bytearray) -> bytes:
+    """Return the GLB of a JSON and a buffer."""
+    document["buffers"] = [{"byteLength": len(buffer)}]
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    binary = bytes(buffer) + b"\0" * (-len(buffer) % 4)
+    size = 12 + 8 + len(text) + 8 + len(binary)
+    head = b"glTF" + (2).to_bytes(4, "little") + size.to_bytes(4, "little")
+    chunks = [(b"JSON", text), (b"BIN\0", binary)]
+    return head + b"".join(len(d).to_bytes(4, "little") + kind + d for kind, d in chunks)
+
+
+def _append(
+    document: dict[str, Any], buffer: bytearray, values: NDArray[np.floating], **more: Any
+) -> int:
+    """Append float32 values [N] or [N,3] to the buffer; return the index of their accessor."""
+    values = np.ascontiguousarray(values, np.float32)
+    buffer += b"\0" * (-len(buffer) % 4)
+    view = {"buffer": 0, "byteOffset": len(buffer), "byteLength": values.nbytes, **more}
+    document["bufferViews"].append(view)
+    buffer += values.tobytes()
+    accessor = {
+        "bufferView": len(document["bufferViews"]) - 1,
+        "componentType": FLOAT,
+        "count": len(values),
+        "type": TYPES[1 if values.ndim == 1 else values.shape[1]],
+        "min": np.atleast_1d(values.min(axis=0)).tolist(),
+        "max": np.atleast_1d(values.max(axis=0)).tolist(),
+    }
+    document["accessors"].append(accessor)
+    return len(document["accessors"]) - 1
+
+
+def _add_targets(
+    document: dict[str, Any], buffer: bytearray, mesh: dict[str, Any], shifts: list[NDArray]
+) -> None:
+    """Add a morph target for each frame but the first."""
+    targets = [{"POSITION": _append(document, buffer, shift, target=VERTICES)} for shift in shifts]
+    if targets:
+        mesh["weights"] = [0.0] * len(targets)
+        for primitive in mesh["primitives"]:
+            primitive["targets"] = targets
+
+
+def _animate(document: dict[str, Any], buffer: bytearray, times: NDArray[np.float64]) -> None:
+    """Add an animation in which frame k has the weight 1 of target k - 1 and no other."""
+    if len(times) < 2:
+        return
+    at = _append(document, buffer, times)
+    weights = _append(document, buffer, np.eye(len(times), len(times) - 1, -1).ravel())
+    nodes = [index for index, node in enumerate(document["nodes"]) if "mesh" in node]
+    document["animations"] = [
+        {
+            "name": "motion",
+            "samplers": [{"input": at, "output": weights, "interpolation": "LINEAR"}],
+            "channels": [
+                {"sampler": 0, "target": {"node": node, "path": "weights"}} for node in nodes
+            ],
+        }
+    ]
+
+
+def _unlit(document: dict[str, Any]) -> None:
+    """Show vertex colours, which contain the light of the picture, without further light."""
+    bare = [
+        primitive
+        for mesh in document["meshes"]
+        for primitive in mesh["primitives"]
+        if "COLOR_0" in primitive["attributes"] and "material" not in primitive
+    ]
+    if bare:
+        materials = document.setdefault("materials", [])
+        for primitive in bare:
+            primitive["material"] = len(materials)
+        materials.append({"name": "colours", "extensions": {"KHR_materials_unlit": {}}})
+        used = document.setdefault("extensionsUsed", [])
+        used.append("KHR_materials_unlit")

@@ -1,0 +1,173 @@
+"""Meshes of clips, read by trimesh and compared with the density of the Gaussians."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from phy124.__main__ import main as run_command
+from phy124.errors import InputError
+from phy124.gaussians import Frame, Gaussians, rotation_matrices
+from phy124.generators.shapes import ball
+from phy124.io.clip import Clip
+from phy124.io.formats import FORMATS, write_gaussians
+from phy124.io.formats.mesh import CELLS, find_surface, sample_density, to_trimesh
+from phy124.io.formats.moving_mesh import fit_to_clip, follow, write_moved, write_moving_mesh
+
+trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+pytest.importorskip("skimage", reason="scikit-image is not installed")
+TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+
+
+def exact_density(gaussians: Gaussians, points: np.ndarray) -> np.ndarray:
+    turns, density = rotation_matrices(gaussians.quats), np.zeros(len(points))
+    for mean, turn, scale, opacity in zip(
+        gaussians.means, turns, gaussians.scales, gaussians.opacities, strict=True
+    ):
+        local = (points - mean) @ turn / scale
+        density += opacity * np.exp(-0.5 * (local**2).sum(axis=1))
+    return density
+
+
+def test_density_is_the_sum_of_the_gaussians(rng):
+    """Against float64 sums over all Gaussians, at nodes of the grid."""
+    count, cell = 12, 0.05
+    quats = rng.normal(size=(count, 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    scales = rng.uniform(0.05, 0.12, (count, 3))
+    means = rng.uniform(-0.5, 0.5, (count, 3))
+    few = Gaussians.from_rgb(means, quats, scales, np.full(count, 0.8), np.full((count, 3), 0.5))
+    density, corner = sample_density(few, cell)
+    nodes = rng.integers(0, density.shape, (200, 3))
+    wanted = exact_density(few, corner + cell * nodes)
+    # Gaussians are neglected beyond 2.5 standard deviations, where they are below 0.044.
+    np.testing.assert_allclose(density[tuple(nodes.T)], wanted, atol=0.06)
+
+
+def test_surface_is_where_the_density_is_a_half():
+    one = ball()
+    surface = find_surface(one)
+    made = to_trimesh(surface)
+    assert made.is_watertight and made.is_winding_consistent and made.volume > 0
+    assert made.body_count == 1
+    assert surface.cell == pytest.approx(np.ptp(one.means, axis=0).max() / CELLS)
+    vertices = surface.vertices[::200]
+    outwards = vertices - one.means.mean(axis=0)
+    outwards *= surface.cell / np.linalg.norm(outwards, axis=1, keepdims=True)
+    steps = np.linspace(-1, 1, 9)
+    near = np.stack([exact_density(one, vertices + step * outwards) for step in steps])
+    assert (near[-1] < 0.5).all() and (near.max(axis=0) > 0.5).all()
+
+
+@pytest.mark.parametrize("name", ["mesh", "mesh-obj", "mesh-ply"])
+def test_trimesh_reads_size_colour_and_orientation(tmp_path, name):
+    """The ball is red above and blue below; glTF and OBJ have y up, PLY has z up."""
+    one = ball()
+    rgb = np.where(one.means[:, 2:] > one.means[:, 2].mean(), [[1.0, 0, 0]], [[0, 0, 1.0]])
+    two = Gaussians.from_rgb(one.means, one.quats, one.scales, one.opacities, rgb)
+    path = tmp_path / f"a{FORMATS[name].suffix}"
+    write_gaussians(path, two, name)
+    read = trimesh.load(path, force="mesh", process=False)
+    up = 2 if name == "mesh-ply" else 1
+    assert read.is_watertight and read.volume == pytest.approx(np.pi / 6, rel=0.1)
+    height = read.vertices[:, up] - read.vertices[:, up].mean()
+    colours = read.visual.vertex_colors.astype(float)
+    assert (colours[height > 0.1, 0] > colours[height > 0.1, 2]).all()
+    assert (colours[height < -0.1, 2] > colours[height < -0.1, 0]).all()
+
+
+def test_invisible_gaussians_have_no_surface(tmp_path):
+    one = ball()
+    faint = Gaussians(one.means, one.quats, one.scales, one.opacities * 0.01, one.sh)
+    with pytest.raises(InputError, match=r"below 0\.5 everywhere"):
+        write_gaussians(tmp_path / "a.glb", faint, "mesh")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def spun() -> Clip:
+    """A ball that is turned by 90 degrees about z, shifted and stretched."""
+    one = ball()
+    turned = Gaussians(one.means @ TURN.T + [1, 2, 3], one.quats, one.scales, one.opacities, one.sh)
+    last = Gaussians(one.means * 1.25, one.quats, one.scales, one.opacities, one.sh)
+    frames = [Frame(i, i / 8, g) for i, g in enumerate((one, turned, last))]
+    return Clip.from_frames(frames)
+
+
+def test_points_follow_a_rigid_motion_exactly(spun):
+    surface = find_surface(spun.frame(0).gaussians, 24).vertices
+    first, turned, stretched = follow(spun, surface)
+    np.testing.assert_allclose(first, surface, atol=1e-6)
+    np.testing.assert_allclose(turned, surface @ TURN.T + [1, 2, 3], atol=1e-5)
+    np.testing.assert_allclose(stretched, 1.25 * surface, atol=0.02)
+
+
+def _accessor(document: dict, binary: bytes, index: int) -> np.ndarray:
+    accessor = document["accessors"][index]
+    view = document["bufferViews"][accessor["bufferView"]]
+    width = {"SCALAR": 1, "VEC3": 3}[accessor["type"]]
+    values = np.frombuffer(binary, "<f4", accessor["count"] * width, view.get("byteOffset", 0))
+    return values.reshape(-1, width)
+
+
+def _chunks(data: bytes) -> tuple[dict, bytes]:
+    size = int.from_bytes(data[12:16], "little")
+    return json.loads(data[20 : 20 + size]), data[28 + size :]
+
+
+def test_moving_mesh_has_a_target_for_each_later_frame(tmp_path, spun):
+    path = tmp_path / "a.glb"
+    write_moving_mesh(path, spun)
+    document, binary = _chunks(path.read_bytes())
+    (primitive,) = document["meshes"][0]["primitives"]
+    base = _accessor(document, binary, primitive["attributes"]["POSITION"])
+    shift = _accessor(document, binary, primitive["targets"][0]["POSITION"])
+    # glTF's (x, y, z) are y, z and x of phy124.
+    back = [2, 0, 1]
+    wanted = base[:, back] @ TURN.T + [1, 2, 3]
+    np.testing.assert_allclose((base + shift)[:, back], wanted, atol=1e-4)
+    (animation,) = document["animations"]
+    sampler = animation["samplers"][0]
+    times = _accessor(document, binary, sampler["input"]).ravel()
+    weights = _accessor(document, binary, sampler["output"]).reshape(3, 2)
+    np.testing.assert_allclose(times, [0, 1 / 8, 2 / 8])
+    np.testing.assert_array_equal(weights, [[0, 0], [1, 0], [0, 1]])
+    read = trimesh.load(path, force="mesh", process=False)
+    np.testing.assert_allclose(read.vertices, base, atol=1e-6)
+
+
+def test_mesh_of_the_user_keeps_its_texture_and_follows(tmp_path, spun):
+    from PIL import Image
+
+    box = trimesh.creation.box((30, 30, 30))
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=Image.new("RGB", (4, 4), "green")
+    )
+    box.visual = trimesh.visual.TextureVisuals(uv=box.vertices[:, :2], material=material)
+    (placed,) = fit_to_clip([box], spun, ("y", "z"))
+    np.testing.assert_allclose(np.ptp(placed.vertices, axis=0), 1, atol=0.02)
+    write_moved(tmp_path / "a.glb", spun, [placed])
+    document, _ = _chunks((tmp_path / "a.glb").read_bytes())
+    (primitive,) = document["meshes"][0]["primitives"]
+    assert "TEXCOORD_0" in primitive["attributes"] and len(primitive["targets"]) == 2
+    assert document["images"] and "KHR_materials_unlit" not in document.get("extensionsUsed", [])
+
+
+def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
+    spun.save(tmp_path / "clip.safetensors")
+    sphere = trimesh.creation.icosphere(subdivisions=1)
+    sphere.export(tmp_path / "sphere.ply")
+    words = [
+        "export",
+        str(tmp_path / "clip.safetensors"),
+        "--surface",
+        str(tmp_path / "sphere.ply"),
+    ]
+    assert run_command([*words, "--to", "mesh"]) == 2
+    assert "It is for --to moving-mesh" in capsys.readouterr().err
+    assert run_command([*words, "--to", "moving-mesh"]) == 0
+    document, _ = _chunks((tmp_path / "clip.glb").read_bytes())
+    position = document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+    assert document["accessors"][position]["count"] == len(sphere.vertices)
