@@ -19,8 +19,15 @@ __all__ = ["LatticeSolver", "RestLattice", "kernels"]
 
 
 def kernels(
-    laws: Sequence[tuple[Law, bool]], boundaries: Sequence[Boundary], real: Any
+    laws: Sequence[tuple[Law, bool]], boundaries: Sequence[Boundary], real: Any, device: str
 ) -> Iterator[Any]:
-    """Yield the kernels of a run: of laws, each with whether it is viscous, and of boundaries."""
-    yield from workers.kernels(laws, real)
+    """Yield the kernels of a run.
+
+    Args:
+        laws: The laws, each with whether it is viscous.
+        boundaries: The boundaries of the scene.
+        real: wp.float32 or wp.float64.
+        device: Warp device.
+    """
+    yield from workers.kernels(laws, real, device)
     yield from walls.kernels(boundaries, real)

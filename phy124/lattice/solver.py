@@ -17,7 +17,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
-from phy124.kernels.lattice.stress import GRADIENT, SPEED, STIFFNESS
+from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.surface import make_surface
 from phy124.lattice.walls import Boundary, Nodes, Walls
@@ -42,8 +42,8 @@ STRAIN, WAY = 0.05, 0.25
 """Largest strain, and largest way of a point [cells], between two measurements."""
 ROUNDS, PROBE = 60, 1e-3
 """Power iterations for the largest frequency at rest, and size of their displacements [cells]."""
-LONGEST = 1.25
-"""Largest ratio of the stable substep to dx / c that is used."""
+UNDAMPED = 1e30
+"""A length so large that viscosity does not limit the substep [m]."""
 MEASURE = -1
 """Task of workers in addition to phases: measure the limits."""
 
@@ -63,6 +63,7 @@ class LatticeSolver:
         planes: Sequence[Any] = (),
         ceiling: float = math.inf,
         threads: int | None = None,
+        vectors: bool = True,
     ) -> None:
         """Build the lattice of a model whose particles are integration points.
 
@@ -77,6 +78,7 @@ class LatticeSolver:
             ceiling: Longest substep allowed [s].
             threads: Number of CPU threads; None: as many as there are free cores and enough points
                 for.
+            vectors: Whether to use the vector units of a CPU where there are kernels for them.
 
         Raises:
             InputError: The region of a force holds no particle, or a clamp holds only some
@@ -92,7 +94,7 @@ class LatticeSolver:
         self._surface = make_surface(surface, self.lattice)
         self.nodes_state = _nodes(model, self.lattice, self.state)
         count = usable_workers(len(model), model.device, threads)
-        self._crew = Crew(model, self.state, self.lattice, self.nodes_state, count)
+        self._crew = Crew(model, self.state, self.lattice, self.nodes_state, count, vectors=vectors)
         self.workers = self._crew.workers
         self.team = Team[int](count, self._run_member)
         self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
@@ -102,12 +104,12 @@ class LatticeSolver:
         self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
-        self._longer = 1.0
-        """Longest stable substep at rest, relative to that of the law's stiffness in one cell."""
+        self._record_measures(UNDAMPED)
+        self._fastest, self._at_rest = self._measure_rest()
+        """Largest angular frequency at rest [1/s], and bounds of the nodes' stiffness at rest."""
+        sound = max(section.sound_speed() for section in model.materials)
+        self._record_measures(2 * sound / self._fastest)
         self.bind(forces, boundaries, accumulators, planes)
-        self._record_measures()
-        self._longer = self._measure_rest()
-        self._record_measures()
 
     def bind(
         self,
@@ -158,19 +160,19 @@ class LatticeSolver:
         last = [(stage.name, stage.record(self.grid)) for stage in self._sums]
         self.workers[0].phases[-1] += launches(last)
 
-    def _record_measures(self) -> None:
-        """Record the launches that measure the limits of each worker's points."""
+    def _record_measures(self, length: float) -> None:
+        """Record the launches that measure limits; viscosity acts over a length [m]."""
         for worker in self.workers:
-            worker.measures = self._crew.measure(worker, self._longer * self.model.dx)
+            worker.measures = self._crew.measure(worker, length)
 
-    def _measure_rest(self) -> float:
-        """Return the longest stable substep 2 / omega of the body at rest, relative to dx / c.
+    def _measure_rest(self) -> tuple[float, NDArray[np.float64]]:
+        """Return the largest angular frequency [1/s], and the nodes' stiffness, at rest.
 
-        omega is the largest angular frequency, by power iteration, and c^2 the measured stiffness
-        per density. The ratio depends on the shape: from 0.65 for a rod thinner than a cell to 1.3
-        for a block of whole cells.
+        The frequency is found by power iteration. While the body deforms, its square is assumed to
+        grow as the stiffness of the node that stiffens most.
         """
-        stiffness = self._largest()[STIFFNESS]
+        self._largest()
+        stiffness = self._crew.stiffness()
         nodes, lattice = self.nodes_state, self.lattice
         inverse = np.asarray(nodes.inverse.numpy(), np.float64)[:, None]
         motion, u = nodes.v.numpy().copy(), nodes.u.numpy().copy()
@@ -189,8 +191,7 @@ class LatticeSolver:
             shape = faster
         nodes.v.assign(motion)
         nodes.u.assign(u)
-        ratio = 2 / math.sqrt(square) * math.sqrt(stiffness) / self.model.dx
-        return min(ratio, LONGEST)
+        return math.sqrt(square), stiffness
 
     def _push(self, worker: int) -> list[Any]:
         """Return a worker's pushes; the first worker has all, unless all can be divided."""
@@ -302,7 +303,8 @@ class LatticeSolver:
     def _measure(self) -> None:
         """Measure the limits of the substep; raises Unstable."""
         largest = self._largest()
-        stiffness = float(largest[STIFFNESS]) / self._longer**2
+        growth = float((self._crew.stiffness() / self._at_rest).max())
+        stiffness = self._fastest**2 / 4 * self.model.dx**2 * growth
         measured = Extremes(float(largest[SPEED]), float(largest[GRADIENT]), stiffness)
         clock = self.clock
         clock.limit_by(measured.after(clock.extremes, substeps=clock.since_complete), complete=True)
@@ -311,7 +313,7 @@ class LatticeSolver:
             self.record()
 
     def _largest(self) -> NDArray[np.float64]:
-        """Return the largest speed, rate of strain and stiffness of all points; raises Unstable."""
+        """Measure; return the largest speed and rate of strain of all points; raises Unstable."""
         if self.team.alive:
             self.team.put(MEASURE)
             self.workers[0].run(self.workers[0].measures)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice import nodes as node_kernels
 from phy124.kernels.lattice import points as point_kernels
+from phy124.kernels.lattice import simd
 from phy124.kernels.lattice.stress import MAXIMA, make_lattice_measure, make_stress
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.walls import Nodes
@@ -46,7 +47,9 @@ class Worker:
     forces: wp.array
     """Forces of its cells on the touched nodes, N."""
     maxima: wp.array
-    """Largest speed, rate of strain and stiffness of its points."""
+    """Largest speed and rate of strain of its points."""
+    bound: wp.array
+    """Bounds of the stiffness of its cells on the touched nodes, N m."""
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of a substep by phase; threads wait for each other between phases."""
     measures: list[Named] = field(default_factory=list)
@@ -71,7 +74,14 @@ class Crew:
     """All workers of a run, and the launches on their points and nodes."""
 
     def __init__(
-        self, model: Model, state: State, lattice: RestLattice, nodes: Nodes, count: int
+        self,
+        model: Model,
+        state: State,
+        lattice: RestLattice,
+        nodes: Nodes,
+        count: int,
+        *,
+        vectors: bool = True,
     ) -> None:
         """Divide cells and nodes evenly.
 
@@ -81,8 +91,11 @@ class Crew:
             lattice: The lattice at rest.
             nodes: Arrays of the nodes.
             count: Number of workers.
+            vectors: Whether to use the vector units of a CPU where there are kernels for them.
         """
         self._model, self._state, self._nodes = model, state, nodes
+        self._lattice, self._vectors = lattice, vectors
+        self._blocks: dict[tuple[int, int], wp.array] = {}
         t, device = types(model.real), model.device
         self._rows = wp.array(lattice.rows.ravel(), dtype=int, device=device)
         self._offset = model.array(lattice.offset, t.vec3)
@@ -106,6 +119,7 @@ class Crew:
                 spans[w],
                 cast("wp.array", self._pool[int(begin[w]) : int(begin[w]) + room[w]]),
                 wp.zeros(MAXIMA, dtype=model.real, device=device),
+                wp.zeros(room[w], dtype=model.real, device=device),
             )
             for w in range(count)
         ]
@@ -156,14 +170,36 @@ class Crew:
         launch = self._model.launch(kernel, span.stop - span.start, inputs, [worker.forces])
         return "push", launch
 
+    def _block(self, span: slice) -> wp.array:
+        """Return the constants of a span of points in blocks of sixteen cells."""
+        key = span.start, span.stop
+        if key not in self._blocks:
+            model = self._model
+            mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
+            packed = simd.pack(self._lattice.offset[span], volume[span], mass[span])
+            self._blocks[key] = wp.array(packed.ravel(), dtype=wp.float32, device=model.device)
+        return self._blocks[key]
+
     def _stress(self, worker: Worker, group: Group) -> Recorded:
         model, nodes = self._model, self._nodes
         span = _common(worker.points, group.particles)
+        name = f"stress {group.law.name}"
+        if self.vectors(group) and span.stop > span.start:
+            cells = span.start // PER_CELL, span.stop // PER_CELL
+            inputs = [*cells, group.start, worker.touched.start, model.dx, group.theta]
+            inputs += [self._block(span), self._rows, nodes.u, nodes.v]
+            kernel = simd.make_stress_simd(group.law, is_viscous(group, model))
+            blocks = -(-(cells[1] - cells[0]) // simd.CELLS)
+            return name, model.launch(kernel, blocks, inputs, [worker.forces])
         inputs = [span.start, group.start, worker.touched.start, group.theta, model.volume]
         inputs += [model.dx, self._rows, self._offset, nodes.u, nodes.v]
         kernel = make_stress(group.law, model.real, is_viscous(group, model))
         launch = model.launch(kernel, span.stop - span.start, inputs, [worker.forces])
-        return f"stress {group.law.name}", launch
+        return name, launch
+
+    def vectors(self, group: Group) -> bool:
+        """Return whether a group's stress runs on the vector units of a CPU."""
+        return self._vectors and simd.usable(group.law, self._model.real, self._model.device)
 
     def kick(self, worker: Worker, tracks: Tracks) -> list[Named]:
         """Return the launch that changes the velocities of a worker's nodes by the forces."""
@@ -216,14 +252,40 @@ class Crew:
         model, state, records = self._model, self._state, []
         for group in model.groups:
             span = _common(worker.points, group.particles)
+            if self.vectors(group) and span.stop > span.start:
+                cells = span.start // PER_CELL, span.stop // PER_CELL
+                inputs = [*cells, group.start, worker.touched.start, model.dx, length]
+                inputs += [group.theta, self._block(span)]
+                inputs += [self._rows, self._nodes.u, self._nodes.v]
+                kernel = simd.make_measure_simd(group.law, is_viscous(group, model))
+                blocks = -(-(cells[1] - cells[0]) // simd.CELLS)
+                outputs = [worker.bound, worker.maxima, self.stray]
+                records.append(("measure", model.launch(kernel, blocks, inputs, outputs)))
+                continue
             inputs = [span.start, group.start, group.theta, model.mass, model.volume, length]
-            inputs += [state.v, state.C, state.F]
+            inputs += [worker.touched.start, self._rows, self._offset, state.v, state.C, state.F]
             kernel = make_lattice_measure(group.law, model.real, is_viscous(group, model))
-            outputs = [worker.maxima, self.stray]
+            outputs = [worker.bound, worker.maxima, self.stray]
             records.append(
                 ("measure", model.launch(kernel, span.stop - span.start, inputs, outputs))
             )
-        return [*self._follow(worker), ("measure", worker.maxima.zero_), *launches(records)]
+        plain = not all(self.vectors(group) for group in model.groups)
+        follows = self._follow(worker) if plain else []
+        clear = [("measure", worker.maxima.zero_), ("measure", worker.bound.zero_)]
+        return [*follows, *clear, *launches(records)]
+
+    def stiffness(self) -> NDArray[np.float64]:
+        """Return the measured bound of the stiffness of each node that is not tied, N m.
+
+        Light points of cut cells may be squeezed flat without limiting the substep, since their
+        nodes also belong to other points.
+        """
+        bound = np.zeros(len(self._lattice))
+        for worker in self.workers:
+            values: NDArray[Any] = worker.bound.numpy()
+            bound[worker.touched] += values[: worker.touched.stop - worker.touched.start]
+        bound += abs(self._lattice.ties).T @ bound[self._lattice.tied]
+        return bound[self._lattice.mass > 0]
 
 
 def is_viscous(group: Group, model: Model) -> bool:
@@ -232,11 +294,14 @@ def is_viscous(group: Group, model: Model) -> bool:
     return any(np.isfinite(section.viscous_limit(model.dx)) for section in laws)
 
 
-def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any) -> Iterator[Any]:
+def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> Iterator[Any]:
     """Yield the kernels of a run; `model_laws` are laws, and whether each is viscous."""
     yield from (node_kernels.make_kick(real), node_kernels.make_drift(real))
     yield from (node_kernels.make_node_totals(real), point_kernels.make_follow(real))
     for law, viscous in model_laws:
+        if simd.usable(law, real, device):
+            yield from (simd.make_stress_simd(law, viscous), simd.make_measure_simd(law, viscous))
+            continue
         yield make_stress(law, real, viscous)
         yield make_lattice_measure(law, real, viscous)
 

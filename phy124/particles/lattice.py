@@ -24,6 +24,12 @@ PER_CELL = 8
 """Number of integration points of a cell."""
 SMALLEST = 1e-3
 """Smallest part of a cell that gets points, as a fraction of the cell."""
+HAZE = 0.05
+"""Filled part of a cell below which it has no surface points: single Gaussians around the body."""
+SLIVER = 0.15
+"""Filled part of a cell below which it is merged with a neighbour."""
+AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
+"""Steps from a cell to its 26 neighbours."""
 APART = 0.5
 """Distance between neighbouring surface points [cells]."""
 SHEET = 0.25
@@ -130,7 +136,9 @@ def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], ND
     thinner = (np.minimum(fraction * across, side) ** 2 - side**2) / 12
     spread = thinner[:, None, None] * normal[:, :, None] * normal[:, None, :]
     spread += np.eye(3) * side**2 / 12
-    cells, cell = _cells(np.floor((index + solid.first) * (side / dx) + 1e-9).astype(np.int64))
+    place = np.floor((index + solid.first) * (side / dx) + 1e-9).astype(np.int64)
+    place = _merge_slivers(place, fraction * (side / dx) ** 3)
+    cells, cell = _cells(place)
     count = len(cells)
     filled = np.bincount(cell, fraction, count)
     centre = _sums(cell, fraction[:, None] * middle, count) / filled[:, None]
@@ -165,6 +173,9 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
             neighbour = at.copy()
             neighbour[:, axis] += step
             outside |= padded[tuple(neighbour.T)] <= 0
+    place = np.floor((index + solid.first) * (solid.voxel / dx) + 1e-9).astype(np.int64)
+    _, cell = _cells(place)
+    outside &= (np.bincount(cell, fraction) * (solid.voxel / dx) ** 3 >= HAZE)[cell]
     index, fraction, normal = index[outside], fraction[outside], normal[outside]
     across = solid.voxel * np.abs(normal).sum(axis=1)
     out = normal * ((fraction - 0.5) * across)[:, None]
@@ -173,6 +184,31 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
     if solid.voxel > 1.2 * APART * dx:
         rows = _spread_along(rows, solid.voxel / 4)
     return _outermost(rows, APART * dx)
+
+
+def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]:
+    """Return the cell of each voxel [V,3], with slivers as parts of a neighbouring cell.
+
+    A sliver fills less than `SLIVER` of its cell, so that its nodes are light and squeezing it
+    would shorten the substep. As part of a neighbour it has the neighbour's weights, continued
+    beyond its cell, and keeps its volume and moments.
+
+    Args:
+        place: Index of each voxel's cell [V,3].
+        part: Volume of each voxel, relative to a cell [V].
+    """
+    low, size = place.min(axis=0) - 1, np.ptp(place, axis=0) + 3
+    filled = np.zeros(tuple(size))
+    np.add.at(filled, tuple((place - low).T), part)
+    sliver = np.argwhere((filled > 0) & (filled < SLIVER))
+    fullest, target = np.full(len(sliver), SLIVER), sliver.copy()
+    for step in AROUND:
+        fill = filled[tuple((sliver + step).T)] / np.abs(step).sum()
+        fuller = fill > fullest
+        fullest[fuller], target[fuller] = fill[fuller], (sliver + step)[fuller]
+    moved = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1)
+    moved[tuple(sliver.T)] = target
+    return moved[tuple((place - low).T)] + low
 
 
 def _subdivide(solid: Solid, dx: float) -> Solid:

@@ -155,7 +155,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         viscous = [math.isfinite(section.viscous_limit(scene.dx)) for section in scene.materials]
         named = zip(scene.materials, viscous, strict=True)
         laws = {section.device_law.name: (section.device_law, damped) for section, damped in named}
-        yield from lattice_kernels(list(laws.values()), scene.boundaries, real)
+        yield from lattice_kernels(list(laws.values()), scene.boundaries, real, device)
         return
     yield from substep.kernels(subject.laws, real, form)
     yield from fluctuation.kernels(scheme_of(scene), real, form)

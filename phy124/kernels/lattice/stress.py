@@ -15,12 +15,13 @@ from phy124.kernels.lattice.points import (
     inverse_rows,
     safe_volume,
     slopes_at,
+    spread_bound,
     spread_slopes,
 )
 from phy124.kernels.spectral import eigenvalues, to_double
 from phy124.kernels.transfer import Law
 
-SPEED, GRADIENT, STIFFNESS, MAXIMA = 0, 1, 2, 3
+SPEED, GRADIENT, MAXIMA = 0, 1, 2
 """Index of each measured maximum, and their number."""
 FLATTEST = wp.constant(4.0e-4)
 """Smallest squared stretch that limits the substep: 0.02 of the length at rest."""
@@ -100,10 +101,11 @@ def one_axis(A: Any, theta: Any):
 
 @cache
 def make_lattice_measure(law: Law, real: Any, viscous: bool):
-    """Kernel over points: the largest speed, rate of strain, and stiffness for the substep.
+    """Kernel over points: the largest speed and rate of strain, and a bound of the stiffness.
 
-    The stiffness is dx^2 / dt^2 [m^2/s^2] of the longest stable substep dt = 2 / omega (sqrt(1 +
-    z^2) - z), where omega^2 = 4 A / (rho dx^2) and z is the damping ratio of that vibration.
+    A point's stiffness is rho dx^2 / dt^2 [Pa] of the longest stable substep dt = 2 / omega (sqrt(1
+    + z^2) - z), where omega^2 = 4 A / (rho dx^2) and z is the damping ratio of that vibration.
+    Divided by the nodes' masses, `bound_out` [N] bounds the square of the largest frequency.
     """
     t = types(real)
     modulus, stress = law.modulus, law.stress
@@ -122,10 +124,14 @@ def make_lattice_measure(law: Law, real: Any, viscous: bool):
         theta,
         mass,
         volume,
-        dx,
+        length: real,
+        low: int,
+        rows: Ints,
+        offset: t.vec3s,
         v,
         C,
         F,
+        bound_out: t.reals,
         maxima_out: t.reals,
         stray_out: Ints,
     ):
@@ -153,11 +159,12 @@ def make_lattice_measure(law: Law, real: Any, viscous: bool):
         if wp.static(viscous):
             # z = eta omega / (A s^2), with omega = 2 sqrt(A / rho) / dx.
             eta = parameters[wp.static(law.width - 1)]
-            z = real(2.0) * eta * wp.sqrt(volume[p] / (mass[p] * A)) / (dx * least)
+            z = real(2.0) * eta * wp.sqrt(volume[p] / (mass[p] * A)) / (length * least)
             shorter = wp.sqrt(real(1.0) + z * z) - z
             stiffness = stiffness / (shorter * shorter)
         wp.atomic_max(maxima_out, SPEED, wp.sqrt(fast))
         wp.atomic_max(maxima_out, GRADIENT, wp.sqrt(rate))
-        wp.atomic_max(maxima_out, STIFFNESS, stiffness)
+        cell = p / wp.static(PER_CELL)
+        spread_bound(bound_out, low, rows, cell, offset[p], stiffness * mass[p])
 
     return lattice_measure
