@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
 from phy124.errors import InputError
 from phy124.generators import make as make_generator
 from phy124.generators.extras import DepthMap, OtherViews
+from phy124.generators.neural import triposr
+from phy124.generators.options import effort_of
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import cut_out as open_view
 from phy124.io.axes import orientation
@@ -46,6 +48,26 @@ class Photographed(Section):
 NOT_PHOTOGRAPHED = Photographed()
 
 
+class Making(Section):
+    """Option for the generator of the object."""
+
+    generator: Literal["relief", "triposr"] = Field(
+        default="relief",
+        description="What makes the object: relief guesses the unseen sides from the silhouette, "
+        "in a second; triposr is a trained network, which takes longer.",
+    )
+
+    def seconds(self) -> float:
+        """Predict the time of the generator's network under the current load [s]."""
+        if self.generator == "relief":
+            return 0.0
+        effort = effort_of(make_generator(self.generator))
+        return effort.seconds if effort else 0.0
+
+
+NOT_CHOSEN = Making()
+
+
 @dataclass(frozen=True)
 class ExtraInputs:
     """Optional inputs in addition to the front picture."""
@@ -59,6 +81,8 @@ class ExtraInputs:
     """Orientation of the file of Gaussians."""
     photographed: Photographed = NOT_PHOTOGRAPHED
     """Whether to film the object in its photograph; this does not affect the Gaussians."""
+    making: Making = NOT_CHOSEN
+    """The generator of a picture's object."""
 
     def cut_views(self, deadline: Deadline) -> None:
         """Create the missing cut-outs of the other views.
@@ -87,6 +111,7 @@ class ExtraInputs:
         _refuse(self.depth, "A file of Gaussians needs none.")
         _refuse(self.views, "A file of Gaussians has all sides already.")
         _refuse(self.photographed, "A file of Gaussians comes with no photograph.")
+        _refuse(self.making, "A file of Gaussians needs none.")
         up, front = self.reading.up, self.reading.front
         front = front or (None if up else source.axes.front)
         return replace(self, reading=Reading(up=up or source.axes.up, front=front))
@@ -94,7 +119,7 @@ class ExtraInputs:
     def about(self, source: Source) -> tuple[tuple[str, Any], ...]:
         """Return entries of the report about the object's source."""
         if isinstance(source, Cutout):
-            return (("generator", "relief"),)
+            return (("generator", self.making.generator),)
         file = {**self.reading.model_dump(include=set(AXES)), "program": source.axes.program}
         about = {"generator": source.format, "file": file, "cleaning": list(source.notes)}
         return tuple(about.items())
@@ -117,7 +142,8 @@ NO_EXTRAS = ExtraInputs()
 
 def options() -> dict[str, Any]:
     """Return the JSON schema of each input, by option."""
-    sections: tuple[type[Section], ...] = (OtherViews, DepthMap, Photographed)
+    sections: list[type[Section]] = [OtherViews, DepthMap, Photographed]
+    sections += [Making] if triposr.is_present() else []
     return {
         name: schema
         for section in sections
@@ -149,6 +175,10 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
     depth = {option: rest.pop(option) for option in DepthMap.model_fields if option in rest}
     axes = {option: rest.pop(option) for option in AXES if option in rest}
     film = {option: rest.pop(option) for option in Photographed.model_fields if option in rest}
+    making = _validate(Making, {o: rest.pop(o) for o in Making.model_fields if o in rest})
+    if making != NOT_CHOSEN and not triposr.is_present():
+        limit = "This server does not have its weights."
+        raise InputError("generator", making.generator, limit, "Leave it out.")
     if "depth" in sent:
         depth["depth"] = str(sent.pop("depth"))
     cutouts = {option: cutout_file(visitors.get(name), path) for option, path in sent.items()}
@@ -160,6 +190,7 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
         tuple(sent.values()),
         reading,
         _validate(Photographed, film),
+        making,
     )
 
 

@@ -96,6 +96,7 @@ class Estimator:
         filmed: bool = False,
         pictures: int = 1,
         composed: float = 0.0,
+        network: float = 0.0,
         compiling: float = 0.0,
     ) -> Estimate:
         """Forecast a run.
@@ -108,6 +109,7 @@ class Estimator:
             filmed: Whether the films exist already.
             pictures: Number of pictures from which Gaussians are generated.
             composed: Number of pixels of the film in the photograph.
+            network: Time of the generator's network under the current load [s].
             compiling: Time to compile missing kernels on an idle machine [s].
         """
         work, load = Work.of(scene, gaussians), self.load()
@@ -118,14 +120,15 @@ class Estimator:
         done |= {"generate": generated or simulated, "film": filmed, "rest": filmed}
         costs = {name: cost for name, cost in costs.items() if not done[name]}
         seconds = {name: cost * load.of(name) for name, cost in costs.items()}
+        network = 0.0 if done["generate"] else network
         return Estimate(
-            sum(seconds.values()),
+            sum(seconds.values()) + network,
             round(work.substeps),
             count_particles(scene, gaussians),
             promise(scene, None),
             load=load,
             compiling=seconds.get("compile", 0.0),
-            unloaded=sum(costs.values()),
+            unloaded=sum(costs.values()) + network,
         )
 
     def study(

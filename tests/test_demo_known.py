@@ -42,6 +42,29 @@ def test_it_is_declared_where_the_command_line_declares_it(studio):
     assert offered["thickness"]["description"] == OtherViews.model_fields["thickness"].description
 
 
+def test_generator_is_offered_if_the_server_has_weights(studio, monkeypatch):
+    from demo.catalogue import catalogue
+    from demo.extras import triposr
+
+    visitor = studio.visitors.get("a")
+    scene, duck = Scene.named("press"), Cutout(str(DUCK), str(DUCK))
+
+    def order():
+        return studio.order(
+            (visitor, duck, scene), studio.check_extras("a", {"generator": "triposr"})
+        )
+
+    with pytest.raises(InputError, match="This server does not have its weights"):
+        order()
+    monkeypatch.setattr(triposr, "is_present", lambda: True)
+    assert catalogue(studio.settings)["known"]["generator"]["enum"] == ["relief", "triposr"]
+    made = order()
+    assert (made.generator, dict(made.about)["generator"]) == ("triposr", "triposr")
+    usual = studio.forecaster(scene).seconds
+    assert studio.forecaster(scene, network=40.0).seconds > usual + 30
+    assert studio.forecaster(scene, network=40.0, generated=True).seconds < usual + 30
+
+
 @pytest.mark.parametrize(
     ("told", "message"),
     [

@@ -140,7 +140,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
     return [
         {
             "pack": file_of(done.films / "clip.pack"),
-            "invented": done.report.get("generator") == "relief",
+            "invented": done.report.get("generator") in ("relief", "triposr"),
         },
         {"films": films, "length": length},
         report_of(studio, job),

@@ -29,11 +29,14 @@
       for (const option of Object.keys(PICTURES)) this.views[option] = new View(option, this);
       this.thickness();
       this.highlights = h('input', { type: 'checkbox', onchange: (event) => this.tell({ highlights: event.target.checked ? 'remove' : null }) });
+      const { generator } = this.options; // offered if the server has weights
+      this.generator = generator && h('select', { 'aria-label': 'Generator', title: generator.description, onchange: (event) => this.tell({ generator: event.target.value === generator.default ? null : event.target.value }) },
+        ...generator.enum.map((value) => h('option', { value, selected: value === generator.default }, `generator: ${value}`)));
       this.summary = h('summary', {}, 'Advanced: side, back, depth, thickness');
       this.pictured = h('details', { class: 'more' }, this.summary, h('div', { class: 'views' }, ...Object.values(this.views).map((view) => view.element)),
         ...Object.values(this.views).map((view) => view.status),
         h('div', { class: 'knob', title: this.options.thickness.description }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Thickness'), this.deep), this.slider),
-        h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights'));
+        h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights'), this.generator || '');
       element.replaceChildren(this.pictured);
       this.filming();
     }
@@ -86,6 +89,7 @@
       this.told = {};
       this.element.replaceChildren(this.pictured);
       [this.slider.value, this.highlights.checked, this.compose.checked] = [1, false, false];
+      if (this.generator) this.generator.value = 'relief';
       for (const view of Object.values(this.views)) view.clear();
       this.say();
     }

@@ -109,6 +109,7 @@ def stages_done(order: Order) -> dict[str, Any]:
         "filmed": films,
         "pictures": max(pictures, 1),
         "composed": composed,
+        "network": 0.0 if generated or clips else order.extras.making.seconds(),
     }
 
 
@@ -188,7 +189,7 @@ def order_of(
         stop=visitor.folder / "never",
         seconds=limits.max_seconds,
         max_particles=limits.max_particles,
-        generator="relief" if cutout else source.path,
+        generator=extras.making.generator if cutout else source.path,
         gaussians=count_of(source, limits),
         extras=extras,
         others=others_of(visitor, scene),

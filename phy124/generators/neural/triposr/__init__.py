@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
+
+from phy124.weights.store import is_complete
 
 if TYPE_CHECKING:
     from phy124.generators.neural.triposr.generator import TripoSrGenerator
@@ -13,6 +16,14 @@ def make_triposr() -> TripoSrGenerator:
     from phy124.generators.neural.triposr.generator import TripoSrGenerator
 
     return TripoSrGenerator()
+
+
+def is_present() -> bool:
+    """Whether weights, and the package that runs them, exist."""
+    return any(
+        is_complete(name) and find_spec("torch" if name == "triposr-torch" else "onnxruntime")
+        for name in WEIGHTS
+    )
 
 
 GENERATORS = {"triposr": make_triposr}
