@@ -12,9 +12,9 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from phy124.errors import InputError
+from phy124.generators import is_present
 from phy124.generators import make as make_generator
 from phy124.generators.extras import DepthMap, OtherViews
-from phy124.generators.neural import triposr
 from phy124.generators.options import effort_of
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import cut_out as open_view
@@ -143,7 +143,7 @@ NO_EXTRAS = ExtraInputs()
 def options() -> dict[str, Any]:
     """Return the JSON schema of each input, by option."""
     sections: list[type[Section]] = [OtherViews, DepthMap, Photographed]
-    sections += [Making] if triposr.is_present() else []
+    sections += [Making] if is_present("triposr") else []
     return {
         name: schema
         for section in sections
@@ -176,7 +176,7 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
     axes = {option: rest.pop(option) for option in AXES if option in rest}
     film = {option: rest.pop(option) for option in Photographed.model_fields if option in rest}
     making = _validate(Making, {o: rest.pop(o) for o in Making.model_fields if o in rest})
-    if making != NOT_CHOSEN and not triposr.is_present():
+    if making != NOT_CHOSEN and not is_present(making.generator):
         limit = "This server does not have its weights."
         raise InputError("generator", making.generator, limit, "Leave it out.")
     if "depth" in sent:

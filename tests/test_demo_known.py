@@ -44,7 +44,6 @@ def test_it_is_declared_where_the_command_line_declares_it(studio):
 
 def test_generator_is_offered_if_the_server_has_weights(studio, monkeypatch):
     from demo.catalogue import catalogue
-    from demo.extras import triposr
 
     visitor = studio.visitors.get("a")
     scene, duck = Scene.named("press"), Cutout(str(DUCK), str(DUCK))
@@ -56,7 +55,7 @@ def test_generator_is_offered_if_the_server_has_weights(studio, monkeypatch):
 
     with pytest.raises(InputError, match="This server does not have its weights"):
         order()
-    monkeypatch.setattr(triposr, "is_present", lambda: True)
+    monkeypatch.setattr("demo.extras.is_present", lambda name: True)
     assert catalogue(studio.settings)["known"]["generator"]["enum"] == ["relief", "triposr"]
     made = order()
     assert (made.generator, dict(made.about)["generator"]) == ("triposr", "triposr")

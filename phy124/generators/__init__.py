@@ -72,6 +72,12 @@ WEIGHTS = {name: package.WEIGHTS for package in NEURAL for name in package.GENER
 """Names of the trained weights that each generator loads (keys of `weights.store.KNOWN`)."""
 
 
+def is_present(name: str) -> bool:
+    """Whether a generator with a trained network has all that it needs; False if it cannot say."""
+    package = next((package for package in NEURAL if name in package.GENERATORS), None)
+    return bool(getattr(package, "is_present", lambda: False)())
+
+
 def list_names() -> list[str]:
     """Return the names of all generators, including those registered by other packages."""
     return [*GENERATORS, *(name for name in list_plugins("generators") if name not in GENERATORS)]
