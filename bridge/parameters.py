@@ -180,7 +180,7 @@ def convert(name: str, value: Any, parameter: Parameter) -> Any:
 
 
 class Running:
-    """Parameters that can be changed while the node plays, and show the state of playback."""
+    """Parameters that can be changed during playback; they also show its state."""
 
     def __init__(
         self, node: Any, parameters: Mapping[str, Parameter], apply: Callable[[str, Any], None]

@@ -420,6 +420,6 @@ def test_errors_of_a_run_that_parts_hold_until_then(study):
     report = made._conclude(list(whole.rows), ())
     made.clips["D/16"] = kept
     assert report.until == pytest.approx(2 / 24)
-    assert "part after 0.0833 s" in report.sentences[0]
+    assert "diverge after 0.0833 s" in report.sentences[0]
     assert report.convergence.error < 0.05
     assert all("whole motion" in said or "not" in said for said in report.promises.values())

@@ -274,7 +274,7 @@ def move_back(
 
 
 def step_of(means: NDArray) -> float:
-    """Return the spacing of float32 at centres [N,3] that are float32 numbers, else 0."""
+    """Return the spacing of float32 numbers at the centres [N,3]; 0 if they are more precise."""
     some = _some(means)
     if not len(some) or not np.array_equal(some, some.astype(np.float32)):
         return 0.0

@@ -189,7 +189,7 @@ def tie(v: Any, m: Any, g: Any):
 
 @wp.func
 def hold_back(behind: Any, front: Any, normal: Any):
-    """Return the change of a velocity behind a wall that moves into it faster than one in front.
+    """Return the velocity change of a node behind a wall that is faster than the node in front.
 
     The change only slows the motion, so it never adds energy.
     """

@@ -23,7 +23,7 @@ HAT = 7
 
 @cache
 def sums(real: Any):
-    """Return the type of a cell's sums: momentum of three faces, fill, mass of three faces, hat."""
+    """Return the type of a cell's sums: momentum of faces, fill, mass of faces, linear weight."""
     return wp.types.vector(8, real)
 
 

@@ -27,7 +27,7 @@ COLUMNS = 7
 def way_to_wall(
     cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i, distances: wp.array(dtype=Any), dx: Any
 ):
-    """Return the way along an axis from a cell's centre to the wall in it [m].
+    """Return the distance along an axis from a cell's centre to the wall in the cell [m].
 
     The wall lies where the distance, linear between the centre and the face, is zero. At the edge
     of a solid, that is on the line, of nine across the face, that ends deepest in the solid.

@@ -124,8 +124,8 @@ class Report:
         """A sentence about the limits of the errors; empty if they hold for the whole motion."""
         if self.until is not None:
             return (
-                f"The levels part after {self.until:.3g} s, because their motions "
-                "diverge. All errors are for the motion until then."
+                f"The motions on different levels diverge after {self.until:.3g} s. "
+                "All errors are for the motion until then."
             )
         if self.convergence.error is None and self.closest is not None:
             return (
