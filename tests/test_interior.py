@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from scipy.spatial import KDTree
 
 from phy124.materials import NeoHookean
@@ -71,7 +72,7 @@ def test_what_is_torn_may_have_no_inside():
     needles = ball(400).select(np.array([0, 399]))
     particles = make_particles(needles, density=1e3, spacing=1.0, binding="particles")
     inside = Interior(needles, particles, [NeoHookean()], spacing=1.0, dx=1.0)
-    inside.look(1, 9 * particles.x)
+    inside.look(1, wp.array(9 * particles.x, dtype=wp.vec3, device="cpu"))
     assert not len(inside.snapshot()["1"]["ids"])
 
 

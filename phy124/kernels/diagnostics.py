@@ -264,3 +264,31 @@ def make_apart(real: Any):
             wp.atomic_max(max_out, 0, wp.sqrt(square))
 
     return apart
+
+
+@cache
+def make_neighbours_lost(real: Any):
+    """Kernel: marks particles that are farther than a distance from a neighbour at rest.
+
+    `square` is the square of the distance [m^2]. Thread i examines the particle `chosen[i]`, whose
+    neighbours at rest are `neighbours[i]`, and sets `lost_out[i]` to 1 or 0.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lost_{real.__name__}", real, seconds=0.2)
+    def neighbours_lost(
+        square: t.real,
+        chosen: wp.array(dtype=wp.int32),
+        neighbours: wp.array2d(dtype=wp.int32),
+        x,
+        lost_out: wp.array(dtype=wp.uint8),
+    ):
+        i = wp.tid()
+        here = x[chosen[i]]
+        lost = wp.uint8(0)
+        for k in range(neighbours.shape[1]):
+            if wp.length_sq(x[neighbours[i, k]] - here) > square:
+                lost = wp.uint8(1)
+        lost_out[i] = lost
+
+    return neighbours_lost

@@ -9,22 +9,24 @@ Gaussian above it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
+import warp as wp
 from numpy.typing import NDArray
 
 from phy124.gaussians import Frame, Gaussians, join
 from phy124.io.clip import Clip
+from phy124.kernels.diagnostics import make_neighbours_lost
 from phy124.liquid import AnySolver
 from phy124.materials import AnyMaterial
 from phy124.monitor.observer import Effect, Observed, Observer, Subject, find
 from phy124.monitor.tearing import APART, Tearing
 from phy124.particles import Particles, by_object
-from phy124.particles.grains import make_grains
+from phy124.particles.grains import leave_room, make_grains
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -61,7 +63,9 @@ class Interior(Observer):
         """
         self._shown, self._rest, self._materials = shown, particles, materials
         self._spacing, self._dx, self._keep = spacing, dx, keep
+        self._real: Any = wp.float32
         self._inside: NDArray[np.int64] | None = None
+        self._uploaded: tuple[wp.array, wp.array, wp.array] | None = None
         self._opened: dict[int, Opened] = {}
         """For each frame with a tear: the exposed particles and their positions."""
 
@@ -69,6 +73,12 @@ class Interior(Observer):
     def called_for(cls, subject: Subject) -> bool:
         """Return whether grains are shown and some material can be torn."""
         return subject.scene.grains and subject.elastic
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernel that finds particles that have lost a neighbour."""
+        del subject
+        yield make_neighbours_lost(real)
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
@@ -87,14 +97,15 @@ class Interior(Observer):
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Bind to the state, and to the observer that detects tears."""
         self._state, self._tearing = solver.state, find(observers, Tearing)
+        self._real = solver.model.real
 
     def after_frame(self, frame: Frame) -> Frame:
         """Find exposed particles if material is likely torn; return the frame unchanged."""
         if self._keep and self._tearing is not None and self._tearing.likely:
-            self.look(frame.index, self._state.x.numpy())
+            self.look(frame.index, self._state.x)
         return frame
 
-    def look(self, index: int, x: NDArray) -> None:
+    def look(self, index: int, x: wp.array) -> None:
         """Find the exposed particles of a frame in which material is torn.
 
         Args:
@@ -104,14 +115,30 @@ class Interior(Observer):
         if self._inside is None:
             self._prepare()
         assert self._inside is not None
-        here = x[self._inside]
-        offsets = x[self._neighbours] - here[:, None]
-        lost = ((offsets**2).sum(axis=2) > (APART * self._dx) ** 2).any(axis=1)
+        lost = self._find_lost(x)
         # Gaps are wider than a particle, so the second layer is also visible.
         alone = np.zeros(len(x), bool)
         alone[self._inside[lost]] = True
         ids = np.flatnonzero(lost | alone[self._neighbours].any(axis=1))
-        self._opened[index] = {"ids": ids, "x": here[ids].astype(np.float32)}
+        here: Any = x.numpy()[self._inside[ids]] if len(ids) else np.zeros((0, 3))
+        self._opened[index] = {"ids": ids, "x": here.astype(np.float32)}
+
+    def _find_lost(self, x: wp.array) -> NDArray[np.bool_]:
+        """Return the mask of the inner particles that have lost a neighbour at rest."""
+        assert self._inside is not None
+        if self._uploaded is None:
+            chosen, neighbours = (
+                wp.array(array, dtype=wp.int32, device=x.device)
+                for array in (self._inside, self._neighbours)
+            )
+            byte: Any = wp.uint8
+            lost = wp.empty(len(self._inside), dtype=byte, device=x.device)
+            self._uploaded = chosen, neighbours, lost
+        *read, lost = self._uploaded
+        inputs = [self._real((APART * self._dx) ** 2), *read, x]
+        kernel = make_neighbours_lost(self._real)
+        wp.launch(kernel, len(lost), inputs=inputs, outputs=[lost], device=x.device)
+        return np.asarray(lost.numpy(), bool)
 
     def complete(self, clip: Clip) -> Clip:
         """Return the clip with a Gaussian for each particle that is exposed in any frame."""
@@ -122,7 +149,7 @@ class Interior(Observer):
             return clip
         if self._inside is None:
             self._prepare()
-        above, grains = self._above[ids], self._grains.select(ids)
+        above, grains = self._make_grains(ids)
         means = clip.means[:, above].copy()
         scales = np.repeat(HIDDEN * grains.scales[None], len(clip), axis=0)
         latest: Opened = {"ids": ids[:0], "x": means[0, :0]}
@@ -157,19 +184,18 @@ class Interior(Observer):
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
         free = elastic & (rest.gaussian < 0)
         # Objects that touch at the start and separate later are not torn, so each is handled alone.
-        objects = [
-            self._prepare_object(gaussians, particles, free[particles])
+        self._objects = [
+            (gaussians, *self._prepare_object(gaussians, particles, free[particles]))
             for gaussians, particles in by_object(self._shown, rest)
             if len(particles)
         ]
-        grains, above, inside, neighbours = zip(*objects, strict=True)
-        self._grains, self._above = join(grains), np.concatenate(above)
+        _, inside, neighbours = zip(*self._objects, strict=True)
         self._inside, self._neighbours = np.concatenate(inside), np.concatenate(neighbours)
 
     def _prepare_object(
         self, gaussians: NDArray[np.intp], particles: NDArray[np.intp], free: NDArray[np.bool_]
-    ) -> tuple[Gaussians, NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Return grains, the Gaussians above them, their particles and the particles' neighbours.
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the particles of an object that may be exposed, and the neighbours of each.
 
         Args:
             gaussians: Indices of the Gaussians of an object.
@@ -177,15 +203,29 @@ class Interior(Observer):
             free: Mask of the object's particles that may have a grain.
         """
         x = self._rest.x[particles]
-        every = len(gaussians) == len(self._shown)
-        shown = self._shown if every else self._shown.select(gaussians)
         candidates = np.flatnonzero(free)
-        grains, above, clear = make_grains(shown, x[candidates], self._spacing)
-        inside = candidates[clear]
+        inside = candidates[leave_room(self._surface(gaussians), x[candidates], self._spacing)]
         count = min(NEIGHBOURS, len(x))
         near = np.reshape(
             scipy.spatial.KDTree(x).query(x[inside], k=count, workers=-1)[1], (len(inside), count)
         )
         # A tiny object has fewer neighbours; the last one is repeated.
         near = np.pad(near, ((0, 0), (0, NEIGHBOURS - count)), mode="edge")
-        return grains, gaussians[above], particles[inside], particles[near]
+        return particles[inside], particles[near]
+
+    def _make_grains(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], Gaussians]:
+        """Return the Gaussians above exposed particles, and the particles' grains."""
+        above, grains, first = [], [], 0
+        for gaussians, inside, _ in self._objects:
+            chosen = ids[(ids >= first) & (ids < first + len(inside))] - first
+            first += len(inside)
+            x = self._rest.x[inside[chosen]]
+            made, nearest = make_grains(self._surface(gaussians), x, self._spacing)
+            grains.append(made)
+            above.append(gaussians[nearest])
+        return np.concatenate(above), join(grains)
+
+    def _surface(self, gaussians: NDArray[np.intp]) -> Gaussians:
+        """Return an object's Gaussians at rest."""
+        every = len(gaussians) == len(self._shown)
+        return self._shown if every else self._shown.select(gaussians)

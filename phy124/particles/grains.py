@@ -53,8 +53,8 @@ def add_grains(
     inside = np.flatnonzero(loose & (particles.gaussian < 0))
     if not len(inside):
         return gaussians, particles
-    grains, _, clear = make_grains(gaussians, particles.x[inside], spacing)
-    inside = inside[clear]
+    inside = inside[leave_room(gaussians, particles.x[inside], spacing)]
+    grains, _ = make_grains(gaussians, particles.x[inside], spacing)
     if (particles.gaussian >= 0).any():
         owner = particles.gaussian.copy()
         owner[inside] = moves.sum() + np.arange(len(inside))
@@ -62,24 +62,33 @@ def add_grains(
     return join([gaussians, grains]), particles
 
 
-def make_grains(
-    gaussians: Gaussians, x: NDArray, spacing: float
-) -> tuple[Gaussians, NDArray[np.int64], NDArray[np.bool_]]:
-    """Make grains at those points [P,3] that are far enough from all Gaussians.
+def leave_room(gaussians: Gaussians, x: NDArray, spacing: float) -> NDArray[np.bool_]:
+    """Return the mask of the points [P,3] that are far enough from all Gaussians for a grain.
 
     Args:
         gaussians: The object at rest.
         x: Positions of inner particles [P,3], m.
         spacing: Distance of neighbouring particles, m.
+    """
+    # A search within a small distance is fast. The nearest Gaussian of a point near the centre of
+    # a ball is not: all Gaussians are about as far away.
+    tree = scipy.spatial.KDTree(gaussians.means)
+    nearest, _ = tree.query(x, distance_upper_bound=NEAREST * spacing, workers=-1)
+    return np.isinf(nearest)
 
-    Returns:
-        G grains, the index of the Gaussian nearest to each [G], and the mask of points with a grain
-            [P].
+
+def make_grains(
+    gaussians: Gaussians, x: NDArray, spacing: float
+) -> tuple[Gaussians, NDArray[np.int64]]:
+    """Make grains at points [P,3], and return them with the index of the Gaussian nearest to each.
+
+    Args:
+        gaussians: The object at rest.
+        x: Positions of inner particles [P,3], m, with room for a grain (`leave_room`).
+        spacing: Distance of neighbouring particles, m.
     """
     depth, above = map(np.asarray, scipy.spatial.KDTree(gaussians.means).query(x, workers=-1))
-    clear = depth >= NEAREST * spacing
-    depth, above = depth[clear], above[clear]
-    return _round_gaussians(gaussians, x[clear], above, depth, spacing), above, clear
+    return _round_gaussians(gaussians, x, above, depth, spacing), above
 
 
 def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
