@@ -17,6 +17,7 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.simulation.deform import THREADS, Deformer, carriers
 from phy124.studies.validation.bodies import lattice
+from support.shapes import ball
 
 IDENTITY = np.eye(3)
 
@@ -455,3 +456,18 @@ def test_eight_at_a_time_are_deformed_as_one_by_one(rng, count):
     for one, eight in zip(*found, strict=True):
         for name, a, b in zip(("inner", "quats", "scales"), one, eight, strict=True):
             np.testing.assert_allclose(b, a, rtol=3e-6, atol=3e-7, err_msg=name)
+
+
+@pytest.mark.parametrize("binding", ["particles", "lattice"])
+def test_state_stays_on_its_device(binding, monkeypatch):
+    """A GPU's positions and F are checked and read there; the host gets only the shapes."""
+    scene = Scene.named("press").replaced({"accuracy": {"cells": 6}, "binding": binding})
+    run = Simulation(prepare(ball(300), scene))
+    state, read, size = run.solver.state, wp.array.numpy, []
+    monkeypatch.setattr(
+        wp.array, "numpy", lambda array: size.append((array.ptr, array.capacity)) or read(array)
+    )
+    frame = run.deformer(state.x, state.deformation, index=0, time=0.0)
+    assert not {state.x.ptr, state.deformation.ptr} & {ptr for ptr, _ in size}
+    assert sum(count for _, count in size) == 300 * 4 * (3 + 4 + 3) + 2 * 4
+    assert len(frame.gaussians) == 300

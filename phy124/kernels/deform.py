@@ -470,3 +470,41 @@ def make_carry(real: Any):
         deformation_out[i] = part * f
 
     return carry
+
+
+@cache
+def make_follow(real: Any):
+    """Kernel: gives each Gaussian the position and F of its own particle, of one precision."""
+    t = types(real)
+
+    @kernel(f"phy124_follow_{real.__name__}", real, seconds=0.2)
+    def follow(
+        particle: wp.array(dtype=wp.int32),
+        position: t.vec3s,
+        deformation: t.mat33s,
+        means_out: wp.array(dtype=wp.vec3f),
+        deformation_out: wp.array(dtype=wp.mat33d),
+    ):
+        i = wp.tid()
+        means_out[i] = wp.vec3f(position[particle[i]])
+        deformation_out[i] = to_double(deformation[particle[i]])
+
+    return follow
+
+
+@cache
+def make_count_broken(real: Any):
+    """Kernel: counts the particles whose position, and those whose F, is not finite."""
+    t = types(real)
+
+    @kernel(f"phy124_broken_{real.__name__}", real, seconds=0.2)
+    def count_broken(
+        position: t.vec3s, deformation: t.mat33s, counts_out: wp.array(dtype=wp.int32)
+    ):
+        p = wp.tid()
+        if not wp.isfinite(position[p]):
+            wp.atomic_add(counts_out, 0, 1)
+        if not wp.isfinite(deformation[p]):
+            wp.atomic_add(counts_out, 1, 1)
+
+    return count_broken

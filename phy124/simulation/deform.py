@@ -101,13 +101,14 @@ class Deformer:
         self._rounds = wp.array(balls, dtype=wp.bool, device=device)
         most = np.full(n, np.inf) if holds is None else holds
         self._holds = wp.array(most, dtype=wp.float64, device=device)
-        self._bound = _bound_particles(n, particles)
-        self._field = None
-        if self._bound is None and particles is not None:
-            self._field = _Field(gaussians, particles, flows, self._share)
+        bound = _bound_particles(n, particles)
+        if bound is None and particles is not None:
+            self._motion = _Field(gaussians, particles, flows, self._share)
+        else:
+            self._motion = _Bound(np.arange(n) if bound is None else bound, self._share)
         self._count = n if particles is None else len(particles.x)
-        carrier: NDArray = np.arange(n) if self._bound is None else self._bound
-        self._carrier = wp.array(carrier, dtype=wp.int32, device=device)
+        self._broken = wp.zeros(2, dtype=wp.int32, device=device)
+        self._carrier = wp.array(np.arange(n), dtype=wp.int32, device=device)
         self._quats0 = wp.array(gaussians.quats, dtype=wp.vec4f, device=device)
         self._scales0 = wp.array(gaussians.scales, dtype=wp.vec3f, device=device)
         self._quats = wp.clone(self._quats0)
@@ -130,20 +131,22 @@ class Deformer:
             FloatingPointError: A position or F is not finite; the message says how many.
             ValueError: The arrays do not match the number of particles.
         """
-        self._check(x, (3,))
-        self._check(F, (3, 3))
-        means, deformation = self._carry(x, F)
+        x, F = self._upload(x, F)
+        means, deformation = self._motion.carry(x, F)
         limits = [self._holds, self._max_stretch, self._rounds]
         rest = [self._carrier, self._quats0, self._scales0, *limits]
         frame = [self._inner, self._quats, self._scales]
         kernel, each = shapes_of(self._device)
         self._share.launch(kernel, rest, [deformation], frame, each=each)
         sh = self._colours(deformation)
-        quats, scales = _host(self._quats).copy(), _host(self._scales).copy()
-        gaussians = replace(self.gaussians, means=means, quats=quats, scales=scales, sh=sh)
+        quats, scales = _copy(self._quats), _copy(self._scales)
+        gaussians = replace(self.gaussians, means=_copy(means), quats=quats, scales=scales, sh=sh)
         if velocities is not None:
-            self._check(velocities, (3,))
-            velocities = self._interpolate(_host(velocities).astype(np.float64))
+            velocities = _host(velocities).astype(np.float64)
+            self._refuse_other_shape(velocities.shape, (3,))
+            broken = int((~np.isfinite(velocities).all(axis=1)).sum())
+            self._refuse_broken(broken)
+            velocities = self._motion.interpolate(velocities)
         return Frame(index, time, gaussians, velocities)
 
     def snapshot(self) -> dict[str, NDArray]:
@@ -159,37 +162,38 @@ class Deformer:
         arrays = (self._quats, self._scales, self._inner, self._turned)
         return dict(zip(("quats", "scales", "inner", "turned"), arrays, strict=True))
 
-    def _check(self, array: Any, shape: tuple[int, ...]) -> None:
-        values = _host(array)
-        if values.shape != (self._count, *shape):
-            raise ValueError(f"got an array {values.shape} for {self._count} particles")
-        finite = np.isfinite(values)
-        if not finite.all():
-            bad = int((~finite.reshape(self._count, -1).all(axis=1)).sum())
-            raise FloatingPointError(f"{bad} of {self._count} particles are NaN or infinite")
+    def _upload(self, x: Any, F: Any) -> tuple[wp.array, wp.array]:
+        """Return positions and F on the device, in the precision of F, after a check of both."""
+        for array, shape in ((x, (3,)), (F, (3, 3))):
+            values = array if isinstance(array, wp.array) else np.asarray(array)
+            inner: Any = getattr(array.dtype, "_shape_", ())
+            self._refuse_other_shape((*values.shape, *inner), shape)
+        real = _precision(F)
+        t = types(real)
+        x, F = _on(x, t.vec3, self._device), _on(F, t.mat33, self._device)
+        self._broken.zero_()
+        kernel = field.make_count_broken(real)
+        wp.launch(kernel, self._count, [x, F], [self._broken], device=self._device)
+        for broken in self._broken.numpy().tolist():
+            self._refuse_broken(broken)
+        return x, F
 
-    def _carry(self, x: Any, F: Any) -> tuple[NDArray, wp.array]:
-        """Return the Gaussians' centres [N,3], m, and the deformation gradients for `_carrier`."""
-        if self._field is not None:
-            return self._field.carry(x, F)
-        x, F = (np.ascontiguousarray(_host(values), np.float64) for values in (x, F))
-        deformation = wp.array(F, dtype=wp.mat33d, device=self._device)
-        return (x if self._bound is None else x[self._bound]), deformation
+    def _refuse_other_shape(self, shape: tuple[int, ...], inner: tuple[int, ...]) -> None:
+        if shape != (self._count, *inner):
+            raise ValueError(f"got an array {shape} for {self._count} particles")
+
+    def _refuse_broken(self, broken: int) -> None:
+        if broken:
+            raise FloatingPointError(f"{broken} of {self._count} particles are NaN or infinite")
 
     def _colours(self, deformation: wp.array) -> NDArray:
         rest = self.gaussians
         if rest.sh_degree == 0:
             return rest.sh
         self._share.launch(field.turn_of_material, [self._carrier], [deformation], [self._turned])
-        self.rotations = turned = _host(self._turned).copy()
+        self.rotations = turned = _copy(self._turned)
         still = (turned == (1, 0, 0, 0)).all()
         return rest.sh if still else rotate_sh(rest.sh, turned)
-
-    def _interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
-        if self._field is not None:
-            return self._field.interpolate(values)
-        bound = values if self._bound is None else values[self._bound]
-        return bound.astype(np.float32)
 
 
 class _Share:
@@ -236,6 +240,28 @@ class _Share:
             future.result()
 
 
+class _Bound:
+    """Gaussians that each follow a particle of their own."""
+
+    def __init__(self, particle: NDArray, share: _Share) -> None:
+        """Store the index of each Gaussian's particle [N]."""
+        n, device, self._share = len(particle), share.device, share
+        self.particle = particle
+        self._particle = wp.array(particle, dtype=wp.int32, device=device)
+        self._means = wp.array(np.zeros((n, 3)), dtype=wp.vec3f, device=device)
+        self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
+
+    def carry(self, x: wp.array, F: wp.array) -> tuple[wp.array, wp.array]:
+        """Return centres [N,3], m, and deformation gradients [N,3,3] of the Gaussians."""
+        kernel, written = field.make_follow(_precision(F)), [self._means, self._deformation]
+        self._share.launch(kernel, [self._particle], [x, F], written)
+        return self._means, self._deformation
+
+    def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return the values [N,3] of each Gaussian's particle."""
+        return values[self.particle].astype(np.float32)
+
+
 class _Field:
     """Gaussians carried by nearby particles; neighbours and weights are computed once, at rest."""
 
@@ -255,15 +281,13 @@ class _Field:
         self._means = wp.empty_like(self._carried[2])
         self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
 
-    def carry(self, x: Any, F: Any) -> tuple[NDArray, wp.array]:
+    def carry(self, x: wp.array, F: wp.array) -> tuple[wp.array, wp.array]:
         """Return centres [N,3], m, and deformation gradients [N,3,3] of the Gaussians."""
         # Particles keep their precision; the kernel converts the values that it reads.
-        real = wp.float32 if _host(F).dtype == np.float32 else wp.float64
-        t, device = types(real), self.device
-        shared = [self._rest, _on(x, t.vec3, device), _on(F, t.mat33, device)]
-        written = [self._means, self._deformation]
-        self._share.launch(field.make_carry(real), self._carried, shared, written)
-        return _host(self._means).copy(), self._deformation
+        shared, written = [self._rest, x, F], [self._means, self._deformation]
+        kernel = field.make_carry(_precision(F))
+        self._share.launch(kernel, self._carried, shared, written)
+        return self._means, self._deformation
 
     def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
         """Return weighted means [N,3] of values on the particles [P,3]."""
@@ -334,6 +358,19 @@ def _host(array: Any) -> NDArray:
     return np.asarray(array.numpy() if isinstance(array, wp.array) else array)
 
 
+def _copy(array: wp.array) -> NDArray:
+    """Return a NumPy copy of a Warp array."""
+    device: Any = array.device
+    # A GPU's array is copied by the transfer itself.
+    return array.numpy() if device.is_cuda else array.numpy().copy()
+
+
+def _precision(F: Any) -> Any:
+    """Return Warp's type of the numbers of deformation gradients: float32 or else float64."""
+    number = F.dtype._wp_scalar_type_ if isinstance(F, wp.array) else np.asarray(F).dtype
+    return wp.float32 if number in (wp.float32, np.float32) else wp.float64
+
+
 def _on(array: Any, dtype: Any, device: str) -> wp.array:
     """Return a Warp array of a type on a device, without a copy if no conversion is needed."""
     if (
@@ -368,5 +405,5 @@ def shapes_of(device: str) -> tuple[Any, int]:
 
 def kernels(real: Any, binding: str, device: str) -> list[Any]:
     """Return the kernels that deform the Gaussians of a frame."""
-    carry = [field.make_carry(real)] if binding == "lattice" else []
-    return [shapes_of(device)[0], *carry]
+    carry = field.make_carry(real) if binding == "lattice" else field.make_follow(real)
+    return [shapes_of(device)[0], carry, field.make_count_broken(real)]

@@ -118,8 +118,7 @@ class Simulation:
             self.solver.clock.time = skipped
         elif index:
             self._advance(index, time)
-        with context.watch.stage("deform"):
-            frame = self._repeat_frame(index, time) if skipped else self._make_frame(index, time)
+        frame = self._repeat_frame(index, time) if skipped else self._make_frame(index, time)
         if not self.setup.keep:
             self.frames.clear()
             del self.rotations[:-1]
@@ -217,17 +216,25 @@ class Simulation:
     @one_at_a_time
     def _make_frame(self, index: int, time: float) -> Frame:
         """Return a frame: deform the Gaussians, then add the results of observers and scenery."""
-        state, scenery = self.solver.state, self.setup.scenery
+        state, scenery, stage = (
+            self.solver.state,
+            self.setup.scenery,
+            self.setup.context.watch.stage,
+        )
         frame = Frame(index, time, scenery.moving)
-        if self.setup.shapes:
-            v = state.v if self.scene.velocities else None
-            frame = self.deformer(state.x, state.deformation, index=index, time=time, velocities=v)
-        if self.deformer.rotations is not None:
-            self.rotations.append(scenery.turns(self.deformer.rotations))
-        for observer in self.observers:
-            frame = observer.after_frame(frame)
-        self.poses.append(self.solver.free.poses())
-        return scenery.whole(frame, self.poses, self.solver.free.motions())
+        with stage("deform"):
+            if self.setup.shapes:
+                v = state.v if self.scene.velocities else None
+                shape = state.deformation
+                frame = self.deformer(state.x, shape, index=index, time=time, velocities=v)
+            if self.deformer.rotations is not None:
+                self.rotations.append(scenery.turns(self.deformer.rotations))
+        with stage("observe"):
+            for observer in self.observers:
+                frame = observer.after_frame(frame)
+        with stage("deform"):
+            self.poses.append(self.solver.free.poses())
+            return scenery.whole(frame, self.poses, self.solver.free.motions())
 
     def _repeat_frame(self, index: int, time: float) -> Frame:
         """Return the last frame with a new index and time, since nothing has moved."""

@@ -74,7 +74,8 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
         work.make_push_sums_v, work.make_wall_copy,
         work.make_wall_sums, work.make_uniform_sums,
         forces.make_zone, forces.make_drag, forces.make_attract, forces.make_set_velocity,
-        deform.make_carry,
+        deform.make_carry, deform.make_follow, deform.make_count_broken,
+        diagnostics.make_neighbours_lost,
     )  # fmt: skip
     for make in makers:
         yield make.__name__.removeprefix("make_"), make(real)
@@ -84,7 +85,8 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
     for shape in ("box", "cylinder", "half_space"):
         yield f"contact {shape}, held", collide.make_contact(shape, "held", True, real)
     yield "collide box, slip", collide.make_collider("box", "slip", True, real)
-    for module in (project.project, project.bin_parallel, blend.blend_pixels):
+    lists = project.sum_columns, project.count_splats, project.start_lists, project.bin_parallel
+    for module in (project.project, *lists, blend.blend_pixels, blend.quantise):
         yield module.key, module
     yield stage.draw_setting.key, stage.draw_setting
     yield arrange.key, arrange
