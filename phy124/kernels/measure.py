@@ -12,7 +12,7 @@ import warp as wp
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.native import code
-from phy124.kernels.reduction import finite, greater, raise_to
+from phy124.kernels.reduction import finite, greater, raise_all, raise_to
 from phy124.kernels.transfer import Law, between, member
 
 SPEED = 0
@@ -90,12 +90,20 @@ def make_measure(law: Law, real: Any):
                     for axis in range(3):
                         low[axis] = greater(low[axis], -here[axis])
                         high[axis] = greater(high[axis], here[axis])
-        raise_to(maxima_out, SPEED, wp.sqrt(speed))
-        raise_to(maxima_out, GRADIENT, wp.sqrt(gradient))
-        raise_to(maxima_out, STIFFNESS, stiffness)
-        for axis in range(3):
-            raise_to(maxima_out, LOW + axis, low[axis])
-            raise_to(maxima_out, HIGH + axis, high[axis])
+        raise_all(
+            maxima_out,
+            wp.vector(
+                wp.sqrt(speed),
+                wp.sqrt(gradient),
+                stiffness,
+                low[0],
+                low[1],
+                low[2],
+                high[0],
+                high[1],
+                high[2],
+            ),
+        )
 
     return measure
 

@@ -18,8 +18,10 @@ import warp as wp
 
 from phy124.kernels.native import code, native_kernel
 
-EACH, MOST_THREADS = 32, 2**14
-"""Number of particles per thread on the CPU, and largest number of threads on a GPU."""
+EACH, MOST_THREADS, BLOCK = 32, 2**15, 256
+"""Number of particles per thread on the CPU, largest number of threads on a GPU, and threads of a
+block there.
+"""
 
 
 def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
@@ -31,7 +33,7 @@ def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
     """
     if device == "cpu":
         return -(-particles // EACH), EACH, EACH, 1
-    threads = min(particles, MOST_THREADS)
+    threads = BLOCK * -(-min(particles, MOST_THREADS) // BLOCK)
     return threads, 1, -(-particles // threads), threads
 
 
@@ -45,14 +47,23 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
     return ((x, y, min(z, 1)), z) if device == "cpu" else ((x, y, z), 1)
 
 
-@wp.func_native(code("reduction:add"))
-def add(grid: wp.array(dtype=wp.vec4), node: int, value: wp.vec4):
-    """Add to a node in float32."""
+@wp.func_native(code("reduction:run"))
+def run_of(node: int) -> int:
+    """Return which neighbouring threads of a GPU add to the same nodes; 0 on the CPU.
+
+    All threads of a warp, or none, must then call `add` the same number of times.
+    """
     ...
 
 
-@wp.func_native("wp::atomic_add(grid, node, value);")
-def add(grid: wp.array(dtype=wp.vec4d), node: int, value: wp.vec4d):  # noqa: F811
+@wp.func_native(code("reduction:sum_run", "reduction:add"))
+def add(grid: wp.array(dtype=wp.vec4), node: int, value: wp.vec4, run: int):
+    """Add to a node in float32, once for each run of threads (`run_of`)."""
+    ...
+
+
+@wp.func_native(code("reduction:sum_run") + "wp::atomic_add(grid, node, value);")
+def add(grid: wp.array(dtype=wp.vec4d), node: int, value: wp.vec4d, run: int):  # noqa: F811
     """Add to a node in float64."""
     ...
 
@@ -84,6 +95,15 @@ def load(grid: wp.array(dtype=wp.vec4d), node: int) -> wp.vec4d:  # noqa: F811
 @wp.func_native(code("reduction:sum", "reduction:warp", "reduction:add_to"))
 def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
     """Add to a sum over all threads."""
+    ...
+
+
+@wp.func_native(code("reduction:raise_all"))
+def raise_all(maxima: wp.array(dtype=Any), values: Any):
+    """Raise maxima over all threads to the components of a vector that are larger.
+
+    All threads of a block on a GPU must call it: their number is a multiple of `BLOCK`.
+    """
     ...
 
 

@@ -31,7 +31,7 @@ import warp as wp
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.native import code
-from phy124.kernels.reduction import add, load, store
+from phy124.kernels.reduction import add, load, run_of, store
 
 
 class Law(NamedTuple):
@@ -156,6 +156,7 @@ def scatter_with_stress(
     sy = slope(f[1])
     sz = slope(f[2])
     step = offsets(f[0])
+    run = run_of((first[0] * size[1] + first[1]) * size[2] + first[2])
     for i in range(3):
         for j in range(3):
             w = wx[i] * wy[j]
@@ -164,9 +165,9 @@ def scatter_with_stress(
             rise = w * column_z
             turn = w * force_z
             n = ((first[0] + i) * size[1] + first[1] + j) * size[2] + first[2]
-            add(grid, n, wz[0] * low + sz[0] * turn)
-            add(grid, n + 1, wz[1] * (low + rise) + sz[1] * turn)
-            add(grid, n + 2, wz[2] * (low + rise + rise) + sz[2] * turn)
+            add(grid, n, wz[0] * low + sz[0] * turn, run)
+            add(grid, n + 1, wz[1] * (low + rise) + sz[1] * turn, run)
+            add(grid, n + 2, wz[2] * (low + rise + rise) + sz[2] * turn, run)
 
 
 @wp.func
@@ -210,15 +211,16 @@ def scatter(
     wy = spline(f[1])
     wz = spline(f[2])
     step = offsets(f[0])
+    run = run_of((first[0] * size[1] + first[1]) * size[2] + first[2])
     for i in range(3):
         for j in range(3):
             w = wx[i] * wy[j]
             low = w * (base + step[i] * column_x + step[j] * column_y)
             rise = w * column_z
             n = ((first[0] + i) * size[1] + first[1] + j) * size[2] + first[2]
-            add(grid, n, wz[0] * low)
-            add(grid, n + 1, wz[1] * (low + rise))
-            add(grid, n + 2, wz[2] * (low + rise + rise))
+            add(grid, n, wz[0] * low, run)
+            add(grid, n + 1, wz[1] * (low + rise), run)
+            add(grid, n + 2, wz[2] * (low + rise + rise), run)
 
 
 @wp.func

@@ -11,6 +11,39 @@ asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};"
 wp::atomic_add(grid, node, value);
 #endif
 
+//: run
+// Particles of neighbouring threads often touch the same nodes. Threads of a warp with equal `node`
+// form a run; its first thread adds the sum of the run. Packed into the result: the number of
+// threads that follow in the run, the largest such number in the warp, and whether the thread is
+// not the first of its run.
+#if defined(__CUDA_ARCH__)
+const unsigned all = 0xffffffffu;
+if (__activemask() != all) return 0;
+const int lane = threadIdx.x & 31;
+const int before = __shfl_up_sync(all, node, 1);
+const bool first = lane == 0 || before != node;
+const unsigned later = (__ballot_sync(all, first) >> lane) >> 1;
+const int follow = later ? __ffs(later) - 1 : 31 - lane;
+int most = follow;
+for (int step = 16; step > 0; step >>= 1) {
+    const int other = __shfl_xor_sync(all, most, step);
+    most = other > most ? other : most;
+}
+return follow | most << 8 | (first ? 0 : 1 << 16);
+#else
+return 0;
+#endif
+
+//: sum_run
+#if defined(__CUDA_ARCH__)
+for (int step = 1; step <= ((run >> 8) & 255); step <<= 1)
+    for (int i = 0; i < 4; ++i) {
+        const auto other = __shfl_down_sync(0xffffffffu, value[i], step);
+        if ((run & 255) >= step) value[i] += other;
+    }
+if (run >> 16) return;
+#endif
+
 //: load
 #if defined(__CUDA_ARCH__)
 const float4 q = *(const float4*)((const float*)grid.data + 4 * (long long)node);
@@ -43,6 +76,48 @@ if (__activemask() == 0xffffffffu) {
 
 //: add_to
 if (whole != 0.0) wp::atomic_add(sums, index, whole);
+
+//: raise_all
+// A block reduces all maxima in shared memory; then one thread per maximum writes. Floats are
+// compared as integers with the same bits: a maximum of positive floats is the maximum of signed
+// integers, a maximum of negative floats the minimum of unsigned integers. All threads of a block
+// take part.
+enum { MAXIMA = sizeof(values.c) / sizeof(values.c[0]) };
+#if defined(__CUDA_ARCH__)
+enum { WARPS = 8 };  // of a block: every launch of phy124 has blocks of 256 threads
+auto whole = values.c[0] + 0;
+__shared__ decltype(whole) highest[WARPS * MAXIMA];
+for (int i = 0; i < MAXIMA; ++i) {
+    whole = values[i];
+    for (int step = 16; step > 0; step >>= 1) {
+        const auto other = __shfl_xor_sync(0xffffffffu, whole, step);
+        whole = other > whole ? other : whole;
+    }
+    if ((threadIdx.x & 31) == 0) highest[MAXIMA * (threadIdx.x >> 5) + i] = whole;
+}
+__syncthreads();
+const int mine = threadIdx.x;
+if (mine < MAXIMA) {
+    whole = highest[mine];
+    for (int warp = 1; warp < (int)(blockDim.x >> 5); ++warp) {
+        const auto other = highest[MAXIMA * warp + mine];
+        whole = other > whole ? other : whole;
+    }
+    void* const to = &maxima.data[mine];
+    if (sizeof(whole) == 4) {
+        const int bits = __float_as_int((float)whole);
+        if (bits >= 0) atomicMax((int*)to, bits);
+        else atomicMin((unsigned*)to, (unsigned)bits);
+    } else {
+        const long long bits = __double_as_longlong((double)whole);
+        if (bits >= 0) atomicMax((long long*)to, bits);
+        else atomicMin((unsigned long long*)to, (unsigned long long)bits);
+    }
+}
+#else
+for (int i = 0; i < MAXIMA; ++i)
+    if (values[i] > wp::index(maxima, i)) wp::atomic_max(maxima, i, values[i]);
+#endif
 
 //: raise_to
 // Comparing first avoids most of the atomic operations.
