@@ -178,12 +178,16 @@ class Boundary(Section):
         """
         self.refuse_thin(model)
         del state
-        name, recorders = type(self).__name__.lower(), [self._recorder(model, tracks)]
+        track = self.track(model)
+        slot = None if track is None else tracks.add(track)
+        name, recorders = type(self).__name__.lower(), [self._recorder(model, tracks, slot)]
         if self.columns_overlap(model.dx):
             recorders = SWEEPS * [*recorders, self._settler(model)]
-        alone = self.spans(model)
+        alone, updating = self.spans(model), None
+        if self.at_surface(model.dx) and self.outline() in FLAT and self.object is None:
+            updating = self._updater(model, tracks, slot)
         recorders = [self._of_object(model, recorder) for recorder in recorders]
-        return [Stage(name, recorder, alone=alone) for recorder in recorders]
+        return [Stage(name, recorder, alone=alone, with_update=updating) for recorder in recorders]
 
     def _of_object(self, model: Model, recorder: Recorder) -> Recorder:
         """Return a recorder that records nothing for objects that the wall does not affect."""
@@ -238,24 +242,19 @@ class Boundary(Section):
         bounds, track = self.bounds(model), self.track(model)
         return bounds if track is None else swept(bounds, track)
 
-    def _recorder(self, model: Model, tracks: Tracks) -> Callable[[Grid], wp.Launch | None]:
-        t, track = types(model.real), self.track(model)
-        slot = 0 if track is None else tracks.add(track)
+    def _recorder(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
+        """Return the recorder of the wall, whose track has the given slot."""
         bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
-        shape = t.mat33(*np.ravel(self.geometry(model)))
-        at_surface, reach = self.at_surface(model.dx), self.reach(model.dx)
-        kernel = self.kernel(model.real, model.dx, moving=track is not None)
+        at_surface = self.at_surface(model.dx)
+        kernel = self.kernel(model.real, model.dx, moving=slot is not None)
 
         def record(grid: Grid) -> wp.Launch | None:
             start, extent = grid.nodes_within(*bounds)
-            wall = [shape, self.friction, REACH * grid.dx if reach is None else reach, slot]
-            wall.append(wp.vec3i(*start.tolist()))
+            wall = [*self._wall(model, slot), wp.vec3i(*start.tolist())]
             threads: tuple[int, ...] = tuple(extent)
             if at_surface:
                 threads, each = along_rows(extent, model.device)
-                wall.append(each)
-                wall.append(wp.vec2i(*(grid.layers or (0, int(grid.size[0])))))
-                wall += [lightest(model), contact_mass_fraction(model), seep_distance(model)]
+                wall += [each, *_columns(model, grid)]
             inputs = [*wall, grid.lattice, grid.window, tracks.values, tracks.rates]
             outputs = [grid.nodes]
             if at_surface:
@@ -263,6 +262,34 @@ class Boundary(Section):
             return model.launch(kernel, threads, inputs, outputs)
 
         return record
+
+    def _updater(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
+        """Return the recorder of a flat wall together with the grid update."""
+        moving, bounds = slot is not None, self._swept_bounds(model)
+        kernel = make_contact(self.outline(), self.response(), moving, model.real, updating=True)
+
+        def record(grid: Grid) -> wp.Launch | None:
+            start, extent = grid.nodes_within(*bounds)
+            if not extent.all():
+                return None
+            box = [wp.vec3i(*corner.tolist()) for corner in (start, extent)]
+            inputs = [*self._wall(model, slot), *box, *_columns(model, grid), grid.lattice]
+            inputs += [grid.window, tracks.clock, tracks.values, tracks.rates, grid.momenta]
+            return model.launch(kernel, tuple(grid.size), inputs, [grid.nodes])
+
+        return record
+
+    def _wall(self, model: Model, slot: int | None) -> list[Any]:
+        """Return a kernel's inputs for the wall: shape, friction, reach, and slot of its track."""
+        shape = types(model.real).mat33(*np.ravel(self.geometry(model)))
+        reach = self.reach(model.dx)
+        return [shape, self.friction, REACH * model.dx if reach is None else reach, slot or 0]
+
+
+def _columns(model: Model, grid: Grid) -> list[Any]:
+    """Return a kernel's inputs for contact in columns: layers, and when material has arrived."""
+    layers = wp.vec2i(*(grid.layers or (0, int(grid.size[0]))))
+    return [layers, lightest(model), contact_mass_fraction(model), seep_distance(model)]
 
 
 class Movable(Boundary):

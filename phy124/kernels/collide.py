@@ -31,6 +31,7 @@ from phy124.kernels.columns import (
     xyz,
 )
 from phy124.kernels.distance import SHAPES
+from phy124.kernels.grid import velocity_of
 
 
 @wp.func
@@ -79,6 +80,19 @@ def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
         and node[0] < span[1]
         and node[1] < size[1]
         and node[2] < size[2]
+    )
+
+
+@wp.func
+def in_box(node: wp.vec3i, extent: wp.vec3i):
+    """Return whether a node, counted from the first node of a box, is in the box."""
+    return (
+        node[0] >= 0
+        and node[1] >= 0
+        and node[2] >= 0
+        and node[0] < extent[0]
+        and node[1] < extent[1]
+        and node[2] < extent[2]
     )
 
 
@@ -139,7 +153,7 @@ def make_settle(real: Any):
 
 
 @cache
-def make_contact(shape: str, response: str, moving: bool, real: Any):
+def make_contact(shape: str, response: str, moving: bool, real: Any, updating: bool = False):
     """Kernel over segments of rows in a sub-box, `each` nodes long: columns of three nodes respond.
 
     A column's first node handles all three nodes. Nodes further behind the wall, or in columns
@@ -152,17 +166,33 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     not push, nodes below the signed distance `loose` [m] respond one by one. A flat wall changes
     `grid_out`, other walls change `changes_out` (see `make_settle`).
 
+    With `updating`, a flat wall and the grid update are one kernel over all nodes, which reads
+    momenta from `grid` and writes velocities to `grid_out`.
+
     Args:
         shape: Name of a distance function.
         response: Name of a response.
         moving: Whether the shape has a track.
         real: wp.float32 or wp.float64.
+        updating: Whether the kernel includes the grid update.
     """
     t = types(real)
     distance = SHAPES[shape]
     answer, acts, ratios, pushes, hold = RESPONSES[response]
     flat = shape in FLAT
     name = f"phy124_contact_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
+    name += "_update" * updating
+
+    @wp.func
+    def velocity(grid: wp.array(dtype=t.vec4), n: int, kick: real, a: t.vec4):
+        if wp.static(updating):
+            return velocity_of(grid[n], kick, a)
+        return grid[n]
+
+    @wp.func
+    def begin(nodes_out: wp.array(dtype=t.vec4), n: int, q: t.vec4):
+        if wp.static(updating):
+            nodes_out[n] = q
 
     @wp.func
     def respond(
@@ -179,6 +209,9 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         lattice: t.vec4,
         low: wp.vec3i,
         size: wp.vec3i,
+        kick: real,
+        a: t.vec4,
+        grid: wp.array(dtype=t.vec4),
         grid_out: wp.array(dtype=t.vec4),
         changes_out: wp.array(dtype=t.vec4),
     ):
@@ -186,7 +219,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         n = wp.dot(here, stride)
         if not holds(size, span, here):
             return
-        if grid_out[n][3] <= real(0.0):
+        if grid[n][3] <= real(0.0):
+            begin(grid_out, n, grid[n])
             return
 
         # The column's first node is the first of three nodes at the wall: this node, or one of the
@@ -198,6 +232,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         s1 = distance(place(lattice, low + here + back) - moved, geometry)
         leads = front(s, axis, dx)
         if leads and front(s1, axis, dx):
+            begin(grid_out, n, velocity(grid, n, kick, a))
             return
         lead = here
         if not leads:
@@ -211,22 +246,27 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         column = front(s0, axis, dx) and s2[3] <= real(0.0)
 
         # A node without a complete column responds by itself.
-        if not (column and laden(grid_out, size, span, lead) and holds(size, span, end)):
+        if not (column and laden(grid, size, span, lead) and holds(size, span, end)):
+            q = velocity(grid, n, kick, a)
+            begin(grid_out, n, q)
             if s[3] < reach:
-                v = answer(xyz(grid_out[n]), wall, xyz(s), friction)
+                v = answer(xyz(q), wall, xyz(s), friction)
                 if wp.static(flat):
-                    grid_out[n] = wp.vector(v[0], v[1], v[2], grid_out[n][3])
+                    grid_out[n] = wp.vector(v[0], v[1], v[2], q[3])
                 else:
-                    add_wish(changes_out, n, v - xyz(grid_out[n]))
+                    add_wish(changes_out, n, v - xyz(q))
             return
         if not leads:
             return
 
         # The column follows the wall. Masses are fractions of the column's mass, because squares of
         # momenta in SI units would underflow in float32.
-        q0 = grid_out[n]
-        q1 = grid_out[n + step]
-        q2 = grid_out[n + 2 * step]
+        q0 = velocity(grid, n, kick, a)
+        q1 = velocity(grid, n + step, kick, a)
+        q2 = velocity(grid, n + 2 * step, kick, a)
+        begin(grid_out, n, q0)
+        begin(grid_out, n + step, q1)
+        begin(grid_out, n + 2 * step, q2)
         mass = q0[3] + q1[3] + q2[3]
         m = wp.vector(q0[3], q1[3], q2[3]) / mass
         normal = xyz(s0)
@@ -237,12 +277,12 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         pressed = wp.dot(m, stop)
         u = wp.vector(s0[3], s1[3], s2[3]) / across
         above = real(0.0)
-        if laden(grid_out, size, span, lead - back):
-            above = grid_out[n - step][3] / mass
+        if laden(grid, size, span, lead - back):
+            above = grid[n - step][3] / mass
         # Drops and grains sometimes get behind a wall, see below.
         beyond = real(0.0)
-        if wp.isinf(loose) and laden(grid_out, size, span, end + back):
-            beyond = grid_out[n + 3 * step][3] / mass
+        if wp.isinf(loose) and laden(grid, size, span, end + back):
+            beyond = grid[n + 3 * step][3] / mass
         come = acts(m, above, beyond, u, lightest / mass, full)
         if come and pushes(pressed):
             drag = along_wall(change, normal)
@@ -273,10 +313,11 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         for row in range(1, 3):
             behind = n + row * step
             s = s1
+            v = xyz(q1)
             if row == 2:
                 s = s2
+                v = xyz(q2)
             if s[3] < loose and m[row] > real(0.0):
-                v = xyz(grid_out[behind])
                 wanted = answer(v, wall, xyz(s), friction) - v
                 if wp.static(flat):
                     add_velocity(grid_out, behind, wanted)
@@ -326,11 +367,68 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
                     lattice,
                     window[0],
                     window[1],
+                    real(0.0),
+                    t.vec4(),
+                    grid_out,
                     grid_out,
                     changes_out,
                 )
 
-    return contact
+    @kernel(name, real, seconds=0.4)
+    def update_and_contact(
+        geometry,
+        friction,
+        reach: real,
+        slot,
+        start: wp.vec3i,
+        extent: wp.vec3i,
+        span: wp.vec2i,
+        lightest: real,
+        full: real,
+        loose: real,
+        lattice,
+        window,
+        clock,
+        values,
+        rates,
+        grid,
+        grid_out,
+    ):
+        i, j, k = wp.tid()
+        here = wp.vec3i(i, j, k)
+        moved = t.vec3()
+        wall = t.vec3()
+        active = real(1.0)
+        if wp.static(moving):
+            moved = xyz(values[slot])
+            wall = xyz(rates[slot])
+            active = values[slot][3]
+        if active > real(0.0) and in_box(here - start, extent):
+            respond(
+                here,
+                geometry,
+                friction,
+                reach,
+                span,
+                lightest,
+                full,
+                loose,
+                moved,
+                wall,
+                lattice,
+                window[0],
+                window[1],
+                clock[0],
+                values[0],
+                grid,
+                grid_out,
+                grid_out,
+            )
+        else:
+            n = wp.dot(here, strides(window[1]))
+            grid_out[n] = velocity_of(grid[n], clock[0], values[0])
+
+    return update_and_contact if updating else contact
 
 
 @cache

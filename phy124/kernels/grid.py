@@ -68,22 +68,27 @@ for vec4 in (wp.vec4, wp.vec4d):
         ...
 
 
+@wp.func
+def velocity_of(q: Any, kick: Any, a: Any):
+    """Return (velocity, mass) of a node with (momentum, mass) q, after an acceleration a [m/s^2].
+
+    The acceleration acts for `kick` [s]. A node without mass keeps q.
+    """
+    m = q[3]
+    if m > type(m)(0.0):
+        return wp.vector(q[0] / m + kick * a[0], q[1] / m + kick * a[1], q[2] / m + kick * a[2], m)
+    return q
+
+
 @cache
 def make_update(real: Any):
     """Kernel: (momentum, mass) becomes (velocity, mass), kicked by the uniform acceleration."""
 
     @kernel(f"phy124_grid_{real.__name__}", real, seconds=0.15)
-    def update(clock, values, grid_out):
+    def update(clock, values, grid, grid_out):
         n = wp.tid()
-        q = grid_out[n]
-        m = q[3]
-        if m > real(0.0):
-            # Slot 0 of the tracks is the sum of all uniform accelerations, including gravity.
-            a = values[0]
-            kick = clock[0]
-            grid_out[n] = wp.vector(
-                q[0] / m + kick * a[0], q[1] / m + kick * a[1], q[2] / m + kick * a[2], m
-            )
+        # Slot 0 of the tracks is the sum of all uniform accelerations, including gravity.
+        grid_out[n] = velocity_of(grid[n], clock[0], values[0])
 
     return update
 

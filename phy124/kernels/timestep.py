@@ -19,6 +19,8 @@ move something too far.
 """
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(5)
 """Index of each limit of a substep."""
+BLOCK = 4
+"""Number of substeps that the graph repeats without a condition in between, where it can."""
 
 
 @wp.struct
@@ -171,12 +173,31 @@ def violent(dt: wp.float64, s: Progress, bounds: Limits):
     )
 
 
+@wp.func
+def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
+    """Return whether `BLOCK` substeps of length dt [s] surely follow each other.
+
+    This is not so if the time is reached, the particles are measured, or control returns to the
+    host between two of them. The lengths of the substeps may differ by rounding.
+    """
+    count = int(wp.static(BLOCK))
+    all = wp.float64(count)
+    return (
+        bounds.until - s.time > (all - wp.float64(0.5)) * dt
+        and s.since + count <= bounds.every
+        and s.taken + count <= bounds.most
+        and s.strain + all * s.gradient * dt * wp.float64(1.001) < bounds.strain
+        and not violent(dt * wp.float64(1.001), s, bounds)
+    )
+
+
 @cache
 def make_timestep(real: Any):
     """Kernel of one thread: finishes a substep, then chooses the next or stops with a reason.
 
-    `look_out` is 1 if the particles are to be measured after the next substep. `needed_out` sums
-    the ratios of substep length to the limit, for each limit.
+    `look_out` is 1 if the particles are to be measured after the next substep, and `block_out` is 1
+    if a whole block of substeps follows. `needed_out` sums the ratios of substep length to the
+    limit, for each limit.
     """
 
     @kernel(f"phy124_timestep_{real.__name__}", real)
@@ -191,8 +212,10 @@ def make_timestep(real: Any):
         needed_out: Doubles,
         on_out: Ints,
         look_out: Ints,
+        block_out: Ints,
     ):
         bounds = limits[0]
+        block = bool(False)
         s = finish(progress_out[0], bounds)
         s.reason = 0
         look = s.strain > bounds.strain or s.taken >= bounds.most
@@ -222,6 +245,7 @@ def make_timestep(real: Any):
                 s.reason = wp.static(CAREFUL)
             else:
                 s.next = dt
+                block = whole_block(dt, s, bounds)
                 limiters_out[which] = limiters_out[which] + 1
                 needed_out[which] = needed_out[which] + dt / longest
                 clock_out[0] = real((s.last + dt) / wp.float64(2.0))
@@ -230,5 +254,6 @@ def make_timestep(real: Any):
         progress_out[0] = s
         on_out[0] = wp.where(s.reason == 0, 1, 0)
         look_out[0] = wp.where(s.since + 1 >= bounds.every, 1, 0)
+        block_out[0] = wp.where(block, 1, 0)
 
     return timestep

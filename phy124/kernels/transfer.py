@@ -334,7 +334,8 @@ def make_g2p(law: Law, real: Any, form: str):
 
     A particle outside the window is not changed, and `missed_out` is set: either the particle is
     ballistic (kernels/ballistic.py), or the run is unstable. Plastic laws also update F_total,
-    which the Gaussians follow.
+    which the Gaussians follow. Thread i also clears the nodes i + k `stride`, k < `each`, of
+    `momenta_out` for the next scatter.
     """
     project, collect = law.project, GATHERS[form]
     plastic = project is not None
@@ -357,7 +358,14 @@ def make_g2p(law: Law, real: Any, form: str):
         history_out,
         total_out,
         missed_out: Ints,
+        each,
+        stride,
+        momenta_out: wp.array(dtype=types(real).vec4),
     ):
+        for turn in range(each):
+            n = wp.tid() + turn * stride
+            if n < momenta_out.shape[0]:
+                momenta_out[n] = wp.vector(real(0.0), real(0.0), real(0.0), real(0.0))
         p = member(chosen, wp.tid())
         dx = lattice[3]
         g = (x_out[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx

@@ -4,8 +4,10 @@ On CUDA a launch from Python takes longer than many of the kernels. Therefore on
 captured as the body of a loop on the device. Its last kernel (phy124/kernels/timestep.py) chooses
 the next substep. It ends the loop when the frame's time is reached, when only the host can continue
 (because the window must follow the particles, or because the next substep may have to be rejected,
-see phy124/mpm/rejection.py), and after `MOST` substeps, so that a run can be stopped. The same
-graph also runs on the CPU, where the tests compare it with the host's loop bit for bit.
+see phy124/mpm/rejection.py), and after `MOST` substeps, so that a run can be stopped. A condition
+in a graph takes longer than most kernels; where none of several substeps can be the last, they
+follow each other without conditions. The same graph also runs on the CPU, where the tests compare
+it with the host's loop bit for bit.
 """
 
 from __future__ import annotations
@@ -59,7 +61,9 @@ class Graph:
         self._progress = wp.zeros(1, dtype=cast("type", timestep.Progress), device=device)
         self._limiters = wp.zeros(len(LIMITERS), dtype=int, device=device)
         self._needed = wp.zeros(len(LIMITERS), dtype=wp.float64, device=device)
-        self._on, self._look = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
+        self._on, self._look, self._block = (
+            wp.zeros(1, dtype=int, device=device) for _ in range(3)
+        )
         self._captured: Any = None
         self._per_substep, self._reason = 0, 0
 
@@ -106,7 +110,7 @@ class Graph:
         model = self._model
         inputs = [self._limits, self._grid.window, self._worker.maxima, self._stray]
         outputs = [self._progress, self._clock.values, self._limiters, self._needed]
-        outputs += [self._on, self._look]
+        outputs += [self._on, self._look, self._block]
         choose = model.launch(timestep.make_timestep(model.real), 1, inputs, outputs)
         assert choose is not None
         self._per_substep = len(launches) + 1
@@ -114,12 +118,21 @@ class Graph:
         def substep() -> None:
             for launch in launches:
                 launch()
+
+        def block() -> None:
+            for _ in range(timestep.BLOCK - 1):
+                substep()
+                choose.launch()
+            substep()
+
+        def repeat() -> None:
+            wp.capture_if(self._block, block, substep)
             wp.capture_if(self._look, self._worker.measure)
             choose.launch()
 
         with wp.ScopedCapture(device=model.device) as capture:
             choose.launch()
-            wp.capture_while(self._on, substep)
+            wp.capture_while(self._on, repeat)
         return capture.graph
 
     def _upload(self, until: float, rejection: StepRejection, apart: bool) -> None:

@@ -42,6 +42,7 @@ class Grid:
         real: Any,
         device: str,
         particles: slice = slice(None),
+        apart: bool = False,
     ) -> None:
         t = types(real)
         self.origin, self.dx, self.device, self.vec4 = np.array(origin, float), dx, device, t.vec4
@@ -49,6 +50,11 @@ class Grid:
         self.window = wp.zeros(2, dtype=wp.vec3i, device=device)
         self.low, self.size = np.zeros(3, int), np.zeros(3, int)
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
+        """Velocity and mass of each node after the grid update."""
+        self.momenta = self.nodes
+        """Momentum and mass of each node: the array to which particles scatter."""
+        self.apart = apart
+        """Whether `momenta` is an array of its own, which the gather clears."""
         self._changes: wp.array | None = None
         self.particles = particles
         """The span of the body's particles."""
@@ -113,6 +119,7 @@ class Grid:
     def use(self, low: NDArray, size: NDArray, nodes: wp.array) -> None:
         """Cover `size` [3] nodes from node `low` [3] on, stored in an array with one extra node."""
         self.low, self.size, self.nodes, self.stale = low, size, nodes, False
+        self.momenta = wp.zeros_like(nodes) if self.apart else nodes
         self._changes = None
         self.window.assign(np.stack([low, size]).astype(np.int32))
 
@@ -149,11 +156,16 @@ class Grid:
         return cast("wp.array", self.nodes[first * layer : last * layer])
 
 
-def grids_of(model: Model) -> list[Grid]:
-    """Return one grid for each body, all on one lattice."""
-    real, device = model.real, model.device
+def grids_of(model: Model, *, apart: bool = False) -> list[Grid]:
+    """Return one grid for each body, all on one lattice.
+
+    Args:
+        model: The constants of the run.
+        apart: Whether momenta and velocities of nodes are two arrays.
+    """
     runs = [model.particles(body) for body in range(model.bodies)]
-    return [Grid(model.origin, model.dx, real=real, device=device, particles=run) for run in runs]
+    options: dict[str, Any] = {"real": model.real, "device": model.device, "apart": apart}
+    return [Grid(model.origin, model.dx, particles=run, **options) for run in runs]
 
 
 def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool) -> bool:

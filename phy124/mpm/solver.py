@@ -104,7 +104,10 @@ class Solver:
         self.fluctuation = Fluctuation.of(model, self.state, scheme) if scheme.passes else None
         self._rpic = usable_rpic(scheme, model.cfl)
         self.clock = Clock(model, ceiling=ceiling, measure_every=measure_every)
-        self.grids = grids_of(model)
+        on_device = usable(model.device) if graph is None else graph
+        self.on_device = on_device and model.bodies == 1 and not free and not model.held
+        """Whether frames run as graphs."""
+        self.grids = grids_of(model, apart=self.on_device)
         """The grid of each body."""
         self.outliers = Outliers(model, self.state)
         self.repair = Repair(model, self.state)
@@ -127,9 +130,6 @@ class Solver:
         """Factor by which all stiffnesses are currently scaled."""
         self.team = Team[int](count, self._run_member)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
-        on_device = usable(model.device) if graph is None else graph
-        self.on_device = on_device and model.bodies == 1 and not free
-        """Whether frames run as graphs."""
         self.bind(forces, boundaries, accumulators, planes)
         self._record_measures()
 
@@ -291,6 +291,9 @@ class Solver:
         """Take a substep of at most `dt` [s] in which no node crosses a cell; return its length."""
 
         def scatter(dt: float) -> None:
+            if self.grid.apart:
+                # A rejected trial has scattered, and no gather has cleared the momenta.
+                self.grid.momenta.zero_()
             self._scatter((self.clock.last_dt + dt) / 2, dt)
             self._join()
 

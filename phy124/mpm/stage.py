@@ -29,6 +29,8 @@ class Stage(NamedTuple):
     """Whether the stage is recorded for each worker and pushes only the particles of `Grid.run`."""
     alone: bool = False
     """Whether one worker launches the stage for all layers while the others wait."""
+    with_update: Callable[[Grid], wp.Launch | None] | None = None
+    """Records one launch for the stage and the grid update; None if the stage cannot."""
     limit: Callable[[float, float], float] | None = None
     """Largest acceleration of a particle [m/s^2] between two times [s]; None: from the track."""
     top_speed: Callable[[float, float], float] | None = None

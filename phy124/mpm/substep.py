@@ -133,7 +133,8 @@ class Recorder:
         kept = self.fluctuation
         for turn in range(kept.scheme.passes if kept else 0):
             assert kept is not None
-            yield [*self._clear(worker), *launches([kept.carry(part, turn) for part in parts])]
+            cleared = self._clear(worker, velocities=True)
+            yield [*cleared, *launches([kept.carry(part, turn) for part in parts])]
             still = [self._update(body, worker, kept.still) for body in self._moving]
             yield launches(list(itertools.chain(*still)))
             grids = [self.grids[part.group.body] for part in parts]
@@ -175,7 +176,12 @@ class Recorder:
 
         Walls come last, so that no other stage can push material through them.
         """
-        phases = [[record for body in self._moving for record in self._update(body, worker)]]
+        first = next(iter(walls), None)
+        fused = self._update_with(first) if first is not None else None
+        if fused is not None:
+            phases, walls = [[fused]], walls[1:]
+        else:
+            phases = [[record for body in self._moving for record in self._update(body, worker)]]
         if self.pairs.touching(self.grids):
             phases += [self.pairs.record(self.grids, worker, len(self.workers)), []]
         if self.free.all:
@@ -189,6 +195,13 @@ class Recorder:
             if record is not None:
                 phases[-1].append(record)
         return phases
+
+    def _update_with(self, wall: Stage) -> Recorded | None:
+        """Return the grid update and a wall as one launch; None if they are two launches."""
+        if wall.with_update is None or len(self.grids) > 1 or not self._grid.apart:
+            return None
+        launch = wall.with_update(self._grid)
+        return None if launch is None else (wall.name, launch)
 
     def _meet_free(self) -> list[Recorded]:
         """Return the contact of free bodies with each body in turn, for a single worker."""
@@ -215,13 +228,20 @@ class Recorder:
         )
         return first, last
 
-    def _clear(self, index: int) -> Iterator[Named]:
-        """Yield the launches that clear the nodes to which a worker scatters."""
+    def _clear(self, index: int, *, velocities: bool = False) -> Iterator[Named]:
+        """Yield the launches that clear the nodes to which a worker scatters.
+
+        Args:
+            index: Index of the worker.
+            velocities: Whether to clear `Grid.nodes`, not the momenta, if these are apart.
+        """
         if self.slabs is not None:
             yield "clear", self.slabs.runs[index].zero_
             return
         for body in self._moving:
-            yield "clear", self.grids[body].nodes.zero_
+            # The gather has cleared momenta that are apart.
+            if velocities or not self.grids[body].apart:
+                yield "clear", self.grids[body].nodes.zero_
 
     def measures(self, worker: Worker, stray: wp.array) -> list[wp.Launch]:
         """Return the launches that measure the substep's limits over a worker's particles."""
@@ -263,7 +283,7 @@ class Recorder:
         read = [part.chosen, model.mass[run], model.volume[run], part.group.rows(run)]
         state = [s.x[run], s.v[run], s.C[run], s.F[run], part_of(s.history, run)]
         inputs = [*read, part.nodes.lattice, part.nodes.window, self.tracks.clock, *state]
-        return f"p2g {law.name}", model.launch(kernel, part.count, inputs, [part.nodes.nodes])
+        return f"p2g {law.name}", model.launch(kernel, part.count, inputs, [part.nodes.momenta])
 
     def _gather(self, part: Part, worker: int) -> list[Recorded]:
         model, s, run = self.model, self.state, part.particles
@@ -273,7 +293,7 @@ class Recorder:
         inputs = [*read, grid.lattice, grid.window, self.tracks.clock, grid.nodes]
         outputs = [s.x[run], s.residue[run], s.v[run], s.C[run], s.F[run]]
         outputs += [part_of(s.history, run), part_of(s.total, run)]
-        outputs.append(cast("wp.array", self.missed[worker]))
+        outputs += [cast("wp.array", self.missed[worker]), *self._cleared(part, grid)]
         record = f"g2p {law.name}", model.launch(kernel, part.count, inputs, outputs)
         records = self.outliers.around(part, record, grid, self.tracks)
         records += [reader.record(part, worker, model, s, self.tracks) for reader in self.gathered]
@@ -281,20 +301,28 @@ class Recorder:
             records.append(self.fluctuation.keep(part))
         return records
 
+    def _cleared(self, part: Part, grid: Grid) -> list[Any]:
+        """Return the inputs of a gather that name the nodes that it clears."""
+        if not grid.apart or part.group.start > 0:
+            return [0, 0, grid.momenta]
+        return [-(-grid.count // part.count), part.count, grid.momenta]
+
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
         """Return a worker's share of the update of a body's grid, with the given or the run's
         clock.
         """
         model, grid, slabs = self.model, self.grids[body], self.slabs
+        momenta = grid.nodes if clock is not None else grid.momenta
         clock = self.tracks.clock if clock is None else clock
-        inputs, records = [clock, self.tracks.values], []
+        records = []
         count, nodes = grid.count, grid.nodes
         layers = self._layers(grid, worker)
         if layers is not None and slabs is not None:
             rows = (layers[1] - layers[0], int(grid.size[1]))
             boxes = [layers[0], grid.window, slabs.boxes[body], slabs.starts[body], slabs.pool]
             records.append(("grid", model.launch(make_merge(model.real), rows, boxes, [nodes])))
-            nodes = grid.slab(*layers)
+            nodes = momenta = grid.slab(*layers)
             count = len(nodes)
+        inputs = [clock, self.tracks.values, momenta]
         update = model.launch(make_update(model.real), count, inputs, [nodes])
         return [*records, ("grid", update)]
