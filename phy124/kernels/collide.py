@@ -32,6 +32,7 @@ from phy124.kernels.columns import (
 )
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.grid import velocity_of
+from phy124.kernels.reduction import load
 
 
 @wp.func
@@ -81,6 +82,13 @@ def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
         and node[1] < size[1]
         and node[2] < size[2]
     )
+
+
+@wp.func
+def node_at(n: int, size: wp.vec3i):
+    """Return the n-th node of a window."""
+    row = n // size[2]
+    return wp.vec3i(row // size[1], row % size[1], n % size[2])
 
 
 @wp.func
@@ -324,6 +332,63 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
                 else:
                     add_wish(changes_out, behind, wanted)
 
+    if updating:
+
+        @kernel(name, real, seconds=0.4)
+        def update_and_contact(
+            geometry,
+            friction,
+            reach: real,
+            slot,
+            start: wp.vec3i,
+            extent: wp.vec3i,
+            span: wp.vec2i,
+            lightest: real,
+            full: real,
+            loose: real,
+            lattice,
+            window,
+            clock,
+            values,
+            rates,
+            grid,
+            grid_out,
+        ):
+            n = wp.tid()
+            here = node_at(n, window[1])
+            moved = t.vec3()
+            wall = t.vec3()
+            active = real(1.0)
+            if wp.static(moving):
+                moved = xyz(values[slot])
+                wall = xyz(rates[slot])
+                active = values[slot][3]
+            if active > real(0.0) and in_box(here - start, extent):
+                respond(
+                    here,
+                    geometry,
+                    friction,
+                    reach,
+                    span,
+                    lightest,
+                    full,
+                    loose,
+                    moved,
+                    wall,
+                    lattice,
+                    window[0],
+                    window[1],
+                    clock[0],
+                    values[0],
+                    grid,
+                    grid_out,
+                    grid_out,
+                )
+            else:
+                grid_out[n] = velocity_of(load(grid, n), clock[0], values[0])
+
+        return update_and_contact
+
     @kernel(name, real, seconds=0.4)
     def contact(
         geometry,
@@ -374,61 +439,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
                     changes_out,
                 )
 
-    @kernel(name, real, seconds=0.4)
-    def update_and_contact(
-        geometry,
-        friction,
-        reach: real,
-        slot,
-        start: wp.vec3i,
-        extent: wp.vec3i,
-        span: wp.vec2i,
-        lightest: real,
-        full: real,
-        loose: real,
-        lattice,
-        window,
-        clock,
-        values,
-        rates,
-        grid,
-        grid_out,
-    ):
-        i, j, k = wp.tid()
-        here = wp.vec3i(i, j, k)
-        moved = t.vec3()
-        wall = t.vec3()
-        active = real(1.0)
-        if wp.static(moving):
-            moved = xyz(values[slot])
-            wall = xyz(rates[slot])
-            active = values[slot][3]
-        if active > real(0.0) and in_box(here - start, extent):
-            respond(
-                here,
-                geometry,
-                friction,
-                reach,
-                span,
-                lightest,
-                full,
-                loose,
-                moved,
-                wall,
-                lattice,
-                window[0],
-                window[1],
-                clock[0],
-                values[0],
-                grid,
-                grid_out,
-                grid_out,
-            )
-        else:
-            n = wp.dot(here, strides(window[1]))
-            grid_out[n] = velocity_of(grid[n], clock[0], values[0])
-
-    return update_and_contact if updating else contact
+    return contact
 
 
 @cache

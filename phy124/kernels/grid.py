@@ -12,7 +12,7 @@ import warp as wp
 from phy124.kernels.arguments import Box, Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.native import code
-from phy124.kernels.reduction import raise_to
+from phy124.kernels.reduction import load, raise_to
 
 
 @wp.func
@@ -88,7 +88,7 @@ def make_update(real: Any):
     def update(clock, values, grid, grid_out):
         n = wp.tid()
         # Slot 0 of the tracks is the sum of all uniform accelerations, including gravity.
-        grid_out[n] = velocity_of(grid[n], clock[0], values[0])
+        grid_out[n] = velocity_of(load(grid, n), clock[0], values[0])
 
     return update
 

@@ -18,13 +18,13 @@ import warp as wp
 
 from phy124.kernels.native import code, native_kernel
 
-EACH, MOST_THREADS, BLOCK = 32, 2**15, 256
+EACH, MOST_THREADS, BLOCK = 32, 2**14, 256
 """Number of particles per thread on the CPU, largest number of threads on a GPU, and threads of a
 block there.
 """
 
 
-def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
+def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[int, int, int, int]:
     """Return the number of threads that reduce all particles, and `first`, `each`, `stride`.
 
     A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU a thread's
@@ -33,7 +33,7 @@ def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
     """
     if device == "cpu":
         return -(-particles // EACH), EACH, EACH, 1
-    threads = BLOCK * -(-min(particles, MOST_THREADS) // BLOCK)
+    threads = BLOCK * -(-min(particles, most) // BLOCK)
     return threads, 1, -(-particles // threads), threads
 
 

@@ -28,6 +28,9 @@ from phy124.mpm.stage import Named, Recorded, Stage, launches
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import GATHER, Part, Slabs, Worker
 
+MEASURING = 2**17
+"""Largest number of threads that measure limits on a GPU, where each block writes once."""
+
 
 class Transfers(NamedTuple):
     """The kernels of a law."""
@@ -248,7 +251,7 @@ class Recorder:
         model, s, measures = self.model, self.state, []
         for part in worker.parts:
             group, run = part.group, part.particles
-            threads, *fraction = shared_out(part.count, model.device)
+            threads, *fraction = shared_out(part.count, model.device, MEASURING)
             kernel = Transfers.of(group.law, model.real, model.form).measure
             read = [group.rows(run), model.mass[run], model.volume[run], self.outliers.corners]
             state = [s.x[run], s.v[run], s.C[run], s.F[run], part_of(s.history, run)]
