@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
 from phy124.accuracy.probe import run_pilot
 from phy124.boundaries import Ground, Press
 from phy124.forces import Acceleration, Gravity, Wind
+from phy124.kernels.timestep import BLOCK
 from phy124.materials import NeoHookean, Sand
 from phy124.monitor.diagnostics import speeds
 from phy124.mpm import MEASURE_EVERY, Solver, Unstable
@@ -78,6 +80,51 @@ def test_graph_leaves_moving_windows_and_violence_to_host():
         alone.advance(until)
     assert_same(host, alone)
     assert "speed" in host.clock.limiters
+
+
+def captured_names(monkeypatch, solver: Solver) -> list[list[str]]:
+    """What a graph captures, in each of its branches."""
+    names: list[str] = []
+    branches = []
+
+    def note(owner, method, name):
+        call = getattr(owner, method)
+
+        def noted(*arguments, **options):
+            names.append(name)
+            return call(*arguments, **options)
+
+        monkeypatch.setattr(owner, method, noted)
+
+    def capture_if(condition, on_true, on_false=None):
+        for take in filter(None, (on_true, on_false)):
+            start = len(names)
+            take()
+            branches.append(names[start:])
+            del names[start:]
+
+    note(wp.Launch, "launch", "kernel")
+    note(wp.array, "zero_", "fill")
+    note(wp.array, "fill_", "fill")
+    note(wp, "copy", "copy")
+    monkeypatch.setattr(wp, "capture_if", capture_if)
+    monkeypatch.setattr(wp, "capture_while", lambda condition, body: body())
+    names.clear()
+    launches = list(solver._launches())
+    assert all(isinstance(launch.__self__, wp.Launch) for launch in launches)
+    solver._graph._capture([lambda: names.append("kernel")] * len(launches))
+    return [*branches, names]
+
+
+def test_a_substep_is_four_kernels_without_copies(monkeypatch):
+    """Scatter, update with the ground, gather, and the choice of the next substep."""
+    _, alone = solvers(NeoHookean(E=3e4))
+    alone.advance(FRAMES[0])
+    block, measurement, single, others = captured_names(monkeypatch, alone)
+    assert measurement == ["fill", "kernel"]
+    assert block == (4 * BLOCK - 1) * ["kernel"] + measurement
+    assert single == 3 * ["kernel"]
+    assert others == 2 * ["kernel"], "the choice before the loop and at the end of its body"
 
 
 def test_wind_runs_in_the_graph():

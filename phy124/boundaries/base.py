@@ -275,7 +275,8 @@ class Boundary(Section):
             box = [wp.vec3i(*corner.tolist()) for corner in (start, extent)]
             inputs = [*self._wall(model, slot), *box, *_columns(model, grid), grid.lattice]
             inputs += [grid.window, tracks.clock, tracks.values, tracks.rates, grid.momenta]
-            return model.launch(kernel, grid.count, inputs, [grid.nodes])
+            threads = grid.count + int(np.prod(extent))
+            return model.launch(kernel, threads, inputs, [grid.nodes])
 
         return record
 

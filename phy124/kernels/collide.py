@@ -174,8 +174,9 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
     not push, nodes below the signed distance `loose` [m] respond one by one. A flat wall changes
     `grid_out`, other walls change `changes_out` (see `make_settle`).
 
-    With `updating`, a flat wall and the grid update are one kernel over all nodes, which reads
-    momenta from `grid` and writes velocities to `grid_out`.
+    With `updating`, a flat wall and the grid update are one kernel, which reads momenta from `grid`
+    and writes velocities to `grid_out`. Its first threads have the nodes of the sub-box of the
+    given `extent`, the others have all nodes of the window.
 
     Args:
         shape: Name of a distance function.
@@ -354,8 +355,15 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
             grid,
             grid_out,
         ):
-            n = wp.tid()
-            here = node_at(n, window[1])
+            # Threads of one warp take the same path: first the box near the wall, then the others.
+            size = window[1]
+            near = extent[0] * extent[1] * extent[2]
+            n = wp.tid() - near
+            here = node_at(n, size)
+            if n < 0:
+                here = start + node_at(wp.tid(), extent)
+            elif in_box(here - start, extent):
+                return
             moved = t.vec3()
             wall = t.vec3()
             active = real(1.0)
@@ -363,7 +371,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
                 moved = xyz(values[slot])
                 wall = xyz(rates[slot])
                 active = values[slot][3]
-            if active > real(0.0) and in_box(here - start, extent):
+            if n < 0 and active > real(0.0):
                 respond(
                     here,
                     geometry,
@@ -377,7 +385,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
                     wall,
                     lattice,
                     window[0],
-                    window[1],
+                    size,
                     clock[0],
                     values[0],
                     grid,
@@ -385,6 +393,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
                     grid_out,
                 )
             else:
+                n = wp.dot(here, strides(size))
                 grid_out[n] = velocity_of(load(grid, n), clock[0], values[0])
 
         return update_and_contact

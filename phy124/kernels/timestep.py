@@ -17,10 +17,11 @@ DONE, LOOK, CAREFUL = 1, 2, 3
 """Reasons why substeps end: the time is reached, the host must measure, or the next substep could
 move something too far.
 """
-ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(5)
+LIMITS = 5
+ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(LIMITS)
 """Index of each limit of a substep."""
 BLOCK = 4
-"""Number of substeps that the graph repeats without a condition in between, where it can."""
+"""Number of substeps that the graph takes without a condition in between, where it can."""
 
 
 @wp.struct
@@ -175,7 +176,7 @@ def violent(dt: wp.float64, s: Progress, bounds: Limits):
 
 @wp.func
 def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
-    """Return whether `BLOCK` substeps of length dt [s] surely follow each other.
+    """Return whether `BLOCK` substeps of length dt [s] surely follow, and then a measurement.
 
     This is not so if the time is reached, the particles are measured, or control returns to the
     host between two of them. The lengths of the substeps may differ by rounding.
@@ -184,7 +185,7 @@ def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
     all = wp.float64(count)
     return (
         bounds.until - s.time > (all - wp.float64(0.5)) * dt
-        and s.since + count <= bounds.every
+        and s.since + count == bounds.every
         and s.taken + count <= bounds.most
         and s.strain + all * s.gradient * dt * wp.float64(1.001) < bounds.strain
         and not violent(dt * wp.float64(1.001), s, bounds)
@@ -196,8 +197,8 @@ def make_timestep(real: Any):
     """Kernel of one thread: finishes a substep, then chooses the next or stops with a reason.
 
     `look_out` is 1 if the particles are to be measured after the next substep, and `block_out` is 1
-    if a whole block of substeps follows. `needed_out` sums the ratios of substep length to the
-    limit, for each limit.
+    if a whole block of substeps follows. `limiters_out` holds the number of substeps of each limit,
+    then the sums of the ratios of substep length to the limit.
     """
 
     @kernel(f"phy124_timestep_{real.__name__}", real)
@@ -208,8 +209,7 @@ def make_timestep(real: Any):
         stray: Ints,
         progress_out: wp.array(dtype=Progress),
         clock_out: wp.array(dtype=real),
-        limiters_out: Ints,
-        needed_out: Doubles,
+        limiters_out: Doubles,
         on_out: Ints,
         look_out: Ints,
         block_out: Ints,
@@ -246,8 +246,9 @@ def make_timestep(real: Any):
             else:
                 s.next = dt
                 block = whole_block(dt, s, bounds)
-                limiters_out[which] = limiters_out[which] + 1
-                needed_out[which] = needed_out[which] + dt / longest
+                ratios = which + wp.static(LIMITS)
+                limiters_out[which] = limiters_out[which] + wp.float64(1.0)
+                limiters_out[ratios] = limiters_out[ratios] + dt / longest
                 clock_out[0] = real((s.last + dt) / wp.float64(2.0))
                 clock_out[1] = real(dt)
                 clock_out[2] = real(s.time)

@@ -33,9 +33,9 @@ LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
 """The limits of a substep, in the order of phy124/kernels/timestep.py."""
 STRAIN = 1.0
 """Sum of |C| dt after which control returns to the host, which then repairs broken particles."""
-MOST = 100
+MOST = 400
 """Number of substeps after which control returns to the host, which may stop the run. Returning
-takes about as long as one substep. The number is constant, so that the same run always takes the
+takes about as long as ten substeps. The number is constant, so that the same run always takes the
 same substeps.
 """
 
@@ -59,8 +59,7 @@ class Graph:
         self._worker, self._stray, device = worker, stray, model.device
         self._limits = wp.zeros(1, dtype=cast("type", timestep.Limits), device=device)
         self._progress = wp.zeros(1, dtype=cast("type", timestep.Progress), device=device)
-        self._limiters = wp.zeros(len(LIMITERS), dtype=int, device=device)
-        self._needed = wp.zeros(len(LIMITERS), dtype=wp.float64, device=device)
+        self._limiters = wp.zeros(2 * len(LIMITERS), dtype=wp.float64, device=device)
         self._on, self._look, self._block = (
             wp.zeros(1, dtype=int, device=device) for _ in range(3)
         )
@@ -109,7 +108,7 @@ class Graph:
     def _capture(self, launches: list[Callable]) -> Any:
         model = self._model
         inputs = [self._limits, self._grid.window, self._worker.maxima, self._stray]
-        outputs = [self._progress, self._clock.values, self._limiters, self._needed]
+        outputs = [self._progress, self._clock.values, self._limiters]
         outputs += [self._on, self._look, self._block]
         choose = model.launch(timestep.make_timestep(model.real), 1, inputs, outputs)
         assert choose is not None
@@ -124,10 +123,14 @@ class Graph:
                 substep()
                 choose.launch()
             substep()
+            self._worker.measure()
+
+        def single() -> None:
+            substep()
+            wp.capture_if(self._look, self._worker.measure)
 
         def repeat() -> None:
-            wp.capture_if(self._block, block, substep)
-            wp.capture_if(self._look, self._worker.measure)
+            wp.capture_if(self._block, block, single)
             choose.launch()
 
         with wp.ScopedCapture(device=model.device) as capture:
@@ -160,7 +163,6 @@ class Graph:
         now = {"time": clock.time, "last": clock.last_dt, "since": since, **extremes}
         self._progress.assign(_row(self._progress, now))
         self._limiters.zero_()
-        self._needed.zero_()
 
     def _download(self) -> int:
         """Update the clock from the device; return the code of the reason for the stop."""
@@ -171,16 +173,16 @@ class Graph:
         clock.extremes = Extremes(*(float(state[name]) for name in Extremes._fields))
         fastest, steepest = float(state["fastest"]), float(state["steepest"])
         clock.recent = clock.extremes._replace(speed=fastest, gradient=steepest)
-        counts, needed = self._limiters.numpy().tolist(), self._needed.numpy().tolist()
-        for name, count, sum_ in zip(LIMITERS, counts, needed, strict=True):
+        sums = self._limiters.numpy().reshape(2, -1).T.tolist()
+        for name, (count, needed) in zip(LIMITERS, sums, strict=True):
             if count:
-                clock.count(name, count, needed=sum_)
+                clock.count(name, int(count), needed=needed)
         return int(state["reason"])
 
 
 def _row(array: wp.array, values: dict[str, Any]) -> NDArray[Any]:
     """Return one structure of the array's type; fields that are not in `values` are zero."""
-    row: NDArray[Any] = np.zeros(1, array.numpy().dtype)
+    row: NDArray[Any] = np.zeros(1, array.dtype.numpy_dtype())
     for name, value in values.items():
         row[name] = value
     return row
