@@ -13,7 +13,7 @@ it with the host's loop bit for bit.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -57,9 +57,9 @@ class Graph:
         """
         self._model, self._clock, self._grid = model, clock, grid
         self._worker, self._stray, device = worker, stray, model.device
-        self._limits = wp.zeros(1, dtype=cast("type", timestep.Limits), device=device)
-        self._progress = wp.zeros(1, dtype=cast("type", timestep.Progress), device=device)
-        self._limiters = wp.zeros(2 * len(LIMITERS), dtype=wp.float64, device=device)
+        self._limits = Mirrored(timestep.Limits, 1, device)
+        self._progress = Mirrored(timestep.Progress, 1, device)
+        self._limiters = Mirrored(wp.float64, 2 * len(LIMITERS), device)
         self._on, self._look, self._block = (
             wp.zeros(1, dtype=int, device=device) for _ in range(3)
         )
@@ -107,8 +107,8 @@ class Graph:
 
     def _capture(self, launches: list[Callable]) -> Any:
         model = self._model
-        inputs = [self._limits, self._grid.window, self._worker.maxima, self._stray]
-        outputs = [self._progress, self._clock.values, self._limiters]
+        inputs = [self._limits.array, self._grid.window, self._worker.maxima, self._stray]
+        outputs = [self._progress.array, self._clock.values, self._limiters.array]
         outputs += [self._on, self._look, self._block]
         choose = model.launch(timestep.make_timestep(model.real), 1, inputs, outputs)
         assert choose is not None
@@ -158,34 +158,55 @@ class Graph:
             "margin": MARGIN,
             "every": clock.interval,
         }
-        self._limits.assign(_row(self._limits, limits))
         extremes, since = clock.extremes._asdict(), clock.since_measured
         now = {"time": clock.time, "last": clock.last_dt, "since": since, **extremes}
-        self._progress.assign(_row(self._progress, now))
-        self._limiters.zero_()
+        self._limits.upload(limits)
+        self._progress.upload(now)
+        self._limiters.upload({})
 
     def _download(self) -> int:
         """Update the clock from the device; return the code of the reason for the stop."""
-        clock, state = self._clock, np.asarray(self._progress.numpy())[0]
+        clock, limiters = self._clock, self._limiters.download()
+        state = self._progress.download()[0]
         clock.time, clock.last_dt = float(state["time"]), float(state["last"])
         clock.substeps += int(state["taken"])
         clock.since_measured = clock.since_complete = int(state["since"])
         clock.extremes = Extremes(*(float(state[name]) for name in Extremes._fields))
         fastest, steepest = float(state["fastest"]), float(state["steepest"])
         clock.recent = clock.extremes._replace(speed=fastest, gradient=steepest)
-        sums = self._limiters.numpy().reshape(2, -1).T.tolist()
-        for name, (count, needed) in zip(LIMITERS, sums, strict=True):
+        for name, (count, needed) in zip(LIMITERS, limiters.reshape(2, -1).T.tolist(), strict=True):
             if count:
                 clock.count(name, int(count), needed=needed)
         return int(state["reason"])
 
 
-def _row(array: wp.array, values: dict[str, Any]) -> NDArray[Any]:
-    """Return one structure of the array's type; fields that are not in `values` are zero."""
-    row: NDArray[Any] = np.zeros(1, array.dtype.numpy_dtype())
-    for name, value in values.items():
-        row[name] = value
-    return row
+class Mirrored:
+    """An array on the device, and memory of the host from and to which it is copied."""
+
+    def __init__(self, dtype: Any, count: int, device: str) -> None:
+        """Allocate zeros.
+
+        Args:
+            dtype: Type of an item: a number, or a structure.
+            count: Number of items.
+            device: Warp device.
+        """
+        self.array = wp.zeros(count, dtype=dtype, device=device)
+        self._staged = wp.zeros(count, dtype=dtype, device="cpu", pinned=device != "cpu")
+        self._values: Any = self._staged.numpy()
+
+    def upload(self, fields: dict[str, Any]) -> None:
+        """Set fields of the items, and everything else to zero."""
+        self._values[:] = np.zeros_like(self._values)
+        for name, value in fields.items():
+            self._values[name] = value
+        wp.copy(self.array, self._staged)
+
+    def download(self) -> NDArray[Any]:
+        """Return the items; the next call overwrites them."""
+        wp.copy(self._staged, self.array)
+        wp.synchronize_device(self.array.device)
+        return self._values
 
 
 def usable(device: str) -> bool:
