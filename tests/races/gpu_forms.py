@@ -8,7 +8,7 @@ THREADS = 2**7
 """Few, so that each sums several of few particles."""
 
 
-def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
+def shared_out(particles: int, device: str, most: int = THREADS) -> tuple[int, int, int, int]:
     """As `reduction.shared_out` on a GPU of few threads."""
     threads = min(particles, THREADS)
     return threads, 1, -(-particles // threads), threads
@@ -25,13 +25,17 @@ def choose() -> None:
     reduction.shared_out, reduction.along_rows = shared_out, along_rows
     from phy124.kernels.deform import deform_shapes
     from phy124.kernels.splat.shadow import cover
-    from phy124.mpm import model
+    from phy124.mpm import model, solver
     from phy124.rendering import render
     from phy124.rendering.stage import shadow
     from phy124.simulation import deform
 
     model.form_of = lambda precision, device, gradient="affine": (
         "spline" if gradient == "spline" else "plain"
+    )
+    grids_of = solver.grids_of
+    solver.grids_of = lambda model, apart: grids_of(
+        model, apart=model.bodies == 1 and not model.held
     )
     usual = render.Renderer.__init__
 
