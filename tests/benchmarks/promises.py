@@ -7,7 +7,7 @@ stopped and started again:
     python tests/benchmarks/promises.py measure --minutes 50 --scenes "neo_hookean press"
 
 `table` rewrites phy124/accuracy/measured.json, from which `phy124.accuracy.promises` reads, and the
-tables of docs/lab/accuracy.md from these rows. `make accuracy` does both.
+tables of docs/lab/error-bounds.md from these rows. `make accuracy` does both.
 
 Objects are the pictures of demo/examples and the files of ../shared/objects, which stand on -y.
 """
@@ -285,7 +285,7 @@ def table(_: argparse.Namespace) -> None:
     FILE.write_text("{" + text + ',\n"scenes": {\n' + ",\n".join(lines) + "\n}}\n")
     heads = [f"D/{n}: {part:g}" for n, part in product(SHOWN_LEVELS, SHOWN_THICKNESS)]
     heads = ["law", "motion", "scenes", "objects", *heads, "held"]
-    renew(DOCS / "lab/accuracy.md", "promises", markdown(heads, written(kinds, thick, safety)))
+    renew(DOCS / "lab/error-bounds.md", "promises", markdown(heads, written(kinds, thick, safety)))
     held = np.mean(np.array(ratios) <= safety)
     print(f"safety factor {safety:g}: {held:.1%} of {len(ratios)} errors of objects left out hold")
 

@@ -79,7 +79,7 @@ def tabulate_times() -> str:
 
 def tabulate_expected_errors() -> str:
     """Return the expected errors by law and kind of motion, at draft and at standard."""
-    heads, *rows = read_table("accuracy.md", "<!-- promises -->")
+    heads, *rows = read_table("error-bounds.md", "<!-- promises -->")
     columns = [heads.index(level) for level in EXPECTED.values()]
     errors = {(row[0], row[1]): " / ".join(row[i] for i in columns) for row in rows}
     laws = dict.fromkeys(row[0] for row in rows)
@@ -187,8 +187,8 @@ BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
 }
 """Tables of each page of docs/results, by the name of their marks."""
 NUMBERS: dict[str, Callable[[], str]] = {
-    "exceeded": lambda: quote("accuracy.md", r"The error exceeded (\d+ of \d+) bounds"),
-    "caution": lambda: quote("accuracy.md", r"In the median the bound is (\w+) times"),
+    "exceeded": lambda: quote("error-bounds.md", r"The error exceeded (\d+ of \d+) bounds"),
+    "caution": lambda: quote("error-bounds.md", r"In the median the bound is (\w+) times"),
     "speed-up": lambda: quote("benchmarks.md", r"\| \| 16 \| [\d,]+ \| ([\d.]+) \|"),
     "process": lambda: compute_memory(process=True),
     "particle": lambda: compute_memory(process=False),
