@@ -7,14 +7,12 @@ forces and boundaries appear automatically, including plug-ins.
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
 from phy124.budget.cost import count_particles
 from phy124.errors import InputError
 from phy124.io.formats import object_endings
-from phy124.materials import Elastic
 from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
 from phy124.scene.files import files_named
 
@@ -25,8 +23,19 @@ from .settings import Settings
 from .source import SMALLER
 
 FOLDER = Path(__file__).parent
-FIRST = "press drop bounce jelly sand snow water foam metal wind sway spin push_right"
-"""Presets shown first; all others follow in alphabetical order."""
+FIRST = "press drop bounce wind spin push_right sway"
+"""Presets shown first; then all others by name, those named after a material last."""
+TITLES = {"push_right": "Push"}
+"""Title of a preset's card, if its name is no title."""
+READY = {
+    "press": ("Duck, pressed", "duck"),
+    "bounce": ("Chick, thrown", "chick"),
+    "jelly": ("Cupcake, jelly", "cupcake"),
+    "wind": ("Sunflower, wind", "sunflower"),
+    "land_on_cushion": ("Pear, cushion", "pear"),
+    "bury": ("Chick, sand", "chick"),
+}
+"""Preset -> title and example picture of a finished result, which `make_previews` makes."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
 """Forces that the direction pad sets -> the field that it sets."""
 LONGEST, LONGER = 20_000, 200
@@ -51,19 +60,21 @@ PREVIEWS = Path(__file__).parent / "previews"
 
 def catalogue(settings: Settings) -> dict[str, Any]:
     """Return all data that the scene editor needs."""
-    names = [n for n in FIRST.split() if n in preset_names()]
-    names += [n for n in preset_names() if n not in names]
+    materials = {*SUBSTANCES, "foam"}
+    first = [n for n in FIRST.split() if n in preset_names()]
+    others = [n for n in preset_names() if n not in first]
+    names = [*first, *sorted(others, key=lambda name: name in materials)]
     return {
         "schema": _schema(),
         "presets": [_card(name) for name in names],
         "substances": chips(),
+        "ready": ready(),
         "examples": sorted(path.stem for path in (FOLDER / "examples").glob("*.png")),
         "accuracies": [
             {"name": name, "cells": accuracy.cells, "why": f"For {GOOD_FOR[name]}."}
             for name, accuracy in PRESETS.items()
         ],
         "known": known_options(),
-        "softness": _anchors(),
         "weights": WEIGHTS,
         "limits": {
             "frames": settings.max_frames,
@@ -96,17 +107,32 @@ def _card(name: str) -> dict[str, Any]:
     picture = FOLDER / "previews" / f"{name}.webp"
     return {
         "name": name,
-        "title": name.replace("_", " ").capitalize(),
+        "title": TITLES.get(name, name.replace("_", " ").capitalize()),
         "text": scene.description,
         "picture": f"previews/{picture.name}" if picture.exists() else None,
         "scene": json.loads(scene.model_dump_json()),
     }
 
 
-def _anchors() -> dict[str, float]:
-    """Return named stiffnesses [Pa], parsed from the description of the field E."""
-    text = Elastic.model_fields["E"].description or ""
-    return {name: float(value) for name, value in re.findall(r"(\w+) (\d\.?\d*e\d+)", text)}
+def ready() -> list[dict[str, Any]]:
+    """Return the finished results that the page shows before any run, as far as they were made."""
+    made = PREVIEWS / "ready.json"
+    seconds = json.loads(made.read_text("utf-8")) if made.exists() else {}
+    return [
+        {
+            "name": name,
+            "title": title,
+            "example": example,
+            "preset": name,
+            "picture": f"previews/{name}.webp",
+            "film": f"previews/ready_{name}.webp",
+            "pack": f"previews/{pack.name}" if pack.exists() else None,
+            "seconds": seconds[name],
+        }
+        for name, (title, example) in READY.items()
+        if name in seconds
+        for pack in [PREVIEWS / f"ready_{name}.pack"]
+    ]
 
 
 def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scene:
@@ -121,7 +147,7 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
         InputError: The data is not a scene, exceeds the page's limits, or names another file.
     """
     if not isinstance(data, dict):
-        raise InputError("scene", data, "no scene is chosen.", "Choose one of the cards.")
+        raise InputError("scene", data, "No scene is chosen.", "Choose one of the cards.")
     check_length("scene", data, settings)
     _check_counts(data, settings)
     scene = Scene.from_data(data)
@@ -145,7 +171,7 @@ def check_length(field: str, data: Any, settings: Settings) -> None:
     """
     most = LONGEST + LONGER * settings.max_frames
     if len(json.dumps(data)) > most:
-        limit = f"It is longer than the {most:,} characters that this page takes."
+        limit = f"The scene is longer than {most:,} characters."
         raise InputError(field, "too long", limit, "Use fewer forces.")
 
 
@@ -172,16 +198,16 @@ def _refuse_makers(scene: Scene) -> None:
     for index, source in enumerate(scene.objects):
         for name in ("file", "mesh", "generator"):
             if getattr(source, name) is not None:
-                limit = "Here further objects are made of pictures, or are plain shapes."
+                limit = "On this page further objects are made from pictures, or are plain shapes."
                 field = f"objects.{index}.{name}"
-                raise InputError(field, "given", limit, "Leave it out, or give a picture.")
+                raise InputError(field, "given", limit, "Remove it, or send a picture.")
 
 
 def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | None) -> None:
     # The path is compared as text: files outside the folder must not even be examined.
     if uploads is None or str(path) != str(uploads / path.name) or not is_plain_file(path):
-        limit = "Here a scene may name no file except a picture that you have sent."
-        raise InputError(field, "a file", limit, "Leave it out, or choose a picture for it.")
+        limit = "On this page a scene cannot name a file, except a picture that you have sent."
+        raise InputError(field, "a file", limit, "Remove it, or choose a picture for it.")
     check_picture(path, settings, field)
 
 
@@ -213,9 +239,8 @@ def check_most(limits: dict[str, tuple[int, int]]) -> None:
     """
     for name, (value, most) in limits.items():
         if value > most:
-            raise InputError(
-                name, value, f"This page allows at most {most:,}.", "Choose a smaller number."
-            )
+            limit = f"This page allows at most {most:,} {name}."
+            raise InputError(name, value, limit, "Choose a smaller number.")
 
 
 def check_time(seconds: float, settings: Settings) -> None:
@@ -228,9 +253,9 @@ def check_time(seconds: float, settings: Settings) -> None:
         raise InputError(
             "time",
             f"{seconds:.0f} s",
-            f"This would take about {seconds:,.0f} s; one run may take "
-            f"{settings.max_seconds:.0f} s here.",
-            "Choose draft accuracy, a softer material, or fewer frames.",
+            f"This run would take about {seconds:,.0f} s; the limit of this page is "
+            f"{settings.max_seconds:.0f} s.",
+            "Choose draft accuracy, a softer material, or a shorter length.",
         )
 
 

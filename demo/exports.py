@@ -48,7 +48,7 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
     """
     for kind in kinds:
         if kind not in EXPORTS or not EXPORTS[kind].available():
-            limit = "This format is not offered here."
+            limit = "This server does not offer this format."
             raise InputError("format", kind, limit, "Choose another one.")
     paths = [done.exports / EXPORTS[kind].file for kind in kinds]
     keep = {done.clip, done.films, *paths}
@@ -127,7 +127,10 @@ def _mcap(done: Done, path: Path) -> None:
         subprocess.run(command, cwd=root, check=True, timeout=TAIL, capture_output=True)
     except (subprocess.SubprocessError, OSError) as error:
         raise InputError(
-            "format", "mcap", "The bridge could not write it.", "Use clip.safetensors instead."
+            "format",
+            "mcap",
+            "The server could not write it.",
+            "Use clip.safetensors instead.",
         ) from error
 
 
@@ -162,7 +165,7 @@ def _export_of(format: Format) -> Export:
 
 EXPORTS = {
     "html": Export(
-        label="Player, one file",
+        label="Page with the player",
         hint="Opens in any browser, offline",
         file="player.html",
         write=_html,

@@ -265,19 +265,38 @@ def promise_of(
     return study.promise(scene.resolution.cells)
 
 
+def describe_error(promise: Promise, subject: str = "It is off") -> str:
+    """Describe the error of a motion in a sentence, such as "It is off by at most 2 % of ..."."""
+    if promise.error is None:
+        return _NOT_MEASURED if promise.unmeasured else _NOT_KNOWN
+    how = "about" if promise.of_scene else "at most"
+    until = "" if promise.seconds is None else f", until {promise.seconds:.1f} s"
+    return f"{subject} by {how} {format_percent(promise.error)} of its size{until}."
+
+
+_NOT_MEASURED = "How far it is off has not been measured."
+_NOT_KNOWN = "How far it is off is not known."
+
+
+def format_percent(fraction: float) -> str:
+    """Format a fraction as a percentage: "0.8 %", "12 %"."""
+    return f"{100 * fraction:.1g} %" if fraction < 0.01 else f"{100 * fraction:.2g} %"
+
+
 def stops_table(stops: list[Stop], chosen: object) -> str:
     """Format time and error of each named accuracy as an HTML table."""
     mark = {chosen: " class=chosen"}
     rows = [
         f"<tr{mark.get(stop.name, '')}><td>{escape(stop.name.capitalize())}</td>"
-        f"<td>about {_duration(stop.seconds)}</td>"
+        f"<td>about {format_seconds(stop.seconds)}</td>"
         f"<td>{stop.promise.off(stop.pixels)}</td></tr>"
         for stop in stops
     ]
     return f'<table class="stops">{"".join(rows)}</table>'
 
 
-def _duration(seconds: float) -> str:
+def format_seconds(seconds: float) -> str:
+    """Format a time: "4 s", "1.5 min"."""
     if seconds < 90:
         return f"{max(1, round(seconds))} s"
     return f"{seconds / 60:.1f} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"

@@ -170,8 +170,8 @@ class Studio:
         job = Job(kind, visitor.new_stop_file(), subject=str(upload))
         return self._submit(visitor, job, self.cuts, work)
 
-    def forecast(self, name: str, source: Source | None, data: Any, extras: Any = None) -> str:
-        """Return the forecast of a run as a sentence.
+    def forecast(self, name: str, source: Source | None, data: Any, extras: Any = None) -> Estimate:
+        """Return the forecast of a run.
 
         Args:
             name: The visitor's name.
@@ -187,9 +187,11 @@ class Studio:
         ready = self._ready(name, source, scene, extras)
         count, compiling = self.count(source), self._compiling(scene)
         estimate = self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
-        return self._describe(estimate, name, source, scene, extras)
+        return self._with_error(estimate, name, source, scene, extras)
 
-    def refine(self, name: str, source: Source | None, data: Any, extras: Any = None) -> str | None:
+    def refine(
+        self, name: str, source: Source | None, data: Any, extras: Any = None
+    ) -> Estimate | None:
         """Return a forecast by a probe; None unless the Gaussians exist and the device is free.
 
         Args:
@@ -221,15 +223,15 @@ class Studio:
             visitor.thickness[str(made_gaussians(order))] = forecast.thickness
         finally:
             DEVICE.release()
-        return self._describe(forecast, name, source, scene, extras)
+        return self._with_error(forecast, name, source, scene, extras)
 
-    def _describe(
+    def _with_error(
         self, estimate: Estimate, name: str, source: Source | None, scene: Scene, extras: Any
-    ) -> str:
-        """Describe a forecast, with the error measured on this scene, if any."""
+    ) -> Estimate:
+        """Return a forecast with the error bound of this object, or the error measured on it."""
         about = (name, source, scene, extras)
         promise = promise_of(scene, self.thickness(*about), self.study(*about))
-        return replace(estimate, promise=promise).sentence
+        return replace(estimate, promise=promise)
 
     def check_extras(self, name: str, extras: Any) -> ExtraInputs:
         """Validate a visitor's inputs in addition to the front picture; raises InputError."""
@@ -266,6 +268,7 @@ class Studio:
         job.progress.unloaded = usual.unloaded
         order = self.order((visitor, source, scene), self.check_extras(name, extras))
         order = replace(order, stop=job.stop, expected=expected)
+        job.asked = source, data, extras
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def measure(self, name: str, source: Source | None, data: Any, extras: Any = None) -> Job:

@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from phy124.errors import Cancelled, InputError
 from phy124.runtime.failures import Kind, failure
@@ -23,7 +24,7 @@ LOG = logging.getLogger("phy124.web")
 RECENT = 5
 """Number of finished jobs that correct the forecast of the waiting time."""
 STOPPED = "Stopped. Nothing was changed."
-FAILED = "An error of this server, which is in its log. Try again, or change the scene."
+FAILED = "The server failed to do this; its log has the reason. Try again, or change the scene."
 SERVER = {
     Kind.MEMORY: "This server has too little memory for that. Choose a coarser accuracy.",
     Kind.DISK: "The disk of this server is full. Try again later.",
@@ -50,6 +51,8 @@ class Job:
         """File whose existence asks the job to stop."""
         self.progress = Progress(expected=expected, names=stages)
         self.line: Line | None = None
+        self.asked: tuple[Any, Any, Any] = (None, None, None)
+        """Source, scene and further inputs of a run, for a finer run of the same motion."""
         self._changed = threading.Condition()
 
     @property
@@ -136,7 +139,7 @@ class Line:
         with self._changed:
             if len(self._waiting) >= self.most:
                 raise InputError(
-                    "queue", "full", "The queue is full: too many are waiting.", "Try again soon."
+                    "queue", "full", "Too many visitors are waiting.", "Try again soon."
                 )
             job.line = self
             self._waiting.append((job, lambda: context.run(work, job)))

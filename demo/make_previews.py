@@ -1,12 +1,14 @@
-"""Render the animated previews of the preset cards and material chips with the pipeline.
+"""Render the previews of preset cards and material chips, and the finished results of the page.
 
 Run `python -m demo.make_previews` again after changes of presets or their physics. Each preview
-takes some seconds.
+takes some seconds. A finished result is a film for the page's stage, and for some a player.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,19 +17,20 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.camera import Camera
-from phy124.gaussians import Frame
+from phy124.gaussians import Frame, Gaussians
 from phy124.generators import make
 from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
+from phy124.io.html import pack
 from phy124.progress import silent
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import still_camera
 from phy124.rendering.shine import make_shine
-from phy124.rendering.stage.build import make_stage
+from phy124.rendering.stage.build import make_stage, pack_stage
 from phy124.scene import Scene, View, preset_names
 from phy124.simulation import Simulation, prepare
 
-from .catalogue import SUBSTANCES
+from .catalogue import PREVIEWS, READY, SUBSTANCES
 
 Pictures = list[NDArray[np.uint8]]
 
@@ -44,18 +47,27 @@ FRAMES = {"water": 11}
 """Number of frames for materials that would otherwise spread beyond their card."""
 LONGEST = 24
 """Largest number of pictures in a preview; longer clips are subsampled."""
-SIZE, CHIP = 200, 96
+SIZE, CHIP = 200, 128
 """Width and height of a preset's and of a material's preview [pixels]."""
+CLOSE = 0.72
+"""Field of view of a material's preview, relative to that of a preset."""
+FILM = (800, 600)
+"""Width and height of a finished result's film [pixels]."""
+PLAYERS, SPLATS = ("press", "bounce", "jelly"), 9_000
+"""Finished results with a player, and its number of Gaussians."""
 
 
 def main() -> None:
     """Render the previews of the presets and materials named on the command line, or of all."""
     parser = argparse.ArgumentParser(description=__doc__)
     materials = [f"material_{name}" for name in SUBSTANCES]
-    parser.add_argument("names", nargs="*", default=[*preset_names(), *materials])
+    ready = [f"ready_{name}" for name in READY]
+    parser.add_argument("names", nargs="*", default=[*preset_names(), *materials, *ready])
     for name in parser.parse_args().names:
-        path = FOLDER / "previews" / f"{name}.webp"
-        if name in materials:
+        path = PREVIEWS / f"{name}.webp"
+        if name in ready:
+            make_ready(name.removeprefix("ready_"))
+        elif name in materials:
             make_preview(substance_scene(name.removeprefix("material_")), "duck", path, CHIP)
         else:
             scene = Scene.named(name).replaced({"accuracy": "draft"})
@@ -77,12 +89,57 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
         path: The file to write.
         size: Width and height of the preview [pixels].
     """
-    cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
-    clip = Simulation(prepare(make("relief")(cutout, seed=0, progress=silent), scene)).run()
+    clip = _simulate(scene, example)
     path.parent.mkdir(exist_ok=True)
     view = scene.view.model_copy(update={"size": (size, size), "stage": "studio"})
     step = -(-len(clip) // LONGEST)
-    images = _telling(_film(clip, view, step))
+    camera = still_camera(clip, view, "front")
+    if size == CHIP:
+        camera = replace(camera, fov_y=CLOSE * camera.fov_y)
+    _save(_telling(_film(clip, view, camera, step)), scene, step, path, quality=60)
+
+
+def make_ready(name: str) -> None:
+    """Make a finished result of a preset: its film, its time, and for some its player."""
+    scene = Scene.named(name).replaced({"accuracy": "draft"})
+    start = time.perf_counter()
+    clip = _simulate(scene, READY[name][1])
+    seconds = time.perf_counter() - start
+    view = scene.view.model_copy(update={"size": FILM, "stage": "studio"})
+    camera, step = still_camera(clip, view, "front"), -(-len(clip) // LONGEST)
+    films = _film(clip, view, camera, step)
+    _save(films, scene, step, PREVIEWS / f"ready_{name}.webp", quality=70)
+    times = PREVIEWS / "ready.json"
+    known = json.loads(times.read_text("utf-8")) if times.exists() else {}
+    times.write_text(json.dumps({**known, name: round(seconds, 1)}, indent=1) + "\n", "utf-8")
+    if name in PLAYERS:
+        some = _thin(clip, step)
+        staged = pack_stage(make_stage(some, view), some)
+        data = pack(some, camera, background=view.background, stage=staged)
+        (PREVIEWS / f"ready_{name}.pack").write_bytes(data)
+
+
+def _simulate(scene: Scene, example: str) -> Clip:
+    """Simulate a scene with the object of an example picture."""
+    cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
+    return Simulation(prepare(make("relief")(cutout, seed=0, progress=silent), scene)).run()
+
+
+def _thin(clip: Clip, step: int) -> Clip:
+    """Keep every `step`-th frame and some Gaussians, enlarged to cover the same area."""
+    count = clip.means.shape[1]
+    chosen = np.sort(np.random.default_rng(0).permutation(count)[:SPLATS])
+    frames = []
+    for frame in list(clip.frames())[::step]:
+        g = frame.gaussians
+        larger = g.scales[chosen] * (count / len(chosen)) ** 0.5
+        parts = g.means[chosen], g.quats[chosen], larger, g.opacities[chosen], g.sh[chosen]
+        frames.append(Frame(frame.index, frame.time, Gaussians(*parts)))
+    return replace(Clip.from_frames(frames), scene=clip.scene)
+
+
+def _save(images: list[Image.Image], scene: Scene, step: int, path: Path, quality: int) -> None:
+    """Write an animated WebP that plays at 0.6 times the scene's speed."""
     duration = round(1000 * step / (0.6 * scene.time.fps))
     images[0].save(
         path,
@@ -90,18 +147,17 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
         append_images=images[1:],
         duration=duration,
         loop=0,
-        quality=60,
-        alpha_quality=60,
+        quality=quality,
+        alpha_quality=80 if quality > 60 else 60,
         method=6,
     )
 
 
-def _film(clip: Clip, view: View, step: int) -> list[Image.Image]:
+def _film(clip: Clip, view: View, camera: Camera, step: int) -> list[Image.Image]:
     """Render every `step`-th frame and a final pause, with shadow, walls and gloss.
 
     The background is transparent, because the page may be light or dark.
     """
-    camera = still_camera(clip, view, "front")
     frames, shine = list(clip.frames())[::step], make_shine(clip, view)
     if shine is not None:
         frames = list(shine.frames(frames, [camera] * len(frames)))

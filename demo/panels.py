@@ -9,6 +9,7 @@ from typing import Any
 import gradio as gr
 
 from .handlers import Handler
+from .handlers.run import NO_PICTURE
 
 HEAD = '<script src="phy124/static/server.js"></script>'
 MARK = "mark"
@@ -82,12 +83,12 @@ def others() -> gr.HTML:
 
 
 def progress() -> gr.HTML:
-    """Create the panel of progress and frames so far; "finished" and "again" report the end."""
+    """Create the panel of progress; "finished" and "again" report the end."""
     return _panel("progress", HEAD, events="'finished' 'again'")
 
 
 def viewer() -> gr.HTML:
-    """Create the panel that shows moving Gaussians in 3D."""
+    """Create the stage: ready results, the cut-out, the growing clip, the result in 3D."""
     return _panel("viewer", PLAYER)
 
 
@@ -102,7 +103,7 @@ def touch() -> gr.HTML:
 def forecast() -> gr.HTML:
     """Create the forecast as HTML; the event "measure" asks to measure the scene's error."""
     return gr.HTML(
-        "",
+        NO_PICTURE,
         js_on_load="Phy124.forecast(element, trigger); // 'measure'",
         head=HEAD,
         apply_default_css=False,
@@ -115,9 +116,9 @@ def history() -> gr.HTML:
     return _panel("history", HEAD, events="'show'")
 
 
-def videos() -> gr.HTML:
-    """Create the panel that shows the videos side by side."""
-    return _panel("videos", HEAD)
+def report() -> gr.HTML:
+    """Create the report panel; the event "finer" asks for the same motion at a finer accuracy."""
+    return _panel("report", HEAD, events="'finer'")
 
 
 def takeaway() -> gr.HTML:

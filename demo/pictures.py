@@ -28,6 +28,13 @@ from phy124.schema.section import Section
 from .settings import Settings
 from .visitors import Visitor, key
 
+MISSING = "Part of the object may be missing."
+"""First sentence about a doubtful cut-out; reasons follow."""
+REMEDIES = {
+    "foreground": "Mark the object with the brush, or use a picture with a plain background.",
+    "pick": "Click the middle of the object, or mark it with the brush.",
+}
+"""Field of an error -> what a visitor can do about it on the page."""
 HOW = "cutout"
 """Key of the PNG text that stores the method and quality of a cut-out."""
 Fraction = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
@@ -74,7 +81,7 @@ def viewable(picture: Path, deadline: Deadline = PATIENT) -> Path:
 def cut_out(
     picture: Path, path: Path, pick: Point | None = None, deadline: Deadline = PATIENT
 ) -> tuple[str, ...]:
-    """Write the cut-out of a picture; return reasons to doubt it.
+    """Write the cut-out of a picture; return a warning with its reasons, or the notes on its file.
 
     Args:
         picture: The picture.
@@ -85,9 +92,13 @@ def cut_out(
     Raises:
         InputError: No object is found in the picture.
     """
-    cut = foreground(open_image(picture, deadline=deadline), pick=pick, deadline=deadline)
+    try:
+        cut = foreground(open_image(picture, deadline=deadline), pick=pick, deadline=deadline)
+    except InputError as error:
+        remedy = REMEDIES.get(error.field, error.remedy)
+        raise InputError(error.field, error.value, error.limit, remedy) from error
     _save(cut, path)
-    return (*cut.notes, *cut.warnings)
+    return (MISSING, *cut.warnings, *cut.notes) if cut.warnings else cut.notes
 
 
 def cutout_file(visitor: Visitor, picture: Path, *more: Any) -> Path:

@@ -86,7 +86,7 @@ class Progress:
 
     def _row(self, name: str) -> dict[str, Any]:
         step, reused = self.stages.get(name), name in self.reused
-        note = "as before" if reused else step.note if step else ""
+        note = "reused" if reused else step.note if step else ""
         done, total = (step.done, step.total) if step else (0, 0)
         return {
             "name": self.names[name],

@@ -12,10 +12,36 @@ from phy124.accuracy.promises import Promise
 from phy124.imaging.cutout import title_of
 from phy124.scene import Scene
 
-from .forecast import promise_of
+from .forecast import describe_error, format_seconds, promise_of
 from .studies import Measurement
 
 WIDTH, HEIGHT, TALL, MARGIN = 280, 84, 130, 4
+
+
+def summarise(report: dict[str, Any], promise: Promise) -> list[dict[str, Any]]:
+    """Summarise a run for a visitor: its time, its error, and the worst strain or a problem.
+
+    Args:
+        report: The content of report.json.
+        promise: The error bound of the run.
+    """
+    lines: list[dict[str, Any]] = [{"text": f"It took {format_seconds(report['seconds'])}."}]
+    lines.append({"text": describe_error(promise)})
+    if report.get("stopped"):
+        lines.append({"text": f"It stopped early: {report['stopped']}", "warn": True})
+    elif report.get("balance", {}).get("tearing", {}).get("likely"):
+        lines.append({"text": "The material may have torn.", "warn": True})
+    elif volumes := (report.get("motion") or {}).get("min_J"):
+        lines.append({"text": _describe_squeeze(min(volumes))})
+    return lines
+
+
+def _describe_squeeze(volume: float) -> str:
+    """Describe the smallest volume of any part of the material, relative to the volume at rest."""
+    if volume > 0.97:
+        return "It was hardly squeezed at all."
+    size = "half its volume" if 0.45 < volume < 0.55 else f"{volume:.0%} of its volume"
+    return f"At worst, part of it was squeezed to {size.replace('%', ' %')}."
 
 
 def as_html(
@@ -49,10 +75,10 @@ def _accuracy(
 ) -> str:
     name = scene.get("accuracy")
     rows = [
-        ("Setting", name if isinstance(name, str) else "custom"),
+        ("Accuracy", name if isinstance(name, str) else "custom"),
         promise.row,
-        ("Time predicted", f"{predicted:.1f} s"),
-        ("Time spent", f"{report['seconds']:.1f} s"),
+        ("Predicted time", f"{predicted:.1f} s"),
+        ("Time", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),
         ("Particles", f"{report['particles']:,}"),
         ("Substeps", f"{report['substeps']:,}"),
@@ -103,13 +129,16 @@ def _anchor(x: float) -> str:
 
 
 def _stages(report: dict[str, Any]) -> str:
-    longest = max((stage["seconds"] for stage in report["stages"]), default=0) or 1
+    seconds = {stage["name"]: 0.0 for stage in report["stages"]}
+    for stage in report["stages"]:
+        seconds[stage["name"]] += stage["seconds"]
+    longest = max(seconds.values(), default=0) or 1
     rows = [
-        f"<tr><td>{escape(s['name'])}<span class='share' style='width:"
-        f"{100 * s['seconds'] / longest:.0f}%'></span></td><td>{s['seconds']:.2f} s</td></tr>"
-        for s in report["stages"]
+        f"<tr><td>{escape(name)}<span class='share' style='width:"
+        f"{100 * each / longest:.0f}%'></span></td><td>{each:.2f} s</td></tr>"
+        for name, each in seconds.items()
     ]
-    return _section("Stage times", f"<table>{''.join(rows)}</table>")
+    return _section("Time of each stage", f"<table>{''.join(rows)}</table>")
 
 
 def _cut_out(report: dict[str, Any]) -> str:
@@ -132,8 +161,8 @@ def _file(report: dict[str, Any]) -> str:
     if not file:
         return ""
     rows = [("Format", report["generator"]), ("Up, front", f"{file['up']}, {file['front']}")]
-    rows += [("Looks like", file["program"])] if file["program"] else []
-    return _section("File", _table([*rows, *(("Note", said) for said in report["cleaning"])]))
+    rows += [("Probably written by", file["program"])] if file["program"] else []
+    return _section("File", _table([*rows, *(("Note", note) for note in report["cleaning"])]))
 
 
 def _objects(report: dict[str, Any]) -> str:
@@ -160,7 +189,7 @@ def _motion(report: dict[str, Any]) -> str:
     balance = report.get("balance") or {}
     if balance.get("energy_gain") is not None:
         gain = balance["energy_gain"]
-        label = "Spurious energy" if gain > 0 else "Energy lost in addition to the walls' work"
+        label = "Spurious energy" if gain > 0 else "Numerical energy loss"
         rows.append((label, f"{abs(gain):.2%}"))
     if balance.get("momentum_gain") is not None:
         rows.append(("Spurious momentum", f"{balance['momentum_gain']:.2%}"))
@@ -194,7 +223,13 @@ def _section(title: str, body: str) -> str:
 
 
 def _table(rows: Sequence[tuple[str, Any]]) -> str:
-    cells = (f"<tr><td>{escape(k)}</td><td>{escape(str(v))}</td></tr>" for k, v in rows)
+    # Values of the same name share a row.
+    table: dict[str, list[str]] = {}
+    for name, value in rows:
+        table.setdefault(name, []).append(str(value))
+    cells = (
+        f"<tr><td>{escape(k)}</td><td>{escape(' '.join(v))}</td></tr>" for k, v in table.items()
+    )
     return f"<table>{''.join(cells)}</table>"
 
 

@@ -90,8 +90,8 @@ def missing(source: Source | None) -> InputError:
     """Return the error of a request without a picture, or whose picture was removed."""
     if source is None:
         return InputError("image", "none", "There is no picture yet.", "Choose one first.")
-    limit = "Your picture is no longer kept here."
-    return InputError("image", "gone", limit, "Choose it once more.")
+    limit = "The server no longer has your picture."
+    return InputError("image", "gone", limit, "Choose it again.")
 
 
 def check_file(path: Path, settings: Settings) -> None:

@@ -1,4 +1,4 @@
-"""Layout of the page: picture, scene and Generate on the left, results on the right."""
+"""Layout of the page: picture, scene and bar in a rail; stage and results fill the rest."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from gradio import themes
 
 from . import handlers, panels
 from .endpoints import endpoints
+from .handlers.results import REPORT
 from .jobs import Studio
 from .panels import mark_answers
 from .photo import fetch_nothing
@@ -30,12 +31,11 @@ EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
 """Options of events that must not be dropped, because each has different data."""
 LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
 """Options of events without data: after the last event the latest state is answered."""
-MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42" aria-hidden="true">
-<g fill="none" stroke="#0f766e" stroke-width="2.4"><ellipse cx="15" cy="27" rx="11" ry="9"/>
+MASTHEAD = """<div id="masthead"><p id="mark"><svg viewBox="0 0 42 42" aria-hidden="true">
+<g fill="none" stroke="currentColor" stroke-width="2.6"><ellipse cx="15" cy="27" rx="11" ry="9"/>
 <ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>
 <ellipse cx="29" cy="12" rx="9" ry="5" transform="rotate(-48 29 12)" opacity=".3"/></g></svg>
-<div><h1>phy124</h1><p>One photograph in, a moving and physically right 3D object out.</p>
-</div></div>"""
+phy124</p><h1>One picture in,<br>a moving 3D object out.</h1></div>"""
 
 
 def open_studio(settings: Settings, root: Path) -> Studio:
@@ -47,23 +47,24 @@ def open_studio(settings: Settings, root: Path) -> Studio:
 def build(studio: Studio) -> gr.Blocks:
     """Build the page."""
     with gr.Blocks(title="phy124", fill_width=True, analytics_enabled=False) as page:
-        gr.HTML(MASTHEAD, apply_default_css=False)
         source, done = gr.State(None), gr.State(None)
-        with gr.Row(elem_id="columns"):
-            with gr.Column(elem_id="left"):
-                picture, others, extras = _picture()
-                scene = _scene()
-                forecast, go, cancel, grab = _go()
-            with gr.Column(elem_id="right"):
-                progress = panels.progress()
-                touch = panels.touch()
-                viewer = panels.viewer()
-                history = panels.history()
-                videos, report, takeaway, fit = _results()
-        results = [viewer, videos, report, takeaway, history]
-        _wire_picture(studio, picture, source, others, extras)
+        with gr.Row(elem_id="page"):
+            with gr.Column(elem_id="scroll"):
+                with gr.Column(elem_id="side"):
+                    gr.HTML(MASTHEAD, apply_default_css=False)
+                    picture, extras, others = panels.picture(), panels.extras(), panels.others()
+                    scene = panels.scene()
+                with gr.Column(elem_id="under"):
+                    report, takeaway = panels.report(), panels.takeaway()
+                    history, fit = panels.history(), panels.fit()
+            with gr.Column(elem_id="bar"):
+                progress, forecast, go, cancel, grab = _bar()
+            with gr.Column(elem_id="stage"):
+                viewer, touch = panels.viewer(), panels.touch()
+        results = [viewer, report, takeaway, history]
         asked = [source, scene, extras]
-        _wire_forecast(studio, asked, forecast)
+        cut = _wire_picture(studio, picture, source, others, extras)
+        _wire_forecast(studio, asked, cut, forecast)
         for again in (grab.click, touch.begin):
             again(handlers.on_touch(studio), asked, touch, **QUIET)
         touch.save(handlers.on_save(studio), [source, extras], [progress, go, cancel], **QUIET)
@@ -97,61 +98,33 @@ def theme() -> themes.Base:
     )
 
 
-def _heading(number: int, title: str) -> gr.HTML:
-    return gr.HTML(f"<h2><b>{number}</b>{title}</h2>", apply_default_css=False)
+def _bar() -> tuple[gr.HTML, gr.HTML, gr.Button, gr.Button, gr.Button]:
+    progress, forecast = panels.progress(), panels.forecast()
+    go = gr.Button("Generate", variant="primary", elem_id="go", min_width=0)
+    grab = gr.Button("Touch", elem_id="begin-touch", min_width=0)
+    cancel = gr.Button("Cancel", elem_id="cancel", visible=False, min_width=0)
+    return progress, forecast, go, cancel, grab
 
 
-def _picture() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
-    with gr.Column(elem_id="picture-panel"):
-        _heading(1, "Picture")
-        return panels.picture(), panels.others(), panels.extras()
-
-
-def _scene() -> gr.HTML:
-    with gr.Column(elem_id="scene-panel"):
-        _heading(2, "What happens")
-        return panels.scene()
-
-
-def _go() -> tuple[gr.HTML, gr.Button, gr.Button, gr.Button]:
-    with gr.Column(elem_id="go-panel"):
-        forecast = panels.forecast()
-        with gr.Row(elem_id="go-row"):
-            go = gr.Button("Generate", variant="primary", elem_id="go", scale=3)
-            grab = gr.Button("Touch", elem_id="begin-touch", scale=1, min_width=80)
-            cancel = gr.Button("Cancel", elem_id="cancel", visible=False, scale=1, min_width=96)
-    return forecast, go, cancel, grab
-
-
-def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML, gr.HTML]:
-    with gr.Tabs(elem_id="results"):
-        with gr.Tab("Videos"):
-            videos = panels.videos()
-        with gr.Tab("Report"):
-            empty = '<p class="empty">Where the time went, and how stable it was.</p>'
-            report = gr.HTML(empty, apply_default_css=False, elem_id="report")
-        with gr.Tab("Take away"):
-            takeaway = panels.takeaway()
-        with gr.Tab("Fit"):
-            fit = panels.fit()
-    return videos, report, takeaway, fit
-
-
-def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, extras: Any) -> None:
+def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, extras: Any) -> Any:
+    """Connect the pictures' events; return the event of a new source."""
     picture.choose(handlers.on_choose(studio), None, [picture, source, extras], **EACH)
     picture.correct(handlers.on_correct(studio), [picture, source], picture, **EACH)
     shown = [picture, source]
-    picture.cut(handlers.on_cut_end(studio), shown, [*shown, extras], **EACH)
+    cut = picture.cut(handlers.on_cut_end(studio), shown, [*shown, extras], **EACH)
     extras.choose(handlers.on_choose_view(studio), None, extras, **EACH)
     others.choose(handlers.on_choose_object(studio), None, others, **EACH)
     for panel in (others, extras):
         panel.view(handlers.on_view_cut(studio), None, panel, **EACH)
+    return cut
 
 
-def _wire_forecast(studio: Studio, asked: list[Any], forecast: Any) -> None:
-    changes = [component.change for component in asked]
-    changed = gr.on(changes, handlers.on_scene_changed(studio), asked, forecast, **LAST)
-    changed.then(handlers.on_refine(studio), asked, forecast, **LAST)
+def _wire_forecast(studio: Studio, asked: list[Any], cut: Any, forecast: Any) -> None:
+    # Gradio reports no change of a state after an event without its queue: the cut-out is named.
+    changes = [*(component.change for component in asked), cut.then]
+    for change in changes:
+        changed = change(handlers.on_scene_changed(studio), asked, forecast, **LAST)
+        changed.then(handlers.on_refine(studio), asked, forecast, **LAST)
 
 
 def _wire_run(
@@ -169,6 +142,7 @@ def _wire_run(
     for again in (go.click, progress.again):
         again(start, asked, started, **QUIET)
     forecast.measure(handlers.on_measure(studio), asked, started, **QUIET)
+    results[REPORT].finer(handlers.on_finer(studio), done, started, **QUIET)
     cancel.click(handlers.on_cancel(studio), None, None, **EACH)
     finish, shown = handlers.on_job_end(studio), [forecast, done, go, cancel, *results]
     shows = (progress.finished, results[-1].show)

@@ -75,6 +75,11 @@ class Visitor:
         """Return the latest job of these kinds, or None."""
         return next((j for j in reversed(list(self.jobs.values())) if j.kind in kinds), None)
 
+    def run_of(self, result: object) -> Job | None:
+        """Return the latest run with this result, or None."""
+        runs = [job for job in self.jobs.values() if job.kind == "run"]
+        return next((j for j in reversed(runs) if result and j.progress.result == result), None)
+
     def stop(self) -> None:
         """Cancel all jobs that are running or waiting."""
         for job in list(self.jobs.values()):

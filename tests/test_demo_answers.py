@@ -77,9 +77,10 @@ def test_a_picture_without_an_object_stays(studio, handlers, tmp_path):
 def test_a_probe_that_is_not_made_gives_the_forecast(studio, handlers, monkeypatch):
     """Else the answer to an older scene would stay."""
     monkeypatch.setattr(handlers.run, "visitor_of", lambda _: "a")
-    asked = (None, Scene.named("drop").data(), None, None)
+    asked = (Cutout("/gone", "/gone"), Scene.named("drop").data(), None, None)
     assert handlers.on_refine(studio)(*asked) == handlers.on_scene_changed(studio)(*asked) != ""
-    assert handlers.on_refine(studio)(None, None, None, None) == ""
+    for handler in (handlers.on_refine, handlers.on_scene_changed):
+        assert "no picture yet" in handler(studio)(None, asked[1], None, None)
 
 
 def test_each_stage_of_a_run_has_one_time(studio):

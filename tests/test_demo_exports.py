@@ -145,7 +145,7 @@ def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(
     told = prepare(done, None, asked, "cookie me")["share"]
     assert told == prepare(done, None, asked, "cookie me")["share"], "one link for one result"
     assert "1.5 minutes" in told["lasts"]
-    assert "no longer stored" in prepare(done, None, asked, "cookie you")["message"]
+    assert "no longer has this result" in prepare(done, None, asked, "cookie you")["message"]
     app = Starlette(routes=[Route("/phy124/shared/{token}", shared_route(visitors))])
     with TestClient(app) as client:
         answer = client.get(told["link"])
@@ -160,7 +160,7 @@ def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(
 
 
 def test_unknown_formats_and_failing_writers_leave_nothing(export, done):
-    with pytest.raises(InputError, match="not offered"):
+    with pytest.raises(InputError, match="does not offer"):
         export("exe")
     (done.clip / "clip.safetensors").unlink()
     for kind, offer in EXPORTS.items():

@@ -20,6 +20,7 @@ from demo.jobs import Studio
 from demo.settings import Settings
 from demo.visitors import Room, Visitors
 from demo.work import Done
+from phy124.accuracy.forecast import Load, format_span
 from phy124.budget.cost import Rates
 from phy124.errors import Cancelled, InputError
 from phy124.io.video import write_mp4
@@ -159,6 +160,14 @@ def test_what_cannot_be_fitted_is_refused_in_a_sentence(studio):
     assert not studio.visitors.get("a").busy
 
 
+def test_forecast_of_a_fit_stays_below_its_time_limit(studio, monkeypatch):
+    done, _ = prepared(studio, Search({}))
+    monkeypatch.setattr(Load, "span", lambda *_, **__: (10.0, 9000.0))
+    offer = studio.fits.offer(done)
+    span = format_span((10.0, offer["budget"]["value"]))
+    assert offer["sentence"] == f"A fit takes {span}."
+
+
 def test_a_fit_is_forecast_and_asked_for_as_declared(studio):
     done, video = prepared(studio, Search({}))
     offer = studio.fits.offer(done)
@@ -257,7 +266,7 @@ def test_the_panel_shows_film_and_fit_picture_by_picture(studio, handlers):
     assert panel["found"]["material"]["E"] == Scene.named("press").data()["material"]["E"]
     assert "<polyline" in panel["found"]["figure"] and panel["found"]["film"]["size"] == 4
     assert [one["label"] for one in files["files"] if "Fit" in one["label"]] == [
-        "Fit: filmed and fitted",
+        "Fit: video and simulation",
         "Fit: report",
         "Fit: scene",
     ]

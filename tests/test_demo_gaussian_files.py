@@ -185,4 +185,4 @@ def test_the_forecast_is_that_of_the_file(studio):
         for one in (file, small)
     ]
     assert both[0].seconds > both[1].seconds
-    assert studio.forecast("a", file, scene) == both[0].sentence
+    assert studio.forecast("a", file, scene).sentence == both[0].sentence

@@ -33,7 +33,7 @@ def test_jobs_are_done_in_turn_and_know_their_place():
 
     one, two = (line.submit(Job(kind, Path("/nowhere/stop")), work) for kind in ("one", "two"))
     assert (holding.place, one.place, two.place) == (0, 1, 2)
-    with pytest.raises(InputError, match="queue is full"):
+    with pytest.raises(InputError, match="Too many visitors"):
         line.submit(Job("three", Path("/nowhere/stop")), work)
     done.append("let go")
     assert two.wait(60) and done == ["let go", "one", "two"]

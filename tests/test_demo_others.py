@@ -93,10 +93,10 @@ def test_its_picture_has_the_limits_of_the_first(studio, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"objects.0.picture": "/etc/passwd"}, "no file except a picture"),
-        ({"objects.0.picture": str(DUCK)}, "no file except a picture"),
-        ({"objects.0.file": str(DUCK)}, "objects.0.file = given: .*made of pictures"),
-        ({"objects.0.mesh": "/etc/passwd"}, "objects.0.mesh = given: .*made of pictures"),
+        ({"objects.0.picture": "/etc/passwd"}, "cannot name a file, except"),
+        ({"objects.0.picture": str(DUCK)}, "cannot name a file, except"),
+        ({"objects.0.file": str(DUCK)}, "objects.0.file = given: .*made from pictures"),
+        ({"objects.0.mesh": "/etc/passwd"}, "objects.0.mesh = given: .*made from pictures"),
         ({"objects.0.generator": "/etc/passwd"}, "objects.0.generator = given"),
         ({"objects.0.generator": "lgm"}, "objects.0.generator = given"),
     ],
@@ -110,7 +110,7 @@ def test_it_is_made_of_nothing_but_a_picture_that_was_sent(studio, changes, said
 def test_a_picture_of_another_visitor_is_none(studio):
     theirs = _sent(studio, TEDDY.read_bytes(), "b")
     studio.visitors.get("a")
-    with pytest.raises(InputError, match="no file except a picture"):
+    with pytest.raises(InputError, match="cannot name a file, except"):
         _order(studio, _collide(**{"objects.0.picture": theirs}))
 
 

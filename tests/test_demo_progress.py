@@ -11,7 +11,7 @@ def test_stages_are_listed_from_the_start_and_fill():
     for event in (Reused("generate"), Step("simulate", 3, 14, "a note"), None):
         progress.take(event)
     reused, simulate, render, _ = progress.data()["stages"]
-    assert reused["reused"] and reused["note"] == "as before"
+    assert reused["reused"] and reused["note"] == "reused"
     assert (simulate["done"], simulate["total"], simulate["note"]) == (3, 14, "a note")
     assert (render["done"], render["total"], render["note"]) == (0, 0, "")
 

@@ -146,7 +146,7 @@ def test_what_is_no_scene_is_refused(data):
 
 def test_long_scenes_are_refused_before_they_are_read(monkeypatch):
     monkeypatch.setattr(Scene, "from_data", lambda *_: pytest.fail("it was read"))
-    with pytest.raises(InputError, match=r"longer than the .* characters"):
+    with pytest.raises(InputError, match=r"longer than .* characters"):
         scene_of({"x" * 300_000: 1}, Settings())
 
 
@@ -163,7 +163,7 @@ def test_scenes_from_outside_name_no_file_of_the_server(change, tmp_path):
     """The answer tells nobody whether there is such a file."""
     data = {**Scene.named("press").data(), **change}
     for uploads in (None, tmp_path):
-        with pytest.raises(InputError, match="may name no file except a picture"):
+        with pytest.raises(InputError, match="cannot name a file, except a picture"):
             scene_of(data, Settings(), uploads)
 
 

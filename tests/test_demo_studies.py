@@ -131,16 +131,16 @@ def test_study_is_offered_where_nothing_was_measured(visit, handlers, monkeypatc
     studio, cutout, data = visit
 
     def shown(data):
-        text = studio.forecast("a", cutout, data)
-        return handlers.run.with_stops(studio, "a", cutout, data, None, text)
+        estimate = studio.forecast("a", cutout, data)
+        return handlers.run.with_stops(studio, "a", cutout, data, None, estimate)
 
     drop = Scene.named("drop")
     assert "whose thickness is not known yet" in shown(drop.replaced({"time.frames": 14}).data())
     monkeypatch.setattr(studio, "thickness", lambda *about: 0.5)
     assert "data-measure" not in shown(drop.replaced({"time.frames": 14}).data())
-    assert "Error after 0.65 s not measured; <button" in shown(drop.data())
+    assert "data-measure" in shown(drop.data())
     before = shown(data)
-    assert "data-measure>Measure</button> takes " in before
+    assert "data-measure>Measure</button> <span>about " in before
     assert "phy124 accuracy" not in before, "a visitor has no command line"
     jobs = [studio.measure("a", cutout, data) for _ in range(2)]
     for job in jobs:
@@ -148,7 +148,7 @@ def test_study_is_offered_where_nothing_was_measured(visit, handlers, monkeypatc
         assert [row["name"] for row in job.progress.data()["stages"]] == ["Picture to 3D", "Grids"]
     assert "measure" in jobs[1].progress.reused, "a second click measures nothing again"
     after = shown(data)
-    assert "data-measure" not in after and "Measured: about" in after
+    assert "data-measure" not in after and 'class="measured">Off by about' in after
     assert all(f"<td>D/{cells}</td>" in after for cells in GRIDS)
     assert "error not measured" not in after
 
@@ -163,9 +163,9 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch):
     run = studio.run("a", cutout, data)
     assert run.wait(300) and run.progress.state == "done", run.progress.message
     shown = run.progress.result
-    assert "Error promised</td><td>not measured for hencky" in handlers.results.report_of(
-        studio, run
-    )
+    report = handlers.results.report_of(studio, run)
+    assert report["sentences"][1]["text"] == "How far it is off has not been measured."
+    assert "not measured for hencky" in report["tables"]
     study = Job("measure", studio.visitors.get("a").new_stop_file())
     studio.visitors.get("a").remember(study)
     shown.study.write_text(_found(0.08, 0.06, 0.04).model_dump_json(), "utf-8")
@@ -173,10 +173,12 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch):
     event = gr.EventData(None, {"job": study.name})
     finished = handlers.on_job_end(studio)(cutout, data, None, shown, event, None)
     assert finished[1] == gr.skip(), "the same run is shown"
-    assert "Error measured</td><td>about 6.0%" in finished[-5 + handlers.results.REPORT]
+    assert "about 6.0%" in finished[handlers.results.REPORT - 4]["tables"]
     again = studio.run("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}})
     assert again.wait(300) and again.progress.result.films != shown.films
-    assert "Error measured</td><td>about 6.0%" in handlers.results.report_of(studio, again)
+    report = handlers.results.report_of(studio, again)
+    assert "about 6.0%" in report["tables"]
+    assert report["sentences"][1]["text"].startswith("It is off by about 6 % of its size")
 
 
 def test_missing_kernels_are_forecast_and_not_probed(visit, monkeypatch):
@@ -184,10 +186,11 @@ def test_missing_kernels_are_forecast_and_not_probed(visit, monkeypatch):
     job = studio.run("a", cutout, data)
     assert job.wait(300) and job.progress.state == "done", job.progress.message
     other = {**data, "time": {**data["time"], "frames": 3}}
-    assert "compiles" not in studio.forecast("a", cutout, other)
+    assert "compiles" not in studio.forecast("a", cutout, other).sentence
     assert studio.refine("a", cutout, other)
     monkeypatch.setattr("demo.jobs.seconds_to_compile", lambda *_: 5.0)
-    assert "The first run of this kind compiles for about" in studio.forecast("a", cutout, other)
+    cold = studio.forecast("a", cutout, other).sentence
+    assert "The first run of this kind compiles for about" in cold
     assert studio.refine("a", cutout, other) is None
 
 

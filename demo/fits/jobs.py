@@ -60,7 +60,6 @@ class Fits:
 
         Raises:
             InputError: The result cannot be fitted here.
-            InputError: It cannot be fitted here.
         """
         if done is None or not (done.clip / "report.json").exists():
             raise InputError("run", "none", NO_RESULT, "Generate one first.")
@@ -74,9 +73,10 @@ class Fits:
         most = self.settings.max_fit_seconds
         if least > most:
             limit = f"A fit of this scene takes at least {least:.0f} s; {most:g} s are allowed."
-            raise InputError("seconds", "over", limit, "Choose fewer frames.")
-        span = format_span(self.forecaster.load().span(usual, unsure=GUESS))
+            raise InputError("seconds", "over", limit, "Choose a shorter length.")
         budget = {"least": round(least), "most": most, "value": round(min(ROOM * usual, most))}
+        low, high = self.forecaster.load().span(usual, unsure=GUESS)
+        span = format_span((min(low, budget["value"]), min(high, budget["value"])))
         return {"sentence": f"A fit takes {span}.", "seconds": usual, "budget": budget}
 
     def begin(self, name: str, done: Done | None, video: Any, options: dict[str, Any]) -> Job:

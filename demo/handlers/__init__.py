@@ -11,7 +11,16 @@ from .picture import (
     on_view_cut,
 )
 from .results import on_job_end, on_load, on_prepare
-from .run import on_cancel, on_generate, on_measure, on_refine, on_save, on_scene_changed, on_touch
+from .run import (
+    on_cancel,
+    on_finer,
+    on_generate,
+    on_measure,
+    on_refine,
+    on_save,
+    on_scene_changed,
+    on_touch,
+)
 
 __all__ = [
     "Handler",
@@ -21,6 +30,7 @@ __all__ = [
     "on_choose_view",
     "on_correct",
     "on_cut_end",
+    "on_finer",
     "on_fit_begin",
     "on_fit_end",
     "on_fit_stop",

@@ -17,12 +17,12 @@ from ..extras import AXES
 from ..guard import address_of, visitor_of
 from ..jobs import Studio
 from ..line import Job, user_message
-from ..pictures import is_shown, read_place, read_strokes
+from ..pictures import MISSING, is_shown, read_place, read_strokes
 from ..source import Cutout, GaussianFile, Source
 from .event import Handler, data_of, file_of, job_of, path_of, table_of
 
-IF_WRONG = "If it is wrong, click the object in your picture, or correct it with the brush."
-FORGOTTEN = "The server no longer has this picture. Choose it once more."
+CORRECT = " Click the object, or correct it."
+FORGOTTEN = "The server no longer has this picture. Choose it again."
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -76,8 +76,10 @@ def on_cut_end(studio: Studio) -> Handler:
             return {**table_of(shown), **failed}, source, gr.skip()
         if isinstance(made, GaussianFile):
             return show_source(made), made, ways(made)
-        doubts = [*made.doubts, IF_WRONG] if made.doubts else []
-        return {**show_source(made), "doubts": " ".join(doubts)}, made, gr.skip()
+        doubts = _doubts(made)
+        if made.doubts[:1] == (MISSING,):
+            doubts["warning"] += CORRECT
+        return {**show_source(made), **doubts}, made, gr.skip()
 
     return show
 
@@ -86,9 +88,14 @@ def show_source(made: Source) -> dict[str, Any]:
     """Return the picture panel's value for the object's source."""
     picture = file_of(Path(made.picture))
     if isinstance(made, Cutout):
-        return {"picture": picture, "cutout": file_of(Path(made.path)), "by": made.by}
+        return {"picture": picture, "cutout": file_of(Path(made.path))}
     text = f"{made.format[0].upper()}{made.format[1:]}, {made.count:,} Gaussians."
     return {"picture": picture, "file": " ".join([text, *made.notes])}
+
+
+def _doubts(made: Cutout) -> dict[str, str]:
+    """Return the warning about a cut-out, and its reasons, which the page shows on request."""
+    return {"warning": "".join(made.doubts[:1]), "doubts": " ".join(made.doubts[1:])}
 
 
 def ways(made: GaussianFile) -> dict[str, Any]:
@@ -121,7 +128,7 @@ def _sent_example(studio: Studio, visitor: str, name: Any) -> str:
     """Store an example picture as an upload of the visitor."""
     path = EXAMPLES / f"{name}.png"
     if path not in EXAMPLES.glob("*.png"):
-        raise InputError("image", "none", "There is no such example.", "Choose another one.")
+        raise InputError("image", "none", "This example does not exist.", "Choose another one.")
     return str(studio.visitors.store(visitor, path.read_bytes(), ".png"))
 
 
@@ -166,7 +173,7 @@ def on_view_cut(studio: Studio) -> Handler:
         made = job.progress.result
         if made is None:
             return _answer(event, message=job.progress.message)
-        return _answer(event, **show_source(made), doubts=" ".join(made.doubts))
+        return _answer(event, **show_source(made), **_doubts(made))
 
     return show
 

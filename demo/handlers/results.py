@@ -7,47 +7,50 @@ from typing import Any
 
 import gradio as gr
 
+from phy124.accuracy import Stop
 from phy124.camera import VIEWS
 from phy124.errors import InputError
-from phy124.io.clip import Clip, read_scene, read_shape
+from phy124.io.clip import read_scene, read_shape
 from phy124.io.formats import FORMATS
 from phy124.scene import Scene
 
 from ..exports import EXPORTS, export
 from ..fits import newest
+from ..forecast import format_percent, format_seconds, promise_of
 from ..guard import visitor_of
 from ..jobs import Studio
 from ..line import Job, user_message
 from ..progress import Measured
-from ..report import as_html
+from ..report import as_html, summarise
 from ..source import GaussianFile, is_there
 from ..studies import read_study
 from ..visitors import Visitor
 from ..work import Done
 from .event import Handler, data_of, file_of, job_of
 from .picture import show_source, ways
-from .run import busy_buttons, follow_job, forecast_of, idle_buttons
+from .run import busy_buttons, follow_job, forecast_of, idle_buttons, next_accuracy
 
-NOT_SHOWN = [gr.skip()] * 5
+NOT_SHOWN = [gr.skip()] * 4
 """Leaves the result panels unchanged."""
 SHARE = "share"
 """Value of `kind` that asks for a link instead of a format."""
-REPORT, TAKEAWAY = 2, 3
+REPORT, TAKEAWAY = 1, 2
 """Indices of the report and of the download panel among the result panels."""
-GONE = "The result is no longer stored. Generate it again."
+GONE = "The server no longer has this result. Generate it again."
 FORGOTTEN = {"message": GONE}, {"runs": []}
 """Values of download panel and history after a visitor's files were removed."""
 FILES = {
-    "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
-    "gaussians.ply": ("3DGS PLY, at rest", f"Opens in {FORMATS['ply'].opens_in}"),
-    "orbit.webp": ("Orbit, animated WebP", "For a message"),
-    "scene.toml": ("Scene", "Every setting, to run again"),
-    "report.json": ("Report", "Times, effects, stability"),
+    "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124", "experts", "clip"),
+    "gaussians.ply": ("PLY, at rest", f"Opens in {FORMATS['ply'].opens_in}", "programs", "PLY"),
+    "orbit.webp": ("Animated picture", "WebP, for a message", "show", "animated picture"),
+    "scene.toml": ("Scene", "Every setting, to run it again", "experts", "scene"),
+    "report.json": ("Report", "Times, effects, stability", "experts", "report"),
 }
+"""File of a result -> its name, a hint, its group in the download panel, and its short name."""
 
 FITTED = {
-    "comparison.mp4": ("Fit: filmed and fitted", "Side by side, MP4"),
-    "comparison.html": ("Fit: picture by picture", "Opens in any browser, offline"),
+    "comparison.mp4": ("Fit: video and simulation", "Side by side, MP4"),
+    "comparison.html": ("Fit: frame by frame", "Opens in any browser, offline"),
     "comparison.png": ("Fit: eight instants", "PNG"),
     "fitted.toml": ("Fit: scene", "With the fitted softness"),
     "fit.json": ("Fit: report", "Softness, interval, all runs"),
@@ -132,31 +135,45 @@ def _restore_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
 
 
 def results(studio: Studio, name: str, job: Job) -> list[Any]:
-    """Return the values of viewer, videos, report, download panel and history."""
+    """Return the values of viewer, report, download panel and history."""
     done: Done = job.progress.result
-    clip = Clip.load(done.clip / "clip.safetensors")
-    films = [{"name": path.stem, "file": file_of(path)} for path in _films(done)]
-    length = float(clip.times[-1] - clip.times[0])
     return [
         {
             "pack": file_of(done.films / "clip.pack"),
             "invented": done.report.get("generator") in ("relief", "triposr"),
         },
-        {"films": films, "length": length},
         report_of(studio, job),
         takeaway_of(done),
         {"runs": _earlier(studio, name, done)},
     ]
 
 
-def report_of(studio: Studio, job: Job) -> str:
-    """Format the report of a finished run, with the errors measured on its scene."""
+def report_of(studio: Studio, job: Job) -> dict[str, Any]:
+    """Return the report panel's value for a finished run, with the errors of its scene.
+
+    It has three sentences for a visitor, what a finer run would cost, and tables for experts.
+    """
     done: Done = job.progress.result
     report, study = done.report, read_study(done.study)
     data = read_scene(done.clip / "clip.safetensors")
     scene, count, thickness = Scene.from_data(data), report["gaussians"], report.get("thickness")
     stops = studio.forecaster.stops(scene, gaussians=count, thickness=thickness, study=study)
-    return as_html(report, data, job.progress.expected, stops, study)
+    promise = promise_of(scene, thickness, study, report)
+    return {
+        "sentences": summarise(report, promise),
+        "finer": _describe_finer(job, stops),
+        "tables": as_html(report, data, job.progress.expected, stops, study),
+    }
+
+
+def _describe_finer(job: Job, stops: list[Stop]) -> str:
+    """Describe time and error of the next accuracy; empty if there is none."""
+    name = next_accuracy(job.asked[1]) if job.asked[1] else None
+    stop = next((each for each in stops if each.name == name), None)
+    if stop is None:
+        return ""
+    time = f"about {format_seconds(stop.seconds)}"
+    return time if stop.error is None else f"{time}, at most {format_percent(stop.error)} off"
 
 
 def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, Any]]:
@@ -169,11 +186,12 @@ def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, An
         seen.add(done.films)
         scene = read_scene(done.clip / "clip.safetensors")
         accuracy = f", {scene['accuracy']}" if isinstance(scene["accuracy"], str) else ""
+        seconds = scene["time"]["frames"] / scene["time"]["fps"]
         runs.append(
             {
                 "job": job.name,
                 "title": str(scene["material"]["law"]).replace("_", " ").capitalize(),
-                "detail": f"{scene['time']['frames']} frames{accuracy}",
+                "detail": f"{seconds:.2g} s{accuracy}",
                 "picture": file_of(done.films / "orbit.webp"),
                 "pack": file_of(done.films / "clip.pack"),
                 "current": done == shown,
@@ -224,26 +242,36 @@ def takeaway_of(done: Done) -> dict[str, Any]:
     files, offers = [], []
     frames, gaussians = read_shape(done.clip / "clip.safetensors")
     for path in _films(done):
-        files.append(_link(path, f"Video, {path.stem}", "MP4"))
-    for name, (label, hint) in FILES.items():
+        files.append(_link(path, f"Video, {path.stem}", "MP4", "videos"))
+    for name, about in FILES.items():
         for folder in (done.films, done.clip):
             if (folder / name).exists():
-                files.append(_link(folder / name, label, hint))
+                files.append(_link(folder / name, *about))
                 break
     fitted = newest(done)
     for path in fitted.files if fitted else ():
         if path.name in FITTED:
-            files.append(_link(path, *FITTED[path.name]))
+            files.append(_link(path, *FITTED[path.name], "experts"))
     for kind, offer in EXPORTS.items():
+        group = {"html": "show", "mcap": "experts"}.get(kind, "programs")
         if (done.exports / offer.file).exists():
-            files.append(_link(done.exports / offer.file, offer.label, offer.hint))
+            files.append(_link(done.exports / offer.file, offer.label, offer.hint, group))
         elif offer.available():
             about = offer.about(frames, gaussians)
-            offers.append({"kind": kind, "label": offer.label, "hint": offer.hint, "about": about})
-    hint = "Plays in any browser as long as your files are kept here"
-    offers.append({"kind": SHARE, "label": "Link to share", "hint": hint})
-    return {"result": done.films.name, "files": files, "offers": offers}
+            each = {"kind": kind, "label": offer.label, "hint": offer.hint, "about": about}
+            offers.append({**each, "group": group})
+    hint = "Plays in any browser as long as your files are stored here"
+    offers.append({"kind": SHARE, "label": "Link", "hint": hint, "group": "show"})
+    clip = read_scene(done.clip / "clip.safetensors")
+    length = frames / clip["time"]["fps"] if "time" in clip else 1.0
+    return {"result": done.films.name, "files": files, "offers": offers, "length": length}
 
 
-def _link(path: Path, label: str, hint: str) -> dict[str, Any]:
-    return {"label": label, "hint": hint, "file": file_of(path)}
+def _link(path: Path, label: str, hint: str, group: str, brief: str = "") -> dict[str, Any]:
+    return {
+        "label": label,
+        "hint": hint,
+        "group": group,
+        "brief": brief,
+        "file": file_of(path),
+    }

@@ -7,31 +7,33 @@ from typing import Any
 
 import gradio as gr
 
-from phy124.accuracy.forecast import GUESS, format_span
+from phy124.accuracy.promises import Promise
 from phy124.errors import InputError
-from phy124.scene import Scene
+from phy124.scene import PRESETS, Scene
 
 from ..catalogue import scene_of
-from ..forecast import promise_of, stops_table
+from ..forecast import Estimate, describe_error, format_seconds, stops_table
 from ..guard import visitor_of
 from ..jobs import Studio
 from ..line import Job, api_message, user_message
-from ..progress import Progress
+from ..progress import Done, Progress
 from ..source import Source
-from ..studies import Measurement
 from ..touch import limits_of
 from ..visitors import key
 from .event import Handler
 
 FORGOTTEN = "The live run has ended. Start another one."
+NO_PICTURE = '<p class="none">no picture yet</p>'
+INFO = """<svg viewBox="0 0 20 20" role="img" aria-label="More about the time and the error">
+<circle cx="10" cy="10" r="7.6"/><path d="M10 9.2v4.4M10 6.4v.1"/></svg>"""
 
 
 def on_scene_changed(studio: Studio) -> Handler:
     """Handle a change of the scene: return its forecast."""
 
     def forecast(source: Source | None, scene: Any, extras: Any, request: gr.Request) -> str:
-        if not scene:
-            return ""
+        if not scene or source is None:
+            return NO_PICTURE
         return forecast_of(studio, visitor_of(request), source, scene, extras)
 
     return forecast
@@ -57,8 +59,8 @@ def forecast_of(
         opened: Whether the table of accuracies is open.
     """
     try:
-        text = studio.forecast(name, source, data, extras)
-        return with_stops(studio, name, source, data, extras, text, opened=opened)
+        estimate = studio.forecast(name, source, data, extras)
+        return with_stops(studio, name, source, data, extras, estimate, opened=opened)
     except InputError as error:
         return show_refusal(error)
 
@@ -74,13 +76,11 @@ def with_stops(
     source: Source | None,
     data: Any,
     extras: Any,
-    text: str,
+    estimate: Estimate,
     *,
     opened: bool = False,
 ) -> str:
-    """Format a forecast as a line of HTML that opens a table of the named accuracies.
-
-    Below the line is the error measured on this scene, or a button to measure it.
+    """Format a forecast as its time, which opens a panel with the error and the accuracies.
 
     Args:
         studio: The state shared by all visitors.
@@ -88,7 +88,7 @@ def with_stops(
         source: The object's source; None if it no longer exists.
         data: The scene as plain data.
         extras: Optional inputs in addition to the front picture, by option.
-        text: The forecast.
+        estimate: The forecast.
         opened: Whether the table is open.
 
     Raises:
@@ -97,7 +97,7 @@ def with_stops(
     visitor = studio.visitors.find(name)
     scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
     study = studio.study(name, source, scene, extras)
-    error = _error_line(studio, name, source, scene, extras, study)
+    error = _error_line(studio, name, source, scene, extras, estimate.promise)
     stops = studio.forecaster.stops(
         scene,
         gaussians=studio.count(source),
@@ -108,10 +108,11 @@ def with_stops(
     table = stops_table(stops, scene.accuracy)
     if study is not None:
         table += f"<p>Measured on this scene, without drawing:</p>{study.table()}"
-    brief, _, rest = text.partition(": ")
+    _, _, rest = estimate.sentence.partition(": ")
     return (
-        f"<details{' open' if opened else ''}><summary>{escape(brief)}</summary>"
-        f"<p>{escape(rest)}</p>{table}</details>{error}"
+        f'<details class="pop about"{" open" if opened else ""}><summary>about '
+        f'{format_seconds(estimate.seconds)} {INFO}</summary><div class="panel">{error}{table}'
+        f"<small>{escape(rest)}</small></div></details>"
     )
 
 
@@ -121,32 +122,32 @@ def _error_line(
     source: Source | None,
     scene: Scene,
     extras: Any,
-    study: Measurement | None,
+    promise: Promise,
 ) -> str:
-    """Format the error measured on this scene, a button to measure it, or nothing."""
-    promise = promise_of(scene, studio.thickness(name, source, scene, extras), study)
-    if study is not None:
-        return f'<p class="measured">{promise.measured}</p>'
-    if not promise.missing:
-        return ""
+    """Format the error of a scene, with a button to measure it where it has not been measured."""
+    kind = ' class="measured"' if promise.of_scene else ""
+    line = f"<p{kind}>{describe_error(promise, 'Off')}</p>"
+    if not promise.missing or promise.of_scene:
+        return line
     seconds = studio.study_seconds(name, source, scene, extras)
-    span = format_span(studio.forecaster.load().span(seconds, unsure=GUESS))
-    button = '<button type="button" class="quiet" data-measure>Measure</button>'
-    return f"<p>{promise.missing.capitalize()}; {button} takes {span}.</p>"
+    return (
+        f'{line}<p class="measure"><button type="button" data-measure>Measure</button> '
+        f"<span>about {format_seconds(seconds)}</span></p>"
+    )
 
 
 def on_refine(studio: Studio) -> Handler:
     """Handle the end of a series of changes: return a forecast by a probe if possible."""
 
     def refine(source: Source | None, scene: Any, extras: Any, request: gr.Request) -> str:
-        if not scene:
-            return ""
+        if not scene or source is None:
+            return NO_PICTURE
         name = visitor_of(request)
         try:
-            text = studio.refine(name, source, scene, extras)
+            estimate = studio.refine(name, source, scene, extras)
             # An answer is needed: the probe of an older scene may have been shown meanwhile.
-            text = text or studio.forecast(name, source, scene, extras)
-            return with_stops(studio, name, source, scene, extras, text)
+            estimate = estimate or studio.forecast(name, source, scene, extras)
+            return with_stops(studio, name, source, scene, extras, estimate)
         except InputError as error:
             return show_refusal(error)
 
@@ -167,6 +168,32 @@ def on_generate(studio: Studio) -> Handler:
         return follow_job(job), *busy_buttons()
 
     return start
+
+
+def on_finer(studio: Studio) -> Handler:
+    """Handle "finer" of the report panel: run the motion that is shown at the next accuracy."""
+
+    def start(done: Done | None, request: gr.Request) -> tuple[Any, ...]:
+        visitor = studio.visitors.find(visitor_of(request))
+        job = visitor and visitor.run_of(done)
+        try:
+            if job is None or (finer := next_accuracy(job.asked[1])) is None:
+                limit = "The server no longer has this result."
+                raise InputError("result", "gone", limit, "Generate it again.")
+            source, data, extras = job.asked
+            data = {**data, "accuracy": finer}
+            job = studio.run(visitor_of(request), source, data, extras)
+        except InputError as error:
+            return Progress(state="refused", message=user_message(error)).data(), *idle_buttons()
+        return {**follow_job(job), "finer": True}, *busy_buttons()
+
+    return start
+
+
+def next_accuracy(data: Any) -> str | None:
+    """Return the next finer named accuracy of a scene as plain data; None at the finest."""
+    cells = Scene.from_data(data).resolution.cells
+    return next((name for name, each in PRESETS.items() if each.cells > cells), None)
 
 
 def on_measure(studio: Studio) -> Handler:

@@ -1,4 +1,4 @@
-/* The brush over the picture: green keeps, red removes. Strokes are lines in fractions of the picture's
+/* A dialog with a brush over the picture: green keeps, red removes. Strokes are lines in fractions of the picture's
  * longer side; the server paints them. By keyboard: arrows move the brush, space holds it down, P picks the
  * object under it. */
 'use strict';
@@ -14,18 +14,19 @@
       const tool = (name, keep) => h('label', {}, h('input', { type: 'radio', name: 'brush-tool', checked: keep === this.keep, onchange: () => { this.keep = keep; } }), h('span', {}, name));
       const size = h('input', { type: 'range', min: 0.01, max: 0.15, step: 0.005, value: this.width, 'aria-label': 'Width of the brush', oninput: () => { this.width = Number(size.value); this.draw(); } });
       const button = (label, act, kind = 'quiet') => h('button', { type: 'button', class: kind, onclick: act }, label);
-      this.element = h('details', { class: 'brush', id: 'brush', hidden: true }, this.title = h('summary', {}),
+      this.opener = h('button', { type: 'button', class: 'wide', id: 'correct', hidden: true, onclick: () => { this.element.showModal(); this.draw(); } });
+      this.element = h('dialog', { class: 'brush', id: 'brush', 'aria-label': 'Correct the cut-out' }, this.title = h('h2', {}), h('p', {}, 'Paint green what belongs to the object, red what does not.'),
         h('div', { class: 'brush-tools' }, h('div', { class: 'segments', role: 'radiogroup', 'aria-label': 'Brush' }, tool('Keep', true), tool('Remove', false)), size),
         this.canvas, h('div', { class: 'brush-tools' }, button('Undo', () => { this.strokes.pop(); this.draw(); }), button('Clear', () => { this.strokes = []; this.draw(); }),
-          button('Apply the strokes', () => this.strokes.length && apply(this.strokes), 'primary')));
-      this.element.addEventListener('toggle', () => this.draw());
+          button('Close', () => this.element.close()), button('Apply the strokes', () => { if (this.strokes.length) apply(this.strokes); this.element.close(); }, 'filled')));
       this.listen();
     }
 
-    /** Show a picture and its cut-out; strokes over another one go, unless it was only sent again. */
+    /** Show a picture and its cut-out; strokes over another picture are removed, unless it was only sent again. */
     load(photo, cut, again = false) {
-      this.element.hidden = !photo;
-      this.title.textContent = cut ? 'Correct the cut-out' : 'Mark the object';
+      this.opener.hidden = !photo;
+      if (!photo) this.element.close();
+      this.title.textContent = this.opener.textContent = cut ? 'Correct the cut-out' : 'Mark the object';
       if (photo !== this.photo && !again) this.strokes = [];
       if (photo === this.photo && cut === this.cut) return;
       Object.assign(this, { photo, cut });
@@ -56,6 +57,7 @@
       } else if (/^p$/i.test(event.key)) {
         const [w, hgt] = this.sides;
         this.pick([this.spot[0] / w, this.spot[1] / hgt]);
+        this.element.close();
       } else if (event.key === ' ') { if (this.stroke) this.stroke = null; else this.begin(); } else if (/^[kr]$/i.test(event.key)) {
         this.keep = event.key.toLowerCase() === 'k';
         this.element.querySelectorAll('input[type=radio]').forEach((radio, i) => { radio.checked = (i === 0) === this.keep; });

@@ -1,15 +1,15 @@
-/* Fit to a video: a video of what was filmed goes back to the softness of the result that is shown. */
+/* Fit to a video: finds the softness with which the simulated object moves as in a video. */
 'use strict';
 (() => {
-  const { h, follow, announce } = globalThis.Phy124;
+  const { h, follow, places, announce } = globalThis.Phy124;
   const ACCEPT = 'video/mp4,video/webm,video/quicktime,video/x-matroska,image/gif,.mp4,.mov,.webm,.mkv,.avi,.gif';
   const SPEEDS = [1, 0.5, 0.25, 0.1];
-  const HINT = 'Film the same object as it is pressed, dropped or pushed as in this result, at rest in the first picture, before one plain colour.';
+  const HINT = 'Film the same object in the same motion: at rest in the first frame, in front of a plain background.';
 
   const clock = (s) => (s < 90 ? `${Math.round(s)} s` : `${(s / 60).toFixed(1)} min`);
 
   function fit(element, props, watch, trigger) {
-    const panel = new FitPanel(element, trigger);
+    const panel = new FitPanel(places.fit, trigger);
     watch('value', () => panel.show(props.value));
     panel.show(props.value);
     document.addEventListener('phy124-failed', () => panel.fail());
@@ -37,7 +37,7 @@
 
     draw({ offer, fields }) {
       const input = this.input = h('input', { type: 'file', accept: ACCEPT, 'aria-label': 'Choose a video', onchange: () => this.choose(input.files[0]) });
-      this.name = h('span', { class: 'fit-hint' }, h('strong', {}, 'Fit to a video: drop it here'), HINT);
+      this.name = h('span', { class: 'fit-hint' }, h('strong', {}, 'Find the softness from a video'), HINT);
       this.preview = h('video', { hidden: true, playsinline: true, loop: true, 'aria-label': 'Your video' });
       this.preview.muted = true;
       const slot = h('label', { class: 'fit-slot' }, input, this.preview, this.name);
@@ -46,22 +46,26 @@
       }
       slot.addEventListener('drop', (event) => this.choose(event.dataTransfer.files[0]));
       const { least, most, value } = offer.budget, told = h('output', {}, clock(value));
-      this.budget = h('input', { type: 'range', min: least, max: most, step: 1, value, 'aria-label': 'Time for the fit', oninput: () => { told.textContent = clock(Number(this.budget.value)); } });
+      this.budget = h('input', { type: 'range', min: least, max: most, step: 1, value, 'aria-label': 'Time limit of the fit', oninput: () => {
+        told.textContent = clock(Number(this.budget.value));
+        this.forecast.textContent = `A fit takes at most ${clock(Number(this.budget.value))}.`;
+      } });
+      this.forecast = h('p', { class: 'fit-forecast' }, offer.sentence);
       this.side = h('select', { 'aria-label': 'Side' }, ...fields.side.enum.map((side) => h('option', { value: side }, side)));
       this.speed = h('select', { 'aria-label': 'Speed of the video' }, ...SPEEDS.map((speed) => h('option', { value: speed }, speed === 1 ? 'real time' : `slowed to ${speed}×`)));
-      this.go = h('button', { type: 'button', class: 'primary fit-go', disabled: true, onclick: () => this.begin() }, 'Fit');
+      this.go = h('button', { type: 'button', class: 'filled fit-go', disabled: true, onclick: () => this.begin() }, 'Fit');
       this.cancel = h('button', { type: 'button', class: 'quiet fit-cancel', hidden: true, onclick: () => this.stop() }, 'Cancel');
       const row = (label, field, control, ...more) => h('label', { title: field.description }, h('span', {}, label), control, ...more);
       return h('div', { class: 'fit' }, slot, h('div', { class: 'fit-form' },
-        row('Filmed from the', fields.side, this.side), row('It plays in', fields.speed, this.speed),
-        row('Time for it', fields.seconds, this.budget, told),
-        h('p', { class: 'fit-forecast' }, offer.sentence), h('div', { class: 'fit-buttons' }, this.go, this.cancel)));
+        row('Filmed from the', fields.side, this.side), row('Video speed', fields.speed, this.speed),
+        row('Time limit', fields.seconds, this.budget, told),
+        this.forecast, h('div', { class: 'fit-buttons' }, this.go, this.cancel)));
     }
 
     choose(file) {
       if (!file || this.job) return;
       this.input.value = '';
-      if (file.size > this.value.largest * 1e6) return this.say(`The video is larger than the ${this.value.largest} MB that this page takes. Send a shorter or smaller one.`, true);
+      if (file.size > this.value.largest * 1e6) return this.say(`The video is larger than ${this.value.largest} MB, the limit of this page. Send a shorter or smaller one.`, true);
       this.file = file;
       if (this.address) URL.revokeObjectURL(this.address);
       this.address = URL.createObjectURL(file);
@@ -76,29 +80,29 @@
       this.stopping = false;
       this.busy(true);
       this.say('Sending the video …');
-      const { path, message } = await globalThis.Phy124.sent(this.file, { too_large: 'The video is larger than this page takes. Send a shorter one.' });
+      const { path, message } = await globalThis.Phy124.sent(this.file, { too_large: 'The video is larger than the limit of this page. Send a shorter one.' });
       if (message || this.stopping) { this.busy(false); return this.say(message || '', Boolean(message)); }
       this.trigger('begin', { upload: path, side: this.side.value, speed: Number(this.speed.value), seconds: Number(this.budget.value) });
     }
 
-    /** What is not there yet is stopped once it is. */
+    /** A fit that has not begun yet is stopped as soon as it begins. */
     stop() {
       this.stopping = true;
       this.trigger('stop');
     }
 
-    /** The server answered by an error; a fit that it has begun goes on. */
+    /** The server answered with an error; a fit that has begun continues. */
     fail() {
       if (this.job || !this.go?.hidden) return;
       this.busy(false);
-      this.say('The server could not do this. Try again.', true);
+      this.say('The server could not start the fit. Try again.', true);
     }
 
     busy(now) {
       this.go.disabled = now || !this.file;
       this.go.hidden = now;
       this.cancel.hidden = !now;
-      for (const one of [this.input, this.budget, this.side, this.speed]) one.disabled = now;
+      for (const field of [this.input, this.budget, this.side, this.speed]) field.disabled = now;
     }
 
     say(text, bad = false) {
@@ -114,26 +118,26 @@
       follow(job, (told) => this.take(job, told), (told) => {
         Object.assign(this, { job: null, stopping: false });
         this.busy(false);
-        this.say(told.state === 'done' ? '' : told.message || 'The server no longer knows this fit.', told.state !== 'done');
-        announce(told.state === 'done' ? 'The fit is there.' : told.message || '');
+        this.say(told.state === 'done' ? '' : told.message || 'The server no longer has this fit.', told.state !== 'done');
+        announce(told.state === 'done' ? 'The fit is finished.' : told.message || '');
         this.trigger('ended', { job });
       });
     }
 
     take(job, told) {
       if (this.job !== job) return false;
-      if (told.state === 'lost') this.say('The connection was lost. The fit goes on; trying again …');
-      else if (told.state === 'waiting') this.say(told.place ? `Waiting: ${told.place} ${told.place === 1 ? 'fit' : 'fits'} before yours` : 'Waiting');
+      if (told.state === 'lost') this.say('The connection was lost. The fit continues; reconnecting …');
+      else if (told.state === 'waiting') this.say(told.place ? `Waiting: ${told.place} before you` : 'Waiting');
       else if (told.state === 'running') this.progress(told);
       return true;
     }
 
     progress({ elapsed, expected, stages }) {
-      const left = expected - elapsed, spoken = left > 0.5 ? `about ${clock(left)} to go` : 'nearly there';
+      const left = expected - elapsed, text = left > 0.5 ? `about ${clock(left)} to go` : 'nearly there';
       const bar = ({ name, done, total, note }) => h('li', { class: 'stage going' }, h('span', {}, name), h('span', { class: 'stage-note' }, note),
         h('progress', { max: 1, value: total ? done / total : 0, 'aria-label': name }));
       this.status.classList.remove('bad');
-      this.status.replaceChildren(h('span', { class: 'fit-clock' }, `${clock(elapsed)} so far, ${spoken}`), h('ol', { class: 'stages' }, ...stages.map(bar)));
+      this.status.replaceChildren(h('span', { class: 'fit-clock' }, text), h('ol', { class: 'stages' }, ...stages.map(bar)));
     }
 
     found({ sentences, figure, film, material }) {
@@ -144,7 +148,7 @@
       const [first, ...rest] = sentences;
       const use = h('button', { type: 'button', class: 'quiet fit-use', onclick: () => {
         document.dispatchEvent(new CustomEvent('phy124-material', { detail: material }));
-        use.textContent = 'The next run has this softness';
+        use.textContent = 'The next run uses this softness';
       } }, 'Use this softness');
       return [h('p', { class: 'fit-found' }, h('strong', {}, first), use), ...rest.map((text) => h('p', { class: 'fit-more' }, text)), shown];
     }

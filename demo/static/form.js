@@ -10,18 +10,37 @@
   const words = (name) => name.replace(/_/g, ' ').replace(/^./, (c) => c.toUpperCase());
 
   class Form {
-    /** `changed` hears of each change, and whether sections came or went. */
-    constructor(schema, changed) {
+    /** `changed` is called after each change, with whether sections were added or removed; `first` stands before
+     * the sections, `tools` after them. */
+    constructor(schema, changed, first = '', tools = '') {
       Object.assign(this, { schema, changed });
       this.body = h('div', { class: 'form' });
-      this.element = h('details', { class: 'more', ontoggle: () => this.draw(this.data) }, h('summary', {}, 'More: every setting of the scene'), this.body);
+      this.contents = h('nav', { 'aria-label': 'Sections' });
+      const search = h('input', { type: 'search', placeholder: 'Search', 'aria-label': 'Search the settings', oninput: () => this.search(search.value) });
+      this.element = h('dialog', { class: 'more', 'aria-label': 'Every setting' }, h('header', {}, h('h2', {}, 'Every setting'), search,
+        h('button', { type: 'button', onclick: () => this.element.close() }, 'Done')), h('div', { class: 'more-body' }, this.contents, h('div', { class: 'sections', tabindex: 0 }, first, this.body)), h('footer', {}, tools));
     }
 
-    /** Show these data, once the form is open; what somebody types stays. */
+    /** Show the dialog. */
+    open() {
+      this.element.showModal();
+      this.draw(this.data);
+    }
+
+    /** Show these data, once the dialog is open; text that is being typed stays. */
     draw(data) {
       this.data = data;
       if (!data || !this.element.open || this.body.contains(document.activeElement)) return;
-      this.body.replaceChildren(this.fields(this.schema, data, ['description']));
+      this.body.replaceChildren(this.fields(this.schema, data, ['description', 'accuracy']));
+      const sections = [...this.body.firstChild.children].filter((child) => child.matches('fieldset'));
+      this.contents.replaceChildren(...sections.map((section) => h('button', { type: 'button', onclick: () => section.scrollIntoView({ block: 'start' }) }, section.firstChild.textContent)));
+    }
+
+    /** Show only the settings whose name or description contains a text. */
+    search(text) {
+      const fits = (field) => field.textContent.toLowerCase().includes(text.trim().toLowerCase());
+      for (const field of this.body.querySelectorAll('.leaf')) field.hidden = !fits(field);
+      for (const section of this.body.querySelectorAll('fieldset')) section.hidden = Boolean(text) && !section.querySelector('.leaf:not([hidden])');
     }
 
     resolve(schema) {
@@ -109,7 +128,7 @@
       if (schema.format === 'path') return this.upload(name, value, set);
       if (schema.type === 'string') return h('input', { type: 'text', value: value ?? '', onchange: (event) => set(event.target.value) });
       return h('textarea', { rows: 2, spellcheck: 'false', onchange: (event) => {
-        try { set(event.target.value.trim() ? JSON.parse(event.target.value) : null); event.target.setCustomValidity(''); } catch { event.target.setCustomValidity('This is not JSON.'); event.target.reportValidity(); }
+        try { set(event.target.value.trim() ? JSON.parse(event.target.value) : null); event.target.setCustomValidity(''); } catch { event.target.setCustomValidity('This text is not valid JSON.'); event.target.reportValidity(); }
       } }, value == null ? '' : JSON.stringify(value));
     }
 
@@ -122,7 +141,7 @@
         if (answer && answer.ok) set((await answer.json())[0]);
         else { input.setCustomValidity(answer ? await answer.text() : 'The connection was lost.'); input.reportValidity(); }
       } });
-      return h('span', {}, input, value ? h('small', {}, 'A picture is chosen.') : null);
+      return h('span', {}, input, value ? h('small', {}, 'A picture was sent.') : null);
     }
 
     several(name, schema, value, set) {

@@ -1,10 +1,10 @@
-/* What else is known of the object: pictures from the side and from behind, a depth map, how thick it
- * is, and whether it is filmed in its photograph; or which way up a file of Gaussians is. Words, ranges
- * and choices are those of the command line. Its value holds what was told, by option; the server answers
- * in place of the value, which is then told again. */
+/* Further inputs: pictures from the side and from behind, a depth map, the thickness, and whether the
+ * object is filmed in its photograph; or the orientation of a file of Gaussians. Names, ranges and choices
+ * are those of the command line. The panel's value holds the inputs by option; the server's answers replace
+ * the value, which is then sent again. */
 'use strict';
 (() => {
-  const { h, follow } = globalThis.Phy124;
+  const { h, follow, places } = globalThis.Phy124;
   const PICTURES = { side: 'facing', back: null, depth: 'near' }; // option -> the choice that belongs to it
   const ACCEPT = 'image/png,image/jpeg,image/webp,image/avif,.avif';
   const HEIC = ',image/heic,image/heif,.heic,.heif';
@@ -32,33 +32,26 @@
       const { generator } = this.options; // offered if the server has weights
       this.generator = generator && h('select', { 'aria-label': 'Generator', title: generator.description, onchange: (event) => this.tell({ generator: event.target.value === generator.default ? null : event.target.value }) },
         ...generator.enum.map((value) => h('option', { value, selected: value === generator.default }, `generator: ${value}`)));
-      this.summary = h('summary', {}, 'Advanced: side, back, depth, thickness');
-      this.pictured = h('details', { class: 'more' }, this.summary, h('div', { class: 'views' }, ...Object.values(this.views).map((view) => view.element)),
+      places.pictures.replaceChildren(h('div', { class: 'views' }, ...Object.values(this.views).map((view) => view.element)),
         ...Object.values(this.views).map((view) => view.status),
         h('div', { class: 'knob', title: this.options.thickness.description }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Thickness'), this.deep), this.slider),
         h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights'), this.generator || '');
-      element.replaceChildren(this.pictured);
-      this.filming();
-    }
-
-    /** Below the settings of the scene; hidden by the style as long as no picture is cut out. */
-    filming() {
       this.compose = h('input', { type: 'checkbox', onchange: (event) => this.tell({ compose: event.target.checked || null }) });
-      document.querySelector('#scene-panel').append(h('label', { class: 'check compose', title: this.options.compose.description }, this.compose, 'Film it in the photograph, too'));
+      places.film.replaceChildren(h('label', { class: 'check', title: this.options.compose.description }, this.compose, 'Also film it in the photograph'));
     }
 
     thickness() {
       const { minimum, maximum } = this.options.thickness.anyOf.find((s) => s.type === 'number');
       this.deep = h('output', {});
-      this.slider = h('input', { type: 'range', min: minimum, max: maximum, step: minimum, value: 1, 'aria-label': 'Thickness, relative to the guess',
+      this.slider = h('input', { type: 'range', min: minimum, max: maximum, step: minimum, value: 1, 'aria-label': 'Thickness, relative to the estimate',
         oninput: (event) => this.tell({ thickness: Number(event.target.value) === 1 ? null : Number(event.target.value) }) });
       this.say();
     }
 
     say() {
-      // A picture from the side says already how deep the object is.
+      // A picture from the side determines the depth.
       this.slider.disabled = Boolean(this.told.side);
-      this.deep.textContent = this.told.side ? 'as the side shows' : this.told.thickness ? `${this.told.thickness} of the guess` : 'as guessed';
+      this.deep.textContent = this.told.side ? 'from the side picture' : this.told.thickness ? `${this.told.thickness} × the estimate` : 'estimated';
     }
 
     tell(changes) {
@@ -82,12 +75,14 @@
     turn(ways) {
       const chosen = new globalThis.Phy124.Ways(ways, (axes) => { this.told = axes; this.send(axes); });
       this.element.replaceChildren(chosen.element);
+      for (const place of [places.pictures, places.film]) place.hidden = true;
       chosen.choose();
     }
 
     clear() {
       this.told = {};
-      this.element.replaceChildren(this.pictured);
+      this.element.replaceChildren();
+      for (const place of [places.pictures, places.film]) place.hidden = false;
       [this.slider.value, this.highlights.checked, this.compose.checked] = [1, false, false];
       if (this.generator) this.generator.value = 'relief';
       for (const view of Object.values(this.views)) view.clear();
@@ -101,9 +96,9 @@
       Object.assign(this, { option, panel, asked: 0, following: null });
       const hint = panel.options[option].description;
       this.input = h('input', { type: 'file', accept: option === 'depth' ? ACCEPT : ACCEPT + HEIC, 'aria-label': words(option), onchange: () => this.choose(this.input.files[0]) });
-      this.shown = h('img', { alt: `What was sent: ${option}`, hidden: true });
+      this.shown = h('img', { alt: `Your picture: ${option}`, hidden: true });
       this.remove = h('button', { type: 'button', class: 'quiet', hidden: true, 'aria-label': `Remove: ${option}`, onclick: () => { this.clear(); this.tell(null); } }, 'Remove');
-      this.status = h('p', { class: 'picture-status', role: 'status' }); // too long for its narrow column
+      this.status = h('div', { class: 'picture-status', role: 'status' }); // too long for its narrow column
       this.element = h('div', { class: 'view', title: hint }, h('span', { class: 'knob-name' }, words(option)),
         h('label', {}, this.input, this.shown, h('span', { class: 'view-hint' }, 'Choose')), this.choice(PICTURES[option]), this.remove);
     }
@@ -128,8 +123,8 @@
       this.panel.told[PICTURES[this.option]] = null;
     }
 
-    say(text, bad = false) {
-      this.status.textContent = text && `${words(this.option)}: ${text}`;
+    say(text, bad = false, details = '') {
+      this.status.replaceChildren(text && `${words(this.option)}: ${text}`, details ? h('details', {}, h('summary', {}, 'Details'), details) : '');
       this.status.classList.toggle('bad', bad);
     }
 
@@ -155,7 +150,7 @@
 
     /** Have a picture that was sent cut out. */
     look(path) {
-      this.say('Looking at it …');
+      this.say('Checking the picture …');
       this.ask('choose', { upload: path });
     }
 
@@ -168,7 +163,7 @@
     fail() {
       if (!this.pending) return;
       this.pending = false;
-      this.say('The server could not do this. Try again.', true);
+      this.say('The server could not process the picture. Try again.', true);
     }
 
     /** The server no longer has the picture: it is sent again if this page has it. */
@@ -178,25 +173,25 @@
       if (!had) return;
       this.clear();
       this.tell(null);
-      this.say('The server no longer has this picture. Choose it once more.', true);
+      this.say('The server no longer has this picture. Choose it again.', true);
     }
 
-    take({ ask, job, message, picture, cutout, by, doubts }) {
+    take({ ask, job, message, picture, cutout, warning, doubts }) {
       if (ask !== this.asked) return;
       this.pending = false;
       if (message) return this.say(message, true);
       if (job) return this.await(job);
       this.show((cutout || picture).url);
-      this.say([by && `Cut out by ${by}.`, doubts].filter(Boolean).join(' '), Boolean(doubts));
+      this.say(warning || (cutout ? 'The object is cut out.' : ''), Boolean(warning), doubts);
       this.tell(picture.path);
     }
 
     await(job) {
       this.following = job;
-      this.say('Cutting the object out …');
+      this.say('Cutting out the object …');
       follow(job, () => this.following === job, (told) => {
         if (this.following !== job) return;
-        if (told.state === 'gone') { this.following = null; this.say('The server no longer has this picture. Choose it once more.', true); return; }
+        if (told.state === 'gone') { this.following = null; this.say('The server no longer has this picture. Choose it again.', true); return; }
         this.ask('view', { job });
       });
     }

@@ -1,9 +1,9 @@
-/* Pictures of the further objects of a scene. The scene's editor says which objects take one (the event
- * "phy124-objects"), and is told of what was chosen ("phy124-object"): the scene itself holds the pictures. */
+/* Pictures of the further objects of a scene. The scene editor lists the objects that take a picture (event
+ * "phy124-objects") and receives the chosen pictures ("phy124-object"), which the scene itself holds. */
 'use strict';
 (() => {
   const { h, listen, View } = globalThis.Phy124;
-  const HINT = 'What it is made from; without a picture it is a copy of the first object.';
+  const HINT = 'Picture of this object; without one it is a copy of the first object.';
 
   async function others(element, props, watch, trigger) {
     const offer = await (await fetch('phy124/catalogue.json')).json();
@@ -17,12 +17,12 @@
   class Others {
     constructor(element, limits, trigger) { Object.assign(this, { element, limits, trigger, slots: new Map(), options: {} }); }
 
-    /** One slot for each object that takes a picture; those that are there already stay. */
+    /** One slot for each object that takes a picture; existing slots are kept. */
     draw(objects) {
-      const slots = new Map(objects.map((one) => [one.name, this.slots.get(one.name) || this.slot(one.name)]));
+      const slots = new Map(objects.map(({ name }) => [name, this.slots.get(name) || this.slot(name)]));
       if ([...slots.keys()].join() !== [...this.slots.keys()].join()) {
         const all = [...slots.values()];
-        this.element.replaceChildren(...(all.length ? [h('p', { class: 'examples-title' }, 'Pictures of the other objects; without one it is a copy of the first'),
+        this.element.replaceChildren(...(all.length ? [h('p', { class: 'examples-title' }, 'Other objects: each is a copy of the first unless you add a picture'),
           h('div', { class: 'views' }, ...all.map((slot) => slot.element)), ...all.map((slot) => slot.status)] : []));
       }
       this.slots = slots;

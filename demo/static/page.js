@@ -1,5 +1,5 @@
-/* The panels of the page: progress, viewer, videos, take-away. Each is a function that Gradio's
- * gr.HTML calls once with its element; `watch` tells when Python sends a new value. */
+/* The panels of the page: progress, stage, report, take-away. Each is a function that Gradio's
+ * gr.HTML calls once with its element; `watch` calls back when Python sends a new value. */
 'use strict';
 (() => {
   const { follow, server, Questions } = globalThis.Phy124;
@@ -20,15 +20,18 @@
 
   const calm = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
 
-  /** A picture that moves; where people ask for little motion, its first frame. */
-  function moving(src, attributes) {
-    const img = h('img', { alt: '', loading: calm() ? 'eager' : 'lazy', ...attributes });
-    if (!calm()) { img.src = src; return img; }
+  /** A picture that moves: always, or only under the pointer and in focus (`rests`). Where people ask for
+   * little motion, its first frame. */
+  function moving(src, attributes, rests = false) {
+    const img = h('img', { alt: '', loading: calm() || rests ? 'eager' : 'lazy', ...attributes });
+    if (!calm() && !rests) { img.src = src; return img; }
     const whole = new Image();
     whole.onload = () => {
       const canvas = h('canvas', { width: whole.naturalWidth, height: whole.naturalHeight });
       canvas.getContext('2d').drawImage(whole, 0, 0);
-      img.src = canvas.toDataURL();
+      const still = img.src = canvas.toDataURL(), around = img.closest('label, button');
+      if (calm() || !around) return;
+      for (const [event, on] of [['pointerenter', true], ['focusin', true], ['pointerleave', false], ['focusout', false]]) around.addEventListener(event, () => { img.src = on ? src : still; });
     };
     whole.src = src;
     return img;
@@ -63,6 +66,41 @@
     setTimeout(() => context.close(), 1500);
   }
 
+  /* ---- the state of the page, for its style: first, chosen, running, result or touch ---------- */
+
+  const state = { picture: false, running: false, result: false, touching: false };
+  function mark(changes) {
+    Object.assign(state, changes);
+    if (!state.running) document.body.classList.remove('kept');
+    document.body.dataset.state = state.touching ? 'touch' : state.running ? 'running' : state.result ? 'result' : state.picture ? 'chosen' : 'first';
+    document.body.dataset.picture = state.picture;
+    for (const button of document.querySelectorAll('#go, #begin-touch')) button.setAttribute('aria-disabled', !state.picture);
+  }
+
+  /** Content of one panel that stands within another panel. */
+  const places = { pictures: h('div', { id: 'more-pictures' }), film: h('div', {}), fit: h('div', { id: 'fit-place' }) };
+
+  /** Without a picture Generate and Touch show where to choose one. */
+  function guard(event) {
+    if (state.picture || !event.target.closest?.('#go, #begin-touch')) return;
+    event.stopPropagation();
+    event.preventDefault();
+    announce('Choose a picture first.');
+    const field = document.querySelector('#photo');
+    field?.querySelector('input').focus();
+    field?.animate?.([{ boxShadow: '0 0 0 3px var(--accent)' }, { boxShadow: '0 0 0 3px transparent' }], calm() ? 0 : 900);
+  }
+  document.addEventListener('click', guard, true);
+  document.addEventListener('DOMContentLoaded', () => mark({}));
+
+  /** Small panels close by Escape and by a click elsewhere. */
+  function closing(event) {
+    for (const open of document.querySelectorAll('details.pop[open]')) {
+      if (event.type === 'keydown' ? event.key === 'Escape' : !open.contains(event.target)) open.open = false;
+    }
+  }
+  for (const name of ['click', 'keydown']) document.addEventListener(name, closing);
+
   /* ---- the forecast, and its button that measures the error of the scene ------------------- */
 
   function forecast(element, trigger) {
@@ -72,7 +110,7 @@
     });
   }
 
-  /* ---- progress: stages with bars, and the run so far as a flip-book ----------------------- */
+  /* ---- progress: one line with the time to go ------------------------------------------------ */
 
   function progress(element, props, watch, trigger) {
     const panel = new ProgressPanel(element, trigger);
@@ -83,69 +121,52 @@
   }
 
   class ProgressPanel {
-    constructor(element, trigger) {
-      Object.assign(this, { element, trigger, job: null, frames: [], shown: 0 });
-      this.picture = h('img', { alt: 'The motion so far', class: 'glimpse' });
-    }
+    constructor(element, trigger) { Object.assign(this, { element, trigger, job: null }); }
 
     show(value) {
       clearTimeout(this.retry);
       if (!value || !value.state) return this.element.replaceChildren();
       if (!value.job) { this.job = null; return this.end(value); }
       if (value.job === this.job) return;
-      Object.assign(this, { job: value.job, frames: [], shown: 0 });
+      this.job = value.job;
+      mark({ running: true });
       this.draw(value);
-      this.element.scrollIntoView({ block: 'nearest', behavior: calm() ? 'auto' : 'smooth' });
-      if (value.kind !== 'measure') globalThis.Phy124.live.begin();
+      globalThis.Phy124.live.begin(value.kind !== 'run' || value.finer);
       follow(value.job, (told) => this.take(value.job, told), (told) => this.end(told));
     }
 
     take(job, told) {
       if (this.job !== job) return false;
-      if (told.state === 'lost') { this.say('lost', 'The connection was lost. Your run goes on; trying again …'); return true; }
-      for (const glimpse of told.glimpses || []) this.frames.push(`data:image/jpeg;base64,${glimpse}`);
+      if (told.state === 'lost') { this.say('lost', 'The connection was lost. Your run continues; reconnecting …'); return true; }
+      if (told.glimpses?.length) globalThis.Phy124.live.glimpse(told.glimpses.at(-1));
       for (const file of told.live || []) globalThis.Phy124.live.add(`gradio_api/file=${file}`);
       if (told.state === 'waiting' || told.state === 'running') this.draw(told);
       return true;
     }
 
-    draw(told) {
-      if (this.frames.length && !this.timer && !calm()) this.timer = setInterval(() => this.flip(), 70);
-      const left = Math.max(0, told.expected - told.elapsed);
-      const clock = told.state === 'waiting' ? this.waiting(told.place, told.wait)
-        : left > 0.5 ? `${seconds(told.elapsed)} so far, about ${seconds(left)} to go` : `${seconds(told.elapsed)} so far, nearly there`;
-      this.element.replaceChildren(h('section', { class: `progress ${told.state}`, 'aria-label': 'Progress' },
-        this.frames.length ? h('figure', {}, this.picture, h('figcaption', {}, 'Preview, growing')) : null,
-        h('div', { class: 'progress-body' }, h('p', { class: 'clock' }, clock), h('ol', { class: 'stages' }, ...(told.stages || []).map(bar)))));
-      this.flip();
-    }
-
-    waiting(place, wait) {
-      if (!(place > 0)) return 'Waiting for the device';
-      const time = wait > 0 ? `, about ${seconds(wait)}` : '';
-      return `Waiting: ${place} ${place === 1 ? 'run' : 'runs'} before yours${time}`;
-    }
-
-    flip() {
-      if (!this.frames.length) return;
-      const frame = this.frames[calm() ? this.frames.length - 1 : this.shown++ % this.frames.length];
-      if (this.picture.src !== frame) this.picture.src = frame;
+    draw({ state, place, wait, elapsed, expected }) {
+      const left = Math.max(0, expected - elapsed), part = state === 'waiting' ? 0 : Math.min(0.98, elapsed / Math.max(expected, elapsed + 0.3));
+      const text = state === 'waiting' ? place > 0 ? `${place} before you${wait > 0 ? `, about ${seconds(wait)}` : ''}` : 'Starting soon' : left > 0.5 ? `about ${seconds(left)} to go` : 'nearly there';
+      const dot = part * globalThis.Phy124.live.played();
+      this.element.replaceChildren(h('section', { class: `progress ${state}`, 'aria-label': 'Progress' },
+        h('div', { class: 'line', role: 'progressbar', 'aria-label': 'Progress', 'aria-valuenow': Math.round(100 * part), 'aria-valuetext': text },
+          h('i', { style: `width:${100 * part}%` }), dot ? h('em', { style: `left:${100 * dot}%` }) : null),
+        h('p', { class: 'clock' }, text)));
     }
 
     end(told) {
-      clearInterval(this.timer);
       const job = this.job, long = told.elapsed > 3;
-      Object.assign(this, { timer: null, frames: [], shown: 0 });
-      if (told.state === 'gone') told = { state: 'failed', message: 'The server no longer knows this run. Generate it again.' };
+      mark({ running: false });
+      if (told.state === 'gone') told = { state: 'failed', message: 'The server no longer has this run. Generate it again.' };
       if (told.state === 'done') {
         this.element.replaceChildren();
-        announce('The result is there.');
+        announce('The result is ready.');
         if (long) chime();
       } else { this.say(told.state, told.message); globalThis.Phy124.live.drop(); }
       if (job) this.trigger('finished', { job });
     }
 
-    /** Something else is asked for by now: why the last one was refused no longer matters. */
+    /** Once something else is asked for, the last refusal no longer matters. */
     settle() { if (this.element.querySelector('.progress.refused')) this.element.replaceChildren(); }
 
     say(state, message) {
@@ -153,69 +174,88 @@
       const again = state === 'full' ? h('button', { type: 'button', class: 'quiet', onclick: () => this.trigger('again') }, 'Try again now') : null;
       if (again) this.retry = setTimeout(() => this.trigger('again'), 10e3);
       this.element.replaceChildren(h('section', { class: `progress ${state}`, 'aria-label': 'Progress' },
-        h('div', { class: 'progress-body' }, h('p', { class: 'message', role: 'status' }, message), again)));
+        h('p', { class: 'message', role: 'status' }, message), again));
     }
   }
 
-  const bar = (row) => {
-    const fraction = row.reused ? 1 : row.total ? row.done / row.total : 0;
-    return h('li', { class: row.reused ? 'stage reused' : fraction >= 1 ? 'stage full' : fraction ? 'stage going' : 'stage' },
-      h('span', { class: 'stage-name' }, row.name),
-      h('span', { class: 'stage-note' }, row.note || (row.total > 1 && row.done ? `${row.done} of ${row.total}` : '')),
-      h('progress', { max: 1, value: fraction, 'aria-label': row.name }));
-  };
+  /* ---- the stage: ready results, the cut-out, the growing clip, the result --------------------- */
 
-  /* ---- the 4D viewer ----------------------------------------------------------------------- */
+  /** The stage as other panels see it. */
+  const live = { begin() {}, add() {}, glimpse() {}, drop() {}, played: () => 0 };
 
-  /** Frames of a run that is not finished yet, shown as they come. */
-  const live = { begin() {}, add() {}, drop() {} };
-
-  function viewer(element, props, watch) {
+  async function viewer(element, props, watch) {
     const panel = new ViewerPanel(element);
-    Object.assign(live, { begin: () => panel.begin(), add: (url) => panel.add(url), drop: () => panel.drop() });
+    Object.assign(live, { begin: (keep) => panel.begin(keep), add: (url) => panel.add(url), drop: () => panel.drop(),
+      glimpse: (picture) => panel.glimpse(picture), played: () => panel.played });
     Object.assign(globalThis.Phy124, { compare: (url, title) => panel.compare(url, title) });
-    watch('value', () => panel.show(props.value?.pack?.url, props.value?.invented));
-    panel.show(props.value?.pack?.url, props.value?.invented);
+    document.addEventListener('phy124-cut', ({ detail }) => panel.own(detail));
+    const show = () => panel.show(props.value?.pack?.url, props.value?.invented);
+    watch('value', show);
+    show();
+    try { panel.offer(await (await fetch('phy124/catalogue.json')).json()); } catch { /* without ready results */ }
   }
 
   class ViewerPanel {
-    constructor(element) { Object.assign(this, { element, player: null, url: false, growing: null, other: null }); }
+    constructor(element) {
+      Object.assign(this, { element, player: null, url: null, growing: null, other: null, cut: null, ready: h('section', { id: 'ready', 'aria-label': 'Ready to see' }) });
+      const narrow = matchMedia('(max-width: 719px)'), place = () => (narrow.matches && document.querySelector('#side') || element).append(this.ready);
+      narrow.addEventListener('change', place);
+      this.place = place;
+    }
 
-    async show(url, invented) {
-      if (url === this.url && !this.growing) return;
-      Object.assign(this, { url, invented });
-      const stance = this.player && this.growing ? this.player.stance : null;
-      this.growing = null;
-      if (!url) { this.clear(); return this.element.replaceChildren(welcome()); }
-      const bytes = await read(url);
-      if (this.url !== url) return;
+    /* -- before the first run -- */
+
+    offer({ ready }) {
+      if (!ready?.length) return;
+      const tile = (item) => h('button', { type: 'button', class: 'tile', 'data-ready': item.name, onclick: () => this.play(item, true) },
+        h('i', {}, moving(`phy124/${item.picture}`, {}, true)), h('b', {}, item.title));
+      this.ready.replaceChildren(h('h2', {}, 'Ready to see'), h('div', { class: 'tiles' }, ...ready.map(tile)));
+      this.place();
+      if (!this.url && !this.cut && !this.growing) this.play(ready[0], false);
+    }
+
+    /** Show a finished result; when clicked, its picture and card are chosen as well. */
+    async play(item, chosen) {
       this.clear();
-      const host = h('div', { class: 'viewer-host' });
-      this.element.replaceChildren(h('div', { class: 'viewer-row' }, host),
-        ...(invented ? [h('p', { class: 'invented' }, 'The front is your picture; the back is invented from the outline.')] : []));
-      if (!bytes) { host.textContent = 'The result is no longer on the server. Generate it again.'; return; }
-      this.player = await this.mount(host, bytes, stance);
-      this.element.player = this.player;
-      this.element.scrollIntoView({ block: 'nearest', behavior: calm() ? 'auto' : 'smooth' });
+      this.shown = item;
+      for (const tile of this.ready.querySelectorAll('.tile')) tile.classList.toggle('on', tile.dataset.ready === item.name);
+      const film = moving(`phy124/${item.film}`, { class: 'hero', alt: item.title }), host = h('div', { class: 'viewer-host' }, film);
+      this.fill(h('p', { class: 'from' }, h('img', { src: `phy124/examples/${item.example}.png`, alt: '' }), h('span', {}, 'made from this picture', h('br'), `in ${Math.round(item.seconds)} s`)), host);
+      if (!chosen) return;
+      document.dispatchEvent(new CustomEvent('phy124-ready', { detail: item }));
+      const bytes = item.pack && await read(`phy124/${item.pack}`);
+      if (bytes && this.shown === item) this.player = await Phy124Player.mount(host, bytes, { clear: true });
     }
 
-    async mount(host, bytes, stance) {
-      const player = await Phy124Player.mount(host, bytes);
-      if (player && stance) player.stand(stance);
-      return player;
+    fill(...children) { this.element.replaceChildren(...children); this.place(); }
+
+    /** The visitor's cut-out: on the stage at once, unless a ready result or an earlier one is shown. */
+    own({ url, fresh }) {
+      this.cut = url;
+      if (this.growing || !url || (!fresh && (this.url || this.shown))) return;
+      if (fresh) this.url = null;
+      if (!this.url) this.standing();
     }
 
-    clear() {
-      for (const each of [this.player, this.other]) if (each) each.dispose();
-      Object.assign(this, { player: null, other: null });
+    standing() {
+      this.clear();
+      mark({ result: false });
+      this.fill(h('figure', { class: 'own' }, h('img', { src: this.cut, alt: 'Your object, cut out' })));
     }
 
-    begin() { this.growing = { waiting: [], drawn: false, busy: false }; }
+    /* -- a run -- */
+
+    /** `keep`: what is shown stays until the run is over. */
+    begin(keep) {
+      this.growing = { waiting: [], drawn: false, busy: false, keep };
+      document.body.classList.toggle('kept', Boolean(keep && this.url));
+      if (!keep && this.cut) this.standing();
+    }
 
     /** A frame that was just computed: the first one makes a player, the others lengthen its clip. */
     async add(url) {
       const growing = this.growing;
-      if (!growing) return;
+      if (!growing || growing.keep) return;
       growing.waiting.push(url);
       if (growing.busy) return;
       growing.busy = true;
@@ -228,21 +268,66 @@
       if (!bytes || this.growing !== growing) return;
       if (growing.drawn) { await this.player?.extend(bytes); return; }
       growing.drawn = true;
-      const stance = this.player?.stance;
+      const stance = this.stance;
       this.clear();
       const host = h('div', { class: 'viewer-host growing' });
-      this.element.replaceChildren(h('div', { class: 'viewer-row' }, host));
-      this.player = await Phy124Player.mount(host, bytes, { growing: true });
-      if (this.player && stance) this.player.stand(stance);
+      this.fill(h('div', { class: 'viewer-row' }, host));
+      this.player = await this.mount(host, bytes, stance, { growing: true });
     }
 
-    /** The run failed: the previous result is shown again. */
+    /** A small picture of the newest frame, for browsers without WebGL. */
+    glimpse(picture) {
+      if (this.growing?.drawn && !this.player) this.element.querySelector('.viewer-host')?.replaceChildren(h('img', { class: 'hero', alt: 'The motion so far', src: `data:image/jpeg;base64,${picture}` }));
+    }
+
+    /** Which part of the clip so far has been played, from 0 to 1. */
+    get played() { const { player } = this; return this.growing?.drawn && player?.length ? player.time / player.length : 0; }
+
+    /** The run failed: the previous result, or the cut-out, is shown again. */
     drop() {
-      if (!this.growing) return;
-      this.show(this.url, this.invented);
+      const { growing, last } = this;
+      if (!growing) return;
+      this.growing = null;
+      if (growing.keep) return;
+      if (last) this.show(last, this.invented); else if (this.cut) this.standing();
     }
 
-    /** Another result beside this one, seen from the same place at the same time. */
+    /* -- a result -- */
+
+    async show(url, invented) {
+      if (url === this.url && !this.growing) return;
+      if (!url) { Object.assign(this, { url: null, last: null }); return; }
+      const { growing, player } = this, kept = growing && player ? [this.stance, player.time] : [];
+      Object.assign(this, { url, last: url, invented, growing: null });
+      const bytes = await read(url);
+      if (this.url !== url) return;
+      this.clear();
+      const host = h('div', { class: 'viewer-host' });
+      mark({ result: true });
+      this.fill(h('div', { class: 'viewer-row' }, host),
+        ...(invented ? [h('p', { class: 'invented' }, 'The front is your picture; the back is a guess from its outline.')] : []));
+      if (!bytes) { host.textContent = 'The server no longer has this result. Generate it again.'; return; }
+      this.player = await this.mount(host, bytes, kept[0]);
+      if (growing?.keep && kept[1]) this.player?.seek(kept[1]);
+      this.player?.find('bar').append(globalThis.Phy124.sharing());
+      this.element.player = this.player;
+    }
+
+    get stance() { return this.player && !this.shown ? this.player.stance : null; }
+
+    async mount(host, bytes, stance, options) {
+      const player = await Phy124Player.mount(host, bytes, { clear: true, ...options });
+      if (player && stance) player.stand(stance);
+      return player;
+    }
+
+    clear() {
+      for (const each of [this.player, this.other]) if (each) each.dispose();
+      Object.assign(this, { player: null, other: null, shown: null });
+      for (const tile of this.ready.querySelectorAll('.on')) tile.classList.remove('on');
+    }
+
+    /** Show another result next to this one, from the same direction at the same time. */
     async compare(url, title) {
       if (!this.player) return;
       if (this.other) { this.other.dispose(); this.other.host.parentNode.remove(); this.other = null; if (this.beside === url) { this.beside = null; return; } }
@@ -263,50 +348,34 @@
 
   function history(element, props, watch, trigger) {
     const questions = new Questions(trigger);
+    let open = false;
     document.addEventListener('phy124-failed', () => questions.pending && questions.answered());
     const show = () => {
       questions.answered();
       const runs = (props.value && props.value.runs) || [];
       if (runs.length < 2) return element.replaceChildren();
       const item = ({ job, title, detail, picture, pack, current }) => h('li', { class: current ? 'current' : '' },
-        h('button', { type: 'button', 'aria-pressed': current ? 'true' : 'false', onclick: () => questions.ask('show', { job, earlier: true }) },
-          moving(picture.url, { width: 72, height: 72 }), h('strong', {}, title), h('span', {}, detail)),
-        current ? null : h('button', { type: 'button', class: 'quiet', onclick: () => globalThis.Phy124.compare(pack.url, `${title}, ${detail}`) }, 'Beside'));
-      element.replaceChildren(h('section', { class: 'history', 'aria-label': 'Earlier results' }, h('h3', {}, 'Your results'), h('ul', {}, ...runs.map(item))));
+        h('button', { type: 'button', class: 'tile', 'aria-pressed': current ? 'true' : 'false', onclick: () => questions.ask('show', { job, earlier: true }) },
+          h('i', {}, moving(picture.url, {}, true)), h('b', {}, title), h('small', {}, detail)),
+        current ? null : h('button', { type: 'button', class: 'quiet', onclick: () => globalThis.Phy124.compare(pack.url, `${title}, ${detail}`) }, 'Compare'));
+      element.replaceChildren(h('details', { class: 'fold', open, ontoggle: (event) => { open = event.target.open; } },
+        h('summary', {}, 'Your results', h('span', {}, String(runs.length))), h('ul', {}, ...runs.map(item))));
     };
     watch('value', show);
     show();
   }
 
-  const welcome = () => h('div', { class: 'welcome' },
-    moving('phy124/previews/press.webp', { width: 210, height: 210 }),
-    h('h2', {}, 'See it move'),
-    h('p', {}, 'Choose a picture of one object and what should happen to it. Here it will turn, bend and bounce in 3D, as its material would.'));
+  /* ---- the report: three sentences, a finer run, and the tables ------------------------------- */
 
-  /* ---- videos ------------------------------------------------------------------------------ */
-
-  const RATES = [0.1, 0.25, 0.5, 1];
-
-  function videos(element, props, watch) {
-    let rate = 1;
+  function report(element, props, watch, trigger) {
     const show = () => {
-      const { films = [], length = 1 } = props.value || {};
-      if (!films.length) return element.replaceChildren(h('p', { class: 'empty' }, 'The videos of each view appear here.'));
-      rate = length < 1 ? 0.5 : 1;
-      const made = films.map(film);
-      const pick = h('select', { 'aria-label': 'Speed of the videos', onchange: () => { rate = Number(pick.value); for (const video of element.querySelectorAll('video')) video.playbackRate = rate; } },
-        ...RATES.map((r) => h('option', { value: r, selected: r === rate }, r === 1 ? 'Real time' : `Slowed to ${r}×`)));
-      element.replaceChildren(h('div', { class: 'films-head' }, pick), h('div', { class: 'films' }, ...made));
-    };
-    const film = ({ name, file }) => {
-      const video = h('video', { src: file.url, loop: true, playsinline: true, preload: 'auto', tabindex: 0, 'aria-label': `Video, ${name}` });
-      video.muted = true;
-      video.addEventListener('loadedmetadata', () => { video.playbackRate = rate; });
-      for (const [event, on] of [['pointerenter', true], ['focus', true], ['pointerleave', false]]) {
-        video.addEventListener(event, () => { video.controls = on; });
-      }
-      if (!calm()) video.autoplay = true;
-      return h('figure', { class: 'film' }, video, h('figcaption', {}, name));
+      const { sentences, finer, tables } = props.value || {};
+      if (!sentences) return element.replaceChildren();
+      const text = ({ text: words, warn }) => h('p', { class: warn ? 'warn' : '' }, words), experts = h('div', { class: 'tables' });
+      experts.innerHTML = tables; // made by demo/report.py, which escapes all text
+      element.replaceChildren(h('h2', {}, 'Report'), ...sentences.map(text),
+        finer ? h('div', { class: 'finer' }, h('button', { type: 'button', onclick: () => { if (!state.running) trigger('finer'); } }, 'Make it finer'), h('small', {}, finer)) : h('div', { class: 'finer' }, h('small', {}, 'This is the finest accuracy.')),
+        h('details', { class: 'fold', id: 'experts' }, h('summary', {}, 'For experts', h('span', {}, 'tables, curves, fit')), experts, places.fit));
     };
     watch('value', show);
     show();
@@ -314,28 +383,70 @@
 
   /* ---- take-away --------------------------------------------------------------------------- */
 
+  const GROUPS = { videos: 'Videos', show: 'To show', programs: 'For 3D programs', experts: 'For experts' };
+  const LARGE = 100e6;
+
   function takeaway(element, props, watch, trigger) {
-    const making = new Set();
-    let shown = {}, last = null;
+    const making = new Set(), sharing = globalThis.Phy124.sharing = () => share();
+    let shown = {}, last = null, opened = null;
+    const begin = (kind) => { making.add(last = kind); trigger('prepare', { kind }); };
+    const link = ({ label, hint, file }) => h('a', { class: 'file', href: file.url, download: file.orig_name, 'data-name': file.orig_name },
+      h('strong', {}, label), h('span', {}, hint), h('em', {}, size(file.size || 0)));
+    const button = ({ kind, label, hint, about }) => h('button', { type: 'button', class: 'file', 'data-kind': kind, 'aria-busy': making.has(kind) && 'true',
+      onclick: (event) => { begin(kind); event.currentTarget.setAttribute('aria-busy', 'true'); event.currentTarget.append(h('progress', { 'aria-label': `Making ${label}` })); } },
+    h('strong', {}, label), h('span', {}, hint), h('em', { class: about > LARGE ? 'warn' : '' }, about ? `Make, about ${size(about)}${about > LARGE ? ': large' : ''}` : 'Make'),
+    making.has(kind) ? h('progress', { 'aria-label': `Making ${label}` }) : null);
+    const film = ({ label, file }) => {
+      const video = h('video', { src: file.url, loop: true, playsinline: true, autoplay: !calm(), preload: 'auto', tabindex: 0, 'aria-label': label });
+      video.muted = true;
+      for (const [event, on] of [['pointerenter', true], ['focus', true], ['pointerleave', false]]) video.addEventListener(event, () => { video.controls = on; });
+      video.addEventListener('loadedmetadata', () => { video.playbackRate = shown.length < 1 ? 0.5 : 1; });
+      return h('figure', { class: 'film' }, video);
+    };
+    const group = (name, title) => {
+      const files = shown.files.filter((each) => each.group === name), offers = shown.offers.filter((each) => each.group === name);
+      const bytes = files.reduce((sum, { file }) => sum + (file.size || 0), 0), inside = h('div', { class: 'files' });
+      const fill = () => inside.replaceChildren(...(name === 'videos' ? [h('div', { class: 'films' }, ...files.filter(({ file }) => /mp4$/.test(file.orig_name)).map(film))] : []), ...files.map(link), ...offers.map(button),
+        ...(name === 'show' && shown.share ? [address(shown.share)] : []));
+      if (opened === name) fill();
+      const each = [...files.map(({ brief, label, file }) => `${brief || label} ${size(file.size || 0)}`), ...offers.map(({ label }) => label)];
+      const more = name === 'videos' ? `${files.length} ${files.length === 1 ? 'side' : 'sides'}, ${size(bytes)}` : each.length > 3 ? `${each.slice(0, 2).join(', ')}, ${each.length - 2} more` : each.join(', ');
+      return h('details', { class: 'fold', name: 'take', 'data-group': name, open: opened === name, ontoggle: (event) => {
+        if (event.target.open) { opened = name; fill(); } else if (opened === name) opened = null;
+      } }, h('summary', {}, title, h('span', {}, more)), inside);
+    };
+    const absolute = (path) => new URL(path, document.baseURI).href;
+    const copied = (url, at) => navigator.clipboard?.writeText(url).then(() => { at.textContent = 'Copied'; announce('The link is copied.'); });
+    const address = ({ link: path, lasts }) => {
+      const url = absolute(path), copy = h('button', { type: 'button', class: 'quiet', onclick: () => copied(url, copy) }, 'Copy');
+      return h('p', { class: 'shared', role: 'status' }, h('a', { href: url, target: '_blank', rel: 'noopener' }, url), copy, h('span', {}, lasts));
+    };
+
+    /* One button next to the player: the system's sheet where there is one, else a link and the video. */
+    let pop = null;
+    const share = () => {
+      pop = h('details', { class: 'pop share' }, h('summary', { class: 'filled' }, 'Share'), h('div', { class: 'panel', role: 'group', 'aria-label': 'Share' }));
+      pop.addEventListener('toggle', () => { if (pop.open) { if (!shown.share) begin('share'); choices(); } });
+      return pop;
+    };
+    const choices = () => {
+      if (!pop?.open) return;
+      const url = shown.share && absolute(shown.share.link), video = shown.files?.find(({ group: of }) => of === 'videos')?.file;
+      const act = (label, run) => h('button', { type: 'button', disabled: !url, onclick: run }, label);
+      const copy = act(url ? 'Copy the link' : 'Making the link …', () => copied(url, copy));
+      pop.lastChild.replaceChildren(...(navigator.share ? [act('Send it …', () => navigator.share({ title: 'phy124', url }).catch(() => {}))] : []), copy,
+        ...(video ? [h('a', { href: video.url, download: video.orig_name }, 'Save the video')] : []), h('small', {}, shown.message || shown.share?.lasts || ''));
+    };
+
     const show = (value) => {
       if (value.asked && value.result && value.result !== shown.result) return; // of another result
       if (value.result !== shown.result) making.clear();
+      else if (shown.share && !value.share) value = { ...value, share: shown.share };
       making.delete(value.asked);
       shown = value;
-      const link = ({ label, hint, file }) => h('a', { class: 'file', href: file.url, download: file.orig_name, 'data-name': file.orig_name },
-        h('strong', {}, label), h('span', {}, hint), h('em', {}, size(file.size || 0)));
-      const button = ({ kind, label, hint, about }) => h('button', { type: 'button', class: 'file', 'data-kind': kind, 'aria-busy': making.has(kind) && 'true',
-        onclick: (event) => { making.add(last = kind); event.currentTarget.setAttribute('aria-busy', 'true'); trigger('prepare', { kind }); } },
-      h('strong', {}, label), h('span', {}, hint), h('em', {}, about ? `Make, ~${size(about)}` : 'Make'));
-      const shared = ({ link, lasts }) => {
-        const url = new URL(link, document.baseURI).href;
-        const copy = h('button', { type: 'button', onclick: () => navigator.clipboard?.writeText(url).then(() => { copy.textContent = 'Copied'; }) }, 'Copy');
-        return h('p', { class: 'shared', role: 'status' }, h('a', { href: url, target: '_blank', rel: 'noopener' }, url), copy, h('span', {}, lasts));
-      };
-      element.replaceChildren(value.files ? h('div', { class: 'files' }, ...value.files.map(link), ...value.offers.map(button))
-        : h('p', { class: 'empty' }, 'Videos, the moving Gaussians and the scene can be taken away from here.'));
+      element.replaceChildren(...(value.files ? [h('h2', {}, 'Take away'), ...Object.entries(GROUPS).map(([name, title]) => group(name, title))] : []));
       if (value.message) element.append(h('p', { class: 'message', role: 'alert' }, value.message));
-      if (value.share) element.append(shared(value.share));
+      choices();
       const made = value.asked === last && value.file ? element.querySelector(`[data-name="${value.file}"]`) : null;
       // Not opened by itself: browsers may block downloads that no click has asked for.
       if (made) { last = null; made.classList.add('new'); made.focus(); }
@@ -345,9 +456,10 @@
     document.addEventListener('phy124-failed', () => {
       if (!making.size) return;
       making.clear();
-      show({ ...shown, asked: null, message: 'The server could not make this. Try again.' });
+      show({ ...shown, asked: null, message: 'The server could not make this file. Try again.' });
     });
+    return sharing;
   }
 
-  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { h, calm, moving, announce, sounds, live, forecast, progress, viewer, history, videos, takeaway });
+  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { h, calm, moving, announce, sounds, live, mark, state, places, forecast, progress, viewer, history, report, takeaway });
 })();

@@ -1,9 +1,9 @@
-/* The picture panel: choose a picture (file, drop, paste, camera, example), see its cut-out, correct
- * it by brush. Large photographs are reduced here, before they are sent. A file of Gaussians may take the
- * picture's place. */
+/* The picture panel: choose a picture (file, drop, paste, camera, ready result), see its cut-out, click
+ * another object, or correct the cut-out by brush. Large photographs are reduced before they are sent. A
+ * file of Gaussians may replace the picture. */
 'use strict';
 (() => {
-  const { h, follow, server, Questions } = globalThis.Phy124;
+  const { h, follow, mark, server, Questions } = globalThis.Phy124;
   const KEPT = 'phy124-picture', LARGEST = 3e6; // a tab keeps a few MB of text
   const SIDE = 2048; // the server looks no closer
   const ACCEPT = 'image/png,image/jpeg,image/webp,image/heic,image/heif,image/avif,.heic,.heif,.avif';
@@ -16,13 +16,14 @@
   class PicturePanel {
     constructor(element, props, watch, trigger, offer) {
       Object.assign(this, { element, props, offer, questions: new Questions(trigger), following: null });
-      this.status = h('p', { class: 'picture-status', role: 'status' });
+      this.status = h('div', { class: 'picture-status', role: 'status' });
       this.again = h('button', { type: 'button', class: 'quiet', hidden: true, onclick: () => this.retry() }, 'Try again');
       this.brush = new globalThis.Phy124.Brush((strokes) => this.correct({ strokes }), (pick) => this.correct({ pick }));
-      this.drop = this.dropzone();
       this.preview = h('figure', { id: 'cutout', hidden: true }, h('img', { alt: 'The object, cut out' }));
-      element.replaceChildren(h('div', { class: 'pictures' }, this.drop, this.preview), this.status, this.again,
-        this.examples(), this.brush.element);
+      this.drop = this.dropzone();
+      this.another = h('button', { type: 'button', class: 'link another', 'aria-label': 'Another picture', onclick: () => this.input.click() }, 'Another');
+      element.replaceChildren(h('h2', { class: 'picture-head' }, 'Picture', this.another), this.drop, this.status, this.again, this.brush.opener, this.brush.element);
+      document.addEventListener('phy124-ready', (event) => this.take({ example: event.detail.example }, true));
       document.addEventListener('paste', (event) => this.paste(event));
       document.addEventListener('phy124-way', (event) => { if (this.props.value?.file) this.shown.src = event.detail; });
       document.addEventListener('phy124-failed', () => this.fail());
@@ -33,12 +34,13 @@
     }
 
     dropzone() {
-      const input = this.input = h('input', { type: 'file', accept: [ACCEPT, ...this.offer.limits.file_endings].join(), 'aria-label': 'Choose a picture or a file of Gaussians', onchange: () => this.take({ file: input.files[0] }) });
-      this.shown = h('img', { alt: 'Your picture', title: 'Click the object that is meant', hidden: true, onclick: (event) => this.pick(event) });
-      this.hint = h('span', { class: 'photo-hint' }, h('strong', {}, 'Choose a picture'), 'or drop or paste it here', h('small', {}, `Gaussians, too: ${this.offer.limits.file_endings.join(' ')}`));
-      const zone = h('div', { id: 'photo' }, h('label', {}, input, this.shown, this.hint),
-        h('button', { type: 'button', class: 'quiet another', 'aria-label': 'Another picture', onclick: () => input.click() }, 'Another'),
-        h('button', { type: 'button', class: 'quiet camera', onclick: () => this.photograph() }, 'Camera'));
+      const endings = this.offer.limits.file_endings, camera = '<svg viewBox="0 0 20 20" aria-hidden="true"><path d="M3 6.5h3l1.3-2h5.4l1.3 2h3v9.5H3z"/><circle cx="10" cy="11" r="3"/></svg>';
+      const input = this.input = h('input', { type: 'file', accept: [ACCEPT, ...endings].join(), 'aria-label': 'Choose a picture or a file of Gaussians', onchange: () => this.take({ file: input.files[0] }) });
+      this.shown = h('img', { alt: 'Your picture', title: 'Click the object', hidden: true, onclick: (event) => this.pick(event) });
+      this.hint = h('span', { class: 'photo-hint', title: `or a file of Gaussians: ${endings.join(' ')}` }, h('strong', { class: 'filled' }, 'Choose a picture'), h('small', {}, 'or drop it here'));
+      const shoot = h('button', { type: 'button', class: 'camera icon', 'aria-label': 'Camera', title: 'Camera', onclick: () => this.photograph() });
+      shoot.innerHTML = camera;
+      const zone = h('div', { id: 'photo' }, h('label', {}, input, this.shown, this.preview, this.hint), shoot);
       for (const name of ['dragover', 'dragleave', 'drop']) {
         zone.addEventListener(name, (event) => { event.preventDefault(); zone.classList.toggle('over', name === 'dragover'); });
       }
@@ -46,7 +48,7 @@
       return zone;
     }
 
-    /** A click on the picture that is shown, whose sides may be blank: the object there is meant. */
+    /** Choose the object at a click; the picture may have blank margins. */
     pick(event) {
       event.preventDefault(); // the label would ask for another file
       if (this.props.value?.file) return;
@@ -57,12 +59,6 @@
       if (Math.min(x, y) >= 0 && Math.max(x, y) <= 1) this.brush.pick([x, y]);
     }
 
-    examples() {
-      const button = (name) => h('button', { type: 'button', 'aria-label': `Example: ${name.replace(/_/g, ' ')}`, onclick: () => this.take({ example: name }) },
-        h('img', { src: `phy124/examples/${name}.png`, alt: '', width: 48, height: 48, loading: 'lazy' }));
-      return h('div', {}, h('p', { class: 'examples-title' }, 'Or begin with one of these'), h('div', { class: 'examples' }, ...this.offer.examples.map(button)));
-    }
-
     paste(event) {
       const file = [...(event.clipboardData?.files || [])].find((f) => f.type.startsWith('image/'));
       if (file) { event.preventDefault(); this.take({ file }); }
@@ -71,7 +67,7 @@
     async photograph() {
       let stream;
       try { stream = await navigator.mediaDevices.getUserMedia({ video: { facingMode: 'environment', width: { ideal: SIDE } } }); }
-      catch { return this.say('There is no camera, or it may not be used here.', true); }
+      catch { return this.say('This device has no camera, or the browser does not allow its use.', true); }
       const video = h('video', { autoplay: true, playsinline: true, 'aria-label': 'Camera' });
       video.muted = true;
       video.srcObject = stream;
@@ -88,9 +84,9 @@
       dialog.showModal();
     }
 
-    /** What a visitor has chosen: an example, or a file; it is kept to be sent again. */
-    take(chosen) {
-      Object.assign(this, { chosen, corrected: null });
+    /** Take an example or a file, which is kept to be sent again; `ready`: its result is on the stage already. */
+    take(chosen, ready = false) {
+      Object.assign(this, { chosen, fresh: !ready, corrected: null });
       this.begin(chosen);
     }
 
@@ -99,14 +95,14 @@
       else if (example) { this.choose({ example }); keep({ example }); }
     }
 
-    /** The server has forgotten the picture: it is sent again, and corrected as it was. */
+    /** The server no longer has the picture: it is sent again, with the same corrections. */
     restore() {
       this.following = null;
       const chosen = this.chosen || kept();
       if (chosen) {
         Object.assign(this, { chosen, restoring: true });
         this.begin(chosen);
-      } else if (this.props.value?.picture) this.refuse('The server no longer has your picture. Choose it once more.');
+      } else if (this.props.value?.picture) this.refuse('The server no longer has your picture. Choose it again.');
     }
 
     /** Send a file, reduced if it is large, and have it cut out. */
@@ -116,7 +112,7 @@
       this.say(`Sending the ${gaussians ? 'file' : 'picture'} …`);
       const small = gaussians ? file : await reduced(file, limits);
       this.input.value = '';
-      if (this.chosen?.file !== file) return; // another one was chosen meanwhile
+      if (this.chosen?.file !== file) return; // another file was chosen meanwhile
       const { path, message, lost } = await sent(small, limits);
       if (this.chosen?.file !== file) return;
       if (message) return this.refuse(message, lost && (() => this.send(file)));
@@ -126,7 +122,7 @@
 
     choose(what, reads = false) {
       this.local = null;
-      this.say(reads ? 'Reading the file …' : 'Cutting the object out …');
+      this.say(reads ? 'Reading the file …' : 'Cutting out the object …');
       this.ask('choose', what);
     }
 
@@ -146,13 +142,13 @@
     /** A request was answered by an error, which carries no new value. */
     fail() {
       if (!this.questions.pending || this.questions.answered()) return;
-      this.say('The server could not do this.', true);
+      this.say('The server could not process the picture.', true);
       this.again.hidden = false;
     }
 
     retry() { this.again.hidden = true; this.last(); }
 
-    /** What was chosen before must not be generated from after a refusal: the server forgets it. */
+    /** After a refusal no earlier picture is used: the server is asked to drop it. */
     refuse(message, again = null) {
       this.restoring = false;
       this.questions.ask('choose', {});
@@ -161,8 +157,9 @@
       if (again) { this.last = again; this.again.hidden = false; }
     }
 
-    say(text, bad = false) {
-      this.status.textContent = text;
+    /** `details` are folded below the text. */
+    say(text, bad = false, details = '') {
+      this.status.replaceChildren(text, details ? h('details', {}, h('summary', {}, 'Details'), details) : '');
       this.status.classList.toggle('bad', bad);
       this.again.hidden = true;
     }
@@ -172,6 +169,7 @@
       const value = this.props.value || {};
       const [photo, cut] = [value.picture?.url, value.cutout?.url];
       this.drop.classList.toggle('full', Boolean(photo));
+      this.drop.classList.toggle('cut', Boolean(cut));
       this.shown.hidden = !photo;
       if (photo) this.shown.src = photo; else this.shown.removeAttribute('src');
       this.hint.hidden = Boolean(photo);
@@ -179,31 +177,34 @@
       if (cut) this.preview.firstChild.src = cut; else this.preview.firstChild.removeAttribute('src');
       this.drop.classList.toggle('file', Boolean(value.file));
       this.brush.load(value.file ? null : photo, cut, this.restoring);
-      if (value.job && !cut) this.brush.element.hidden = true;
+      mark({ picture: Boolean(cut || value.file) && !value.job });
+      if (value.job && !cut) this.brush.opener.hidden = true;
       if (value.job) return this.await(value);
-      if (cut || value.file) document.dispatchEvent(new Event('phy124-asked'));
+      const seen = cut || (value.file && photo);
+      if (seen) document.dispatchEvent(new Event('phy124-asked'));
+      document.dispatchEvent(new CustomEvent('phy124-cut', { detail: { url: seen, fresh: Boolean(this.fresh && !this.restoring) } }));
       const again = this.restoring && cut && this.corrected;
       this.restoring = false;
       if (again) return this.correct(this.corrected);
       if (value.message) { this.say(value.message, true); this.again.hidden = !value.again; }
       else if (value.file) this.say(value.file);
-      else if (photo) this.say([cut && `The object is cut out by ${value.by}.`, value.doubts].filter(Boolean).join(' '), Boolean(value.doubts));
+      else if (photo) this.say(value.warning || '', Boolean(value.warning), value.doubts);
       else { this.say(this.local || '', Boolean(this.local)); this.local = null; }
     }
 
     await({ job, seconds, reads }) {
       if (this.following === job) return;
       this.following = job;
-      this.say(reads ? 'Reading the file, and drawing it all ways up …' : `Cutting the object out${seconds ? `, about ${seconds} s` : ''} …`);
+      this.say(reads ? 'Reading the file and drawing its orientations …' : `Cutting out the object${seconds ? `, about ${seconds} s` : ''} …`);
       follow(job, (told) => {
         if (this.following !== job) return false;
-        if (told.state === 'waiting' && told.place) this.say(`Waiting to be ${reads ? 'read' : 'cut out'}, ${told.place} before this ${reads ? 'file' : 'picture'}`);
-        else if (told.state === 'lost') this.say('The connection was lost. Trying again …');
+        if (told.state === 'waiting' && told.place) this.say(`Waiting: ${told.place} before your ${reads ? 'file' : 'picture'}`);
+        else if (told.state === 'lost') this.say('The connection was lost. Reconnecting …');
         return true;
       }, (told) => {
         if (this.following !== job) return;
         this.following = null;
-        if (told.state === 'gone') this.refuse('The server no longer has your picture. Choose it once more.');
+        if (told.state === 'gone') this.refuse('The server no longer has your picture. Choose it again.');
         else this.ask('cut', { job });
       });
     }
@@ -211,14 +212,14 @@
 
   const isOfGaussians = (file, limits) => limits.file_endings.some((ending) => (file.name || '').toLowerCase().endsWith(ending));
 
-  /** Keep a picture in this tab over a reload, should the server have forgotten it by then. */
+  /** Keep a picture in this tab over a reload, in case the server no longer has it then. */
   async function keep({ example, file }) {
     try {
       sessionStorage.removeItem(KEPT);
       if (file?.size > LARGEST) return;
       const url = file && await new Promise((done) => { const reader = new FileReader(); reader.onload = () => done(reader.result); reader.readAsDataURL(file); });
       sessionStorage.setItem(KEPT, JSON.stringify({ example, url, name: file?.name, type: file?.type }));
-    } catch { /* not kept, then */ }
+    } catch { /* storage is not available */ }
   }
 
   function kept() {
@@ -229,7 +230,7 @@
     } catch { return null; }
   }
 
-  /** A picture file no longer and larger than the server needs; one that this browser cannot read as it is. */
+  /** Reduce a picture to the size that the server needs; a file that this browser cannot read is unchanged. */
   async function reduced(file, limits) {
     let bitmap;
     try { bitmap = await createImageBitmap(file, { imageOrientation: 'from-image' }); } catch { return file; }
@@ -247,7 +248,7 @@
     return new File([made], `picture.${made.type.split('/')[1]}`, { type: made.type });
   }
 
-  /** Send a file: its path there, or why it was not taken, and whether the connection was lost. */
+  /** Send a file; return its path on the server, or the reason of a refusal and whether the connection was lost. */
   async function sent(file, limits) {
     const form = new FormData();
     form.append('files', file, file.name || 'picture.png');

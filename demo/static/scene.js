@@ -1,9 +1,11 @@
-/* The scene editor: preset cards, the few knobs that matter, and a form for all the rest (form.js).
- * Its value is the whole scene as plain data. */
+/* The scene editor: preset cards, *Adjust* with the few knobs that matter, and a dialog with every setting
+ * (form.js). Its value is the whole scene as plain data. */
 'use strict';
 (() => {
-  const { h, moving, announce, sounds, asLink, shared, Form, clone, words } = globalThis.Phy124;
+  const { h, moving, announce, sounds, places, asLink, shared, Form, clone, words } = globalThis.Phy124;
   const nice = (x, digits = 3) => Number(Number(x).toPrecision(digits)).toString();
+  const SOFT = [[1.5e4, 'very soft'], [1.5e5, 'soft'], [2e6, 'firm'], [1e8, 'stiff'], [Infinity, 'rigid']];
+  const pressure = (pa) => `${SOFT.find(([most]) => pa < most)[1]}, ` + (pa < 1e6 ? `${nice(pa / 1e3)} kPa` : pa < 1e9 ? `${nice(pa / 1e6)} MPa` : `${nice(pa / 1e9)} GPa`);
 
   const BACKGROUNDS = { white: [[1, 1, 1]], grey: [[0.86, 0.87, 0.88]], gradient: [[0.78, 0.82, 0.86], [0.96, 0.96, 0.95]], dark: [[0.09, 0.106, 0.133]] };
   const STORED = 'phy124-scene';
@@ -20,7 +22,7 @@
   }
 
   /** The further objects of a scene that take a picture. */
-  const pictured = (data) => ((data && data.objects) || []).filter((one) => !one.shape && !one.file);
+  const pictured = (data) => ((data && data.objects) || []).filter((object) => !object.shape && !object.file);
 
   class Editor {
     constructor(element, offer, send) {
@@ -28,9 +30,13 @@
       this.cards = h('div', { class: 'cards', role: 'radiogroup', 'aria-label': 'What happens' });
       this.chips = h('div', { class: 'chips', role: 'radiogroup', 'aria-label': 'Made of' });
       this.knobs = h('div', { class: 'knobs' });
-      this.form = new Form(offer.schema, (sections) => { if (sections) this.redraw(); else { this.drawKnobs(); this.tell(); } });
-      element.replaceChildren(this.cards, h('div', { class: 'knob' }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Made of')), this.chips),
-        this.knobs, this.form.element, this.tools());
+      this.special = h('div', { class: 'knobs' });
+      this.brief = h('span', {});
+      this.form = new Form(offer.schema, (sections) => { if (sections) this.redraw(); else { this.drawKnobs(); this.tell(); } }, this.special, this.tools());
+      this.all = h('button', { type: 'button', class: 'link', 'aria-expanded': 'false', onclick: () => this.unfold() }, `All ${offer.presets.length}`);
+      element.replaceChildren(h('h2', {}, 'What happens', this.all), this.cards, h('details', { class: 'fold', id: 'adjust' }, h('summary', {}, 'Adjust', this.brief),
+        h('h3', {}, 'Made of'), this.chips, this.knobs, h('details', { class: 'fold' }, h('summary', {}, 'More pictures', h('span', {}, 'side, back, depth')), places.pictures),
+        h('div', { class: 'every' }, h('span', {}, 'Every setting'), h('button', { type: 'button', onclick: () => this.form.open() }, 'More'))), this.form.element);
       element.addEventListener('keydown', (event) => this.shortcut(event));
       document.addEventListener('phy124-material', (event) => { this.data.material = clone(event.detail); this.drawKnobs(); this.turned(); });
       document.addEventListener('phy124-object', (event) => this.picture(event.detail));
@@ -41,18 +47,22 @@
       this.undoing = button('Undo', () => this.step(this.past, this.future));
       this.redoing = button('Redo', () => this.step(this.future, this.past));
       return h('div', { class: 'scene-tools' }, this.undoing, this.redoing, button('Copy a link to this scene', () => this.share()),
-        h('label', { class: 'chime' }, h('input', { type: 'checkbox', checked: sounds.on, onchange: (event) => { sounds.on = event.target.checked; } }), 'Chime when a run is done'));
+        h('a', { href: '?view=api' }, 'Use it from a program'), h('label', { class: 'check' }, h('input', { type: 'checkbox', checked: sounds.on, onchange: (event) => { sounds.on = event.target.checked; } }), 'Chime when a run is finished'), places.film);
     }
 
     begin(given) {
-      this.drawChips();
       this.drawCards();
+      this.drawChips();
+      document.addEventListener('phy124-ready', (event) => this.choose(event.detail.preset, event.detail.material));
       this.choose(this.offer.presets[0].name);
       try { if (given && given.material && given.time) this.load(given); } catch { this.choose(this.offer.presets[0].name); }
     }
 
-    choose(name) {
+    /** A card: the first run is a draft, which the report offers to make finer. */
+    choose(name, material = null) {
       const data = clone(this.offer.presets.find((p) => p.name === name).scene);
+      data.accuracy = 'draft';
+      if (material) data.material = clone(this.offer.substances.find((s) => s.name === material).material);
       // On a dark page white videos would glare.
       if (document.body.classList.contains('dark')) [data.view.background] = clone(BACKGROUNDS.dark);
       // Pictures that were sent stay with the objects in their order.
@@ -78,7 +88,7 @@
       this.timer = setTimeout(() => this.settle(), 120);
     }
 
-    /** What was changed since the last word is one step of the history. */
+    /** All changes since the last message are one step of the history. */
     settle() {
       clearTimeout(this.timer);
       if (this.sent && JSON.stringify(this.sent) !== JSON.stringify(this.data)) { this.past.push(this.sent); this.future.splice(0); }
@@ -90,7 +100,7 @@
       globalThis.Phy124.objects = pictured(this.sent).map(({ name, picture }) => ({ name, picture }));
       document.dispatchEvent(new Event('phy124-asked'));
       document.dispatchEvent(new CustomEvent('phy124-objects', { detail: globalThis.Phy124.objects }));
-      try { sessionStorage.setItem(STORED, JSON.stringify(this.sent)); } catch { /* not kept, then */ }
+      try { sessionStorage.setItem(STORED, JSON.stringify(this.sent)); } catch { /* storage is not available */ }
       [this.undoing.disabled, this.redoing.disabled] = [!this.past.length, !this.future.length];
       this.send(this.sent);
     }
@@ -102,7 +112,7 @@
       to.push(this.sent);
       this.show(from.pop());
       this.say();
-      announce('The scene was changed back.');
+      announce('The earlier scene is restored.');
     }
 
     shortcut(event) {
@@ -129,60 +139,90 @@
     }
 
     /** A knob changed the data: the form follows. */
-    turned() { this.markChips(); this.drawForm(); this.tell(); }
+    turned() { this.markChips(); this.drawForm(); this.summarise(); this.tell(); }
 
-    /** Which preset the scene began as, which has words of its own. */
+    /** Mark the card of the preset that the scene began as. */
     markCards() {
       [...this.cards.querySelectorAll('input')].forEach((input, i) => { input.checked = this.offer.presets[i].scene.description === this.data.description; });
     }
 
-    /** Which material the scene has now; the chips stay, so that none loses the focus. */
+    /** Which material the scene has now: the card's own, or one of the chips, which stay, so that none loses the focus. */
     markChips() {
-      const same = ({ material }) => Object.entries(material).every(([name, value]) => JSON.stringify(this.data.material[name]) === JSON.stringify(value));
-      [...this.chips.querySelectorAll('input')].forEach((input, i) => { input.checked = same(this.offer.substances[i]); });
+      const same = (material) => Object.entries(material).every(([name, value]) => JSON.stringify(this.data.material[name]) === JSON.stringify(value));
+      const preset = this.preset, inputs = [...this.chips.querySelectorAll('input')];
+      const materials = [preset ? preset.scene.material : { law: null }, ...this.offer.substances.map(({ material }) => material)];
+      const chosen = materials.findIndex(same);
+      inputs.forEach((input, i) => { input.checked = i === chosen; });
+      const picture = preset?.picture, first = this.chips.querySelector('i');
+      if (first && picture && first.dataset.of !== picture) { first.dataset.of = picture; first.replaceChildren(moving(`phy124/${picture}`, {}, true)); }
     }
+
+    /** The preset that the scene began as. */
+    get preset() { return this.offer.presets.find(({ scene }) => scene.description === this.data?.description); }
 
     drawChips() {
-      this.chips.replaceChildren(...this.offer.substances.map(({ name, title, material, picture }) => h('label', { class: 'chip' },
-        h('input', { type: 'radio', name: 'substance', value: name, onchange: () => { this.data.material = clone(material); this.drawKnobs(); this.turned(); } }),
-        picture ? moving(`phy124/${picture}`, { width: 48, height: 48 }) : null, h('span', {}, title))));
+      const chip = (name, title, picture, act) => h('label', { class: 'chip' }, h('input', { type: 'radio', name: 'substance', value: name, onchange: act }),
+        h('i', {}, picture ? moving(`phy124/${picture}`, {}, true) : null), h('b', {}, title));
+      const use = (material) => { this.data.material = clone(material); this.drawKnobs(); this.turned(); };
+      this.chips.replaceChildren(chip('as_is', 'As is', null, () => use((this.preset || this.offer.presets[0]).scene.material)),
+        ...this.offer.substances.map(({ name, title, material, picture }) => chip(name, title, picture, () => use(material))));
     }
 
+    /** The pictures of cards that are not shown are not loaded. */
     drawCards() {
-      this.cards.replaceChildren(...this.offer.presets.map((preset) => h('label', { class: 'card' },
+      this.cards.replaceChildren(...this.offer.presets.map((preset) => h('label', { class: 'card', title: preset.text },
         h('input', { type: 'radio', name: 'preset', value: preset.name, onchange: () => this.choose(preset.name) }),
-        preset.picture ? moving(`phy124/${preset.picture}`, { width: 160, height: 160 }) : h('span', { class: 'blank' }),
-        h('strong', {}, preset.title), h('span', { class: 'card-text' }, preset.text))));
+        h('i', {}), h('b', {}, preset.title))));
+      this.drawPictures();
+    }
+
+    drawPictures() {
+      [...this.cards.children].forEach((card, i) => {
+        const at = card.querySelector('i'), { picture } = this.offer.presets[i];
+        if (picture && !at.firstChild && (card.offsetParent || i < 6)) at.append(moving(`phy124/${picture}`, {}, true));
+      });
+    }
+
+    unfold() {
+      this.all.setAttribute('aria-expanded', this.cards.classList.toggle('all'));
+      this.drawPictures();
     }
 
     /* ---- knobs ----------------------------------------------------------------------------- */
 
     drawKnobs() {
-      const rows = [this.push(), this.log('Softness', ['material', 'E'], 1e3, 1e10, this.offer.softness, 'Pa'),
-        this.log('Weight', ['material', 'density'], 20, 10000, this.offer.weights, 'kg/m³'),
-        this.held(), this.count(), this.accuracy(), this.background()];
+      const softness = this.log('Softness', ['material', 'E'], 1e3, 1e10, null, pressure);
+      const rows = [softness, this.log('Weight', ['material', 'density'], 20, 10000, this.offer.weights, (value) => `${nice(value)} kg/m³`), this.count(), this.push()];
       this.knobs.replaceChildren(...rows.filter(Boolean));
+      this.special.replaceChildren(this.accuracy(), this.held(), this.background());
+      this.summarise();
+    }
+
+    /** What is set, in a few words. */
+    summarise() {
+      const softness = this.knobs.querySelector('[aria-label=Softness]');
+      const length = `${nice(this.data.time.frames / this.data.time.fps, 2)} s`, chip = [...this.chips.querySelectorAll('input')].findIndex((input) => input.checked);
+      this.brief.textContent = [chip > 0 ? this.offer.substances[chip - 1].title : softness?.getAttribute('aria-valuetext').split(',')[0], length].filter(Boolean).join(', ');
     }
 
     knob(label, output, ...children) {
       return h('div', { class: 'knob' }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, label), output), ...children);
     }
 
-    log(label, [section, field], least, most, anchors, unit) {
+    log(label, [section, field], least, most, anchors, spell) {
       if (!(field in this.data[section])) return null;
       const steps = 200, ratio = Math.log(most / least);
       const at = (value) => Math.round(steps * Math.log(value / least) / ratio);
-      const output = h('output', {}), say = () => {
-        const value = this.data[section][field];
-        const near = Object.keys(anchors).reduce((a, b) => (Math.abs(Math.log(value / anchors[b])) < Math.abs(Math.log(value / anchors[a])) ? b : a));
-        output.textContent = `${Math.abs(Math.log(value / anchors[near])) < 0.8 ? `like ${near}, ` : ''}${value >= 1e5 ? value.toExponential(1) : nice(value)} ${unit}`;
-      };
-      const slider = h('input', { type: 'range', min: 0, max: steps, value: at(this.data[section][field]), 'aria-label': label,
+      const output = h('output', {}), slider = h('input', { type: 'range', min: 0, max: steps, value: at(this.data[section][field]), 'aria-label': label,
         oninput: (event) => { this.data[section][field] = Number(nice(least * Math.exp(ratio * event.target.value / steps))); say(); this.turned(); } });
-      const marks = h('div', { class: 'marks' }, ...Object.entries(anchors).map(([name, value]) => h('button', { type: 'button', tabindex: -1, style: `left:${100 * at(value) / steps}%`,
-        onclick: () => { slider.value = at(value); this.data[section][field] = value; say(); this.turned(); } }, name)));
+      const say = () => {
+        const value = this.data[section][field];
+        const near = anchors && Object.keys(anchors).reduce((a, b) => (Math.abs(Math.log(value / anchors[b])) < Math.abs(Math.log(value / anchors[a])) ? b : a));
+        output.textContent = `${near && Math.abs(Math.log(value / anchors[near])) < 0.8 ? `like ${near}, ` : ''}${spell(value)}`;
+        slider.setAttribute('aria-valuetext', output.textContent);
+      };
       say();
-      return this.knob(label, output, slider, marks);
+      return this.knob(label, output, slider);
     }
 
     /** The acceleration that the pad sets; a zero vector if the scene has none. */
@@ -231,7 +271,7 @@
       up.addEventListener('input', () => { state.up = Number(up.value); set(); });
       say();
       return this.knob('Push', output, h('div', { class: 'push' }, pad, h('div', { class: 'push-sliders' },
-        h('label', {}, 'Strength', strength), h('label', {}, 'Down or up', up))));
+        h('label', {}, 'How hard', strength), h('label', {}, 'Down or up', up))));
     }
 
     setPush({ right, away, up, strength }) {
@@ -258,11 +298,11 @@
     }
 
     count() {
-      const output = h('output', {}), time = this.data.time;
-      const say = () => { output.textContent = `${time.frames}, ${nice(time.frames / time.fps, 2)} s of motion`; };
+      const output = h('output', {}), time = this.data.time, slider = h('input', { type: 'range', min: 2, max: this.offer.limits.frames, step: 1, value: time.frames, 'aria-label': 'Length',
+        oninput: (event) => { time.frames = Number(event.target.value); say(); this.turned(); } });
+      const say = () => { output.textContent = `${nice(time.frames / time.fps, 2)} s`; slider.setAttribute('aria-valuetext', `${output.textContent}, ${time.frames} frames`); };
       say();
-      return this.knob('Frames', output, h('input', { type: 'range', min: 2, max: this.offer.limits.frames, step: 1, value: time.frames, 'aria-label': 'Frames',
-        oninput: (event) => { time.frames = Number(event.target.value); say(); this.turned(); } }));
+      return this.knob('Length', output, slider);
     }
 
     accuracy() {
@@ -270,7 +310,7 @@
       return this.knob('Accuracy', h('output', {}), h('div', { class: 'segments', role: 'radiogroup', 'aria-label': 'Accuracy' },
         ...this.offer.accuracies.map(({ name, cells, why }) => h('label', { title: why },
           h('input', { type: 'radio', name: 'accuracy', value: name, checked: this.data.accuracy === name, onchange: () => pick(name) }),
-          h('span', {}, words(name), h('small', {}, `${cells} cells across`))))));
+          h('span', {}, words(name), h('small', {}, `${cells} grid cells`))))));
     }
 
     background() {

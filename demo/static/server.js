@@ -1,5 +1,5 @@
-/* The server as the page sees it: work that goes on there, connections that are lost for a while, and a
- * server that has forgotten this visitor, since it was started again or heard nothing for too long.
+/* The server as the page sees it: running jobs, connections that are lost for a while, and a server that
+ * no longer has this visitor's files, because it was restarted or the page was disconnected for too long.
  *
  * Events of the document: "phy124-forgotten", and "phy124-failed" if a request was answered by an error. */
 'use strict';
@@ -7,15 +7,15 @@
   const ENDLESS = ['waiting', 'running', 'lost'];
   const STORED = 'phy124-visitor', OFTEN = 15e3, AGAIN = 1500;
   const ASKS = /gradio_api\/(run|queue\/join)/;
-  const LOST = 'The connection to the server was lost. Trying again …';
-  const FORGOTTEN = 'The server was started again, or heard nothing from this page for too long: it no longer has your files. '
-    + 'What is shown here stays until you leave the page; to take it away, generate it again.';
+  const LOST = 'The connection to the server was lost. Reconnecting …';
+  const FORGOTTEN = 'The server was restarted, or this page was disconnected for too long, so the server no longer has your files. '
+    + 'The result stays visible until you leave the page; to download files, generate it again.';
 
   const pause = (ms) => new Promise((done) => setTimeout(done, ms));
   const ask = globalThis.fetch.bind(globalThis);
   const tell = (name) => document.dispatchEvent(new Event(name));
 
-  /** Follow a piece of work to its end, over lost connections, too; `tell` returns false to give up. */
+  /** Follow a job to its end, also over lost connections; `tell` returns false to give up. */
   async function follow(job, tell, end) {
     let seen = 0;
     for (;;) {
@@ -23,7 +23,7 @@
       try {
         const answer = await fetch(`phy124/jobs/${job}?seen=${seen}`);
         if (answer.ok || answer.status === 404) told = await answer.json();
-      } catch { /* said by the state */ }
+      } catch { /* the state reports it */ }
       seen += told.glimpses ? told.glimpses.length : 0;
       if (tell(told) === false) return;
       if (told.state === 'gone') await look();
@@ -32,7 +32,7 @@
     }
   }
 
-  /** Questions of a panel to the server, one at a time: of those that come meanwhile the latest waits. */
+  /** Questions of a panel to the server, one at a time; of later questions only the latest waits. */
   class Questions {
     constructor(trigger) { Object.assign(this, { trigger, pending: null, next: null }); }
 
@@ -54,11 +54,11 @@
     }
   }
 
-  /* ---- whether it is there, and knows this visitor ------------------------------------------- */
+  /* ---- whether the server answers, and has this visitor's files ------------------------------------------- */
 
   const server = { forgot: false, look };
 
-  /** Ask whether the server is there, which keeps what it has of this visitor; returns that. */
+  /** Ask whether the server answers, which also keeps this visitor's files; returns whether it does. */
   async function look() {
     let visitor;
     try { ({ visitor } = await (await ask('phy124/here')).json()); } catch { return false; }
@@ -86,8 +86,8 @@
     return back;
   }
 
-  /** Gradio loads the page again once a request of its own was lost, and all that is shown would be
-   * lost with it. So these requests wait until the server answers. */
+  /** Gradio reloads the page when one of its requests is lost, which would remove everything shown. Therefore
+   * these requests wait until the server answers. */
   globalThis.fetch = async (address, options) => {
     if (!ASKS.test(String(address?.url ?? address))) return ask(address, options);
     for (;;) {

@@ -1,13 +1,13 @@
-/* Touch: a live run in the visitor's hand, over a socket (demo/touch).
+/* Touch: a live run that the visitor pushes, over a socket (demo/touch).
  *
- * Press on the object and drag: it is held there. Beside it, dragging turns the view. Each frame is
+ * Press on the object and drag: it is held there. Next to it, dragging turns the view. Each frame is
  * acknowledged once it is drawn, so a slow browser skips frames; and while something moves it draws as
  * many pixels, and as many of the Gaussians, enlarged, as it can in time. What rests is drawn once, with
  * all of them, and then no more.
  */
 'use strict';
 (() => {
-  const { h, calm, announce } = globalThis.Phy124;
+  const { h, mark, announce } = globalThis.Phy124;
   const FEWEST = 1500, COARSE = 0.5, SLOW = 36, FAST = 14, NEAR = 28, STEP = 0.06, CALM = 6, OFTEN = 16;
   const GRAVITIES = { Earth: 9.81, Mars: 3.71, Moon: 1.62, None: 0 };
   const KEYS = { ArrowLeft: ['right', -1], ArrowRight: ['right', 1], ArrowUp: ['up', 1], ArrowDown: ['up', -1], PageUp: ['ahead', 1], PageDown: ['ahead', -1] };
@@ -31,7 +31,6 @@
     constructor(element, ticket, trigger) {
       Object.assign(this, { element, trigger, seq: 0, sent: new Map(), delays: [], bytes: 0, frames: 0, pictures: 0, calm: 0, keyed: null, held: null, touches: new Map() });
       this.build();
-      document.querySelector('#viewer')?.classList.add('behind');
       const address = new URL(`phy124/touch/${ticket}`, document.baseURI);
       address.protocol = address.protocol.replace('http', 'ws');
       this.socket = new WebSocket(address);
@@ -45,6 +44,7 @@
     build() {
       const button = (label, act) => h('button', { type: 'button', class: 'quiet', onclick: act }, label);
       this.canvas = h('canvas', { tabindex: 0, role: 'application', 'aria-label': 'The object. Drag it to hold and throw it. Enter takes hold of its top, arrow keys, Page Up and Page Down move it, Enter lets go; with Shift, arrow keys turn the view.' });
+      const cut = document.querySelector('#cutout img')?.getAttribute('src') || document.querySelector('#photo img')?.getAttribute('src');
       this.status = h('p', { class: 'touch-status', role: 'status' }, 'Starting …');
       this.rate = h('p', { class: 'touch-rate' });
       const gravity = h('select', { 'aria-label': 'Gravity', onchange: () => this.say({ do: 'gravity', value: GRAVITIES[gravity.value] }) },
@@ -53,13 +53,14 @@
       this.soft.addEventListener('input', () => this.say({ do: 'soften', value: 10 ** -Number(this.soft.value) }));
       this.gravity = gravity;
       this.saving = button('Save as clip', () => this.say({ do: 'save' }));
-      this.tools = h('div', { class: 'touch-tools' }, button('Reset', () => this.reset()),
+      this.tools = h('fieldset', { class: 'touch-tools', disabled: true }, button('Reset', () => this.reset()),
         h('label', {}, 'Gravity', gravity), h('label', { class: 'touch-soft' }, 'Stiffer', this.soft, 'Softer'),
-        this.saving, button('End', () => this.leave()));
-      this.box = h('section', { class: 'touch', 'aria-label': 'Touch' }, h('div', { class: 'touch-view' }, this.canvas, this.rate), this.status, this.tools);
+        this.saving);
+      this.ending = button('End', () => this.leave());
+      this.box = h('section', { class: 'touch', 'aria-label': 'Touch' }, h('div', { class: 'touch-view' }, this.canvas, cut ? h('img', { class: 'hero', src: cut, alt: '' }) : null, this.rate), h('div', { class: 'touch-foot' }, this.status, this.tools, this.ending));
       this.element.replaceChildren(this.box);
       this.listen();
-      this.box.scrollIntoView({ block: 'nearest', behavior: calm() ? 'auto' : 'smooth' });
+      mark({ touching: true });
     }
 
     begin(buffer) {
@@ -71,6 +72,7 @@
       this.pose = { ...this.home };
       this.prepare();
       this.status.textContent = `Drag the object. ${lattice.sentence}`;
+      this.tools.disabled = false;
       this.canvas.classList.add('ready');
     }
 
@@ -350,12 +352,16 @@
       if (this.saved) return this.leave();
       this.close();
       this.status.textContent = text;
-      this.tools.replaceChildren(h('button', { type: 'button', class: 'primary', onclick: () => this.trigger('begin') }, 'Start again'),
-        h('button', { type: 'button', class: 'quiet', onclick: () => this.leave() }, 'Close'));
+      this.tools.disabled = false;
+      this.tools.replaceChildren(h('button', { type: 'button', class: 'filled', onclick: () => this.trigger('begin') }, 'Start again'));
       announce(text);
     }
 
-    leave() { this.close(); this.box.remove(); document.querySelector('#viewer')?.classList.remove('behind'); }
+    leave() {
+      this.close();
+      this.box.remove();
+      mark({ touching: false });
+    }
 
     close() {
       if (this.gone) return;

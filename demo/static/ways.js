@@ -1,11 +1,11 @@
-/* The orientations that a file of Gaussians may have, as pictures of which one is chosen: six ways up,
- * and four fronts of the way up that is chosen. */
+/* The orientations of a file of Gaussians, as pictures to choose from: six up axes, and four fronts for the
+ * chosen up axis. */
 'use strict';
 (() => {
   const { h } = globalThis.Phy124;
   const STORED = 'phy124-way';
 
-  /** What the page was told of a file before it was loaded again, if it still has these pictures. */
+  /** The orientation chosen for a file before the page was reloaded, if the file still has these pictures. */
   function kept(pictures) {
     try {
       const { of, chosen } = JSON.parse(sessionStorage.getItem(STORED));
@@ -17,21 +17,21 @@
   function nameOf(pictures) { return Object.values(pictures)[0].path; }
 
   class Ways {
-    /** `tell` gets the axes that are chosen; those that were chosen of the same file before are kept. */
+    /** `tell` receives the chosen axes; an earlier choice for the same file is kept. */
     constructor(given, tell) {
       const told = { ...given, ...kept(given.pictures) };
       Object.assign(this, { told, tell, up: told.up, front: told.front });
       this.fronts = h('div', { class: 'ways fronts', role: 'radiogroup', 'aria-label': 'Front' });
       const ups = told.ups.map(({ up, front }) => this.tile('up', up, up === told.up ? told.front : front, up === told.up, `${up} up`));
-      this.element = h('details', { class: 'more', open: !told.said }, h('summary', {}, told.said ? 'Lies down or looks away?' : 'Which way is up?'),
+      this.element = h('details', { class: 'fold', open: !told.said }, h('summary', {}, told.said ? 'Wrong orientation?' : 'Which way is up?'),
         h('p', { class: 'ways-said' }, this.hint()), h('div', { class: 'ways', role: 'radiogroup', 'aria-label': 'Up' }, ...ups),
-        h('p', { class: 'ways-said' }, 'Then the one in which it faces you.'), this.fronts);
+        h('p', { class: 'ways-said' }, 'Then choose the picture in which it faces you.'), this.fronts);
       this.turn();
     }
 
     hint() {
       const { said, program } = this.told;
-      const why = said ? 'The file says which way is up.' : program ? `This may be a file of ${program.split(':')[0]}.` : 'The file does not say which way is up.';
+      const why = said ? 'The file says which way is up.' : program ? `${program.split(':')[0]} may have written this file.` : 'The file does not say which way is up.';
       return `${why} Choose the picture in which the object stands upright.`;
     }
 
@@ -43,7 +43,7 @@
 
     picture(up, front) { return this.told.pictures[`${up}_${front}`].url; }
 
-    /** Draw the fronts of the way up that is chosen. */
+    /** Draw the fronts for the chosen up axis. */
     turn() {
       const fronts = Object.keys(this.told.pictures).map((name) => name.split('_')).filter(([up]) => up === this.up).map(([, front]) => front);
       this.fronts.replaceChildren(...fronts.map((front) => this.tile('front', front, front, front === this.front, `faces ${front}`)));
@@ -52,7 +52,7 @@
     choose() {
       document.dispatchEvent(new CustomEvent('phy124-way', { detail: this.picture(this.up, this.front) }));
       const chosen = { up: this.up, front: this.front };
-      try { sessionStorage.setItem(STORED, JSON.stringify({ of: nameOf(this.told.pictures), chosen })); } catch { /* not kept, then */ }
+      try { sessionStorage.setItem(STORED, JSON.stringify({ of: nameOf(this.told.pictures), chosen })); } catch { /* storage is not available */ }
       this.tell(chosen);
     }
   }

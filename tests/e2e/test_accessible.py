@@ -7,12 +7,14 @@ from visit import DUCK, Visit
 
 pytestmark = pytest.mark.browser
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed")
-SOURCES = "[...document.querySelectorAll('.card img, .chip img, .welcome img')].map((i) => i.src)"
+SOURCES = (
+    "[...document.querySelectorAll('.card img, .chip img, .hero, .tile img')].map((i) => i.src)"
+)
 COVERED = """() => {
-    // Whether the element in focus is under the panel that stays at the bottom.
+    // Whether the element in focus is under the bar.
     const at = document.activeElement, box = at.getBoundingClientRect();
-    if (at === document.body || at.closest('#go-panel') || !box.width) return null;
-    const bar = document.querySelector('#go-panel').getBoundingClientRect();
+    if (at === document.body || at.closest('#bar') || !box.width) return null;
+    const bar = document.querySelector('#bar').getBoundingClientRect();
     const across = Math.min(box.right, bar.right) - Math.max(box.left, bar.left);
     const hidden = Math.min(box.bottom, bar.bottom) - Math.max(box.top, bar.top);
     return across > 1 && hidden > 1 ? at.outerHTML.slice(0, 120) : null;
@@ -57,23 +59,31 @@ def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
     page.get_by_text("It is not a PNG, JPEG").first.wait_for()
     found["refused"] = _violations(page)
     visit.upload(DUCK)
-    page.get_by_text("Correct the cut-out").click()
-    page.locator("#known summary").click()
-    page.get_by_text("More: every setting").click()
+    page.locator("#correct").click()
+    found["brush"] = _violations(page)
+    page.keyboard.press("Escape")
+    visit.adjust()
+    page.get_by_role("button", name="More", exact=True).click()
+    page.wait_for_timeout(300)
+    found["more"] = _violations(page)
+    page.keyboard.press("Escape")
     page.locator("#forecast summary").click()
     page.wait_for_timeout(300)
     found["open"] = _violations(page)
-    page.locator("#forecast summary").click()
+    page.keyboard.press("Escape")
     visit.choose(frames=3)
     with visit.going_on():
         visit.generate()
-        page.wait_for_selector(".glimpse[src]")
+        page.wait_for_selector(".viewer-host.growing canvas")
         found["running"] = _violations(page)
     visit.finished()
-    for tab in ("Videos", "Report", "Take away", "Fit"):
-        page.get_by_role("tab", name=tab).click()
+    visit.experts()
+    for group in ("videos", "show", "programs", "experts"):
+        visit.open(group)
         page.wait_for_timeout(300)
-        found[tab] = _violations(page)
+        found[group] = _violations(page)
+    page.get_by_text("Share", exact=True).click()
+    found["share"] = _violations(page)
     assert not any(found.values()), "\n".join(
         f"{state}: {line}" for state, lines in found.items() for line in lines
     )
@@ -97,15 +107,14 @@ def test_nothing_in_focus_is_hidden_by_the_panel_at_the_bottom(page):
     assert [each for each in hidden if each] == []
 
 
-UNMARKED = """() => [...document.querySelectorAll('summary')].filter((summary) => {
-    const { display, cursor } = getComputedStyle(summary);
-    return display !== 'list-item' || cursor !== 'pointer';
+UNMARKED = """() => [...document.querySelectorAll('.fold > summary')].filter((summary) => {
+    const { cursor } = getComputedStyle(summary), { width } = getComputedStyle(summary, '::after');
+    return width !== '16px' || cursor !== 'pointer';
 }).map((summary) => summary.textContent)"""
 
 
 def test_summaries_show_that_they_open(page):
     assert page.evaluate(UNMARKED) == []
-    assert page.locator("footer .divider:visible").count() == 0, "nothing follows it"
 
 
 def test_pictures_stand_still_for_those_who_ask_for_it(page):
@@ -126,6 +135,7 @@ UNNAMED = """() => {
 def test_everything_is_reachable_by_keyboard_and_named(page):
     unnamed = page.evaluate(UNNAMED)
     assert unnamed == []
+    page.evaluate("document.querySelector('#adjust').open = true")
     pad = page.locator(".pad")
     pad.focus()
     pad.press("ArrowRight")
@@ -134,7 +144,9 @@ def test_everything_is_reachable_by_keyboard_and_named(page):
 
 def test_buttons_keep_their_distance_on_a_phone(page):
     page.set_viewport_size(LOOKS["light phone"]["viewport"])
-    names = "#photo", "#picture .picture-status", "#photo .another", "#photo .camera"
-    photo, status, another, camera = (page.locator(each).first.bounding_box() for each in names)
-    assert status["y"] - (photo["y"] + photo["height"]) > 4
-    assert camera["x"] - (another["x"] + another["width"]) > 4
+    names = "#photo", "#correct", "#picture .another", "#go", "#begin-touch"
+    photo, correct, another, go, touch = (page.locator(each).bounding_box() for each in names)
+    assert correct["y"] - (photo["y"] + photo["height"]) > 4
+    assert photo["y"] - (another["y"] + another["height"]) > 4
+    assert touch["x"] - (go["x"] + go["width"]) > 4
+    assert min(each["height"] for each in (correct, another, go, touch)) >= 44

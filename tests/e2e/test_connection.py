@@ -11,14 +11,14 @@ def test_a_lost_connection_and_a_reload_lose_nothing(visit):
     page = visit.page
     visit.begin(frames=40)
     visit.context.set_offline(True)
-    page.get_by_text("The connection was lost. Your run goes on").wait_for()
+    page.get_by_text("The connection was lost. Your run continues").wait_for()
     page.wait_for_timeout(3000)
     visit.context.set_offline(False)
     visit.finished()
     page.reload()
     visit.finished()
     assert page.locator("#cutout img").get_attribute("src")
-    assert int(page.get_by_label("Frames", exact=True).input_value()) == 40
+    assert int(page.get_by_label("Length", exact=True).input_value()) == 40
     page.wait_for_selector("#viewer .phy-time")
 
 

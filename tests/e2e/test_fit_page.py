@@ -23,14 +23,14 @@ def test_a_video_goes_back_to_the_softness_of_the_next_run(visit, tmp_path):
     visit.choose(frames=14)
     visit.generate()
     visit.finished()
-    page.get_by_role("tab", name="Fit", exact=True).click()
+    visit.experts()
     slot = page.locator(".fit-slot input")
     slot.set_input_files(tmp_path / "text.mp4")
     page.locator(".fit-go").click()
     page.get_by_text("It is not an MP4").wait_for()
     slot.set_input_files(film)
     assert "A fit takes" in page.locator(".fit-forecast").inner_text()
-    page.get_by_label("Time for the fit").fill("600")
+    page.get_by_label("Time limit of the fit").fill("600")
     page.locator(".fit-go").click()
     page.wait_for_selector(".fit-clock")
     page.locator(".fit-cancel").click()
@@ -39,7 +39,7 @@ def test_a_video_goes_back_to_the_softness_of_the_next_run(visit, tmp_path):
     page.wait_for_selector(".fit-clock")
     # Who reloads the page finds the fit going on.
     page.reload()
-    page.get_by_role("tab", name="Fit", exact=True).click()
+    visit.experts()
     page.wait_for_selector(".fit-clock")
     page.wait_for_selector(".fit-found", timeout=4 * LONG)
     page.locator(".compare input").fill("11")
@@ -51,6 +51,6 @@ def test_a_video_goes_back_to_the_softness_of_the_next_run(visit, tmp_path):
     page.locator(".fit-use").click()
     page.wait_for_function(f"{SOFTNESS} > 4.8e4")
     assert page.evaluate(SOFTNESS) < 7.2e4
-    page.get_by_role("tab", name="Take away").click()
+    visit.open("experts")
     page.locator('[data-name="comparison.mp4"]').wait_for()
     assert visit.complaints == []

@@ -15,7 +15,7 @@ def _preset(visit: Visit, name: str) -> None:
     # Every preset has its own words.
     words = "JSON.parse(sessionStorage.getItem('phy124-scene')).description"
     before = visit.page.evaluate(words)
-    visit.page.locator(f".card input[value={name}]").check(force=True)
+    visit.page.locator(f".card input[value={name}]").evaluate("(e) => e.click()")
     visit.page.wait_for_function(f"(before) => {words} !== before", arg=before)
 
 
@@ -33,7 +33,7 @@ def test_second_picture_outlives_presets_and_reloads(browser, server, tmp_path):
     slot.set_input_files(tmp_path / "text.png")
     page.locator("#others").get_by_text("It is not a PNG, JPEG").wait_for()
     slot.set_input_files(TEDDY)
-    page.locator("#others").get_by_text("Cut out by the picture's own").wait_for()
+    page.locator("#others").get_by_text("The object is cut out.").wait_for()
     _preset(visit, "stack")  # the picture goes on to the object that waits for one there
     page.get_by_role("button", name="Remove: above").wait_for()
     _preset(visit, "collide")
@@ -41,14 +41,17 @@ def test_second_picture_outlives_presets_and_reloads(browser, server, tmp_path):
     visit.choose(frames=2)
     visit.generate()
     visit.finished()
-    page.get_by_role("tab", name="Report").click()
+    visit.experts()
     page.locator("#report").get_by_text("right", exact=True).wait_for()
     assert "kg, cut out by the picture's own" in page.locator("#report").inner_text()
     page.reload()
     page.get_by_role("button", name="Remove: right").wait_for()
+    visit.adjust()
+    page.get_by_role("button", name="More", exact=True).click()
     page.get_by_role("button", name="Copy a link to this scene").click()
     page.get_by_text("The link is copied.").wait_for(state="attached")
     link = page.evaluate("navigator.clipboard.readText()")
+    page.keyboard.press("Escape")
     page.get_by_role("button", name="Remove: right").click()
     visit.told("(scene) => scene.objects.every((one) => !one.picture)")
     assert visit.complaints == []

@@ -63,7 +63,7 @@ def page(browser):
 
 def test_a_result_is_announced(page):
     page.evaluate("run('short')")
-    voice = page.locator("[role=status][aria-live=polite]").filter(has_text="The result is there.")
+    voice = page.locator("[role=status][aria-live=polite]").filter(has_text="The result is ready.")
     voice.wait_for(state="attached")
 
 

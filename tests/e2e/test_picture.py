@@ -7,10 +7,12 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
+from visit import DUCK
 
 from support.hostile import PHONE
 
 pytestmark = pytest.mark.browser
+TEDDY = DUCK.with_name("teddy.png")
 NATURAL = """async (which) => {
     const img = document.querySelector(which);
     await img.decode();
@@ -25,7 +27,8 @@ def test_after_a_refused_picture_nothing_older_is_generated(visit, tmp_path):
     visit.page.get_by_text("It is not a PNG, JPEG").wait_for()
     assert visit.page.locator("#cutout").is_hidden()
     visit.generate()
-    visit.page.get_by_text("There is no picture yet").wait_for()
+    visit.page.get_by_text("Choose a picture first.").wait_for(state="attached")
+    assert visit.page.locator("#progress section").count() == 0
 
 
 def test_large_photographs_are_reduced_before_they_are_sent(visit, tmp_path):
@@ -42,11 +45,10 @@ def test_large_photographs_are_reduced_before_they_are_sent(visit, tmp_path):
 
 def test_the_cut_out_is_corrected_by_brush(visit):
     page = visit.page
-    page.get_by_label("Example: teddy").click()
+    visit.upload(TEDDY)
     shown = page.locator("#cutout img[src]")
-    shown.wait_for()
     before = shown.get_attribute("src")
-    page.get_by_text("Correct the cut-out").click()
+    page.locator("#correct").click()
     canvas = page.locator(".brush-canvas")
     # The picture is drawn a moment after the brush is opened.
     page.wait_for_function("document.querySelector('.brush-canvas').height > 150")
@@ -79,7 +81,7 @@ def test_a_click_on_the_picture_picks_another_object(visit, tmp_path):
     Image.fromarray(pixels).save(tmp_path / "two.png")
     visit.upload(tmp_path / "two.png")
     page, shown = visit.page, visit.page.locator("#cutout img[src]")
-    page.get_by_text("The object is cut out by the picture's own transparency.").wait_for()
+    page.wait_for_selector("#correct:not([hidden])")
     before = shown.get_attribute("src")
     box = page.locator("#photo img").bounding_box()
     # 190 pixels high, and the picture fills the width or the height.
@@ -104,7 +106,7 @@ def test_a_click_on_the_picture_picks_another_object(visit, tmp_path):
 
 def test_the_brush_is_used_by_keyboard(visit):
     visit.upload()
-    visit.page.get_by_text("Correct the cut-out").click()
+    visit.page.locator("#correct").click()
     canvas = visit.page.locator(".brush-canvas")
     canvas.focus()
     before = canvas.evaluate("(c) => c.toDataURL()")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from visit import Visit
+from visit import DUCK, Visit
 
 pytestmark = pytest.mark.browser
 
@@ -39,15 +39,20 @@ def _preset(visit: Visit, name: str) -> None:
     # Every preset has its own words.
     words = "JSON.parse(sessionStorage.getItem('phy124-scene')).description"
     before = visit.page.evaluate(words)
-    visit.page.locator(f".card input[value={name}]").check(force=True)
+    visit.page.locator(f".card input[value={name}]").evaluate("(e) => e.click()")
     visit.page.wait_for_function(f"(before) => {words} !== before", arg=before)
+
+
+def _more(visit: Visit) -> None:
+    visit.adjust()
+    visit.page.get_by_role("button", name="More", exact=True).click()
 
 
 @pytest.mark.parametrize(
     ("panel", "label"),
     [
         ("#picture", "Choose a picture or a file of Gaussians"),
-        ("#known", "Side"),
+        ("#more-pictures", "Side"),
         ("#others", "Right"),
     ],
 )
@@ -62,7 +67,7 @@ def test_a_second_wrong_file_is_refused_like_the_first(visit, text, panel, label
 def test_after_a_wrong_side_the_object_is_made_without_it(visit, text):
     visit.upload()
     visit.page.get_by_label("Side", exact=True).set_input_files(text)
-    visit.page.locator("#known").get_by_text(WRONG).wait_for(state="attached")
+    visit.page.locator("#more-pictures").get_by_text(WRONG).wait_for(state="attached")
     visit.choose(frames=2)
     visit.generate()
     visit.finished()
@@ -73,7 +78,7 @@ def test_a_link_to_share_is_made_a_second_time(visit):
     visit.choose(frames=2)
     visit.generate()
     visit.finished()
-    visit.page.get_by_role("tab", name="Take away").click()
+    visit.open("show")
     button = visit.page.locator("#takeaway button[data-kind=share]")
     for _ in range(2):
         button.click()
@@ -84,8 +89,8 @@ def test_a_link_to_share_is_made_a_second_time(visit):
 def test_a_request_that_fails_leaves_no_panel_waiting(visit):
     page = visit.page
     page.route("**/run/predict", lambda route: route.fulfill(status=500, body="{}"))
-    page.get_by_label("Example: teddy").click()
-    page.locator("#picture").get_by_text("The server could not do this.").wait_for()
+    page.locator("#photo input[type=file]").set_input_files(DUCK)
+    page.locator("#picture").get_by_text("The server could not process the picture.").wait_for()
     page.unroute("**/run/predict")
     page.get_by_role("button", name="Try again", exact=True).click()
     page.wait_for_selector("#cutout img[src]")
@@ -110,23 +115,29 @@ def test_a_file_chosen_before_the_last_is_answered_is_read(visit, tmp_path):
 def test_that_there_is_no_picture_is_said_until_there_is_one(visit):
     page = visit.page
     page.wait_for_selector(".photo-hint")
-    for button, panel in (("#go", "#progress"), ("#begin-touch", "#touch")):
+    page.locator("#forecast").get_by_text("no picture yet").wait_for()
+    for button in ("#go", "#begin-touch"):
+        assert page.locator(button).get_attribute("aria-disabled") == "true"
         page.locator(button).click()
-        page.locator(panel).get_by_text("There is no picture yet").wait_for()
+        page.get_by_text("Choose a picture first.").wait_for(state="attached")
+        assert page.evaluate("document.activeElement.matches('#photo input')")
+    assert page.locator("#progress section, #touch .message").count() == 0
     visit.upload()
-    for panel in ("#progress", "#touch"):
-        page.locator(panel).get_by_text("There is no picture").wait_for(state="detached")
+    page.wait_for_selector("#go[aria-disabled=false]")
+    page.locator("#forecast summary").wait_for()
 
 
 def test_a_refusal_in_the_place_of_the_forecast_is_seen_in_full(visit):
     """A run that would take too long: the sentence has a colon, as forecasts have."""
     page = visit.page
+    visit.upload()
     _preset(visit, "bounce")
-    page.get_by_label("Frames", exact=True).fill("72")
+    visit.adjust()
+    page.get_by_label("Length", exact=True).fill("72")
     page.get_by_label("Softness", exact=True).fill("200")
     page.locator("#forecast .refused").wait_for()
     said = page.locator("#forecast").inner_text()
-    assert "one run may take" in said and "Choose draft accuracy" in said
+    assert "the limit of this page" in said and "Choose draft accuracy" in said
     assert page.locator("#forecast details").count() == 0
 
 
@@ -136,6 +147,7 @@ def test_undo_lights_the_card_of_the_scene_that_is_made(visit):
     before = lit.get_attribute("value")
     _preset(visit, "bounce")
     assert lit.get_attribute("value") == "bounce"
+    _more(visit)
     undo, redo = (page.locator(".scene-tools").get_by_text(name) for name in ("Undo", "Redo"))
     undo.click()
     assert lit.get_attribute("value") == before
@@ -145,7 +157,7 @@ def test_undo_lights_the_card_of_the_scene_that_is_made(visit):
 
 def test_undo_in_the_form_shows_what_it_brings_back(visit):
     page = visit.page
-    page.locator("#scene details.more summary").click()
+    _more(visit)
     law = page.locator('select[aria-label="Material: law"]')
     before = law.input_value()
     law.select_option("sand")

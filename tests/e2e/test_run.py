@@ -20,7 +20,7 @@ pytestmark = pytest.mark.browser
 WATCH = """() => {
     // The run is short, and the page asks four times a second: the answer that the run is over
     // reaches it one question late, so that it shows the progress up to the end.
-    const panel = document.querySelector('#progress'), seen = globalThis.seen = { stages: [] };
+    const panel = document.querySelector('#progress'), seen = globalThis.seen = { lines: [] };
     const ask = globalThis.fetch;
     let late = false;
     globalThis.fetch = async (url, ...options) => {
@@ -31,10 +31,8 @@ WATCH = """() => {
         return Response.json(late ? { ...told, state: 'running' } : told);
     };
     new MutationObserver(() => {
-        seen.glimpse ||= Boolean(panel.querySelector('.glimpse[src]'));
-        for (const stage of panel.querySelectorAll('.stage.going, .stage.full')) {
-            seen.stages.push(stage.querySelector('.stage-name').textContent);
-        }
+        const line = panel.querySelector('[role=progressbar]');
+        if (line) seen.lines.push([Number(line.ariaValueNow), panel.textContent]);
     }).observe(panel, { childList: true, subtree: true, attributes: true });
 }"""
 
@@ -45,19 +43,30 @@ def test_from_picture_to_files(browser, server, tmp_path):
     page.wait_for_selector(".photo-hint")
     assert not page.get_by_alt_text("Your picture").is_visible()
     visit.upload()
+    page.wait_for_selector(".own img")
     visit.choose(frames=5)
     page.evaluate(WATCH)
     visit.generate()
     visit.finished()
     seen = page.evaluate("globalThis.seen")
-    assert seen["glimpse"] and {"Picture to 3D", "Physics", "Videos"} <= set(seen["stages"])
-    _video_plays(page)
+    assert max(part for part, _ in seen["lines"]) > 20
+    assert any("to go" in text or "nearly there" in text for _, text in seen["lines"])
     _viewer_moves(page)
     _files_open(page, tmp_path)
-    page.get_by_role("tab", name="Report").click()
+    assert "It took" in page.locator("#report").inner_text()
+    visit.experts()
     assert "Smallest volume ratio J" in page.locator(".report").inner_text()
+    _make_it_finer(page)
     assert visit.complaints == []
     visit.context.close()
+
+
+def _make_it_finer(page) -> None:
+    assert page.get_by_role("row", name="Accuracy draft").count() == 1
+    page.get_by_role("button", name="Make it finer").click()
+    page.wait_for_selector("body.kept #viewer .phy-time")
+    page.wait_for_selector("body[data-state=result]")
+    page.get_by_role("row", name="Accuracy standard").wait_for()
 
 
 PLAYS = """async () => {
@@ -90,21 +99,28 @@ def _viewer_moves(page) -> None:
 
 
 def _files_open(page, folder: Path) -> None:
-    page.get_by_role("tab", name="Take away").click()
-    offered = page.locator("#takeaway a.file")
-    names = [offered.nth(i).get_attribute("data-name") for i in range(offered.count())]
-    for name in names:
-        _download(page, page.locator(f'#takeaway a[data-name="{name}"]'), folder / name)
-    for kind, name in (
-        ("html", "player.html"),
-        ("ply", "phy124-ply.zip"),
-        ("glb", "phy124-glb.glb"),
+    for group in ("videos", "show", "programs", "experts"):
+        page.locator(f"[data-group={group}] > summary").click()
+        offered = page.locator(f"[data-group={group}] a.file")
+        offered.first.wait_for()
+        for name in [offered.nth(i).get_attribute("data-name") for i in range(offered.count())]:
+            _download(page, page.locator(f'#takeaway a[data-name="{name}"]'), folder / name)
+        if group == "videos":
+            _video_plays(page)
+    for group, kind, name in (
+        ("show", "html", "player.html"),
+        ("programs", "ply", "phy124-ply.zip"),
+        ("programs", "glb", "phy124-glb.glb"),
     ):
+        if not page.locator(f"[data-group={group}][open]").count():
+            page.locator(f"[data-group={group}] > summary").click()
         page.locator(f"#takeaway button[data-kind={kind}]").click()
         link = page.locator(f'#takeaway a[data-name="{name}"]')
         link.wait_for()
         _download(page, link, folder / name)
-    page.locator("#takeaway button[data-kind=share]").click()
+    page.get_by_text("Share", exact=True).click()
+    page.get_by_role("button", name="Copy the link").wait_for()
+    page.locator("[data-group=show] > summary").click()
     link = page.locator("#takeaway .shared a")
     link.wait_for()
     stranger = page.context.browser.new_context()
@@ -144,23 +160,26 @@ def test_the_error_of_a_scene_is_measured_on_request(visit):
     page = visit.page
     visit.upload()
     visit.choose(frames=40)
-    page.locator("[data-measure]").click()
-    page.locator("#progress").get_by_text("Grids").wait_for()
+    _measure(page)
     page.locator("#cancel").click()
     page.get_by_text("Stopped.").first.wait_for()
     visit.choose(frames=18)
-    page.locator("[data-measure]").click()
-    page.locator("#progress").get_by_text("Grids").wait_for()
+    _measure(page)
     page.reload()
-    page.locator("#forecast .measured").get_by_text("Measured: about").wait_for()
+    page.locator("#forecast .measured").get_by_text("Off by about").wait_for(state="attached")
     shown = page.locator("#forecast").text_content()
     assert "Measured on this scene, without drawing" in shown and "D/24" in shown
     assert page.locator("[data-measure]").count() == 0
     visit.generate()
     visit.finished()
-    page.get_by_role("tab", name="Report").click()
-    page.locator("#report").get_by_text("Error measured").wait_for()
+    page.locator("#report").get_by_text("It is off by about").wait_for()
     assert visit.complaints == []
+
+
+def _measure(page) -> None:
+    page.locator("#forecast summary").click()
+    page.locator("[data-measure]").click()
+    page.wait_for_selector(".line")
 
 
 def test_cancel_frees_the_device_and_the_next_job_runs(visit, server):
@@ -182,14 +201,14 @@ def test_a_run_called_off_in_the_queue_never_starts(browser, server):
         visit.upload()
         visit.choose(frames=frames, accuracy=accuracy)
     first.generate()
-    first.page.wait_for_selector(".glimpse[src]")
+    first.page.wait_for_selector(".viewer-host.growing canvas")
     second.generate()
-    second.page.get_by_text("1 run before yours").wait_for()
+    second.page.get_by_text("1 before you").wait_for()
     second.page.locator("#cancel").click()
     second.page.get_by_text("Stopped.").first.wait_for()
     second.page.wait_for_selector("#go:not([disabled])")
     second.generate()
-    second.page.get_by_text("1 run before yours").wait_for()
+    second.page.get_by_text("1 before you").wait_for()
     first.page.locator("#cancel").click()
     second.finished()
     server.until_idle()
@@ -208,6 +227,7 @@ def test_two_visitors_get_their_own_results(browser, server):
     pictures = []
     for visit in visits:
         visit.finished()
+        visit.open("videos")
         src = visit.page.locator(".film video").first.get_attribute("src")
         pictures.append(visit.page.request.get(src).body())
         assert visit.complaints == []

@@ -34,7 +34,8 @@ def page(browser):
         page.add_script_tag(path=str(static / name))
     page.evaluate(START)
     page.wait_for_selector("#scene .card")
-    page.locator("#scene details.more summary").click()
+    page.evaluate("document.querySelector('#adjust').open = true")
+    page.get_by_role("button", name="More", exact=True).click()
     yield page
     page.close()
 

@@ -40,7 +40,7 @@ def visit(browser, server):
 
 def test_the_object_follows_the_pointer_and_comes_back(visit):
     page = visit.page
-    assert "cells across the object" in page.locator(".touch-status").inner_text()
+    assert "Drag the object" in page.locator(".touch-status").inner_text()
     start = page.evaluate(AWAY)
     x, y = page.evaluate(TOP)
     page.mouse.move(x, y + 8)

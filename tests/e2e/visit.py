@@ -76,12 +76,20 @@ class Visit:
         self.page.wait_for_selector("#cutout img[src]")
 
     def choose(self, *, frames: int, accuracy: str = "draft") -> None:
-        self.page.get_by_label("Frames", exact=True).fill(str(frames))
-        self.page.locator(f".segments input[value={accuracy}]").check(force=True)
+        self.adjust()
+        self.page.get_by_label("Length", exact=True).fill(str(frames))
+        self.page.locator(f".segments input[value={accuracy}]").evaluate("(e) => e.click()")
         self.page.wait_for_function(
             "document.querySelector('#forecast').textContent.includes('substeps')"
         )
         self.told(f"(scene) => scene.time.frames === {frames} && scene.accuracy === '{accuracy}'")
+
+    def adjust(self) -> None:
+        """Open *Adjust* and the further pictures in it."""
+        opened = (
+            "document.querySelectorAll('#adjust, #adjust details').forEach((e) => e.open = true)"
+        )
+        self.page.evaluate(opened)
 
     def told(self, what: str) -> None:
         """Wait until the editor has told the server of a scene for which `what` is true."""
@@ -92,7 +100,7 @@ class Visit:
         self.upload()
         self.choose(frames=frames, accuracy=accuracy)
         self.generate()
-        self.page.wait_for_selector(".glimpse[src]")
+        self.page.wait_for_selector(".viewer-host.growing canvas")
 
     @contextmanager
     def going_on(self) -> Iterator[None]:
@@ -115,15 +123,26 @@ class Visit:
         self.page.locator("#go").click()
 
     def finished(self) -> None:
-        """Wait for the videos; a failure shows what the page says instead."""
+        """Wait for the result; a failure shows what the page says instead."""
         from playwright.sync_api import TimeoutError
 
         try:
-            self.page.wait_for_selector(".film video")
+            self.page.wait_for_selector("body[data-state=result]")
+            self.page.wait_for_selector("#takeaway summary")
             self.page.wait_for_selector("#go:not([disabled])")
         except TimeoutError as late:
-            said = " | ".join(self.page.locator(f"#{at}").inner_text() for at in ("left", "right"))
-            raise AssertionError(f"no videos; the page says: {said}; {self.complaints}") from late
+            said = self.page.locator("#page").inner_text()
+            raise AssertionError(f"no result; the page says: {said}; {self.complaints}") from late
+
+    def open(self, group: str) -> None:
+        """Open a group of the files to take away."""
+        if not self.page.locator(f"[data-group={group}][open]").count():
+            self.page.locator(f"[data-group={group}] > summary").click()
+
+    def experts(self) -> None:
+        """Open the report's tables and the fit."""
+        if not self.page.locator("#experts[open]").count():
+            self.page.locator("#experts > summary").click()
 
 
 def _canvas(page) -> np.ndarray:

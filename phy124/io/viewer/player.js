@@ -13,7 +13,6 @@ globalThis.Phy124Player = (() => {
   const ICONS = {
     play: '<path d="M7 4.5v15l13-7.5z"/>',
     pause: '<path d="M6 4.5h4v15H6zM14 4.5h4v15h-4z"/>',
-    home: '<path d="M12 5a7 7 0 1 1-6.3 4h2.3a5 5 0 1 0 4-2v3L7 6l5-4z"/>',
     full: '<path d="M4 4h6v2H6v4H4zM14 4h6v6h-2V6h-4zM4 14h2v4h4v2H4zM18 14h2v6h-6v-2h4z"/>',
   };
   const icon = (name) =>
@@ -34,11 +33,12 @@ globalThis.Phy124Player = (() => {
     `;
 
   class Stage {
-    constructor(canvas, pack) {
+    constructor(canvas, pack, clear) {
       this.canvas = canvas;
+      this.clear = clear;
       this.pack = pack;
       this.blend = new (pack.frames ? Phy124Pack.Growing : Phy124Pack.Blend)(pack);
-      const device = new pc.WebglGraphicsDevice(canvas, { antialias: false, alpha: false, preserveDrawingBuffer: true });
+      const device = new pc.WebglGraphicsDevice(canvas, { antialias: false, alpha: clear, preserveDrawingBuffer: true });
       const app = this.app = new pc.AppBase(canvas);
       const options = new pc.AppOptions();
       options.graphicsDevice = device;
@@ -106,10 +106,11 @@ globalThis.Phy124Player = (() => {
       texture.unlock();
     }
 
-    /** One colour behind everything; null: what the clip was filmed before. */
+    /** One colour behind everything; null: what the clip was filmed before; 'page': nothing, except shadows. */
     background(rgb) {
-      this.camera.camera.clearColor = new pc.Color(...(rgb || this.pack.background));
-      if (this.around) this.around.behind(rgb ? { top: rgb, bottom: rgb } : this.pack.stage);
+      const page = rgb === 'page';
+      this.camera.camera.clearColor = page ? new pc.Color(0, 0, 0, 0) : new pc.Color(...(rgb || this.pack.background));
+      if (this.around) this.around.behind(rgb && !page ? { top: rgb, bottom: rgb } : this.pack.stage, page);
       this.wake();
     }
 
@@ -159,18 +160,18 @@ globalThis.Phy124Player = (() => {
       <output class="phy-clock">0.00 s</output>
       <select class="phy-speed" aria-label="Speed">${options(
         Object.fromEntries(SPEEDS.map((s) => [String(s), `${s}×`])), '1')}</select>
-      <select class="phy-way" aria-label="At the end">${options(
-        { loop: 'Loop', swing: 'To and fro', once: 'Once' }, 'loop')}</select>
+      <details class="phy-more"><summary aria-label="View">…</summary><div><select class="phy-way" aria-label="At the end">${options(
+        { loop: 'Loop', swing: 'Back and forth', once: 'Once' }, 'loop')}</select>
       <select class="phy-colour" aria-label="Colouring">${options(
-        { photo: 'Picture', velocity: 'Velocity', stretch: 'Stretch' }, 'photo')}</select>
+        { photo: 'Own colours', velocity: 'Velocity', stretch: 'Stretch' }, 'photo')}</select>
       <select class="phy-background" aria-label="Background">${options(
         { filmed: 'As filmed', light: 'Light', grey: 'Grey', dark: 'Dark' }, 'filmed')}</select>
-      <button type="button" class="phy-home" aria-label="Reset the view">${icon('home')}</button>
+      <button type="button" class="phy-home">Reset the view</button></div></details>
       <button type="button" class="phy-full" aria-label="Full screen">${icon('full')}</button>
     </div>`;
 
   class Player {
-    constructor(host, pack, { play = true, growing = false } = {}) {
+    constructor(host, pack, { play = true, growing = false, clear = false } = {}) {
       if (growing) pack = Phy124Pack.Growing.begin(pack);
       this.pack = pack;
       this.host = host;
@@ -179,7 +180,7 @@ globalThis.Phy124Player = (() => {
       this.find = (name) => host.querySelector(`.phy-${name}`);
       this.canvas = this.find('canvas');
       this.fit();
-      this.stage = new Stage(this.canvas, pack);
+      this.stage = new Stage(this.canvas, pack, clear);
       this.time = 0;
       this.length = pack.times[pack.t - 1] - pack.times[0];
       // Half a second is over before one has seen it.
@@ -192,12 +193,13 @@ globalThis.Phy124Player = (() => {
       this.followers = [];
       this.colouring = 'photo';
       this.home();
-      this.stage.background(null);
+      if (clear) this.find('background').prepend(new Option('Of the page', 'page', true, true));
+      this.stage.background(clear ? 'page' : null);
       this.find('time').max = this.length;
       this.listen();
       this.seek(0);
-      const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
-      if (play && !still && this.length > 0) this.play();
+      this.still = matchMedia('(prefers-reduced-motion: reduce)').matches;
+      if (play && !this.still && this.length > 0) this.play();
     }
 
     listen() {
@@ -207,7 +209,7 @@ globalThis.Phy124Player = (() => {
       on('speed', 'change', (event) => { this.speed = Number(event.target.value); });
       on('way', 'change', (event) => { this.way = event.target.value; this.forth = 1; });
       on('colour', 'change', (event) => { this.colouring = event.target.value; this.legend(); this.seek(this.time); });
-      on('background', 'change', (event) => this.stage.background(BACKGROUNDS[event.target.value] || null));
+      on('background', 'change', ({ target }) => this.stage.background(target.value === 'page' ? 'page' : BACKGROUNDS[target.value] || null));
       on('home', 'click', () => this.home());
       on('full', 'click', () => (document.fullscreenElement ? document.exitFullscreen() : this.host.requestFullscreen()));
       on('canvas', 'keydown', (event) => this.key(event));
@@ -306,7 +308,8 @@ globalThis.Phy124Player = (() => {
       Phy124Pack.Growing.add(this.pack, frame);
       this.length = this.pack.times[this.pack.t - 1] - this.pack.times[0];
       this.find('time').max = this.length;
-      this.seek(this.length);
+      if (this.still) this.seek(this.length);
+      else if (!this.playing) this.play();
     }
 
     turn(azimuth, elevation) {

@@ -113,7 +113,7 @@ globalThis.Phy124Stage = (() => {
     uniform vec4 uFloor;     // whether there is one, its height, the pixels' width and height
     uniform vec4 uMap;       // the map's middle, its reach, its cells
     uniform vec4 uFill;      // part of the picture that fills the frame: scale, offset
-    uniform float uFocal, uCount, uHasPicture;
+    uniform float uFocal, uCount, uHasPicture, uClear;
     const float POOL = 0.5;
     ${GLASS}
 
@@ -133,16 +133,17 @@ globalThis.Phy124Stage = (() => {
       vec3 ray = ((at.x - 0.5 * size.x) * uRight + (at.y - 0.5 * size.y) * uDown) / uFocal + uAhead;
       vec3 colour = mix(uTop, uBottom, at.y / size.y);
       if (uHasPicture > 0.5) colour = texture2D(uPicture, at / size * uFill.xy + uFill.zw).rgb;
-      float limit = 1.0e30;
+      float limit = 1.0e30, light = 1.0;
       if (uFloor.x > 0.5 && uEye.z > uFloor.y && ray.z < 0.0) {
         limit = (uFloor.y - uEye.z) / ray.z;
         vec2 on = uEye.xy + limit * ray.xy - uMap.xy, far = on / uMap.z;
         float rest = max(1.0 - 0.5 * dot(far, far), 0.0), pool = POOL * rest * rest;
-        float light = 1.0 - shadeAt((on + uMap.z) * 0.5 * uMap.w / uMap.z - 0.5);
+        light = 1.0 - shadeAt((on + uMap.z) * 0.5 * uMap.w / uMap.z - 0.5);
         colour = light * (colour + pool * colour * (1.0 - colour));
       }
-      colour = mix(colour, TINT, seenThrough(int(uCount), ray, limit, 1.0 / uFocal));
-      gl_FragColor = vec4(min(colour, 1.0), 1.0);
+      float veiled = seenThrough(int(uCount), ray, limit, 1.0 / uFocal);
+      // On a page only shadow and glass, premultiplied by their opacity.
+      gl_FragColor = uClear > 0.5 ? vec4(veiled * TINT, 1.0 - (1.0 - veiled) * light) : vec4(min(mix(colour, TINT, veiled), 1.0), 1.0);
     }`;
 
   // PlayCanvas's y is up, ours is z.
@@ -190,8 +191,10 @@ globalThis.Phy124Stage = (() => {
     /** What the Gaussians' shader reads too. */
     share(name, value) { this.set(name, value); if (this.given.solids.length) this.entity.gsplat.setParameter(name, value); }
 
-    /** Colours of the backdrop's first and last row; a picture only if it is named. */
-    behind({ top, bottom, picture }) {
+    /** Colours of the backdrop's first and last row; a picture only if it is named; `clear`: no backdrop. */
+    behind({ top, bottom, picture }, clear = false) {
+      this.set('uClear', clear ? 1 : 0);
+      this.clear = clear;
       this.set('uTop', top);
       this.set('uBottom', bottom);
       this.set('uHasPicture', picture && this.image ? 1 : 0);
@@ -205,7 +208,7 @@ globalThis.Phy124Stage = (() => {
       made.minFilter = made.magFilter = pc.FILTER_LINEAR;
       made.setSource(image);
       this.set('uPicture', made);
-      this.behind(this.given);
+      this.behind(this.given, this.clear);
       if (this.size) this.fill();
     }
 
