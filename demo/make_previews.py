@@ -100,11 +100,11 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
 
 
 def make_ready(name: str) -> None:
-    """Make a finished result of a preset: its film, its time, and for some its player."""
+    """Make a finished result of a preset: its film, its processor time, and for some its player."""
     scene = Scene.named(name).replaced({"accuracy": "draft"})
-    start = time.perf_counter()
+    start = time.process_time()
     clip = _simulate(scene, READY[name][1])
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     view = scene.view.model_copy(update={"size": FILM, "stage": "studio"})
     camera, step = still_camera(clip, view, "front"), -(-len(clip) // LONGEST)
     films = _film(clip, view, camera, step)

@@ -12,6 +12,7 @@ from PIL import Image
 
 from demo.jobs import Studio
 from demo.settings import Settings
+from demo.source import Cutout
 from demo.visitors import Visitors
 from phy124.scene import Scene
 

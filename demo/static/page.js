@@ -368,6 +368,7 @@
   /* ---- the report: three sentences, a finer run, and the tables ------------------------------- */
 
   function report(element, props, watch, trigger) {
+    let open = false;
     const show = () => {
       const { sentences, finer, tables } = props.value || {};
       if (!sentences) return element.replaceChildren();
@@ -375,7 +376,7 @@
       experts.innerHTML = tables; // made by demo/report.py, which escapes all text
       element.replaceChildren(h('h2', {}, 'Report'), ...sentences.map(text),
         finer ? h('div', { class: 'finer' }, h('button', { type: 'button', onclick: () => { if (!state.running) trigger('finer'); } }, 'Make it finer'), h('small', {}, finer)) : h('div', { class: 'finer' }, h('small', {}, 'This is the finest accuracy.')),
-        h('details', { class: 'fold', id: 'experts' }, h('summary', {}, 'For experts', h('span', {}, 'tables, curves, fit')), experts, places.fit));
+        h('details', { class: 'fold', id: 'experts', open, ontoggle: (event) => { open = event.target.open; } }, h('summary', {}, 'For experts', h('span', {}, 'tables, curves, fit')), experts, places.fit));
     };
     watch('value', show);
     show();

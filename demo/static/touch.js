@@ -71,7 +71,8 @@
       this.home = { azimuth: 25, elevation: 14, radius: 3 * lattice.size, target: [0, 0, this.ground + 0.55 * lattice.size] };
       this.pose = { ...this.home };
       this.prepare();
-      this.status.textContent = `Drag the object. ${lattice.sentence}`;
+      this.status.textContent = 'Drag the object. Drag next to it to turn the view.';
+      this.status.title = lattice.sentence;
       this.tools.disabled = false;
       this.canvas.classList.add('ready');
     }

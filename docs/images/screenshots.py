@@ -1,5 +1,5 @@
-"""Makes the pictures of the page in docs/: light, dark and phone, after a run of the duck, and the
-ways up of a file of Gaussians.
+"""Makes the pictures of the page in docs/: first screen, and light, dark and phone after a run of the
+teddy, and the orientations of a file of Gaussians.
 
     make test && .venv/bin/python docs/images/screenshots.py
 
@@ -31,8 +31,8 @@ FLAGS = [
     "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
 ]  # fmt: skip
 LOOKS = {
-    "light": {"viewport": {"width": 1360, "height": 1180}, "color_scheme": "light"},
-    "dark": {"viewport": {"width": 1360, "height": 1180}, "color_scheme": "dark"},
+    "light": {"viewport": {"width": 1360, "height": 900}, "color_scheme": "light"},
+    "dark": {"viewport": {"width": 1360, "height": 900}, "color_scheme": "dark"},
     "phone": {"viewport": {"width": 390, "height": 844}, "color_scheme": "light"},
 }
 SECONDS = 300_000
@@ -57,19 +57,22 @@ def _take(browser: Browser, url: str, name: str, look: dict) -> None:
     page = context.new_page()
     query = "?__theme=dark" if name == "dark" else ""
     page.goto(url + query)
-    page.get_by_label("Example: duck").click()
-    page.locator("#cutout img").wait_for(timeout=SECONDS)
+    page.wait_for_selector("#ready .tile", timeout=SECONDS)
+    page.wait_for_timeout(2500)
+    if name == "light":
+        _save(page.screenshot(), HERE / "web-first.jpg")
+    page.locator("#photo input[type=file]").set_input_files(ROOT / "demo/examples/teddy.png")
+    page.locator("#cutout img[src]").wait_for(timeout=SECONDS)
     page.locator("#forecast summary").wait_for(timeout=SECONDS)
     page.wait_for_timeout(1500)
     page.locator("#go").click()
-    page.wait_for_selector(".film video", timeout=SECONDS)
+    page.wait_for_selector("body[data-state=result]", timeout=SECONDS)
     page.wait_for_selector("#go:not([disabled])", timeout=SECONDS)
     _pose(page)
-    _save(page.screenshot(full_page=name == "phone"), HERE / f"web-{name}.jpg")
+    _save(page.screenshot(), HERE / f"web-{name}.jpg")
     if name == "light":
-        page.get_by_role("tab", name="Report").click()
+        page.locator("#experts > summary").click()
         page.wait_for_timeout(1000)
-        page.locator("#report").scroll_into_view_if_needed()
         _save(page.screenshot(), HERE / "web-report.jpg")
     context.close()
 
@@ -84,19 +87,16 @@ def _ways(browser: Browser, url: str, file: Path) -> None:
     page.locator("#photo input[type=file]").set_input_files(file)
     page.locator(".ways img").first.wait_for(timeout=SECONDS)
     page.wait_for_timeout(3000)
-    _save(page.locator("#picture-panel").screenshot(), HERE / "web-ways.jpg")
+    _save(page.locator("#side").screenshot(), HERE / "web-ways.jpg")
     context.close()
 
 
 def _pose(page: Page) -> None:
-    """The instant at which the plate is lowest, in the player and in the videos."""
+    """Show the instant at which the plate is lowest."""
     page.locator(".phy-canvas").wait_for(timeout=SECONDS)
     page.locator(".phy-time").evaluate(
         "(bar) => { bar.value = 0.25; bar.dispatchEvent(new Event('input')); }"
     )
-    for film in page.locator(".film video").all():
-        film.evaluate("(video) => { video.pause(); video.currentTime = 0.25; }")
-    page.evaluate("scrollTo(0, 0)")
     page.wait_for_timeout(4000)
 
 

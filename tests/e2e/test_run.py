@@ -41,7 +41,7 @@ def test_from_picture_to_files(browser, server, tmp_path):
     visit = Visit(browser, server, accept_downloads=True)
     page = visit.page
     page.wait_for_selector(".photo-hint")
-    assert not page.get_by_alt_text("Your picture").is_visible()
+    assert not page.get_by_alt_text("Your picture", exact=True).is_visible()
     visit.upload()
     page.wait_for_selector(".own img")
     visit.choose(frames=5)
