@@ -115,7 +115,7 @@ def _card(name: str) -> dict[str, Any]:
 
 
 def ready() -> list[dict[str, Any]]:
-    """Return the finished results that the page shows before any run, as far as they were made."""
+    """Return the finished results that the page shows before any run."""
     made = PREVIEWS / "ready.json"
     seconds = json.loads(made.read_text("utf-8")) if made.exists() else {}
     return [

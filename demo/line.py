@@ -32,6 +32,10 @@ SERVER = {
 """Kind of failure -> message for the visitor; `FAILED` for all other kinds."""
 
 
+SUBJECTS = {"image": "The file", "video": "The video", "depth": "The depth map"}
+"""Field of an error -> subject of the visitor's message, which does not show the field."""
+
+
 class Job:
     """A visitor's job: its progress, its result, and a request to stop."""
 
@@ -234,10 +238,16 @@ def describe_failure(problem: BaseException) -> tuple[str, str]:
 
 def user_message(error: InputError) -> str:
     """Return an error's message for the visitor, without paths of the server."""
-    text = f"{error.limit} {error.remedy}"
-    return text[:1].upper() + text[1:]
+    text = _text(error)
+    subject = SUBJECTS.get(error.field)
+    return f"{subject} {text[3:]}" if subject and text.startswith("It ") else text
 
 
 def api_message(error: InputError) -> str:
     """Return an error's message for a program; it begins with the field."""
-    return f"{error.field}: {user_message(error)}"
+    return f"{error.field}: {_text(error)}"
+
+
+def _text(error: InputError) -> str:
+    text = f"{error.limit} {error.remedy}"
+    return text[:1].upper() + text[1:]

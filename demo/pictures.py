@@ -56,7 +56,7 @@ def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
         raise InputError(field, path.name, settings.too_large, settings.make_smaller)
     width, height = read_picture_size(path, field=field)
     if width * height > settings.max_megapixels * 1e6:
-        limit = f"It has more than {settings.max_megapixels:g} million pixels."
+        limit = f"The picture has more than {settings.max_megapixels:g} million pixels."
         raise InputError(field, path.name, limit, "Reduce it to 2000 pixels, for example.")
 
 
@@ -187,7 +187,10 @@ def cut_by(path: Path) -> str:
 def _save(cut: Cutout, path: Path) -> None:
     if not cut.coverage:
         raise InputError(
-            "strokes", "empty", "Nothing of it is left.", "Paint the parts to keep in green."
+            "strokes",
+            "empty",
+            "Nothing of the object is left.",
+            "Paint the parts to keep in green.",
         )
     how = PngInfo()
     how.add_text(HOW, json.dumps(cut.data()))

@@ -52,8 +52,8 @@ def all_taken(size: float, each: float, remedy: str) -> InputError:
     """Return the error that a visitor's disk space is full, or too small for `size` [bytes]."""
     limit = "Your storage on this server is full."
     if size > each:
-        sizes = f"{size / 1e6:,.0f} MB; your files may take {each / 1e6:,.0f} MB"
-        limit = f"It would take about {sizes} here."
+        sizes = f"{size / 1e6:,.0f} MB; your limit is {each / 1e6:,.0f} MB"
+        limit = f"The files would need about {sizes}."
     return InputError("room", "full", limit, remedy)
 
 

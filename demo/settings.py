@@ -135,7 +135,7 @@ class Settings(Section):
     @property
     def too_large(self) -> str:
         """Message for a picture above the size limit."""
-        return f"The picture is larger than the {self.max_upload_mb:g} MB that this page takes."
+        return f"The picture is larger than {self.max_upload_mb:g} MB, the limit of this page."
 
     @property
     def max_file_bytes(self) -> int:
@@ -146,7 +146,7 @@ class Settings(Section):
     def file_too_large(self) -> str:
         """Message for a file above the size limit."""
         most = self.max_file_bytes / 1e6
-        return f"The file is larger than the {most:g} MB that this page takes."
+        return f"The file is larger than {most:g} MB, the limit of this page."
 
     @property
     def make_smaller(self) -> str:

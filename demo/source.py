@@ -102,7 +102,7 @@ def check_file(path: Path, settings: Settings) -> None:
     """
     most = max(settings.max_file_mb, settings.max_upload_mb)
     if path.stat().st_size > most * 1e6:
-        limit = f"The file is larger than the {most:g} MB that this page takes."
+        limit = f"The file is larger than {most:g} MB, the limit of this page."
         raise InputError("image", path.name, limit, SMALLER)
 
 
@@ -121,10 +121,10 @@ def open_gaussians(path: Path, out: Path, count: int, deadline: Deadline) -> Gau
     try:
         return isolated.run(_open_gaussians, path, out, count, deadline=deadline, memory=MEMORY)
     except Unfinished as error:
-        limit = f"Reading it {str(error).partition(' (')[0]}."
+        limit = f"Reading the file {str(error).partition(' (')[0]}."
         raise InputError("image", path.name, limit, SMALLER) from None
     except MemoryError:
-        limit = f"It takes more than the {MEMORY >> 30} GB of memory that one file may take here."
+        limit = f"The file needs more than {MEMORY >> 30} GB of memory, the limit of this server."
         raise InputError("image", path.name, limit, SMALLER) from None
 
 

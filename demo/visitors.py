@@ -46,7 +46,7 @@ UNUSED = 16
 """Largest number of idle visitors per address; the visitor that was silent longest is removed."""
 UNFINISHED = 3
 """Largest number of unfinished jobs per visitor."""
-FULL = "Too many visitors are here at once."
+FULL = "Too many visitors use this server at the moment."
 OF_ADDRESS = "Too many visitors from your address are here at once."
 
 
@@ -199,7 +199,7 @@ class Visitors:
             path = path.parent
         if not is_plain_file(path):
             raise InputError(
-                "picture", "unknown", "This picture is not here.", "Choose it once more."
+                "picture", "unknown", "The server does not have this picture.", "Choose it again."
             )
         return path
 
@@ -220,7 +220,7 @@ class Visitors:
                 v.unfinished for v in self._known.values() if v.address == visitor.address
             )
         if visitor.address and unfinished >= max(most // 2, UNFINISHED):
-            limit = "Too much work from your address is waiting: the queue is full for it."
+            limit = "Too many requests from your network are waiting."
             raise InputError("queue", "full", limit, "Try again soon.")
 
     def remove(self, name: str) -> None:

@@ -200,7 +200,7 @@ def test_exports_count_before_writing_and_evict_older(done, visitors, monkeypatc
     with pytest.raises(InputError, match="Your storage on this server is full"):
         make(["b", "c", "d"], done, me, visitors)
     assert [path.exists() for path in made] == [False, True, True] and done.clip.exists()
-    with pytest.raises(InputError, match="It would take about"):
+    with pytest.raises(InputError, match="The files would need about"):
         check_size("abcd", 2, 3, visitors.room.each)
 
 

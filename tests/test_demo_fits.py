@@ -135,14 +135,14 @@ def test_what_cannot_be_fitted_is_refused_in_a_sentence(studio):
     for result, path, told, sentence in (
         (None, video, {}, "no result yet"),
         (done, None, {}, "no video yet"),
-        (done, "/etc/passwd", {}, "This video is not here"),
-        (done, sent(studio, "b"), {}, "This video is not here"),
+        (done, "/etc/passwd", {}, "does not have this video"),
+        (done, sent(studio, "b"), {}, "does not have this video"),
         (done, sent(studio, "a", b"#EXTM3U\nfile:///etc/passwd"), {}, "not an MP4"),
-        (done, sent(studio, "a", b"\0\0\0\x20ftyp" + bytes(10**5)), {}, "larger than the 0.1 MB"),
+        (done, sent(studio, "a", b"\0\0\0\x20ftyp" + bytes(10**5)), {}, "larger than 0.1 MB"),
         (done, video, {"side": "above"}, "front"),
         (done, video, {"speed": 0}, "speed"),
         (done, video, {"seconds": 1e4}, "300 s"),
-        (done, video, {"seconds": 1e9}, "One fit may take 300 s here"),
+        (done, video, {"seconds": 1e9}, "A fit may take at most 300 s"),
         (done, video, {"seconds": True}, "number"),
     ):
         with pytest.raises(InputError, match=sentence):
@@ -188,7 +188,7 @@ def test_visitor_has_one_fit_and_may_cancel_it(studio):
     done, video = prepared(studio, search)
     job = studio.fits.begin("a", done, video, {})
     assert search.begun.wait(60) and studio.busy
-    with pytest.raises(InputError, match="Another fit of yours is still running"):
+    with pytest.raises(InputError, match="Your previous fit is still running"):
         studio.fits.begin("a", done, video, {})
     other, theirs = prepared_other(studio)
     waiting = studio.fits.begin("b", other, theirs, {})

@@ -123,8 +123,8 @@ def test_regions_in_the_units_of_the_file_are_turned_with_it(studio):
         (changed(opacity=-20), "opacity below"),
         (changed(x=0, y=0, z=0), "are at the same point"),
         (of(ROWS[: len(ROWS) // 1200], HEAD.replace(b"1200", b"1")), "are at the same point"),
-        (DUCK.read_bytes(), "It is not a PLY file"),
-        (b"", "It is empty"),
+        (DUCK.read_bytes(), "The file is not a PLY file"),
+        (b"", "The file is empty"),
     ],
 )
 def test_a_broken_file_gets_one_sentence_and_leaves_nothing(studio, data, limit):
@@ -153,7 +153,7 @@ def test_a_file_that_takes_too_much_is_refused(tmp_path, monkeypatch, broken, li
 
 def test_file_type_follows_content_and_has_limits(studio):
     assert studio.take("a", sent(studio, of(), ".png")).kind == "read"
-    with pytest.raises(InputError, match=r"larger than the 0\.5 MB"):
+    with pytest.raises(InputError, match=r"larger than 0\.5 MB"):
         studio.take("a", sent(studio, of(10 * ROWS)))
     with pytest.raises(InputError, match="only one object"):
         studio.take("a", sent(studio, of()), (0.5, 0.5))

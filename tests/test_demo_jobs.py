@@ -139,13 +139,16 @@ def test_only_pictures_that_a_visitor_has_sent_are_read(studio, tmp_path, kind):
     }[kind]
     with pytest.raises(InputError) as refusal:
         studio.cut_out("a", str(given))
-    assert str(refusal.value) == "picture = unknown: This picture is not here. Choose it once more."
+    assert (
+        str(refusal.value)
+        == "picture = unknown: The server does not have this picture. Choose it again."
+    )
 
 
 def test_a_fifo_among_the_uploads_is_not_opened(studio):
     pipe = studio.visitors.get("a").folder / "uploads" / "pipe.png"
     os.mkfifo(pipe)
-    with pytest.raises(InputError, match="not here"):
+    with pytest.raises(InputError, match="does not have this picture"):
         studio.cut_out("a", str(pipe))
 
 
@@ -154,7 +157,7 @@ def test_what_a_program_has_sent_becomes_its_own_when_it_is_used(studio):
     job = studio.cut_out("session a", str(sent))
     assert Path(job.subject).parent == studio.visitors.get("session a").folder / "uploads"
     assert not sent.exists()
-    with pytest.raises(InputError, match="not here"):
+    with pytest.raises(InputError, match="does not have this picture"):
         studio.cut_out("session b", str(sent))
 
 

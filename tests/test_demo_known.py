@@ -76,9 +76,9 @@ def test_generator_is_offered_if_the_server_has_weights(studio, monkeypatch):
         ({"colour": "red"}, "colour = "),
         ({"answer": {"option": "side"}}, "answer = "),
         ([0.6], "known = .*object of values"),
-        ({"side": "/etc/passwd"}, "picture is not here"),
-        ({"back": str(DUCK)}, "picture is not here"),
-        ({"depth": ["duck.png"]}, "picture is not here"),
+        ({"side": "/etc/passwd"}, "does not have this picture"),
+        ({"back": str(DUCK)}, "does not have this picture"),
+        ({"depth": ["duck.png"]}, "does not have this picture"),
     ],
 )
 def test_what_cannot_be_used_is_refused_readably(studio, told, message):
@@ -93,7 +93,7 @@ def test_other_pictures_have_the_limits_of_the_first(studio, tmp_path):
         with pytest.raises(InputError, match="more than 1 million pixels"):
             studio.check_extras("a", {option: large})
     theirs = _sent(studio, name="b")
-    with pytest.raises(InputError, match="not here"):
+    with pytest.raises(InputError, match="does not have this picture"):
         studio.check_extras("a", {"side": theirs})
 
 
@@ -101,7 +101,7 @@ def test_a_program_names_a_picture_as_often_as_it_likes(studio):
     arrived = str(studio.visitors.store(None, DUCK.read_bytes(), ".png"))
     once, twice = (studio.check_extras("a", {"depth": arrived}) for _ in range(2))
     assert once == twice
-    with pytest.raises(InputError, match="not here"):
+    with pytest.raises(InputError, match="does not have this picture"):
         studio.check_extras("b", {"depth": arrived})
 
 

@@ -82,7 +82,7 @@ def test_its_picture_has_the_limits_of_the_first(studio, tmp_path):
     Image.fromarray(noise).save(tmp_path / "heavy.png")
     pictures = {
         "more than 1 million pixels": (tmp_path / "wide.png").read_bytes(),
-        "larger than the 1 MB": (tmp_path / "heavy.png").read_bytes(),
+        "larger than 1 MB": (tmp_path / "heavy.png").read_bytes(),
         "not a PNG": b"this is no picture",
     }
     for said, picture in pictures.items():

@@ -186,7 +186,7 @@ def test_the_viewer_gets_every_frame_while_it_is_computed(order):
 
 
 def test_too_many_particles_are_refused(order):
-    with pytest.raises(InputError, match=r"one run may have 10 here"):
+    with pytest.raises(InputError, match=r"The limit of this page is 10 particles"):
         list(steps(replace(order, max_particles=10)))
 
 

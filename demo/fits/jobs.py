@@ -72,7 +72,7 @@ class Fits:
         least, usual = (STARTING + load * expected.wall(runs) for runs in (FEWEST, USUAL))
         most = self.settings.max_fit_seconds
         if least > most:
-            limit = f"A fit of this scene takes at least {least:.0f} s; {most:g} s are allowed."
+            limit = f"A fit of this scene takes at least {least:.0f} s; the limit is {most:g} s."
             raise InputError("seconds", "over", limit, "Choose a shorter length.")
         budget = {"least": round(least), "most": most, "value": round(min(ROOM * usual, most))}
         low, high = self.forecaster.load().span(usual, unsure=GUESS)
@@ -98,7 +98,7 @@ class Fits:
         upload = self._upload(name, video)
         check_video(upload, self.settings)
         if any(job.kind == "fit" and not job.over for job in list(visitor.jobs.values())):
-            limit = "Another fit of yours is still running."
+            limit = "Your previous fit is still running."
             raise InputError("fit", "yours", limit, "Let it end or cancel it.")
         job = Job("fit", visitor.new_stop_file(), expected, str(done.clip), FITTING)
         work = partial(self._run, visitor, done, upload, asked)
@@ -111,7 +111,7 @@ class Fits:
         try:
             return self.visitors.find_upload(name, video)
         except InputError as error:
-            limit = "This video is not here."
+            limit = "The server does not have this video."
             raise InputError("video", error.value, limit, error.remedy) from None
 
     def _run(self, visitor: Visitor, done: Done, upload: Path, asked: FitOptions, job: Job) -> None:

@@ -126,7 +126,7 @@ def search_softness(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any
         return isolated.run(_search, wanted, out, deadline=longest)
     except Unfinished as error:
         limit = f"The search {str(error).partition(' (')[0]}."
-        raise InputError("fit", "over", limit, "Try it once more.") from None
+        raise InputError("fit", "over", limit, "Try it again.") from None
     except InputError as error:
         raise in_words(error) from None
 
@@ -188,6 +188,6 @@ def scene_of_result(done: Done) -> Scene:
     scene = Scene.from_data(read_scene(done.clip / "clip.safetensors"))
     for field, _ in files_named(scene):
         if not field.startswith("view."):
-            limit = f"The scene has a picture ({field}), and such scenes cannot be fitted here."
+            limit = f"The scene has a picture ({field}); this page cannot fit such scenes."
             raise InputError(field, "a file", limit, "Leave the picture out, and generate again.")
     return scene

@@ -52,7 +52,7 @@ def check_video(path: Path, settings: Settings) -> None:
         InputError: The file is too large, or is no video.
     """
     if path.stat().st_size > settings.max_video_mb * 1e6:
-        limit = f"The video is larger than the {settings.max_video_mb:g} MB that this page takes."
+        limit = f"The video is larger than {settings.max_video_mb:g} MB, the limit of this page."
         raise InputError("video", path.name, limit, SHORTER)
     if not is_film(path):
         limit = "It is not an MP4, MOV, WebM, MKV, AVI, GIF or animated WebP."
@@ -87,7 +87,7 @@ def read_video(path: Path, out: Path, seconds: float, speed: float, deadline: De
     except Unfinished as error:
         limit = f"Reading the video {str(error).partition(' (')[0]}."
     except MemoryError:
-        limit = f"It takes more than the {MEMORY >> 30} GB of memory that a video may take here."
+        limit = f"The video needs more than {MEMORY >> 30} GB of memory, the limit of this server."
     raise InputError("video", path.name, limit, SHORTER)
 
 
@@ -139,7 +139,7 @@ def fit_options_of(data: Any, settings: Settings) -> FitOptions:
     values |= {name: data[name] for name in FitOptions.model_fields if data.get(name) is not None}
     # Check the server's limit first, then the declared bounds.
     if isinstance(values["seconds"], int | float) and values["seconds"] > most:
-        limit = f"One fit may take {most:g} s here."
+        limit = f"A fit may take at most {most:g} s on this page."
         raise InputError("seconds", shorten(values["seconds"]), limit, "Give it less time.")
     try:
         return FitOptions.model_validate(values)

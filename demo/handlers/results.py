@@ -28,7 +28,7 @@ from ..visitors import Visitor
 from ..work import Done
 from .event import Handler, data_of, file_of, job_of
 from .picture import show_source, ways
-from .run import busy_buttons, follow_job, forecast_of, idle_buttons, next_accuracy
+from .run import GONE, busy_buttons, follow_job, forecast_of, idle_buttons, next_accuracy
 
 NOT_SHOWN = [gr.skip()] * 4
 """Leaves the result panels unchanged."""
@@ -36,7 +36,6 @@ SHARE = "share"
 """Value of `kind` that asks for a link instead of a format."""
 REPORT, TAKEAWAY = 1, 2
 """Indices of the report and of the download panel among the result panels."""
-GONE = "The server no longer has this result. Generate it again."
 FORGOTTEN = {"message": GONE}, {"runs": []}
 """Values of download panel and history after a visitor's files were removed."""
 FILES = {

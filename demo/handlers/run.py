@@ -22,6 +22,7 @@ from ..touch import limits_of
 from ..visitors import key
 from .event import Handler
 
+GONE = "The server no longer has this result. Generate it again."
 FORGOTTEN = "The live run has ended. Start another one."
 NO_PICTURE = '<p class="none">no picture yet</p>'
 INFO = """<svg viewBox="0 0 20 20" role="img" aria-label="More about the time and the error">
@@ -176,13 +177,11 @@ def on_finer(studio: Studio) -> Handler:
     def start(done: Done | None, request: gr.Request) -> tuple[Any, ...]:
         visitor = studio.visitors.find(visitor_of(request))
         job = visitor and visitor.run_of(done)
+        if job is None or (finer := next_accuracy(job.asked[1])) is None:
+            return Progress(state="refused", message=GONE).data(), *idle_buttons()
+        source, data, extras = job.asked
         try:
-            if job is None or (finer := next_accuracy(job.asked[1])) is None:
-                limit = "The server no longer has this result."
-                raise InputError("result", "gone", limit, "Generate it again.")
-            source, data, extras = job.asked
-            data = {**data, "accuracy": finer}
-            job = studio.run(visitor_of(request), source, data, extras)
+            job = studio.run(visitor_of(request), source, {**data, "accuracy": finer}, extras)
         except InputError as error:
             return Progress(state="refused", message=user_message(error)).data(), *idle_buttons()
         return {**follow_job(job), "finer": True}, *busy_buttons()

@@ -68,11 +68,11 @@ class Player:
         order = what.order
         # The browser deforms the Gaussians, and needs a core if it runs on this machine.
         context = RunContext(device=pick_device(order.device), threads=1)
-        _say(line, kind="doing", text="Making the Gaussians …")
+        _say(line, kind="doing", text="Making the 3D object …")
         order.cut_views(Deadline(PREPARING))
         gaussians = gaussians_of(order, made_gaussians(order))
         timing = order.scene.time.model_copy(update={"fps": FPS})
-        _say(line, kind="doing", text="Finding a grid that runs in real time here …")
+        _say(line, kind="doing", text="Choosing the accuracy that runs in real time …")
         asked = with_crops(order.scene, order.others).model_copy(update={"time": timing})
         chosen = held_rate(gaussians, asked, context, rate=RATE, shapes=False)
         self.live = Live(gaussians, chosen.scene, context, shapes=False)

@@ -42,7 +42,9 @@ class Limits:
         if self.order.stop.exists():
             raise Cancelled
         if self.spent > HOPELESS:
-            limit = f"It took far longer than the {self.order.seconds:.0f} s of one run."
+            limit = (
+                f"The run took far longer than {self.order.seconds:.0f} s, the limit of this page."
+            )
             raise InputError("time", "over", limit, easier(self.order.scene))
         self.put(event)
 

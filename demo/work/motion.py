@@ -141,7 +141,7 @@ class Watching:
             raise InputError(
                 "accuracy",
                 f"{len(run.setup.particles):,} particles",
-                f"one run may have {self.order.max_particles:,} here.",
+                f"The limit of this page is {self.order.max_particles:,} particles.",
                 "Choose a coarser accuracy.",
             )
         for name, value in measure_motion(run, frame).items():

@@ -45,7 +45,9 @@ def measure(order: Order, limits: Limits) -> Measured:
     study = Study(gaussians, scene, context, order.levels, crop, thorough=False)
     measurement = Measurement.of(study.run())
     if limits.spent > SIMULATING and len(measurement.levels) < len(order.levels):
-        limit = f"The {order.seconds:.0f} s of one run were nearly over before all grids were run."
+        limit = (
+            f"The time limit of {order.seconds:.0f} s was nearly over before all grids were run."
+        )
         remedy = easier(order.scene.model_copy(update={"accuracy": "draft"}))
         raise InputError("time", "over", limit, remedy)
     with replacing(path) as temporary:

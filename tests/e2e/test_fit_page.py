@@ -27,7 +27,7 @@ def test_a_video_goes_back_to_the_softness_of_the_next_run(visit, tmp_path):
     slot = page.locator(".fit-slot input")
     slot.set_input_files(tmp_path / "text.mp4")
     page.locator(".fit-go").click()
-    page.get_by_text("It is not an MP4").wait_for()
+    page.get_by_text("is not an MP4").wait_for()
     slot.set_input_files(film)
     assert "A fit takes" in page.locator(".fit-forecast").inner_text()
     page.get_by_label("Time limit of the fit").fill("600")

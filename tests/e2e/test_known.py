@@ -18,7 +18,7 @@ def test_side_picture_is_cut_out_and_sets_the_depth(visit, tmp_path):
     assert "0.6 × the estimate" in page.locator("#more-pictures").inner_text()
     (tmp_path / "text.png").write_text("this is no picture")
     page.get_by_label("Side", exact=True).set_input_files(tmp_path / "text.png")
-    page.locator("#more-pictures").get_by_text("It is not a PNG, JPEG").wait_for()
+    page.locator("#more-pictures").get_by_text("is not a PNG, JPEG").wait_for()
     page.get_by_label("Side", exact=True).set_input_files(TEDDY)
     page.get_by_text("Side: The object is cut out.").wait_for()
     assert slider.is_disabled()

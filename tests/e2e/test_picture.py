@@ -24,7 +24,7 @@ def test_after_a_refused_picture_nothing_older_is_generated(visit, tmp_path):
     visit.upload()
     (tmp_path / "text.png").write_text("this is no picture")
     visit.page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
-    visit.page.get_by_text("It is not a PNG, JPEG").wait_for()
+    visit.page.get_by_text("is not a PNG, JPEG").wait_for()
     assert visit.page.locator("#cutout").is_hidden()
     visit.generate()
     visit.page.get_by_text("Choose a picture first.").wait_for(state="attached")

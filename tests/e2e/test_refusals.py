@@ -7,7 +7,7 @@ from visit import DUCK, Visit
 
 pytestmark = pytest.mark.browser
 
-WRONG = "It is not a PNG, JPEG"
+WRONG = "is not a PNG, JPEG"
 SAYS = """([panel, what, times]) => globalThis.said?.[panel]?.filter(
     (text) => text.includes(what)).length >= times"""
 LISTEN = """(panel) => {
@@ -109,7 +109,7 @@ def test_a_file_chosen_before_the_last_is_answered_is_read(visit, tmp_path):
     waits = False
     for request in held:
         request.continue_()
-    page.get_by_text("It is cut short within its header.").wait_for()
+    page.get_by_text("The file is cut short within its header.").wait_for()
 
 
 def test_that_there_is_no_picture_is_said_until_there_is_one(visit):

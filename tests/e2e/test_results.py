@@ -83,7 +83,7 @@ def test_phone_fits_the_page_and_shows_the_result(browser, server, tmp_path):
     assert page.evaluate(WIDTH) == 390
     (tmp_path / "text.png").write_text("this is no picture")
     page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
-    page.get_by_text("It is not a PNG, JPEG").first.wait_for()
+    page.get_by_text("is not a PNG, JPEG").first.wait_for()
     visit.upload()
     visit.choose(frames=4)
     page.evaluate("scrollTo(0, 0)")

@@ -23,7 +23,7 @@ def test_a_file_is_turned_by_keyboard_and_moved(visit, tmp_path):
     page.get_by_text("Save it as .ply or .spz").wait_for()
     assert "415" in visit.complaints.pop(), "the refusal, which browsers note themselves"
     chooser.set_input_files(tmp_path / "broken.ply")
-    page.get_by_text("It is cut short within its header.").wait_for()
+    page.get_by_text("The file is cut short within its header.").wait_for()
     chooser.set_input_files(tmp_path / "ball.ply")
     first = page.get_by_role("radio", name="Up: -y")
     first.wait_for()
