@@ -239,7 +239,7 @@ def describe_failure(problem: BaseException) -> tuple[str, str]:
 def user_message(error: InputError) -> str:
     """Return an error's message for the visitor, without paths of the server."""
     text = _text(error)
-    subject = SUBJECTS.get(error.field)
+    subject = "The file" if error.field.endswith(" file") else SUBJECTS.get(error.field)
     return f"{subject} {text[3:]}" if subject and text.startswith("It ") else text
 
 

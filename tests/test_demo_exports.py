@@ -255,7 +255,7 @@ def test_a_picture_without_an_object_can_be_rescued_by_the_brush(tmp_path):
     Image.fromarray(np.full((40, 40, 3), 255, np.uint8)).save(white)
     with pytest.raises(InputError, match="No object"):
         cut_out(white, cut)
-    with pytest.raises(InputError, match="Nothing of it is left"):
+    with pytest.raises(InputError, match="Nothing of the object is left"):
         correct_cutout(white, None, [_stroke(False, (0.5, 0.5))], cut)
     assert not cut.exists()
     correct_cutout(white, None, [_stroke(True, (0.5, 0.5), width=0.5)], cut)

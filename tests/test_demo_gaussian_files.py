@@ -21,7 +21,7 @@ from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io import ply
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.dialect import Axes
-from phy124.io.formats import endings
+from phy124.io.formats import object_endings
 from phy124.rendering.orienting import UPS
 from phy124.runtime.isolated import Deadline, Unfinished
 from phy124.scene import Scene
@@ -137,9 +137,9 @@ def test_a_broken_file_gets_one_sentence_and_leaves_nothing(studio, data, limit)
 @pytest.mark.parametrize(
     ("broken", "limit"),
     [
-        (Unfinished("did not finish within 60 s"), "Reading it did not finish within 60 s. Reduce"),
-        (Unfinished("broke down (exit status -6: /x)"), "Reading it broke down. Reduce the file"),
-        (MemoryError(), "more than the 3 GB of memory"),
+        (Unfinished("did not finish within 60 s"), "Reading the file did not finish within 60 s. Reduce"),
+        (Unfinished("broke down (exit status -6: /x)"), "Reading the file broke down. Reduce the file"),
+        (MemoryError(), "more than 3 GB of memory"),
     ],
 )
 def test_a_file_that_takes_too_much_is_refused(tmp_path, monkeypatch, broken, limit):
@@ -157,7 +157,7 @@ def test_file_type_follows_content_and_has_limits(studio):
         studio.take("a", sent(studio, of(10 * ROWS)))
     with pytest.raises(InputError, match="only one object"):
         studio.take("a", sent(studio, of()), (0.5, 0.5))
-    assert catalogue(studio.settings)["limits"]["file_endings"] == endings()
+    assert catalogue(studio.settings)["limits"]["file_endings"] == object_endings()
 
 
 def test_what_is_told_must_suit_the_object(studio):

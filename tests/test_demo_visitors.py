@@ -116,7 +116,7 @@ def test_one_address_has_only_so_many_visitors(tmp_path):
     visitors = Visitors(tmp_path, Room(visitors=40, address=3))
     for name in "abc":
         _with_result(visitors.get(name, "10.0.0.1"))
-    with pytest.raises(InputError, match="from your address"):
+    with pytest.raises(InputError, match="from your network"):
         visitors.get("d", "10.0.0.1")
     assert visitors.get("e", "10.0.0.2")
 
@@ -129,7 +129,7 @@ def test_one_address_has_only_half_of_the_queue(visitors):
             visitor.remember(Job("run", Path("stop")))
     with pytest.raises(InputError, match="You have work waiting"):
         visitors.check_work(visitors.get("a"), 16)
-    with pytest.raises(InputError, match="from your address"):
+    with pytest.raises(InputError, match="from your network"):
         visitors.check_work(visitors.get("d"), 16)
     visitors.check_work(visitors.get("e", "10.0.0.2"), 16)
 
@@ -207,7 +207,7 @@ def test_what_does_not_fit_is_refused_in_words_and_takes_nothing(tmp_path):
     kept = _export(mine, "0", 700)
     _export(other, "0", 900)
     other.measure()
-    for size, said in ((400, "Your storage on this server is full"), (1001, "your files may take")):
+    for size, said in ((400, "Your storage on this server is full"), (1001, "your limit is")):
         with pytest.raises(InputError, match=said), visitors.writing(mine, size, {kept}):
             pytest.fail("it began")
     assert kept.exists()
@@ -221,7 +221,7 @@ def test_a_file_larger_than_the_room_removes_no_older_one(tmp_path):
     visitors = Visitors(tmp_path, Room(each=1000, all=2000))
     mine = visitors.get("a")
     kept = [_export(mine, name, 300) for name in ("0", "1")]
-    with pytest.raises(InputError, match="may take"), visitors.writing(mine, 1001):
+    with pytest.raises(InputError, match="your limit is"), visitors.writing(mine, 1001):
         pytest.fail("it began")
     assert all(path.exists() for path in kept) and mine.promised == 0
 

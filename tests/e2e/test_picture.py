@@ -26,7 +26,7 @@ def test_after_a_refused_picture_nothing_older_is_generated(visit, tmp_path):
     visit.page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
     visit.page.get_by_text("is not a PNG, JPEG").wait_for()
     assert visit.page.locator("#cutout").is_hidden()
-    visit.generate()
+    visit.page.locator("#go").click(force=True)
     visit.page.get_by_text("Choose a picture first.").wait_for(state="attached")
     assert visit.page.locator("#progress section").count() == 0
 
@@ -83,8 +83,8 @@ def test_a_click_on_the_picture_picks_another_object(visit, tmp_path):
     page, shown = visit.page, visit.page.locator("#cutout img[src]")
     page.wait_for_selector("#correct:not([hidden])")
     before = shown.get_attribute("src")
-    box = page.locator("#photo img").bounding_box()
-    # 190 pixels high, and the picture fills the width or the height.
+    box = page.locator("#photo > label > img").bounding_box()
+    # It has margins, and the picture fills the width or the height.
     scale = min(box["width"] / 300, box["height"] / 200)
     page.mouse.click(
         box["x"] + box["width"] / 2 + (230 - 150) * scale,

@@ -118,7 +118,7 @@ def test_that_there_is_no_picture_is_said_until_there_is_one(visit):
     page.locator("#forecast").get_by_text("no picture yet").wait_for()
     for button in ("#go", "#begin-touch"):
         assert page.locator(button).get_attribute("aria-disabled") == "true"
-        page.locator(button).click()
+        page.locator(button).click(force=True)
         page.get_by_text("Choose a picture first.").wait_for(state="attached")
         assert page.evaluate("document.activeElement.matches('#photo input')")
     assert page.locator("#progress section, #touch .message").count() == 0
@@ -135,6 +135,7 @@ def test_a_refusal_in_the_place_of_the_forecast_is_seen_in_full(visit):
     visit.adjust()
     page.get_by_label("Length", exact=True).fill("72")
     page.get_by_label("Softness", exact=True).fill("200")
+    page.locator(".segments input[value=fine]").evaluate("(e) => e.click()")
     page.locator("#forecast .refused").wait_for()
     said = page.locator("#forecast").inner_text()
     assert "the limit of this page" in said and "Choose draft accuracy" in said
