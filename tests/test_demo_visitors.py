@@ -116,7 +116,7 @@ def test_one_address_has_only_so_many_visitors(tmp_path):
     visitors = Visitors(tmp_path, Room(visitors=40, address=3))
     for name in "abc":
         _with_result(visitors.get(name, "10.0.0.1"))
-    with pytest.raises(InputError, match="from your network"):
+    with pytest.raises(InputError, match="from your address"):
         visitors.get("d", "10.0.0.1")
     assert visitors.get("e", "10.0.0.2")
 

@@ -1,4 +1,4 @@
-"""Makes the pictures of the page in docs/: first screen, and light, dark and phone after a run of the
+"""Makes the pictures of the page in docs/: first screen, light, dark and phone after a run of the
 teddy, and the orientations of a file of Gaussians.
 
     make test && .venv/bin/python docs/images/screenshots.py

@@ -28,7 +28,7 @@ FLAGS = [
     "--use-fake-ui-for-media-stream",
 ]
 DUCK = ROOT / "demo" / "examples" / "duck.png"
-LONG = 90_000
+LONG = 300_000
 """Patience with whatever is waited for, ms."""
 HAND = "[...document.querySelectorAll('#touch, #touch *')].find((e) => e.hand).hand"
 """The live run of *Touch*, and ..."""
