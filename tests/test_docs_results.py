@@ -1,5 +1,6 @@
 """The pages of results are short, and their tables are those of the lab."""
 
+import re
 import sys
 
 import pytest
@@ -30,3 +31,5 @@ def test_numbers_of_results_are_read_from_the_lab():
     pages = [(ROOT / f"docs/results/{page}.md").read_text("utf-8") for page in summaries.BLOCKS]
     used = {found[2] for page in pages for found in summaries.NUMBER.finditer(page)}
     assert used == set(summaries.NUMBERS)
+    # A comment at the start of a line would end the paragraph.
+    assert not any(re.search(r"^ *<!-- =", page, re.M) for page in pages)
