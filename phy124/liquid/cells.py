@@ -15,12 +15,14 @@ from phy124.kernels.liquid.faces import sums
 from phy124.mpm import Model, Unstable
 from phy124.mpm.grid import FARTHEST
 
-MARGIN = 8
+MARGIN = 10
 """Cells between the particles and the border of a new window."""
 LEAST = 5
 """Cells between particles and border below which a window is renewed: a step moves particles by up
 to two cells, and each particle reaches cells two further away.
 """
+LARGEST = 32
+"""Cells between particles and border above which a window is renewed."""
 FAR = 1e3
 """Distance of the nearest wall [cells] where there is none."""
 
@@ -96,7 +98,7 @@ class Cells:
         low = np.floor((lower - model.origin) / model.dx).astype(int)
         high = np.floor((upper - model.origin) / model.dx).astype(int) + 1
         spare = [*(low - self.low).tolist(), *(self.low + self.size - high).tolist()]
-        if self.count and min(spare) >= LEAST and max(spare) <= 3 * MARGIN:
+        if self.count and min(spare) >= LEAST and max(spare) <= LARGEST:
             return False
         self.rebase(low - MARGIN, high - low + 2 * MARGIN)
         return True

@@ -24,8 +24,10 @@ from phy124.mpm.stage import Named, Recorded, launches
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Worker
 
-LAYERS = 4
-"""Layers of faces outside the liquid that get velocities; an even number."""
+LAYERS, LAYERS_SHIFT = 4, 2
+"""Layers of faces outside the liquid that get velocities, and displacements; even numbers, so that
+the last layer's flags are in `Cells.known`.
+"""
 EXTENT = 7
 """Numbers of the particles' extent: minus the lowest corner, the highest corner, speed squared."""
 
@@ -165,7 +167,7 @@ class Phases:
 
     def _displacements(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield a worker's phases that move particles along the density's gradient."""
-        for turn in range(LAYERS):
+        for turn in range(LAYERS_SHIFT):
             yield [self._spread(worker, turn)]
         yield [self._slide(worker, self._walls.still, rubs=False)]
         yield [self._displace(worker), *self._push_out(worker, stops=False)]
@@ -271,16 +273,16 @@ class Phases:
 
     def _spread(self, worker: int, turn: int) -> Recorded:
         cells = self._cells
-        fields = [(cells.velocity, cells.known), (cells.other, cells.also)]
-        read, written = fields[turn % 2], fields[1 - turn % 2]
+        known = [cells.known, cells.also]
+        inputs, outputs = [cells.window, known[turn % 2]], [cells.velocity, known[1 - turn % 2]]
         kernel = spread.make_spread(self._model.real)
-        return self._over_cells(worker, "spread", kernel, [cells.window, *read], [*written])
+        return self._over_cells(worker, "spread", kernel, inputs, outputs)
 
     def _slide(self, worker: int, motions: wp.array, *, rubs: bool) -> Recorded:
         cells, walls, dx = self._cells, self._walls, self._model.dx
         inputs = [int(rubs), self._density * dx**3, cells.lattice, cells.window, motions]
         inputs += [walls.frictions, cells.open, cells.distances, cells.owners]
-        inputs += [cells.liquid, cells.pressure, cells.velocity]
+        inputs += [cells.liquid, cells.known, cells.pressure, cells.velocity]
         kernel = spread.make_slide(self._model.real)
         outputs = [cells.other, self._impulses_of_walls.rows(worker)]
         return self._over_cells(worker, "spread", kernel, inputs, outputs)

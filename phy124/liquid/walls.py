@@ -23,7 +23,7 @@ STAGE = "walls"
 """Name of the stages in reports."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Wall:
     """A single shape that the liquid does not enter."""
 
@@ -98,6 +98,7 @@ class Walls:
         """Motions of walls at rest."""
         self.move = any(wall.moves for wall in walls)
         """Whether any wall moves or ends."""
+        self._alike = list(self._group())
         self.rub = any(wall.friction > 0 or wall.sticky for wall in walls)
         """Whether any wall has friction."""
 
@@ -178,15 +179,37 @@ class Walls:
         """
         model, tracks = self._model, self._tracks
         launches = []
-        for index, wall in enumerate(self.all):
-            kernel = kernels.make_push_out(wall.shape, model.real)
-            inputs = [index, wall.slot, wall.geometry, wall.friction, int(stops), model.mass[run]]
-            inputs += [cells.lattice, cells.window, tracks.values, self.motions, wall.frame]
+        for shape, numbers, geometries, frame in self._alike:
+            kernel = kernels.make_push_out(shape, model.real)
+            inputs = [int(stops), numbers, geometries, self.slots, self.frictions]
+            inputs += [model.mass[run], cells.lattice, cells.window, tracks.values]
+            inputs += [self.motions, frame]
             inputs.append(cells.distances)
             outputs = [x[run], v[run], sums]
             launch = model.launch(kernel, run.stop - run.start, inputs, outputs)
             launches.append((STAGE, launch))
         return launches
+
+    def _group(self) -> Iterator[tuple[str, wp.array, wp.array, wp.array]]:
+        """Yield groups of walls that one launch treats: walls of one shape, or a free solid.
+
+        Each group has its shape, the numbers and the geometries of its walls, and its frame.
+        """
+        t, device = types(self._model.real), self._model.device
+        for shape, free in dict.fromkeys((wall.shape, len(wall.frame) > 0) for wall in self.all):
+            numbers = [
+                index
+                for index, wall in enumerate(self.all)
+                if wall.shape == shape and (len(wall.frame) > 0) == free
+            ]
+            group = [self.all[index] for index in numbers]
+            shapes = np.array([np.array(wall.geometry) for wall in group]).reshape(-1, 3, 3)
+            yield (
+                shape,
+                wp.array(np.array(numbers, np.int32), dtype=int, device=device),
+                self._model.array(shapes, t.mat33),
+                group[0].frame,
+            )
 
 
 def span(count: int, worker: int, workers: int) -> tuple[int, int]:

@@ -19,36 +19,41 @@ from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
 @cache
 def make_spread(real: Any):
-    """Kernel over cells: unknown faces get the mean of their known neighbours."""
+    """Kernel over cells: unknown faces get the mean of their known neighbours.
+
+    Only unknown faces are written and only known ones are read, so the order of cells is free.
+    """
     t = types(real)
 
     @kernel(f"phy124_liquid_spread_{real.__name__}", real, seconds=0.3)
-    def spread(
-        first, window, velocity: t.vec4s, known: Ints, velocity_out: t.vec4s, known_out: Ints
-    ):
+    def spread(first, window, known: Ints, velocity_out: t.vec4s, known_out: Ints):
         n = first + wp.tid()
         size = window[1]
-        v = velocity[n]
         mask = known[n]
+        missing = int(0)
         if mask < 7 and inner(cell_of(n, size), size, 1):
+            dx = stride(0, size)
+            dy = stride(1, size)
+            missing = known[n - 1] | known[n + 1] | known[n - dy] | known[n + dy]
+            missing = (missing | known[n - dx] | known[n + dx]) & (7 - mask)
+        if missing > 0:
+            v = velocity_out[n]
             for axis in range(3):
                 bit = 1 << axis
-                if mask & bit == 0:
+                if missing & bit > 0:
                     total = real(0.0)
                     count = real(0.0)
                     for along in range(3):
                         step = stride(along, size)
                         if known[n - step] & bit > 0:
-                            total += velocity[n - step][axis]
+                            total += velocity_out[n - step][axis]
                             count += real(1.0)
                         if known[n + step] & bit > 0:
-                            total += velocity[n + step][axis]
+                            total += velocity_out[n + step][axis]
                             count += real(1.0)
-                    if count > real(0.0):
-                        v[axis] = total / count
-                        mask += bit
-        velocity_out[n] = v
-        known_out[n] = mask
+                    v[axis] = total / count
+            velocity_out[n] = v
+        known_out[n] = mask | missing
 
     return spread
 
@@ -107,6 +112,7 @@ def make_slide(real: Any):
         distances: t.reals,
         owners: Ints,
         liquid: Ints,
+        known: Ints,
         pressure: Doubles,
         velocity: t.vec4s,
         velocity_out: t.vec4s,
@@ -116,13 +122,15 @@ def make_slide(real: Any):
         size = window[1]
         cell = cell_of(n, size)
         v = velocity[n]
-        if inner(cell, size, 1):
+        if known[n] > 0 and inner(cell, size, 1):
             for axis in range(3):
                 at = wp.vec3i(1, 1, 1)
                 at[axis] = 0
                 shut = open[n][axis] == real(0.0)
-                d = distances[point(cell, at[0], at[1], at[2], size)]
-                if shut or (rubs > 0 and d < lattice[3]):
+                near = shut
+                if rubs > 0 and not shut:
+                    near = distances[point(cell, at[0], at[1], at[2], size)] < lattice[3]
+                if near:
                     owner = owners[point(cell, at[0], at[1], at[2], size)]
                     u = t.vec3()
                     rough = t.vec2()

@@ -342,21 +342,36 @@ def make_solid_shares(real: Any):
 
 @cache
 def make_push_out(shape: str, real: Any):
-    """Kernel: moves particles out of a wall and stops them there.
+    """Kernel: moves particles out of all walls of a shape and stops them there.
 
-    The tangential velocity loses up to `friction` times the normal velocity that the wall takes.
-    The impulse on the particles and its work are added to `sums_out`.
+    `walls` has the walls' numbers, to which `slots` and `frictions` of all walls belong, and
+    `geometries` their shapes. The tangential velocity loses up to the coefficient of friction times
+    the normal velocity that the wall takes. The impulse on the particles and its work are added to
+    `sums_out`.
     """
     t = types(real)
     distance = SHAPES[shape]
 
+    @wp.func
+    def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
+        """Return a velocity after a wall of velocity u has stopped its normal part."""
+        along = wp.dot(v - u, normal)
+        if along >= real(0.0):
+            return v
+        slide = v - u - along * normal
+        speed = wp.length(slide)
+        kept = real(0.0)
+        if speed > real(0.0):
+            kept = wp.max(real(0.0), real(1.0) + friction * along / speed)
+        return u + kept * slide
+
     @kernel(f"phy124_liquid_push_out_{shape}_{real.__name__}", real, seconds=0.4)
     def push_out(
-        wall: int,
-        slot,
-        geometry,
-        friction,
         stops: int,
+        walls: Ints,
+        geometries: t.mat33s,
+        slots: Ints,
+        frictions: t.vec2s,
         mass,
         lattice,
         window,
@@ -377,25 +392,21 @@ def make_push_out(shape: str, real: Any):
         if inner(cell, size, 0):
             d = distances[point(cell, 1, 1, 1, size)]
         if d < real(NEAR) * dx:
-            place, active = to_frame(x, slot, values, frame)
-            s = distance(place, geometry)
-            if active > real(0.0) and s[3] < real(GAP) * dx:
-                normal = to_world(wp.vector(s[0], s[1], s[2]), frame)
-                u = speed_of(motions, wall, x)
-                x_out[p] = x + (real(GAP) * dx - s[3]) * normal
-                if stops > 0:
-                    relative = v_out[p] - u
-                    along = wp.dot(relative, normal)
-                    if along < real(0.0):
-                        slide = relative - along * normal
-                        speed = wp.length(slide)
-                        kept = real(0.0)
-                        if speed > real(0.0):
-                            kept = wp.max(real(0.0), real(1.0) + friction * along / speed)
-                        after = u + kept * slide
-                        change = mass[p] * (after - v_out[p])
-                        work = real(0.5) * wp.dot(change, after + v_out[p])
+            for k in range(walls.shape[0]):
+                wall = walls[k]
+                place, active = to_frame(x, slots[wall], values, frame)
+                s = distance(place, geometries[k])
+                if active > real(0.0) and s[3] < real(GAP) * dx:
+                    normal = to_world(wp.vector(s[0], s[1], s[2]), frame)
+                    x += (real(GAP) * dx - s[3]) * normal
+                    x_out[p] = x
+                    if stops > 0:
+                        u = speed_of(motions, wall, x)
+                        before = v_out[p]
+                        after = stop(before, u, normal, frictions[wall][0])
                         v_out[p] = after
+                        change = mass[p] * (after - before)
+                        work = real(0.5) * wp.dot(change, after + before)
                         turn = wp.cross(x, change)
                         for axis in range(3):
                             wp.atomic_add(sums_out, wall, axis, wp.float64(change[axis]))
