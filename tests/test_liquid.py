@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.boundaries import Box, Container, HalfSpace
+from phy124.budget.cost import count_substeps
 from phy124.errors import InputError
 from phy124.forces import Gravity
 from phy124.liquid import LiquidSolver
@@ -225,6 +226,12 @@ def test_projected_water_lands_in_its_basin():
 
 def test_default_liquid_is_compressible():
     assert not Scene.named("water").projects
+
+
+def test_estimate_counts_the_steps_of_a_projected_liquid():
+    scene = Scene.named("water")
+    projected = scene.replaced({"accuracy": {"cells": 16, "liquid": "projection"}})
+    assert 47 <= count_substeps(projected) <= 200 < count_substeps(scene)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
+from phy124.liquid.clock import CELLS, WAVES
 from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, beside_elastic
 from phy124.particles import Particles
 from phy124.scene import Scene
@@ -29,8 +30,12 @@ DOUBLE = 1.7
 """Ratio of a substep's time in float64 to its time in float32 (docs/lab/accuracy.md)."""
 PASS = 0.7
 """Time of each additional transfer pass, as a fraction of the substep (docs/lab/transfers.md)."""
+STEP = 6.0
+"""Ratio of a step's time of a liquid by projection to a substep's time."""
 WINDOW = 11
 """Number of nodes per axis that the grid's window has in addition to those across the object."""
+GRAVITY = 9.81
+"""Acceleration that limits the steps of a liquid by projection [m/s^2]."""
 BYTES_PER_PARTICLE = 400
 """Memory of a particle: its state, a snapshot of its state, and temporary arrays [bytes]."""
 BYTES_PER_NODE = 32
@@ -123,6 +128,7 @@ class Work:
         """
         slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
         slower *= 1 + PASS * scene.resolution.passes
+        slower *= STEP if scene.projects else 1.0
         views, nodes = len(scene.view.sides), count_nodes(scene) if nodes is None else nodes
         return cls(
             substeps=substeps,
@@ -137,7 +143,8 @@ class Work:
 def count_substeps(scene: Scene) -> int:
     """Estimate the substeps until the last frame, from stability limits and the expected speed."""
     length = (scene.time.frames - 1) / scene.time.fps
-    speed = CELLS_PER_STEP * scene.dx / max(_max_speed(scene, length), 1e-9)
+    cells = CELLS if scene.projects else CELLS_PER_STEP
+    speed = cells * scene.dx / max(_max_speed(scene, length), 1e-9)
     steps = np.minimum(longest_substeps(scene), speed)
     # Each frame has a whole number of substeps.
     return int(np.maximum(1, np.ceil(1 / scene.time.fps / steps)).sum())
@@ -179,6 +186,9 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
 
     Stiffness, viscosity, the initial spin and `time.substep` limit the substep.
     """
+    if scene.projects:
+        ceiling = math.inf if scene.time.substep is None else scene.time.substep
+        return np.full(scene.time.frames - 1, min(WAVES * math.sqrt(scene.dx / GRAVITY), ceiling))
     fraction = scene.resolution.fraction
     viscous = min(section.viscous_limit(scene.dx) for section in scene.materials)
     longest = beside_elastic(fraction) * viscous

@@ -50,6 +50,22 @@ class Wall:
         return self.slot > 0 or len(self.frame) > 0
 
 
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Walls of one shape that all move or all stay, or a free solid."""
+
+    shape: str
+    moves: bool
+    reach: float
+    """As for a wall."""
+    numbers: wp.array
+    """Numbers of the walls."""
+    geometries: wp.array
+    """Their shapes, as three vectors each."""
+    frame: wp.array
+    """As for a wall."""
+
+
 def walls_of(
     boundaries: Iterable[tuple[str, Boundary]], model: Model, tracks: Tracks
 ) -> Iterator[Wall]:
@@ -98,7 +114,7 @@ class Walls:
         """Motions of walls at rest."""
         self.move = any(wall.moves for wall in walls)
         """Whether any wall moves or ends."""
-        self._alike = list(self._group())
+        self._groups = list(self._group_walls())
         self.rub = any(wall.friction > 0 or wall.sticky for wall in walls)
         """Whether any wall has friction."""
 
@@ -116,34 +132,34 @@ class Walls:
         Returns:
             Two lists; workers wait for each other between them.
         """
-        chosen = [(index, wall) for index, wall in enumerate(self.all) if wall.moves == move]
+        chosen = [group for group in self._groups if group.moves == move]
         records = [
             record
-            for index, wall in chosen
-            for record in self._describe_wall(cells, index, wall, worker, workers)
+            for group in chosen
+            for record in self._describe_group(cells, group, worker, workers)
         ]
-        regions = [cells.region(wall.reach) for _, wall in chosen] if move else [cells.whole]
+        regions = [cells.region(group.reach) for group in chosen] if move else [cells.whole]
         shares = [self._share(cells, region, worker, workers) for region in regions]
         return [records, shares]
 
-    def _describe_wall(
-        self, cells: Cells, index: int, wall: Wall, worker: int, workers: int
+    def _describe_group(
+        self, cells: Cells, group: Group, worker: int, workers: int
     ) -> Iterator[Recorded]:
-        """Yield a worker's launches that combine a wall with the walls described before it."""
-        model, tracks, region = self._model, self._tracks, cells.region(wall.reach)
-        shape = [wall.slot, wall.geometry, cells.lattice, cells.window, tracks.values, wall.frame]
+        """Yield a worker's launches that combine walls with those described before them."""
+        model, region = self._model, cells.region(group.reach)
+        shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
+        shape += [self._tracks.values, group.frame, region.box]
         size = region.size
         first, count = span(int(np.prod(2 * size + 1)), worker, workers)
-        kernel = kernels.make_wall_distance(wall.shape, model.real)
+        kernel = kernels.make_wall_distance(group.shape, model.real)
         outputs = [cells.distances, cells.owners]
-        inputs = [first, index, *shape, region.box]
-        yield STAGE, model.launch(kernel, count, inputs, outputs)
+        yield STAGE, model.launch(kernel, count, [first, *shape], outputs)
         first, count = span(int(np.prod(size)), worker, workers)
-        kernel = kernels.make_openings(wall.shape, model.real)
-        yield STAGE, model.launch(kernel, count, [first, *shape, region.box], [cells.open])
+        kernel = kernels.make_openings(group.shape, model.real)
+        yield STAGE, model.launch(kernel, count, [first, *shape], [cells.open])
         first, count = span(8 * int(np.prod(size)), worker, workers)
-        kernel = kernels.make_eighths(wall.shape, model.real)
-        yield STAGE, model.launch(kernel, count, [first, *shape, region.box], [cells.eighths])
+        kernel = kernels.make_eighths(group.shape, model.real)
+        yield STAGE, model.launch(kernel, count, [first, *shape], [cells.eighths])
 
     def _share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
         """Return a worker's launch that computes the solid shares of the kernels in a region."""
@@ -179,33 +195,27 @@ class Walls:
         """
         model, tracks = self._model, self._tracks
         launches = []
-        for shape, numbers, geometries, frame in self._alike:
-            kernel = kernels.make_push_out(shape, model.real)
-            inputs = [int(stops), numbers, geometries, self.slots, self.frictions]
+        for group in self._groups:
+            kernel = kernels.make_push_out(group.shape, model.real)
+            inputs = [int(stops), group.numbers, group.geometries, self.slots, self.frictions]
             inputs += [model.mass[run], cells.lattice, cells.window, tracks.values]
-            inputs += [self.motions, frame]
+            inputs += [self.motions, group.frame]
             inputs.append(cells.distances)
             outputs = [x[run], v[run], sums]
             launch = model.launch(kernel, run.stop - run.start, inputs, outputs)
             launches.append((STAGE, launch))
         return launches
 
-    def _group(self) -> Iterator[tuple[str, wp.array, wp.array, wp.array]]:
-        """Yield groups of walls that one launch treats: walls of one shape, or a free solid.
-
-        Each group has its shape, the numbers and the geometries of its walls, and its frame.
-        """
+    def _group_walls(self) -> Iterator[Group]:
+        """Yield the walls in groups that one launch treats."""
         t, device = types(self._model.real), self._model.device
-        for shape, free in dict.fromkeys((wall.shape, len(wall.frame) > 0) for wall in self.all):
-            numbers = [
-                index
-                for index, wall in enumerate(self.all)
-                if wall.shape == shape and (len(wall.frame) > 0) == free
-            ]
+        keys = [(wall.shape, wall.moves, wall.reach) for wall in self.all]
+        for key in dict.fromkeys(keys):
+            numbers = [index for index, other in enumerate(keys) if other == key]
             group = [self.all[index] for index in numbers]
             shapes = np.array([np.array(wall.geometry) for wall in group]).reshape(-1, 3, 3)
-            yield (
-                shape,
+            yield Group(
+                *key,
                 wp.array(np.array(numbers, np.int32), dtype=int, device=device),
                 self._model.array(shapes, t.mat33),
                 group[0].frame,

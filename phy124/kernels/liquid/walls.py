@@ -96,11 +96,12 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 
 @cache
 def make_wall_distance(shape: str, real: Any):
-    """Kernel over points of half the spacing: lowers the distance to that of a wall.
+    """Kernel over points of half the spacing: lowers the distance to that of some walls of a shape.
 
-    `wall` is the wall's number, which is stored in the points nearest to the wall; `slot` is the
-    index of the wall's displacement, or 0 for a wall that never moves. A wall whose track has ended
-    has no effect. The points are those of a region of the window: its first cell and its size.
+    `walls` has the walls' numbers, which are stored in the points nearest to them, and `geometries`
+    their shapes. `slots` has the index of the displacement of every wall, or 0 for those that never
+    move. A wall whose track has ended has no effect. The points are those of a region of the
+    window: its first cell and its size.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -108,9 +109,9 @@ def make_wall_distance(shape: str, real: Any):
     @kernel(f"phy124_liquid_wall_{shape}_{real.__name__}", real, seconds=0.3)
     def wall_distance(
         first,
-        wall: int,
-        slot,
-        geometry,
+        walls: Ints,
+        geometries: t.mat33s,
+        slots: Ints,
         lattice,
         window,
         values,
@@ -130,11 +131,17 @@ def make_wall_distance(shape: str, real: Any):
             lattice[1] + half * real(2 * low[1] + at[1]),
             lattice[2] + half * real(2 * low[2] + at[2]),
         )
-        place, active = to_frame(x, slot, values, frame)
-        s = distance(place, geometry)
-        if active > real(0.0) and s[3] < distances_out[n]:
-            distances_out[n] = s[3]
-            owners_out[n] = wall
+        least = distances_out[n]
+        owner = int(-1)
+        for k in range(walls.shape[0]):
+            place, active = to_frame(x, slots[walls[k]], values, frame)
+            d = distance(place, geometries[k])[3]
+            if active > real(0.0) and d < least:
+                least = d
+                owner = walls[k]
+        if owner >= 0:
+            distances_out[n] = least
+            owners_out[n] = owner
 
     return wall_distance
 
@@ -169,7 +176,7 @@ def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
 
 @cache
 def make_openings(shape: str, real: Any):
-    """Kernel over cells: multiplies the open shares of the low faces by those before a wall.
+    """Kernel over cells: multiplies the open shares of the low faces by those before some walls.
 
     The share before a plane follows from the distances at the face's corners; that before other
     shapes from 64 points of the face, since distances bend at edges. The product is exact where
@@ -202,8 +209,9 @@ def make_openings(shape: str, real: Any):
     @kernel(f"phy124_liquid_openings_{shape}_{real.__name__}", real, seconds=0.4)
     def openings(
         first,
-        slot,
-        geometry,
+        walls: Ints,
+        geometries: t.mat33s,
+        slots: Ints,
         lattice,
         window,
         values,
@@ -218,37 +226,58 @@ def make_openings(shape: str, real: Any):
         dx = lattice[3]
         share = open_out[n]
         centre = centre_of(cell, lattice, window[0])
-        for axis in range(3):
-            middle = centre
-            middle[axis] = centre[axis] - real(0.5) * dx
-            d = far(middle, axis, real(0.0), real(0.0), slot, geometry, values, frame)
-            part = real(1.0)
-            if d < real(-0.75) * dx:
-                part = real(0.0)
-            elif d < real(0.75) * dx:
-                if wp.static(flat):
-                    h = real(0.5) * dx
-                    part = square(
-                        far(middle, axis, -h, -h, slot, geometry, values, frame),
-                        far(middle, axis, h, -h, slot, geometry, values, frame),
-                        far(middle, axis, h, h, slot, geometry, values, frame),
-                        far(middle, axis, -h, h, slot, geometry, values, frame),
-                        d,
-                    )
-                else:
+        for k in range(walls.shape[0]):
+            for axis in range(3):
+                middle = centre
+                middle[axis] = centre[axis] - real(0.5) * dx
+                d = far(
+                    middle,
+                    axis,
+                    real(0.0),
+                    real(0.0),
+                    slots[walls[k]],
+                    geometries[k],
+                    values,
+                    frame,
+                )
+                part = real(1.0)
+                if d < real(-0.75) * dx:
                     part = real(0.0)
-                    for a in range(8):
-                        for b in range(8):
-                            u = dx * (real(a) - real(3.5)) * real(0.125)
-                            v = dx * (real(b) - real(3.5)) * real(0.125)
-                            e = far(middle, axis, u, v, slot, geometry, values, frame)
-                            if e > real(1.0e-4) * dx:
-                                part += real(0.015625)
-            share[axis] = share[axis] * part
-            if share[axis] < real(SHUT):
-                share[axis] = real(0.0)
-            if share[axis] > real(1.0) - real(SHUT):
-                share[axis] = real(1.0)
+                elif d < real(0.75) * dx:
+                    if wp.static(flat):
+                        h = real(0.5) * dx
+                        part = square(
+                            far(
+                                middle, axis, -h, -h, slots[walls[k]], geometries[k], values, frame
+                            ),
+                            far(middle, axis, h, -h, slots[walls[k]], geometries[k], values, frame),
+                            far(middle, axis, h, h, slots[walls[k]], geometries[k], values, frame),
+                            far(middle, axis, -h, h, slots[walls[k]], geometries[k], values, frame),
+                            d,
+                        )
+                    else:
+                        part = real(0.0)
+                        for a in range(8):
+                            for b in range(8):
+                                u = dx * (real(a) - real(3.5)) * real(0.125)
+                                v = dx * (real(b) - real(3.5)) * real(0.125)
+                                e = far(
+                                    middle,
+                                    axis,
+                                    u,
+                                    v,
+                                    slots[walls[k]],
+                                    geometries[k],
+                                    values,
+                                    frame,
+                                )
+                                if e > real(1.0e-4) * dx:
+                                    part += real(0.015625)
+                share[axis] = share[axis] * part
+                if share[axis] < real(SHUT):
+                    share[axis] = real(0.0)
+                if share[axis] > real(1.0) - real(SHUT):
+                    share[axis] = real(1.0)
         open_out[n] = share
 
     return openings
@@ -256,7 +285,7 @@ def make_openings(shape: str, real: Any):
 
 @cache
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies the open fraction of each by that before a wall.
+    """Kernel over eighths of cells: multiplies their open fractions by those before some walls.
 
     The product is exact where walls are perpendicular to each other. The arguments are the same as
     for the kernel of distances.
@@ -267,8 +296,9 @@ def make_eighths(shape: str, real: Any):
     @kernel(f"phy124_liquid_eighths_{shape}_{real.__name__}", real, seconds=0.2)
     def eighths(
         first,
-        slot,
-        geometry,
+        walls: Ints,
+        geometries: t.mat33s,
+        slots: Ints,
         lattice,
         window,
         values,
@@ -288,10 +318,13 @@ def make_eighths(shape: str, real: Any):
             lattice[1] + half * (real(2 * low[1] + at[1]) + middle),
             lattice[2] + half * (real(2 * low[2] + at[2]) + middle),
         )
-        place, active = to_frame(x, slot, values, frame)
-        if active > real(0.0):
-            d = distance(place, geometry)[3]
-            vacant_out[n] = vacant_out[n] * wp.clamp(middle + d / half, real(0.0), real(1.0))
+        share = vacant_out[n]
+        for k in range(walls.shape[0]):
+            place, active = to_frame(x, slots[walls[k]], values, frame)
+            if active > real(0.0):
+                d = distance(place, geometries[k])[3]
+                share *= wp.clamp(middle + d / half, real(0.0), real(1.0))
+        vacant_out[n] = share
 
     return eighths
 
