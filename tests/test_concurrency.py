@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,17 @@ from support.pages import ROOT
 
 GROUPS = ("laws", "walls", "forces", "monitors", "pictures", "presets")
 KERNELS = ROOT / "phy124/kernels"
+MOTIONS = ("moving", "still")
 EXTREMES = ("maxima_out", "fastest_out", "range_out", "low_out", "high_out")
 HARMLESS = {f"read-atomic {array}" for array in EXTREMES}
 """What may race: a value is compared with a maximum before it is raised, atomically."""
-MASSES = {f"phy124_pair_float32/pair: read-write {nodes}" for nodes in ("first_out", "second_out")}
+MASSES = {
+    *(f"phy124_pair_float32/pair: read-write {nodes}" for nodes in ("first_out", "second_out")),
+    *(
+        f"phy124_contact_half_space_{wall}_float32/contact: read-write grid_out"
+        for wall in map("_".join, product(("held", "separate", "slip", "sticky"), MOTIONS))
+    ),
+}
 """So may this: of the nodes around it a thread reads the masses alone, and those that write the
 velocities of these nodes leave their masses as they are, to the last bit."""
 ALONE = {
