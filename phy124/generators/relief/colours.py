@@ -10,7 +10,6 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.generators.relief.height import nearest_of
-from phy124.generators.relief.light import unlight
 from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
@@ -40,6 +39,7 @@ def colour_points(
     normals: Field,
     surface: Surface,
     front: Field,
+    unlit: Field,
     back: Field,
     light: Field,
     reach: float,
@@ -54,7 +54,8 @@ def colour_points(
         normals: Unit normals [N,3].
         surface: The surface.
         front: Colours of the front [H,W,3].
-        back: Colours of the back [H,W,3] without light.
+        unlit: Colours of the front without light (`light.unlight`) [H,W,3].
+        back: Colours of the back without light [H,W,3].
         light: Direction and strength of the light (`light.fit_light`) [3].
         reach: Depth behind the rim over which the mirrored image fades into the back, pixels.
     """
@@ -63,7 +64,6 @@ def colour_points(
     below = surface.middle(points) - points[:, 2]
     hidden = below > 0
     place = place[:, hidden]
-    unlit = unlight(front, surface, light)
     behind = _sample(back, place)
     if reach > 0:
         fraction = np.clip(below[hidden] / reach, 0, 1)

@@ -131,7 +131,7 @@ def from_front(
         plain = (choose_look(work.rgba) if look == "auto" else look) == "plain"
         imagined = plain_back(unlit, silhouette.inside, WORK, rng) if plain else unlit
         reach = REACH * WORK if plain else 0.0
-        rgb = colour_points(points, normals, surface, front, imagined, light, reach)
+        rgb = colour_points(points, normals, surface, front, unlit, imagined, light, reach)
     else:
         scale = Box.of(work.object_mask).size[1] / opaque_size(back)[1]
         middle = float(view.middle[0]), float(view.middle[1])

@@ -69,6 +69,8 @@ BACK_PITCH = 1.5
 """Spacing of points on the back relative to the front; wider, since its colours are smooth."""
 OVERHANG = 5.0
 """Distance beyond the flat ends up to which points are distributed [pixels]."""
+TRIAL = 2.0
+"""Spacing of the points that measure the area [pixels]."""
 ROUNDS = 6
 """Number of relaxation rounds; after five, the spacing is even to about 10 %."""
 ALIKE = 3
@@ -190,8 +192,8 @@ def spread(
         Positions [N,3], unit normals [N,3], spacing [N] and the front's spacing, pixels. A few
             points lie beyond the ends; the caller must remove them.
     """
-    trial = _scatter(surface, 1.0, rng)
-    walls = np.count_nonzero(_between(trial, ends))
+    trial = _scatter(surface, TRIAL, rng)
+    walls = TRIAL**2 * np.count_nonzero(_between(trial, ends))
     faces = sum(surface.section(end.corner) for end in ends)
     pitch = float(np.sqrt((walls + faces) / count))
     points = _scatter(surface, pitch, rng)
