@@ -78,7 +78,9 @@ def read_table(path: Path) -> Table:
         raise _refusal(path, "its columns have different lengths.", "Write one value per point.")
     (count,) = size
     if not 0 < count <= MAX_POINTS:
-        raise _refusal(path, f"it holds {count:,} points; 1 to {MAX_POINTS:,} can be used.", "")
+        raise _refusal(
+            path, f"it holds {count:,} points; the number must be from 1 to {MAX_POINTS:,}.", ""
+        )
     checked = {
         n: _laws(path, c) if n == "law" else _numbers(path, n, c) for n, c in columns.items()
     }

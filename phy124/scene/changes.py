@@ -126,11 +126,11 @@ def _item(section: Any, key: str, path: str, value: Any) -> Any:
             section[key] = PRESETS[inner].model_dump()
         return section[key]
     if not isinstance(section, list):
-        raise InputError(path, value, f"there is no field {key!r} there.", REFERENCE)
+        raise InputError(path, value, f"the value before {key!r} has no fields.", REFERENCE)
     number = int(key) if key.isdecimal() else -1
     if number == len(section):
         section.append({})
     if not 0 <= number < len(section):
-        limit = f"there is no item {key!r}; the list has {len(section)}."
+        limit = f"there is no item {key!r}; the list has {len(section)} items."
         raise InputError(path, value, limit, f"Count from 0; {len(section)} adds an item.")
     return section[number]

@@ -109,7 +109,9 @@ def _check(path: Path, header: Header, rows: dict[str, NDArray[Any]]) -> None:
         or not harmonics
         or len(rows.get("sh", rows["vertex"])) != len(rows["vertex"])
     ):
-        raise refusal(KIND, path, "its colours do not fit its Gaussians.")
+        raise refusal(
+            KIND, path, "its colours are incomplete, or do not match the number of Gaussians."
+        )
 
 
 def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
