@@ -30,6 +30,7 @@ from phy124.io.content import Y_DOWN, Y_UP, Content
 from phy124.io.files import replacing
 from phy124.io.formats import compressed_ply, glb, mesh, sog, splat, spz
 from phy124.io.formats.fourdgs import write_fourdgs
+from phy124.io.formats.lattice4d import write_lattice4d
 from phy124.io.formats.moving_mesh import write_moving_mesh
 from phy124.io.formats.usd import write_usd
 from phy124.io.opening import obstacle
@@ -178,6 +179,11 @@ FORMATS = {
             "4dgs", "4DGS container", ".4dgs", "motion, within bounds that the file declares",
             "programs with the fourdgs libraries", 5,
             degree=0, axes=Y_UP, write_clip=write_fourdgs, package="fourdgs",
+        ),
+        Format(
+            "p4d", "P4D", ".p4d", "first frame as SOG, and motion to 0.1 % of the size",
+            "programs with the readers of 100 lines in the guide", 0.6, bytes_fixed=2_000,
+            degree=0, write_clip=write_lattice4d,
         ),
         Format(
             "mesh", "mesh (GLB)", ".glb", "surface of each frame with colours, watertight",

@@ -1,0 +1,117 @@
+"""P4D files, read by the readers of the guide, which share no code with phy124."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phy124.errors import InputError
+from phy124.gaussians import Frame, Gaussians
+from phy124.generators.shapes import ball
+from phy124.io.axes import orientation
+from phy124.io.clip import Clip
+from phy124.io.content import Y_DOWN
+from phy124.io.formats.lattice4d import TOLERANCE, write_lattice4d
+
+GUIDE = Path(__file__).parents[1] / "docs/guide"
+TURN = orientation(*Y_DOWN).T
+
+
+@pytest.fixture(scope="module")
+def reader():
+    spec = importlib.util.spec_from_file_location("read_p4d", GUIDE / "read_p4d.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.P4D
+
+
+def clip_of(moves) -> Clip:
+    one = ball(count=1500)
+    frames = [
+        Frame(k, k / 10, Gaussians(move(one.means), one.quats, one.scales, one.opacities, one.sh))
+        for k, move in enumerate(moves)
+    ]
+    return Clip.from_frames(frames)
+
+
+def bend(amount: float):
+    def move(x):
+        return x + amount * np.stack([x[:, 2] ** 2, 0 * x[:, 0], -0.5 * x[:, 2]], axis=1)
+
+    return move
+
+
+def tear(x):
+    return x + np.where(x[:, :1] > 0, 0.5, -0.5) * [1, 0, 0]
+
+
+@pytest.mark.parametrize("last", [bend(0.4), tear], ids=["bent", "torn"])
+def test_every_gaussian_is_within_its_bound(tmp_path, reader, last):
+    clip, path = clip_of([bend(0), bend(0.2), last]), tmp_path / "a.p4d"
+    write_lattice4d(path, clip)
+    data, asked = path.read_bytes(), []
+
+    def read(offset, length):
+        asked.append((offset, length))
+        return data[offset : offset + length]
+
+    film = reader(read)
+    size = np.ptp(clip.means[0], axis=0).max()
+    assert film.about["error"]["max"] <= 1.1 * TOLERANCE * size
+    bounds = film.errors()
+    for index in (2, 0, 1):
+        asked.clear()
+        error = np.linalg.norm(film.frame(index) - clip.means[index] @ TURN.T, axis=1)
+        assert (error <= bounds + 1e-6 * size).all()
+        assert asked == [tuple(film.about["frames"][index])], "a frame is one range of bytes"
+    first = clip.frame(0).gaussians
+    np.testing.assert_allclose(film.opacities, first.opacities, atol=0.003)
+    np.testing.assert_allclose(film.rgb, first.rgb, atol=0.02)
+    np.testing.assert_allclose(np.linalg.norm(film.quats, axis=1), 1, atol=1e-6)
+    scales = (np.sort(np.log(each), axis=1) for each in (film.scales, first.scales))
+    np.testing.assert_allclose(*scales, atol=0.05)
+
+
+def test_javascript_reader_agrees_with_python(tmp_path, reader):
+    if (node := shutil.which("node")) is None:
+        pytest.skip("node is not installed")
+    path = tmp_path / "a.p4d"
+    write_lattice4d(path, clip_of([bend(0), bend(0.3), tear]))
+    film = reader(lambda offset, length: path.read_bytes()[offset : offset + length])
+    film.means.astype("<f4").tofile(tmp_path / "centres")
+    script = f"""
+        import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{GUIDE / "read_p4d.mjs"}';
+        const data = new Uint8Array(readFileSync('{path}'));
+        const film = await P4D.open((offset, length) => data.slice(offset, offset + length));
+        const bytes = readFileSync('{tmp_path / "centres"}');
+        const centres = new Float32Array(bytes.buffer, bytes.byteOffset, bytes.length / 4);
+        console.log(JSON.stringify(Array.from(await film.frame(2, centres))));
+    """
+    done = subprocess.run(
+        [node, "--input-type=module", "--eval", script], check=True, capture_output=True, text=True
+    )
+    places = np.array(json.loads(done.stdout)).reshape(-1, 3)
+    np.testing.assert_allclose(places, film.frame(2), atol=1e-5)
+
+
+def test_empty_clip_is_refused(tmp_path):
+    empty = clip_of([bend(0)])
+    empty = Clip(
+        **{
+            **vars(empty),
+            "means": empty.means[:0],
+            "quats": empty.quats[:0],
+            "scales": empty.scales[:0],
+            "times": empty.times[:0],
+        }
+    )
+    with pytest.raises(InputError, match="no frames"):
+        write_lattice4d(tmp_path / "a.p4d", empty)
+    assert not list(tmp_path.iterdir())
