@@ -1,6 +1,7 @@
 """Forecasts: what is counted must be right; seconds are measured by benchmarks, not here."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +110,7 @@ def test_no_promise_where_speed_rules():
     made = Forecaster().of(simulation, filming=False)
     assert made.limiters.get("speed", 0) > 0.1
     assert made.caveat is not None
-    assert "only a guess" in made.caveat
+    assert "only a rough estimate" in made.caveat
     simulation.run()
     limited = simulation.solver.clock.limiters
     assert limited.get("speed", 0) > 0.1 * sum(limited.values())
@@ -125,6 +126,16 @@ def test_compared_counts_only_what_was_predicted():
     assert report["spent"] == 4.0
     assert report["ratio"] == pytest.approx(4 / 3)
     assert report["stages"]["simulate"]["ratio"] == 1.5
+
+
+def test_gpu_forecast_names_the_stages_of_the_cpu():
+    stages = {"generate": 3.0, "simulate": 0.2, "render": 0.1, "encode": 1.7}
+    made = Forecast(stages, (), 10, 20, 30, {"elastic": 1.0}, SubstepCost(1.0, 1.0))
+    note = "94% of this time is work of the CPU, most of it generate (3.0 s) and encode (1.7 s)."
+    assert note in replace(made, device="cuda:0").lines()[-1]
+    assert "work of the CPU" not in "".join(made.lines())
+    busy = replace(made, device="cuda:0", stages={**stages, "simulate": 60.0})
+    assert "work of the CPU" not in "".join(busy.lines())
 
 
 def test_a_second_look_at_the_stops_runs_nothing(monkeypatch):

@@ -6,7 +6,7 @@ import pytest
 import warp as wp
 from warp._src.context import Module
 
-from phy124.accuracy.probe import seconds_to_compile
+from phy124.accuracy.probe import probe, seconds_to_compile
 from phy124.runtime.compiling import is_compiled
 from phy124.runtime.kernel_cache import compiled_file
 from phy124.scene import Scene
@@ -76,3 +76,22 @@ def test_what_the_cache_does_not_have_takes_time(monkeypatch, tmp_path):
         file.touch()
     assert is_compiled(missing[0])
     assert seconds_to_compile(scene) < before
+
+
+def test_probe_of_a_graph_leaves_the_state(monkeypatch):
+    """The substeps of a GPU's graph are measured by two probes, here with the graph of a CPU."""
+    monkeypatch.setattr("phy124.mpm.solver.usable", lambda device: True)
+    run = Simulation(prepare(ball(300), Scene.named("drop").replaced(QUICK)))
+    x, counts = run.solver.state.x.numpy().copy(), []
+    advance = run.solver.advance
+    monkeypatch.setattr(
+        run.solver,
+        "advance",
+        lambda *args, **options: (
+            counts.append("graph" in run.solver.timings) or advance(*args, **options)
+        ),
+    )
+    cost, nodes, checks = probe(run)
+    assert any(counts), "no graph was used"
+    assert cost.particle > 0 and cost.node == 0 and nodes > 0 and checks > 0
+    assert (run.solver.state.x.numpy() == x).all() and run.solver.clock.substeps == 0

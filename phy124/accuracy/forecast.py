@@ -173,6 +173,8 @@ UNSURE = 0.1
 GUESS = 1.14
 """Factor that widens the range of the time if the forecast is only a guess."""
 QUIET = Load()
+ON_DEVICE = ("simulate", "deform", "render")
+"""Stages that a GPU computes."""
 REMEMBERED = 32
 """Maximum number of stored forecasts and measurements; a new one replaces the oldest."""
 
@@ -200,6 +202,8 @@ class Forecast:
     """Load from other programs on this machine when the probes ran."""
     thickness: float | None = None
     """Local thickness of the object relative to its size; None in scenes of several objects."""
+    device: str = "cpu"
+    """Device of the run."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -242,7 +246,21 @@ class Forecast:
             f"(limited by: {limited}), {1e9 * self.rates.particle:.0f} ns per particle and substep"
             f", about {self.memory / 1e9:.1f} GB"
         )
-        return [*made, total, about, *([self.caveat] if self.caveat else [])]
+        notes = [self._note_other_stages(), self.caveat]
+        return [*made, total, about, *filter(None, notes)]
+
+    def _note_other_stages(self) -> str | None:
+        """Return a note if a run on a GPU spends most of its time on stages of the CPU."""
+        others = {n: s for n, s in self.stages.items() if n not in ON_DEVICE}
+        if self.device == "cpu" or 2 * sum(others.values()) < self.seconds:
+            return None
+        longest = sorted(others, key=lambda name: -others[name])[:2]
+        names = " and ".join(f"{name} ({others[name]:.1f} s)" for name in longest)
+        fraction = sum(others.values()) / self.seconds
+        return (
+            f"{fraction:.0%} of this time is work of the CPU, most of it {names}. Starting the "
+            "program and importing its packages takes a few seconds more."
+        )
 
     def data(self) -> dict[str, Any]:
         """Return the forecast as plain data for scripts."""
@@ -376,6 +394,7 @@ class Forecaster:
             caveat=_caveat(pilot, limiters),
             load=load or self._meter.load(),
             thickness=self._thickness(simulation),
+            device=simulation.device,
         )
 
     def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:

@@ -18,10 +18,11 @@ from phy124.boundaries.base import THINNEST
 from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
+from phy124.kernels.arguments import types
 from phy124.liquid import AnySolver
 from phy124.monitor.softening import Softening
 from phy124.monitor.watchdog import Watchdog
-from phy124.mpm import Unstable
+from phy124.mpm import Solver, Unstable
 from phy124.mpm.workers import HOST
 from phy124.rendering.film import film
 from phy124.runtime.compiling import is_compiled
@@ -38,6 +39,12 @@ LONGEST_PROBE, ROUNDS = 0.6, 5
 """Maximum total duration of the probes [s], and maximum number of probes; the median is used.
 
 Probes of large objects have fewer substeps.
+"""
+GRAPH_PROBE = (20, 120)
+"""Numbers of substeps of two probes on a GPU.
+
+There a substep takes so little time that the fixed cost of a frame would dominate a single probe;
+the difference of the two probes is free of it.
 """
 FILMED, TRIES = (2, 6), 2
 """Numbers of frames of two test videos, and number of repetitions, of which the fastest is used.
@@ -93,11 +100,26 @@ def _seconds_per_substep(
         The time of a substep [s], the fraction of it that is proportional to the number of nodes,
         and the number of nodes.
     """
+    if isinstance(solver, Solver) and solver.on_device:
+        return _seconds_in_graph(solver, after), 0.0, solver.grid.count
     each = min(measure_time(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
     _clear_timings(solver)
     before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, MIN_PROBE, PROBE))
     seconds = measure_time(lambda: _advance(solver, count, after))
     return seconds / (solver.clock.substeps - before), _node_fraction(solver), solver.grid.count
+
+
+def _seconds_in_graph(solver: AnySolver, after: Callable[[], None] | None) -> float:
+    """Measure the time of a substep in a GPU's graph [s], without the fixed cost of a frame."""
+    few, more = GRAPH_PROBE
+    _advance(solver, few, after)  # captures the graph
+    taken, seconds = [], []
+    for count in (few, more):
+        before = solver.clock.substeps
+        seconds.append(measure_time(lambda count=count: _advance(solver, count, after)))
+        taken.append(solver.clock.substeps - before)
+    difference = (seconds[1] - seconds[0]) / max(taken[1] - taken[0], 1)
+    return max(difference, 0.1 * seconds[1] / taken[1])
 
 
 def _run_empty_frame(simulation: Simulation) -> None:
@@ -148,7 +170,9 @@ def time_shapes(simulation: Simulation) -> float:
     """Return the time to deform the Gaussians of one frame [s], for randomly strained particles."""
     solver, particles = simulation.solver, simulation.setup.particles
     rng = np.random.default_rng(0)
-    F = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
+    strained = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
+    real = solver.model.real
+    F: Any = wp.array(strained, dtype=types(real).mat33, device=simulation.device)
     options: dict[str, Any] = {"device": simulation.device, "threads": len(solver.workers)}
     deform = Deformer(simulation.setup.scenery.moving, particles, **options)
     x, v = solver.state.x, solver.state.v if simulation.scene.velocities else None

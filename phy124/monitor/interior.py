@@ -9,7 +9,7 @@ Gaussian above it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -75,12 +75,6 @@ class Interior(Observer):
         return subject.scene.grains and subject.elastic
 
     @classmethod
-    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernel that finds particles that have lost a neighbour."""
-        del subject
-        yield make_neighbours_lost(real)
-
-    @classmethod
     def effect(cls, subject: Subject) -> Effect:
         """Return the row for the interior."""
         grains = subject.scene.grains
@@ -124,7 +118,10 @@ class Interior(Observer):
         self._opened[index] = {"ids": ids, "x": here.astype(np.float32)}
 
     def _find_lost(self, x: wp.array) -> NDArray[np.bool_]:
-        """Return the mask of the inner particles that have lost a neighbour at rest."""
+        """Return the mask of the inner particles that have lost a neighbour at rest.
+
+        The kernel is compiled only now, because most runs need none.
+        """
         assert self._inside is not None
         if self._uploaded is None:
             chosen, neighbours = (

@@ -34,6 +34,7 @@ def pieces(device: str, physgaussian: str | None) -> dict[str, list[str]]:
         "substep": [str(HERE / "substep.py"), *here, *(["--count", "5000"] if cpu else [])],
         "clip": [str(BENCHMARKS / "device.py"), device, *(["3000"] if cpu else [])],
         "laws": [str(HERE / "laws.py"), *here, *(["--count", "300"] if cpu else [])],
+        "forecasts": [str(HERE / "forecasts.py"), *here, *(["--count", "300"] if cpu else [])],
         "pictures": [str(HERE / "pictures.py"), *here, *(["--count", "2000"] if cpu else [])],
         "render": [str(BENCHMARKS / "render.py"), *here, *(["--repeats", "1"] if cpu else [])],
         "tests": tests,

@@ -32,6 +32,7 @@ def summary(folder: Path, pieces: list[dict[str, Any]]) -> str:
         "substep",
         "clip",
         "laws",
+        "forecasts",
         "pictures",
         "render",
         "physgaussian",
