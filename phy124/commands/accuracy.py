@@ -198,7 +198,7 @@ class ShowAccuracy:
 
 
 def _status(report: Report) -> int:
-    """Return a study's exit status; without a level, the status of a stopped simulation."""
+    """Return a study's exit status; a study without a level counts as a stopped simulation."""
     return 0 if any(row.level for row in report.rows) else 3
 
 

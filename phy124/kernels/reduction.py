@@ -100,7 +100,7 @@ def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
 
 @wp.func_native(code("reduction:raise_all"))
 def raise_all(maxima: wp.array(dtype=Any), values: Any):
-    """Raise maxima over all threads to the components of a vector that are larger.
+    """Update component-wise maxima over all threads with a vector.
 
     All threads of a block on a GPU must call it: their number is a multiple of `BLOCK`.
     """
