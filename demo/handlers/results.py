@@ -139,7 +139,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
     return [
         {
             "pack": file_of(done.films / "clip.pack"),
-            "invented": done.report.get("generator") in ("relief", "triposr"),
+            "invented": done.report.get("generator") == "relief",
         },
         report_of(studio, job),
         takeaway_of(done),

@@ -31,11 +31,12 @@
       this.highlights = h('input', { type: 'checkbox', onchange: (event) => this.tell({ highlights: event.target.checked ? 'remove' : null }) });
       const { generator } = this.options; // offered if the server has weights
       this.generator = generator && h('select', { 'aria-label': 'Generator', title: generator.description, onchange: (event) => this.tell({ generator: event.target.value === generator.default ? null : event.target.value }) },
-        ...generator.enum.map((value) => h('option', { value, selected: value === generator.default }, `generator: ${value}`)));
+        ...generator.enum.map((value) => h('option', { value, selected: value === generator.default }, value)));
       places.pictures.replaceChildren(h('div', { class: 'views' }, ...Object.values(this.views).map((view) => view.element)),
         ...Object.values(this.views).map((view) => view.status),
         h('div', { class: 'knob', title: this.options.thickness.description }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Thickness'), this.deep), this.slider),
-        h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights'), this.generator || '');
+        h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights'),
+        ...(this.generator ? [h('div', { class: 'view' }, h('span', { class: 'knob-name' }, 'Generator'), this.generator)] : []));
       this.compose = h('input', { type: 'checkbox', onchange: (event) => this.tell({ compose: event.target.checked || null }) });
       places.film.replaceChildren(h('label', { class: 'check', title: this.options.compose.description }, this.compose, 'Also film it in the photograph'));
     }

@@ -178,7 +178,7 @@ ABOUT: dict[str, About] = {
         224,
         "onnx",
         memory=5e9,
-        work=1.05e12,
+        work=0.8e12,
     ),
     "birefnet-lite-512": About(
         "cuts objects out, faster and coarser: --foreground birefnet-512",
@@ -216,7 +216,7 @@ ABOUT: dict[str, About] = {
         work=1.31e12,
     ),
     "triposr-torch": About(
-        "the same network in float32: --generator triposr", 1680, "lgm", memory=2.6e9, work=3.4e12
+        "the same network in float32: --generator triposr", 1680, "lgm", memory=2.8e9, work=3.6e12
     ),
     "lgm": About("65,536 Gaussians from four views: --generator lgm", 830, "lgm"),
     "lgm-fp32": About("LGM in float32, in place of lgm", 1660, "lgm"),
