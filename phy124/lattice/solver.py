@@ -20,7 +20,7 @@ from phy124.kernels.arguments import types
 from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.surface import make_surface
-from phy124.lattice.walls import Boundary, Nodes, Walls
+from phy124.lattice.walls import TRAVEL, Boundary, Nodes, Walls
 from phy124.lattice.workers import Crew
 from phy124.mpm.clock import Clock
 from phy124.mpm.free import FreeBodies
@@ -38,7 +38,7 @@ from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_work
 
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
-STRAIN, WAY = 0.05, 0.25
+STRAIN, WAY = 0.2, 0.25
 """Largest strain, and largest way of a point [cells], between two measurements."""
 ROUNDS, PROBE = 60, 1e-3
 """Power iterations for the largest frequency at rest, and size of their displacements [cells]."""
@@ -109,6 +109,10 @@ class LatticeSolver:
         """Largest angular frequency at rest [1/s], and bounds of the nodes' stiffness at rest."""
         sound = max(section.sound_speed() for section in model.materials)
         self._record_measures(2 * sound / self._fastest)
+        self._travel, self._measured = 0.0, 0.0
+        """Bound of the way of a point or wall since points near walls were listed [m]; and the time
+        of the last measurement [s].
+        """
         self.bind(forces, boundaries, accumulators, planes)
 
     def bind(
@@ -141,9 +145,9 @@ class LatticeSolver:
         self._sample = tracks.record()
         self._sample.launch()
         self.rejection = StepRejection(model, state, tracks, acting, accumulators)
-        self.walls.look()
-        self.clock.expire()
         self.record()
+        self._look()
+        self.clock.expire()
 
     def record(self) -> None:
         """Record the launches of one substep."""
@@ -307,8 +311,18 @@ class LatticeSolver:
         stiffness = self._fastest**2 / 4 * self.model.dx**2 * growth
         measured = Extremes(float(largest[SPEED]), float(largest[GRADIENT]), stiffness)
         clock = self.clock
+        elapsed, before = clock.time - self._measured, clock.extremes.speed
+        self._measured = clock.time
+        speed = max(measured.speed, before, self.rejection.wall)
+        self._travel += elapsed * (speed + elapsed * self.rejection.acceleration)
         clock.limit_by(measured.after(clock.extremes, substeps=clock.since_complete), complete=True)
         clock.interval = self._interval()
+        if self._travel + WAY * self.model.dx > TRAVEL * self.model.dx:
+            self._look()
+
+    def _look(self) -> None:
+        """List the surface points near each wall."""
+        self._travel, self._measured = 0.0, self.clock.time
         if run_timed(self.timings, "near", self.walls.look):
             self.record()
 
@@ -358,8 +372,7 @@ class LatticeSolver:
         self.walls.restore(snapshot["walls"])
         self.clock.restore(snapshot["clock"])
         self._crew.stray.zero_()
-        self.walls.look()
-        self.record()
+        self._look()
 
 
 def _nodes(model: Model, lattice: RestLattice, state: State) -> Nodes:

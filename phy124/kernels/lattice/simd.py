@@ -77,7 +77,7 @@ def make_stress_simd(law: Law, viscous: bool):
 def make_measure_simd(law: Law, viscous: bool):
     """Kernel over blocks of sixteen cells: `make_lattice_measure` for float32 on a CPU.
 
-    The speed is the largest of the cells' nodes. The squared least stretch is up to 2 % too small.
+    The squared least stretch is up to 2 % too small.
     """
     kind = "shortened" if viscous else "lossless"
     head = f"const int width = {law.width};\n" + constants("float", FLATTEST=float(FLATTEST))

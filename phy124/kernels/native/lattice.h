@@ -175,14 +175,23 @@ const Lanes mu_of_all = parameter(0, 0), lam_of_all = parameter(0, 1);
 alignas(64) Lanes sums[27];
 for (int n = 0; n < 27; ++n) sums[n] = Lanes{};
 Lanes steepest = {}, fastest = {}, doubt = {};
-for (int n = 0; n < 81; n += 3)
-    fastest = larger(fastest, W[n] * W[n] + W[n + 1] * W[n + 1] + W[n + 2] * W[n + 2]);
 for (int point = 0; point < 8; ++point) {
     const Weights a = weigh(point);
     Lanes F[9], c[9], C[9], trace = {}, second = {}, rate = {};
     deform(a, F);
     const Lanes J = cofactors(F, c), safe = larger(J, Lanes{} + FLOOR);
     strain_rate(a, c, 1.0f / safe, C);
+    Lanes square = {};
+    for (int d = 0; d < 3; ++d) {
+        Lanes speed = {};
+        for (int r = 0; r < 9; ++r) {
+            const Lanes* const n = W + 9 * r + d;
+            const Lanes along = a.w[2][0] * n[0] + a.w[2][1] * n[3] + a.w[2][2] * n[6];
+            speed += a.w[0][r / 3] * a.w[1][r % 3] * along;
+        }
+        square += speed * speed;
+    }
+    fastest = larger(fastest, square);
     for (int k = 0; k < 9; ++k) {
         trace += F[k] * F[k];
         second += c[k] * c[k];
@@ -220,7 +229,7 @@ for (int point = 0; point < 8; ++point) {
                 sums[9 * i + 3 * j + k] += a.w[2][k] * along + size[2][k] * across;
         }
     steepest = larger(steepest, rate);
-    doubt += rate * 0.0f + trace * 0.0f + fastest * 0.0f;
+    doubt += rate * 0.0f + trace * 0.0f + square * 0.0f;
 }
 float* const most = (float*)maxima_out.data;
 for (int lane = 0; lane < cells; ++lane) {
