@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.lattice.rest import RestLattice
+from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
 from phy124.lattice.walls import TRAVEL, Boundary, Nodes, Walls
 from phy124.lattice.workers import Crew
@@ -32,7 +33,7 @@ from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
 from phy124.mpm.stage import Accumulator, Attachable, Stage, launches
 from phy124.mpm.threads import Team
-from phy124.mpm.timestep import Extremes
+from phy124.mpm.timestep import MEASURE_EVERY, Extremes
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_workers
 
@@ -40,8 +41,6 @@ SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN, WAY = 0.2, 0.25
 """Largest strain, and largest way of a point [cells], between two measurements."""
-ROUNDS, PROBE = 60, 1e-3
-"""Power iterations for the largest frequency at rest, and size of their displacements [cells]."""
 UNDAMPED = 1e30
 """A length so large that viscosity does not limit the substep [m]."""
 MEASURE = -1
@@ -105,10 +104,10 @@ class LatticeSolver:
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
         self._record_measures(UNDAMPED)
-        self._fastest, self._at_rest = self._measure_rest()
-        """Largest angular frequency at rest [1/s], and bounds of the nodes' stiffness at rest."""
+        self._largest()
+        self._spectrum = Spectrum(model, self._crew, self.nodes_state, self.lattice)
         sound = max(section.sound_speed() for section in model.materials)
-        self._record_measures(2 * sound / self._fastest)
+        self._record_measures(2 * sound / self._spectrum.fastest)
         self._travel, self._measured = 0.0, 0.0
         """Bound of the way of a point or wall since points near walls were listed [m]; and the time
         of the last measurement [s].
@@ -168,34 +167,6 @@ class LatticeSolver:
         """Record the launches that measure limits; viscosity acts over a length [m]."""
         for worker in self.workers:
             worker.measures = self._crew.measure(worker, length)
-
-    def _measure_rest(self) -> tuple[float, NDArray[np.float64]]:
-        """Return the largest angular frequency [1/s], and the nodes' stiffness, at rest.
-
-        The frequency is found by power iteration. While the body deforms, its square is assumed to
-        grow as the stiffness of the node that stiffens most.
-        """
-        self._largest()
-        stiffness = self._crew.stiffness()
-        nodes, lattice = self.nodes_state, self.lattice
-        inverse = np.asarray(nodes.inverse.numpy(), np.float64)[:, None]
-        motion, u = nodes.v.numpy().copy(), nodes.u.numpy().copy()
-        # Rates of strain must not contribute.
-        nodes.v.zero_()
-        shape = np.random.default_rng(0).normal(size=u.shape)
-        square, size = 0.0, PROBE * self.model.dx
-        for _ in range(ROUNDS):
-            shape[lattice.tied] = lattice.ties @ shape
-            shape /= np.abs(shape).max()
-            nodes.u.assign(size * shape)
-            force = -self._crew.forces() / size
-            force += lattice.ties.T @ force[lattice.tied]
-            faster = inverse * force
-            square = float(np.linalg.norm(faster) / np.linalg.norm(shape * (inverse > 0)))
-            shape = faster
-        nodes.v.assign(motion)
-        nodes.u.assign(u)
-        return math.sqrt(square), stiffness
 
     def _push(self, worker: int) -> list[Any]:
         """Return a worker's pushes; the first worker has all, unless all can be divided."""
@@ -307,8 +278,9 @@ class LatticeSolver:
     def _measure(self) -> None:
         """Measure the limits of the substep; raises Unstable."""
         largest = self._largest()
-        growth = float((self._crew.stiffness() / self._at_rest).max())
-        stiffness = self._fastest**2 / 4 * self.model.dx**2 * growth
+        stiffness = run_timed(
+            self.timings, "frequency", lambda: self._spectrum.stiffness(self.clock.substeps)
+        )
         measured = Extremes(float(largest[SPEED]), float(largest[GRADIENT]), stiffness)
         clock = self.clock
         elapsed, before = clock.time - self._measured, clock.extremes.speed
@@ -352,7 +324,7 @@ class LatticeSolver:
         steps.append(STRAIN / max(clock.extremes.gradient * dt, 1e-9))
         steps.append(WAY * dx / max(speed * dt, 1e-30))
         steps.append(math.sqrt(2 * WAY * dx / max(self.rejection.acceleration, 1e-30)) / dt)
-        return max(1, int(min(steps)))
+        return max(MEASURE_EVERY, int(min(steps)))
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state that `restore` needs to continue bit for bit."""
@@ -362,6 +334,7 @@ class LatticeSolver:
             "nodes": {name: wp.clone(getattr(nodes, name)) for name in ("u", "residue", "v")},
             "walls": self.walls.snapshot(),
             "clock": self.clock.snapshot(),
+            "spectrum": self._spectrum.snapshot(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -371,6 +344,7 @@ class LatticeSolver:
             getattr(self.nodes_state, name).assign(array)
         self.walls.restore(snapshot["walls"])
         self.clock.restore(snapshot["clock"])
+        self._spectrum.restore(snapshot["spectrum"])
         self._crew.stray.zero_()
         self._look()
 

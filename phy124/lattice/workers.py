@@ -123,6 +123,7 @@ class Crew:
             )
             for w in range(count)
         ]
+        self._carried = abs(lattice.ties).T.tocsr()
         self._tied = self._sparse(lattice, lattice.ties.tocsr())
         self._donors = self._sparse(lattice, lattice.ties.T.tocsr())
         self.stray = wp.zeros(1, dtype=int, device=device)
@@ -284,7 +285,7 @@ class Crew:
         for worker in self.workers:
             values: NDArray[Any] = worker.bound.numpy()
             bound[worker.touched] += values[: worker.touched.stop - worker.touched.start]
-        bound += abs(self._lattice.ties).T @ bound[self._lattice.tied]
+        bound += self._carried @ bound[self._lattice.tied]
         return bound[self._lattice.mass > 0]
 
 
