@@ -1,12 +1,17 @@
-"""PhysGaussian's own solver on the same device, beside ours: seconds per substep.
+"""PhysGaussian's own solver on the same device, in turn with ours: seconds per substep.
 
 `python tests/benchmarks/gpu/physgaussian.py FOLDER --device cuda:0`: the folder that holds its
 mpm_solver_warp (XPandora/PhysGaussian), which is not part of this repository. Fixed corotated, the
-paper's substep, a cube above a floor; both without their first turn, which compiles.
+paper's substep, a cube above a floor; neither solver's first run, which compiles, is counted.
+
+That solver is written for Warp 0.10. With Warp 1.19 some of its lines must be changed in a copy;
+without them this program lists those that are left and ends with status 1. `h5py` must be
+installed, or its import removed.
 """
 
 import argparse
 import json
+import re
 import sys
 import time
 from pathlib import Path
@@ -24,6 +29,33 @@ from support.shapes import cloud
 
 COUNTS = ((20_000, 100), (65_536, 64), (65_536, 100))
 SUBSTEPS = 200
+
+
+OLD = {
+    "warp_utils.py": (
+        (r"import warp\.torch", "import warp"),
+        (r"warp\.types\.(float32|array)", "warp.float32 and warp.array"),
+        (r"owner=False", "leave this argument out"),
+    ),
+    "mpm_utils.py": (
+        (r"dw? = wp\.mat33\(fx", "wp.matrix_from_cols in place of wp.mat33"),
+        (r" w = wp\.mat33\(\s*$", "wp.matrix_from_cols in place of wp.mat33"),
+    ),
+}
+"""File of that solver -> patterns of lines that Warp 1.19 refuses, and what to write.
+
+In mpm_utils.py these are four lines: the weights `w` and their derivatives `dw`, in p2g and in g2p,
+whose three vectors are columns.
+"""
+
+
+def outdated(folder: str) -> list[str]:
+    """The lines that must be changed, with what to write."""
+    found = []
+    for name, rules in OLD.items():
+        for number, line in enumerate((Path(folder) / name).read_text("utf-8").splitlines(), 1):
+            found += [f"{name}:{number}: {new}" for old, new in rules if re.search(old, line)]
+    return found
 
 
 def theirs(folder: str, count: int, cells: int, device: str) -> float:
@@ -66,4 +98,7 @@ if __name__ == "__main__":
     parser.add_argument("folder", help="folder that holds mpm_solver_warp")
     parser.add_argument("--device", default="cuda:0")
     asked = parser.parse_args()
+    old = outdated(asked.folder)
+    if old:
+        sys.exit("\n".join(["With this Warp, change these lines in a copy:", *old]))
     main(asked.folder, asked.device)
