@@ -55,22 +55,26 @@ def make_excess(real: Any):
         size = window[1]
         error = real(0.0)
         if liquid[n] == 1 and inner(cell_of(n, size), size, 2):
+            # Counted at run time, so that the loops are not unrolled.
+            last = int(2)
             near = int(0)
             layer = stride(0, size)
             row = stride(1, size)
-            for a in range(-1, 2):
-                for b in range(-1, 2):
-                    for c in range(-1, 2):
+            for a in range(-1, last):
+                for b in range(-1, last):
+                    for c in range(-1, last):
                         m = n + a * layer + b * row + c
                         if liquid[m] == 0:
                             if opening(open, m, size) > real(0.0):
                                 near += 1
             hat = hats[n]
             error = hat - real(1.0)
-            for a in range(-1, 2):
-                for b in range(-1, 2):
-                    for c in range(-1, 2):
-                        behind = int(a != 0 or b != 0 or c != 0)
+            for a in range(-1, last):
+                for b in range(-1, last):
+                    for c in range(-1, last):
+                        behind = int(1)
+                        if a == 0 and b == 0 and c == 0:
+                            behind = 0
                         if a != 0 and not is_wall(open, liquid, n + a * layer, size):
                             behind = 0
                         if b != 0 and not is_wall(open, liquid, n + b * row, size):

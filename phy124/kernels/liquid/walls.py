@@ -257,8 +257,10 @@ def make_openings(shape: str, real: Any):
                         )
                     else:
                         part = real(0.0)
-                        for a in range(8):
-                            for b in range(8):
+                        # Counted at run time, so that the loops are not unrolled.
+                        points = int(8)
+                        for a in range(points):
+                            for b in range(points):
                                 u = dx * (real(a) - real(3.5)) * real(0.125)
                                 v = dx * (real(b) - real(3.5)) * real(0.125)
                                 e = far(
@@ -360,9 +362,11 @@ def make_solid_shares(real: Any):
             hats = vec6(real(0.0), real(0.125), real(0.375), real(0.375), real(0.125), real(0.0))
             k = real(1.0) / real(48.0)
             splines = vec6(k, real(7.0) * k, real(16.0) * k, real(16.0) * k, real(7.0) * k, k)
-            for a in range(6):
-                for b in range(6):
-                    for c in range(6):
+            # Counted at run time, so that the loops are not unrolled.
+            parts = int(6)
+            for a in range(parts):
+                for b in range(parts):
+                    for c in range(parts):
                         at = wp.vec3i(2 * cell[0] + a - 2, 2 * cell[1] + b - 2, 2 * cell[2] + c - 2)
                         f = real(1.0) - vacant[number(at, twice)]
                         result += f * wp.vector(
