@@ -20,7 +20,7 @@ from phy124.errors import InputError
 from phy124.io.files import writable
 from phy124.progress import Progress, silent
 from phy124.runtime.installation import install_command
-from phy124.weights.catalogue import KNOWN, WeightFile
+from phy124.weights.catalogue import ABOUT, KNOWN, WeightFile
 
 Verdict = Literal["match", "differs", "unknown", "unchecked", "missing"]
 """Result of checking a file's size and sha256; "unknown" if no sha256 is published."""
@@ -120,13 +120,20 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
                 "weights",
                 name,
                 f"{file.path} of {file.repo} was not found (looked for {looked}).",
-                f"Run `phy124 weights fetch {name}`, or use the generator `relief`, which "
-                "needs no weights.",
+                f"Run `phy124 weights fetch {name}`, or {_alternative(name)}.",
             )
         if file.size is not None and path.stat().st_size != file.size:
             raise _wrong(name, path, f"it has {path.stat().st_size:,} bytes", file)
         paths[file.path] = path
     return paths
+
+
+def _alternative(name: str) -> str:
+    """Return what to do without a set of weights, as the end of a sentence."""
+    about = ABOUT.get(name)
+    if about is not None and ("--foreground" in about.brings or "--depth" in about.brings):
+        return "leave the option out"
+    return "use the generator `relief`, which needs no weights"
 
 
 def _wrong(name: str, path: Path, what: str, file: WeightFile) -> InputError:
