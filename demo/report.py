@@ -76,7 +76,7 @@ def _accuracy(
     name = scene.get("accuracy")
     rows = [
         ("Accuracy", name if isinstance(name, str) else "custom"),
-        promise.row,
+        ("Measured error" if promise.of_scene else "Error bound", promise.row[1]),
         ("Predicted time", f"{predicted:.1f} s"),
         ("Time", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),

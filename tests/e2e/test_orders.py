@@ -270,7 +270,7 @@ def test_only_a_cut_out_is_corrected(visit, tmp_path):
     (tmp_path / "half.png").write_bytes(TEDDY.read_bytes()[:9000])
     chooser.set_input_files(tmp_path / "half.png")
     page.locator("#picture").get_by_text("The file is broken or cut short").wait_for()
-    assert not brush.is_visible() and not page.locator("#photo img").is_visible()
+    assert not brush.is_visible() and not page.locator("#photo > label > img").is_visible()
     Image.new("RGB", (64, 64), "grey").save(tmp_path / "grey.png")
     chooser.set_input_files(tmp_path / "grey.png")
     page.get_by_text("No object was found").wait_for()

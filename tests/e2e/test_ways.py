@@ -29,12 +29,12 @@ def test_a_file_is_turned_by_keyboard_and_moved(visit, tmp_path):
     first.wait_for()
     assert page.get_by_role("radio", name="Front: ").count() == 4
     page.get_by_text("3DGS PLY, 500 Gaussians.").wait_for()
-    before = page.locator("#photo img").get_attribute("src")
+    before = page.locator("#photo > label > img").get_attribute("src")
     first.focus()
     first.press("ArrowRight")
     assert page.get_by_role("radio", name="Up: y").is_checked()
     assert page.get_by_role("radio", name="Front: z", exact=True).is_checked()
-    assert page.locator("#photo img").get_attribute("src") != before
+    assert page.locator("#photo > label > img").get_attribute("src") != before
     assert not page.locator("#brush").is_visible()
     assert not page.get_by_label("Also film it in the photograph").is_visible()
     page.reload()

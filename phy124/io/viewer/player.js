@@ -263,8 +263,10 @@ globalThis.Phy124Player = (() => {
     }
 
     get pixels() {
-      const ratio = Math.min(window.devicePixelRatio || 1, 2);
       const { clientWidth, clientHeight } = this.canvas;
+      // While a clip is computed, drawing it must not take the processor away from the computation.
+      const most = this.pack?.frames ? Math.sqrt(4e5 / Math.max(clientWidth * clientHeight, 1)) : 2;
+      const ratio = Math.min(window.devicePixelRatio || 1, 2, most);
       return [Math.max(2, Math.round(clientWidth * ratio)), Math.max(2, Math.round(clientHeight * ratio))];
     }
 
