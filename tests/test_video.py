@@ -14,7 +14,7 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.io import video
-from phy124.io.video import write_animation, write_mp4
+from phy124.io.video import write_animation, write_film, write_mp4
 from phy124.rendering.frames import render_frames
 from phy124.runtime.failures import Kind, failure
 from support.videos import ffmpeg, read_video, stream
@@ -201,3 +201,40 @@ def test_durations_add_up():
             durations = video._durations(100, fps, unit)
             assert abs(sum(durations) - 100_000 / fps) <= unit / 2
             assert all(d % unit == 0 and d > 0 for d in durations)
+
+
+@pytest.mark.parametrize(
+    ("ending", "codec", "decoder"),
+    [(".webm", "vp9", ["-c:v", "libvpx-vp9"]), (".mov", "prores (4444)", [])],
+)
+def test_transparent_films_are_decoded_with_their_alpha(tmp_path, ending, codec, decoder):
+    """By ffmpeg: a red square that moves over nothing, half of it half transparent."""
+    path, pictures = tmp_path / f"a{ending}", []
+    for index in range(4):
+        picture = np.zeros((32, 48, 4), np.uint8)
+        picture[8:24, 8 * index : 8 * index + 16] = (200, 30, 30, 255)
+        picture[16:24, 8 * index : 8 * index + 16, 3] = 128
+        pictures.append(picture)
+    assert write_film(path, iter(pictures), fps=12) == 4
+    program = imageio_ffmpeg.get_ffmpeg_exe()
+    shown = subprocess.run([program, "-i", path], capture_output=True, text=True, check=False)
+    assert codec in shown.stderr and "12 fps" in shown.stderr and "48x32" in shown.stderr
+    command = [
+        program,
+        "-v",
+        "error",
+        *decoder,
+        "-i",
+        path,
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgba",
+        "-",
+    ]
+    raw = subprocess.run(command, capture_output=True, check=True).stdout
+    decoded = np.frombuffer(raw, np.uint8).reshape(4, 32, 48, 4).astype(int)
+    for wanted, found in zip(pictures, decoded, strict=True):
+        assert np.abs(found[..., 3] - wanted[..., 3]).mean() < 3
+        inside = wanted[..., 3] == 255
+        assert np.abs(found[inside][:, :3] - wanted[inside][:, :3]).mean() < 20

@@ -1,4 +1,5 @@
-"""Writes videos: H.264 in MP4 for players, GIF or animated WebP for chats, PNGs for film tools.
+"""Writes videos: H.264 in MP4 for players, VP9 in WebM and ProRes 4444 in MOV for editing with
+transparency, GIF or animated WebP for chats, PNGs for film tools.
 
 Frames are streamed into the encoder while they are rendered. MP4s are yuv420p. They are converted
 to ITU-R BT.709 limited range and tagged as such: without tags, players assume BT.709 only for HD
@@ -42,6 +43,13 @@ BT709 = (
 )
 """Filters that convert RGB to limited-range BT.709 and tag the video accordingly."""
 CODEC = ("-vf", BT709, "-c:v", "libx264", "-pix_fmt", "yuv420p")
+VP9 = "-c:v libvpx-vp9 -crf 20 -b:v 0 -deadline good -cpu-used 5 -auto-alt-ref 0 -f webm"
+PRORES = "-c:v prores_ks -profile:v 4444 -vendor apl0 -f mov"
+FILMS = {
+    ".webm": ({3: "yuv420p", 4: "yuva420p"}, VP9),
+    ".mov": ({3: "yuv444p10le", 4: "yuva444p10le"}, PRORES),
+}
+"""Ending of a film that may be transparent -> pixel format by number of channels, and encoder."""
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
 """Smallest alpha at which a pixel of a GIF is drawn; GIF pixels cannot be half transparent."""
@@ -100,12 +108,39 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
             the encoder did not finish.
         ValueError: If a frame is not uint8 [H,W,3] or differs in size from the first frame.
     """
+    return _write_film(path, frames, fps, (3,))
+
+
+def write_film(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
+    """Write frames as a film that may be transparent, and return their number.
+
+    Args:
+        path: Ends in .webm (VP9) or .mov (ProRes 4444). It appears whole or not at all.
+        frames: RGB or RGBA frames, uint8 [H,W,3] or [H,W,4] with straight alpha; a generator is
+            closed in any case. Odd sizes are padded as by `write_mp4`.
+        fps: Frames per second.
+
+    Raises:
+        InputError: As `write_mp4`.
+        ValueError: If a frame has another type or size than the first one.
+    """
+    return _write_film(path, frames, fps, (3, 4))
+
+
+def _write_film(
+    path: str | os.PathLike[str], frames: Iterable[Picture], fps: float, channels: tuple[int, ...]
+) -> int:
+    """Encode frames by ffmpeg; the ending of the path determines the encoder."""
     with _closing(frames), replacing(path) as temporary:
         _check_rate(fps)
-        first, pictures = _peek(frames)
+        first, pictures = _peek(frames, channels)
         padding = [(0, first.shape[0] % 2), (0, first.shape[1] % 2), (0, 0)]
         even = (np.pad(picture, padding, "edge") for picture in pictures)
-        written = _encode(temporary, path, even, fps)
+        codec = [*CODEC, *ENCODER]
+        if (ending := Path(path).suffix.lower()) in FILMS:
+            formats, words = FILMS[ending]
+            codec = ["-vf", BT709, "-pix_fmt", formats[first.shape[2]], *words.split()]
+        written = _encode(temporary, path, even, fps, codec)
     return written
 
 
@@ -173,16 +208,18 @@ def _gif_frame(picture: Picture) -> Image.Image:
     return image
 
 
-def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: float) -> int:
+def _encode(
+    temporary: Path, path: object, pictures: Iterator[Picture], fps: float, codec: list[str]
+) -> int:
     """Stream the frames into ffmpeg, which has ended when this function returns or raises.
 
     imageio's writer is not used because it reports neither ffmpeg's exit code nor its messages.
     """
     first = next(pictures)
-    height, width = first.shape[:2]
+    height, width, channels = first.shape
     rate = Fraction(fps).limit_denominator(1001)
     program = imageio_ffmpeg.get_ffmpeg_exe()
-    command = [program, "-y", *_source(width, height, rate), *CODEC, *ENCODER]
+    command = [program, "-y", *_source(width, height, rate, channels), *codec]
     with tempfile.TemporaryFile() as log:
         encoder = subprocess.Popen(
             [*command, os.fspath(temporary)], stdin=subprocess.PIPE, stdout=log, stderr=log
@@ -203,9 +240,10 @@ def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: flo
     return sent
 
 
-def _source(width: int, height: int, rate: Fraction) -> list[str]:
+def _source(width: int, height: int, rate: Fraction, channels: int = 3) -> list[str]:
     """Return the options that make ffmpeg read raw frames from its standard input, silently."""
-    return f"-v error -f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
+    kind = "rgba" if channels == 4 else "rgb24"
+    return f"-v error -f rawvideo -pix_fmt {kind} -s {width}x{height} -r {rate} -i -".split()
 
 
 def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:

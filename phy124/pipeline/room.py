@@ -14,7 +14,7 @@ PLY = 4 * 17
 """Size of a Gaussian in a PLY file [bytes]; 12 more per further colour coefficient."""
 EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY}
 """Format -> size of a Gaussian of one frame [bytes]."""
-PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05}
+PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05, "webm": 0.05, "mov": 2.0}
 """Format -> approximate size of a rendered pixel [bytes]."""
 OUTPUT = 6
 """Approximate size of a pixel of an output such as depth [bytes]."""

@@ -19,6 +19,7 @@ from phy124.io.video import (
     Picture,
     refuse_missing_encoder,
     write_animation,
+    write_film,
     write_mp4,
     write_pictures,
 )
@@ -156,12 +157,14 @@ def _ply(clip: Clip, folder: Path, progress: Progress) -> Path:
 Encoder = Callable[[Path, str, Iterator[Picture], float], Path]
 ENCODERS: dict[str, Encoder] = {
     "mp4": _encode("mp4", write_mp4),
+    "webm": _encode("webm", write_film),
+    "mov": _encode("mov", write_film),
     "webp": _encode("webp", write_animation),
     "gif": _encode("gif", write_animation),
     "png": _png,
 }
 """Formats made from the pictures of a side; each function returns its file or folder."""
-PLAYED = {"mp4", "webp", "gif"}
+PLAYED = {"mp4", "webm", "mov", "webp", "gif"}
 """Formats with a playback rate."""
 SMOOTH = 12.0
 """Frame rate below which slow motion looks choppy [1/s]."""
@@ -215,7 +218,7 @@ def refuse_missing_writers(view: View) -> None:
     Raises:
         InputError: The encoder or package is not installed.
     """
-    if "mp4" in view.formats:
+    if {"mp4", "webm", "mov"} & {*view.formats}:
         refuse_missing_encoder()
     if "usd" in view.formats:
         refuse_missing_usd()

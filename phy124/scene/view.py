@@ -20,7 +20,7 @@ from phy124.schema.bounds import RGB, FileName
 from phy124.schema.section import Section
 
 ViewName = Literal["front", "right", "back", "left", "orbit"]
-Format = Literal["mp4", "webp", "gif", "png", "usd", "ply"]
+Format = Literal["mp4", "webm", "mov", "webp", "gif", "png", "usd", "ply"]
 StageName = Literal["plain", "studio", "transparent"]
 Output = Literal["depth", "alpha", "normals", "flow", "velocity", "force"]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
@@ -71,8 +71,8 @@ class View(Section):
     )
     formats: tuple[Format, ...] = Field(
         default=("mp4",),
-        description="File formats. For each view: a video (mp4, webp, gif) or a folder of pictures "
-        "(png). For the whole clip: usd, or ply, a folder with a file per frame.",
+        description="File formats. For each view: a video (mp4, webm, mov, webp, gif) or a folder "
+        "of pictures (png). For the whole clip: usd, or ply, a folder with a file per frame.",
     )
     outputs: tuple[Output, ...] = Field(
         default=(),
@@ -121,8 +121,8 @@ class View(Section):
     stage: StageName = Field(
         default="plain",
         description="plain: the object in front of the background; studio: on a floor with its "
-        "shadow and the scene's boundaries; transparent: no background, for the formats webp, png "
-        "and gif (in gif, pixels are opaque or fully transparent).",
+        "shadow and the scene's boundaries; transparent: no background, for the formats webm, mov, "
+        "webp, png and gif (in gif, pixels are opaque or fully transparent).",
     )
     background: RGB = Field(
         default=(1.0, 1.0, 1.0),
@@ -170,7 +170,9 @@ class View(Section):
     @classmethod
     def _check_stage(cls, stage: StageName, info: ValidationInfo) -> StageName:
         if stage == "transparent" and "mp4" in info.data.get("formats", ()):
-            raise ValueError("an MP4 cannot be transparent; choose the format webp, png or gif")
+            raise ValueError(
+                "an MP4 cannot be transparent; choose the format webm, mov, webp, png or gif"
+            )
         return stage
 
     @field_validator("speed")
