@@ -99,7 +99,7 @@ def test_a_transparent_gif_leaves_no_trail(tmp_path):
 
 
 def test_an_mp4_cannot_be_transparent():
-    sentence = "view.stage = transparent: an MP4 cannot be transparent. Choose the format webp"
+    sentence = "view.stage = transparent: an MP4 cannot be transparent. Choose the format webm"
     with pytest.raises(InputError, match=re.escape(sentence)):
         view(stage="transparent")
 

@@ -142,7 +142,7 @@ def test_render_makes_every_format_from_any_angle(made, tmp_path, capsys):
     with Image.open(tmp_path / "azimuth-45.webp") as opened:
         assert opened.size == (48, 32)
     assert main([*clip, "--transparent"]) == 2
-    assert "Choose the format webp, png or gif" in capsys.readouterr().err
+    assert "Choose the format webm, mov, webp, png or gif" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("change", ["grains=false", "material.tint=none"])
