@@ -4,13 +4,14 @@ import math
 
 import numpy as np
 import pytest
+import warp as wp
 
 from phy124.boundaries import Ground, Held
 from phy124.boundaries.motion import Path
 from phy124.errors import InputError
 from phy124.forces import Gravity, TotalForce, Wind
 from phy124.kernels.work import IMPULSE, WORK
-from phy124.lattice import LatticeSolver, RestLattice
+from phy124.lattice import LatticeSolver, RestLattice, kernels
 from phy124.materials import Hencky, NeoHookean
 from phy124.monitor.lattice import LatticeTotals
 from phy124.mpm import Model, State
@@ -265,3 +266,16 @@ def test_simd_and_plain_stress_agree(damping):
         limits.append([*solver._largest(), solver._crew.stiffness().max()])
     assert np.abs(forces[0] - forces[1]).max() < 2e-6 * np.abs(forces[1]).max()
     assert limits[0] == pytest.approx(limits[1], rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [75, 80, 86, 90, 100])
+def test_lattice_compiles_for_cuda(arch, tmp_path):
+    walls = [Ground(), Held()]
+    laws = [(SOFT.device_law, False), (Hencky(damping=1.0).device_law, True)]
+    modules = {made.module.name: made.module for made in kernels(laws, walls, wp.float32, "cuda")}
+    for name, module in modules.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        wp.compile_aot_module(module, arch=arch, module_dir=str(folder), use_ptx=True)
+        assert list(folder.glob("*.ptx")), name

@@ -54,7 +54,7 @@ def make_stress_simd(law: Law, viscous: bool):
     pieces = ["lattice", *(["lattice:rates"] if viscous else []), f"lattice:{kind}"]
     body = f"const int width = {law.width};\n" + code(*pieces, "lattice:stress")
 
-    @native_kernel(f"phy124_lattice_simd_{law.name}_{kind}", body, seconds=1.0)
+    @native_kernel(f"phy124_lattice_{law.name}_{kind}_simd", body, seconds=1.0)
     def lattice_stress_simd(
         start_cell: int,
         end_cell: int,
@@ -83,7 +83,7 @@ def make_measure_simd(law: Law, viscous: bool):
     head = f"const int width = {law.width};\n" + constants("float", FLATTEST=float(FLATTEST))
     body = head + code("lattice", "lattice:rates", f"lattice:{kind}", "lattice:measure")
 
-    @native_kernel(f"phy124_lattice_measure_simd_{law.name}_{kind}", body, seconds=1.0)
+    @native_kernel(f"phy124_lattice_measure_{law.name}_{kind}_simd", body, seconds=1.0)
     def lattice_measure_simd(
         start_cell: int,
         end_cell: int,
