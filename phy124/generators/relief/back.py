@@ -170,13 +170,14 @@ def smooth_back(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
     ridge = scipy.ndimage.maximum_filter(depth, size=2 * int(INSET * size) + 1)
     inner = depth >= np.minimum(INSET * size, 0.6 * ridge)
     _, nearest = nearest_of(inner & inside)
-    rim = cv2.GaussianBlur(picture, (0, 0), 1.5)[nearest]
+    rim = np.asarray(cv2.GaussianBlur(picture, (0, 0), 1.5), np.float64)[nearest]
     thick = _thickness(depth)
     rows, wide = _between_ends(inside, rim, thick)
     columns, high = _between_ends(inside.T, rim.swapaxes(0, 1), thick.T)
     across = 1 / (1 + (wide / np.maximum(high.T, 1.0)) ** SHORTER)[..., None]
     mixed = across * rows + (1 - across) * columns.swapaxes(0, 1)
-    return cv2.GaussianBlur(np.where(inside[..., None], mixed, rim), (0, 0), 6.0)
+    smooth = cv2.GaussianBlur(np.where(inside[..., None], mixed, rim), (0, 0), 6.0)
+    return np.asarray(smooth, np.float64)
 
 
 def _thickness(depth: Field) -> Field:
