@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 
-from phy124.boundaries import Box, Container, HalfSpace
+from phy124.boundaries import Box, Container, HalfSpace, Path
 from phy124.budget.cost import count_substeps
+from phy124.budget.effects import Effects
 from phy124.errors import InputError
 from phy124.forces import Gravity
 from phy124.liquid import LiquidSolver
 from phy124.materials import Fluid
 from phy124.mpm import FreeBody, Model, State
+from phy124.mpm.tracks import Sine
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
@@ -222,6 +224,45 @@ def test_projected_water_lands_in_its_basin():
     assert clip.report["complete"]
     assert clip.report["substeps"] < 60
     assert clip.report["walls"]["container_z_low"]["largest_force"] > 0
+
+
+def test_effects_say_that_a_projected_liquid_is_inviscid():
+    scene = Scene.named("water").replaced({"accuracy": {"liquid": "projection"}})
+    effects = Effects.of(scene)
+    assert "pressure projection" in effects.ran
+    reasons = {omission.effect: omission.why for omission in effects.left_out}
+    assert "inviscid" in reasons["viscosity"] and "surface tension" in reasons
+
+
+def test_piston_raises_the_level():
+    motion = Path(times=(0.0, 0.5), points=((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
+    piston = HalfSpace(point=(0, 0, 0), normal=(1, 0, 0), contact="slip", motion=motion)
+    tank = Container(inside=Region(lower=(-1, 0, 0), upper=(1, 1, 1e9)), contact="slip")
+    solver = run(liquid(block((0, 0, 0), (1, 1, 0.5), 8), 8, [tank, piston]), 30)
+    assert heights(solver).mean() == pytest.approx(0.5 / 0.9, rel=0.02)
+    assert solver.state.x.numpy()[:, 0].min() > 0.1 - 0.25 * solver.model.dx
+
+
+@pytest.mark.slow
+def test_shaken_box_keeps_its_volume():
+    """Near its first sloshing mode for 20 s, then calm for 6 s."""
+    cells, box = 16, Container(inside=Region(lower=(0, 0, 0), upper=(1, 1, 1)), contact="slip")
+    shakes = [
+        Gravity(),
+        Gravity(g=(3, 0, 0), profile=Sine(frequency=0.85), end=20.0),
+        Gravity(g=(0, 0, 4), profile=Sine(frequency=1.7), end=20.0),
+    ]
+    solver = liquid(block((0, 0, 0), (1, 1, 0.5), cells), cells, [box], gravity=(0, 0, 0))
+    solver.bind(shakes, [("box", box)])
+    volumes = []
+    for step in range(26 * FPS):
+        run(solver, 1)
+        if step % 24 == 23:
+            phi, solid = field(solver, "phi"), field(solver, "shares")[..., 0]
+            wet = np.clip(0.5 - phi, 0, 1) * (1 - np.minimum(solid, 1))
+            volumes.append(wet.sum() * solver.model.dx**3 / 0.5)
+    assert np.abs(np.array(volumes) - 1).max() < 0.02
+    assert np.mean(volumes[-8:]) == pytest.approx(1, abs=0.005)
 
 
 def test_default_liquid_is_compressible():

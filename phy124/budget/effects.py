@@ -126,12 +126,28 @@ def _catalogue(
     yield from _of_numerics(scene, device)
 
 
+def _of_liquid(scene: Scene) -> Iterator[Effect]:
+    """Yield the effects of a liquid by pressure projection."""
+    yield Effect("pressure projection")
+    yield Effect("density kept by moving particles")
+    inviscid = (
+        "the liquid is inviscid: a wave loses energy only to friction at walls and to the grid"
+    )
+    yield Effect("viscosity", False, inviscid)
+    yield Effect("surface tension", False, "accuracy.liquid = projection does not compute it")
+    grains = scene.grains and any(section.grains for section in scene.materials)
+    yield Effect("grains inside", grains, "grains is off")
+
+
 def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
     """Yield the effects of the materials.
 
     Each cost is the difference between the times of two kernels: with and without viscosity, G2P
     for metal and for an elastic law, and with a law per particle and with one law.
     """
+    if scene.projects:
+        yield from _of_liquid(scene)
+        return
     laws = sorted({section.law for section in materials})
     words = " and ".join(laws)
     plastic = any(section.device_law.project is not None for section in materials)
