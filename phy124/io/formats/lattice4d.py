@@ -36,8 +36,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from phy124.errors import InputError
 from phy124.io.axes import orientation, rotate_gaussians
@@ -68,12 +66,14 @@ class Lattice:
     shape: NDArray[np.int64]
     indices: NDArray[np.int64]
     """Index of each node in the whole lattice [M], increasing."""
-    weights: sparse.csr_matrix
-    """Trilinear weights [N,M]."""
+    weights: Any
+    """Trilinear weights, a sparse matrix [N,M]."""
 
     @classmethod
     def around(cls, points: NDArray[np.float64], nodes: int) -> Lattice:
         """Build the lattice with a number of nodes along the longest side of points [N,3], m."""
+        from scipy import sparse
+
         low, high = points.min(axis=0), points.max(axis=0)
         spacing = float((high - low).max()) / (nodes - 1)
         origin = low - 1e-4 * spacing
@@ -92,6 +92,9 @@ class Lattice:
 
     def solver(self) -> Any:
         """Return the factors of the least-squares fit of node displacements."""
+        from scipy import sparse
+        from scipy.sparse.linalg import splu
+
         at = np.stack(np.unravel_index(self.indices, self.shape), axis=-1)
         number = np.full(self.shape, -1)
         number[tuple(at.T)] = np.arange(len(at))

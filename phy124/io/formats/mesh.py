@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, rotation_matrices
@@ -145,6 +143,8 @@ def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.
 
 def _fill_cavities(density: NDArray[np.float32]) -> None:
     """Raise the density of nodes that the surface encloses above its level."""
+    from scipy import ndimage
+
     labels: Any = ndimage.label(density <= LEVEL)
     regions, count = labels
     if count > 1:
@@ -153,6 +153,8 @@ def _fill_cavities(density: NDArray[np.float32]) -> None:
 
 def _colours(gaussians: Gaussians, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the mean colour of the Gaussians nearest to each point [V,3], 0..1."""
+    from scipy.spatial import KDTree
+
     count = min(NEAREST, len(gaussians))
     distance, index = KDTree(gaussians.means).query(points, count)
     distance, index = distance.reshape(-1, count), index.reshape(-1, count)

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.io.axes import orientation
@@ -115,6 +114,8 @@ def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float
         clip: The clip whose Gaussians the points follow.
         points: Positions in the first frame [V,3], m.
     """
+    from scipy.spatial import KDTree
+
     mask = clip.object_mask
     rest = clip.means[0][mask].astype(np.float64)
     count = min(NEAREST, len(rest))
