@@ -106,7 +106,7 @@ def test_the_picture_chosen_last_is_shown_although_sent_first(visit):
     with _held(visit, lambda _: True, "**/upload") as held:
         page.locator("#photo input[type=file]").set_input_files(DUCK)
         _until(visit, held, 1)
-        page.locator("#photo input[type=file]").set_input_files(TEDDY)
+        page.locator("[data-ready=jelly]").click()
         page.wait_for_selector("#cutout img[src]")
         before = page.evaluate(SRC, "#photo img")
         page.evaluate(STATUS)
