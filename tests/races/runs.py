@@ -99,6 +99,19 @@ def forces() -> Runs:
     }
 
 
+TORN = {
+    "time.frames": 6,
+    "time.fps": 24.0,
+    "object.lift": 0.1,
+    "object.spin": (0, 0, 40.0),
+    "material.E": 1e4,
+    "forces": [],
+    "boundaries": [],
+    "checks.balance": False,
+}
+"""A ball that spins so fast that the grid tears it."""
+
+
 def monitors() -> Runs:
     """What looks at a run and mends it: contacts, repair, particles far away, rejected substeps."""
     return {
@@ -107,6 +120,7 @@ def monitors() -> Runs:
         "sleep": lambda: simulate(**{"time.frames": 12, "time.fps": 24.0}),
         "a violent blow": lambda: simulate(**{**FALLING, "object.velocity": [0, 0, -60.0]}),
         "tearing sand": lambda: simulate("sand"),
+        "torn rubber": lambda: simulate("drop", **TORN),
         "particles far away": far_away,
         "stress at a point": probed,
         "a vortex": lambda: problems.vortex(6, time=0.01),
@@ -147,6 +161,7 @@ def pictures() -> Runs:
         "points of relief": spread,
         "square": lambda: renderer(ball(800), Camera.orbit(30, 20, 1.4, 64)),
         "wide": lambda: renderer(ball(800), Camera.orbit(80, 5, 1.4, (75, 37))),
+        "bytes": lambda: renderer.picture(ball(800), Camera.orbit(80, 5, 1.4, (75, 37))),
         "by tiles": lambda: Renderer(blend="plain")(ball(800), Camera.orbit(30, 20, 1.4, 64)),
         "backwards": backwards,
         "on a stage": on_a_stage,
