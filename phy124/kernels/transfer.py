@@ -345,6 +345,8 @@ def make_g2p(law: Law, real: Any, form: str):
     @kernel(name, real, width=law.width, seconds=0.5)
     def g2p(
         chosen,
+        each,
+        stride,
         theta,
         lattice,
         window,
@@ -358,8 +360,6 @@ def make_g2p(law: Law, real: Any, form: str):
         history_out,
         total_out,
         missed_out: Ints,
-        each,
-        stride,
         momenta_out: wp.array(dtype=types(real).vec4),
     ):
         for turn in range(each):

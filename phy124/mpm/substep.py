@@ -292,23 +292,20 @@ class Recorder:
         model, s, run = self.model, self.state, part.particles
         law, grid = part.group.law, self.grids[part.group.body]
         kernel = Transfers.of(law, model.real, model.form).g2p
-        read = [part.chosen, part.group.rows(run)]
+        # Each thread clears some nodes for the next scatter.
+        clears = grid.apart and part.group.start == 0
+        cleared = [-(-grid.count // part.count), part.count] if clears else [0, 0]
+        read = [part.chosen, *cleared, part.group.rows(run)]
         inputs = [*read, grid.lattice, grid.window, self.tracks.clock, grid.nodes]
         outputs = [s.x[run], s.residue[run], s.v[run], s.C[run], s.F[run]]
         outputs += [part_of(s.history, run), part_of(s.total, run)]
-        outputs += [cast("wp.array", self.missed[worker]), *self._cleared(part, grid)]
+        outputs += [cast("wp.array", self.missed[worker]), grid.momenta]
         record = f"g2p {law.name}", model.launch(kernel, part.count, inputs, outputs)
         records = self.outliers.around(part, record, grid, self.tracks)
         records += [reader.record(part, worker, model, s, self.tracks) for reader in self.gathered]
         if self.fluctuation is not None:
             records.append(self.fluctuation.keep(part))
         return records
-
-    def _cleared(self, part: Part, grid: Grid) -> list[Any]:
-        """Return the inputs of a gather that name the nodes that it clears."""
-        if not grid.apart or part.group.start > 0:
-            return [0, 0, grid.momenta]
-        return [-(-grid.count // part.count), part.count, grid.momenta]
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
         """Return a worker's share of the update of a body's grid, with the given or the run's
