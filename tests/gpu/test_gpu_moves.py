@@ -21,6 +21,10 @@ SCENES = {
     **{f"law {name}": {"material": given} for name, given in LAWS.items()},
     **{f"wall {name}": {"boundaries": [wall]} for name, wall in (SOLIDS | OTHER_SOLIDS).items()},
     **{f"force {name}": {"forces": [GRAVITY, force]} for name, force in FORCES.items()},
+    "wall press": {
+        "boundaries": [{"kind": "ground"}, {"kind": "press", "top": 1.05, "down": 0.2}],
+        "time.frames": 3,  # Later, the CPU alone magnifies rounding to the tolerance.
+    },
     "one particle for each Gaussian": {"binding": "particles"},
     "float64": {"accuracy": {"cells": 8, "precision": "float64"}},
     "contacts and velocities": {"contacts": True, "velocities": True},
