@@ -14,7 +14,6 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two cores
 
 import fcntl
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ import warp as wp
 
 from phy124.gaussians import Gaussians
 from phy124.runtime.kernel_cache import has_headers
+from support.gpu_module import GpuModule
 
 ROOT = Path(__file__).parents[1]
 GOLDEN = Path(os.environ.get("PHY124_GOLDEN", ROOT / "../shared/golden"))
@@ -40,27 +40,6 @@ def pytest_collection_finish() -> None:
     """From here on garbage is collected again, but not looked for among what was imported."""
     gc.freeze()
     gc.enable()
-
-
-OURS = {"phy124", "demo", "bridge", "reference", "support", "conftest"}
-"""Packages of the checkout, whose absence is an error."""
-
-
-class GpuModule(pytest.Module):
-    """A test file that is skipped if a package that it imports is not installed."""
-
-    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
-        """Return the tests of the file."""
-        try:
-            return super().collect()
-        except self.CollectError as error:
-            absent = getattr(error.__cause__, "name", None)
-            if not isinstance(error.__cause__, ModuleNotFoundError) or not absent:
-                raise
-            package = absent.partition(".")[0]
-            if package in OURS or package.startswith("test_"):
-                raise
-            pytest.skip(f"{package} is not installed", allow_module_level=True)
 
 
 def pytest_pycollect_makemodule(module_path: Path, parent: Any) -> pytest.Module | None:

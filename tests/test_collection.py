@@ -2,7 +2,7 @@
 
 import pytest
 
-from conftest import GpuModule
+from support.gpu_module import GpuModule
 
 
 @pytest.fixture
