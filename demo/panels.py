@@ -150,10 +150,11 @@ def _panel(name: str, head: str, events: str = "") -> gr.HTML:
 
 
 def mark_answers(page: Any) -> None:
-    """Mark all answers of handlers to the panels of a `gr.Blocks`, so that no two are equal.
+    """Wrap the handlers of a `gr.Blocks`, so that no two answers to one of its panels are equal.
 
-    Gradio does not send a panel a value that equals the previous value. Without marks, a panel
-    would wait forever after a second, equal refusal. Handlers do not see the marks.
+    Gradio does not send a panel a value that equals the previous value. Each answer therefore gets
+    a mark. Without it, a panel would wait forever if a request is refused twice with the same
+    message. Handlers do not see the marks.
     """
     for event in page.fns.values():
         panels = [isinstance(block, gr.HTML) for block in event.outputs]

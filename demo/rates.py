@@ -127,7 +127,7 @@ def _per(seconds: float, amount: float) -> float | None:
 
 
 def _at_most(fraction: float, seconds: float, amount: float, cost: float) -> float:
-    """Limit a cost per unit so that it explains at most a fraction of the time.
+    """Limit a cost per unit, so that all units together take at most a fraction of the time.
 
     Args:
         fraction: The largest fraction.

@@ -129,7 +129,7 @@ class Settings(Section):
 
     @property
     def max_body(self) -> int:
-        """Largest request with a picture as a data: URL [bytes]."""
+        """Largest size of a request that contains a picture as a data: URL [bytes]."""
         return int(self.max_bytes * 4 / 3) + SLACK
 
     @property

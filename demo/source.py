@@ -87,7 +87,7 @@ def is_there(source: Source | None) -> bool:
 
 
 def missing(source: Source | None) -> InputError:
-    """Return the error of a request without a picture, or whose picture was removed."""
+    """Return the error for a request that has no picture, or whose picture was deleted."""
     if source is None:
         return InputError("image", "none", "There is no picture yet.", "Choose one first.")
     limit = "The server no longer has your picture."

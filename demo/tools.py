@@ -1,9 +1,9 @@
 """The named endpoints as tools of an MCP server (Model Context Protocol), for agents.
 
-The tools call the endpoints' own functions, whose checks and limits therefore apply. Gradio's MCP
-server is not used: it stores pictures of any size before a check, all agents share one session, and
-/render never knows the run of /generate. Source of the protocol: modelcontextprotocol.io, revision
-2025-06-18, transport "Streamable HTTP" without sessions.
+The tools call the endpoints' own functions, whose checks and limits therefore apply. Gradio's own
+MCP server is not used for three reasons: it stores pictures of any size before they are checked,
+all agents share one session, and /render cannot use a run of /generate. Source of the protocol:
+modelcontextprotocol.io, revision 2025-06-18, transport "Streamable HTTP" without sessions.
 """
 
 from __future__ import annotations

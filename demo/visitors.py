@@ -1,7 +1,8 @@
-"""Files of visitors: each has a folder with a name that cannot be guessed; it contains caches.
+"""Files of visitors: each visitor has a folder whose name cannot be guessed.
 
-The result of a stage is stored under a key of all its inputs. A stage therefore runs again exactly
-when an input has changed. Each line names a path and its inputs:
+
+The folder caches results: the result of a stage is stored under a key of all its inputs. A stage
+therefore runs again exactly when an input has changed. Each line names a path and its inputs:
 
     uploads/NAME                  pictures, videos and files of Gaussians, as sent
     cutouts/KEY.png               picture, brush strokes
@@ -77,7 +78,7 @@ class Visitors:
         return name in self._known
 
     def is_here(self, name: str | None) -> bool:
-        """Return whether a visitor's page is open, without counting as a request."""
+        """Return whether a visitor's page is open; this call does not count as a request."""
         visitor = self._known.get(name or "")
         return visitor is not None and visitor.silence < AWAY
 

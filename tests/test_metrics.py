@@ -131,7 +131,9 @@ def test_missing_and_foreign_clip_models_are_refused_in_words(tmp_path, monkeypa
     with pytest.raises(InputError, match=r"phy124 weights fetch clip"):
         similarity.ClipModel()
     for name in (str(tmp_path), "nobody/nothing"):
-        with pytest.raises(InputError, match=r"not a CLIP model on this machine.*hf download"):
+        with pytest.raises(
+            InputError, match=r"not a CLIP model that is stored on this machine.*hf download"
+        ):
             similarity.ClipModel(name)
 
 

@@ -74,7 +74,7 @@ def run(few_gaussians) -> Simulation:
         ({"object": {"on": "object"}}, "object stands on object, which stands on it"),
         ({"objects": [{**BOX, "picture": "a.png"}]}, "box has picture and shape. Give one of them"),
         ({"pairs": [{"between": ["object", "cat"]}]}, "no object is called cat. There are object"),
-        ({"pairs": [{"between": ["object", "object"]}]}, "between names object twice"),
+        ({"pairs": [{"between": ["object", "object"]}]}, "`between` names object twice"),
         ({"pairs": [{}, {"friction": 0}]}, "two entries of pairs are for any and any"),
         ({"forces": [{"kind": "gravity", "object": "cat"}]}, "no object is called cat"),
     ],

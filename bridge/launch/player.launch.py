@@ -46,7 +46,7 @@ def generate_launch_description():
             DeclareLaunchArgument(
                 "namespace",
                 default_value="phy124",
-                description="Namespace of the node and its topics; RViz follows it.",
+                description="Namespace of the node and its topics; RViz uses the same namespace.",
             ),
             DeclareLaunchArgument(
                 "rviz", default_value="true", description="Also open RViz if it is installed."

@@ -33,7 +33,7 @@ def table_of(value: Any) -> dict[str, Any]:
 
 
 def path_of(file: Any) -> Any:
-    """Return the path in the data of a file; None if it is no file."""
+    """Return the path in a file's data from Gradio; None if the value is not a file."""
     return file.get("path") if isinstance(file, dict) else None
 
 

@@ -1,4 +1,4 @@
-"""Events of pictures: choose one, correct it by a click or the brush, show its cut-out.
+"""Handles the picture panel: choosing a picture, correcting its cut-out, showing the cut-out.
 
 Instead of a picture, a visitor may send a file of Gaussians; the page shows it in all orientations.
 """
@@ -114,7 +114,7 @@ def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
 
 
 def _picture(job: Job) -> dict[str, Any] | None:
-    """Return the picture that is being cut out, if browsers can show it."""
+    """Return the picture that the job cuts out; None if browsers cannot show it."""
     path = Path(job.subject)
     shows = job.kind == "cut" and path.is_file() and is_shown(path)
     return file_of(path) if shows else None

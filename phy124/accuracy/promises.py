@@ -204,7 +204,7 @@ class Promise:
         )
 
     def with_study(self, command: str) -> str:
-        """Return `sentence` with another command for the study of the scene."""
+        """Return `sentence`, but recommend `command` for measuring the error of the scene."""
         return self.sentence.replace(STUDY, command)
 
     @property

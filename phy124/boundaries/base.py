@@ -325,7 +325,8 @@ def contact_mass_fraction(model: Model) -> float:
 
     The fraction is 0.9 for solids, which then touch the wall 0.07 cells early: a smaller fraction
     makes solids too stiff at first contact, and a larger one lets columns with few particles sink
-    in. It is 0.8 (0.15 cells early) for materials that yield, whose particles are less regular.
+    in. The fraction is 0.8 for materials that yield, because their particles are less regular; they
+    touch the wall 0.15 cells early.
     """
     return 0.8 if yields(model) else 0.9
 

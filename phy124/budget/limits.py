@@ -63,7 +63,7 @@ def check_limits(
             f"({need.substeps:.2g} substeps of {len(particles):,} particles).",
             f"{words} would fit."
             if words
-            else "No single change would fit: use fewer frames and a coarser accuracy.",
+            else "No single change is enough: use both fewer frames and a coarser accuracy.",
             fitting,
         )
     _check_memory(need, scene, device)

@@ -36,7 +36,7 @@ IF_WRONG = (
 
 
 class CutoutOptions(Cutting):
-    """Options of cutting out the object, and the folder of trained weights."""
+    """Options for cutting out the object, and the folder of trained weights."""
 
     foreground: Annotated[str, tyro.conf.arg(aliases=["--method"])] = Field(
         default="auto", description=Cutting.model_fields["foreground"].description

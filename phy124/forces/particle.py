@@ -1,4 +1,8 @@
-"""Forces on single particles: newtons, wind, attraction, a zone of space, prescribed velocities."""
+"""Forces that act on particles one by one.
+
+These are a force in newtons, wind, attraction to a point, a push inside a zone of space, and
+prescribed velocities.
+"""
 
 from __future__ import annotations
 

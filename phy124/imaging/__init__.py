@@ -1,1 +1,4 @@
-"""Opens images within limits, segments their object, and samples images painted over the object."""
+"""Opens images of limited size and segments their object.
+
+It also samples other images that are laid over the object.
+"""

@@ -67,7 +67,9 @@ LONGEST = 40
 
 
 def is_stream(path: Path) -> bool:
-    """Whether a path is written into and not replaced: a device, a pipe or an open file.
+    """Return whether a path is a device, a pipe or an open file.
+
+    Such a path is written into, while an ordinary file is replaced.
 
     Raises:
         OSError: If the path is a folder, a disk, a socket, or a link to itself.

@@ -211,7 +211,7 @@ def _gif_frame(picture: Picture) -> Image.Image:
 def _encode(
     temporary: Path, path: object, pictures: Iterator[Picture], fps: float, codec: list[str]
 ) -> int:
-    """Stream the frames into ffmpeg, which has ended when this function returns or raises.
+    """Stream the frames into ffmpeg and wait for its end, even if an error occurs.
 
     imageio's writer is not used because it reports neither ffmpeg's exit code nor its messages.
     """

@@ -162,17 +162,18 @@ def make_settle(real: Any):
 
 @cache
 def make_contact(shape: str, response: str, moving: bool, real: Any, updating: bool = False):
-    """Kernel over segments of rows in a sub-box, `each` nodes long: columns of three nodes respond.
+    """Kernel: the nodes of a sub-box respond to a wall in columns of three.
 
-    A column's first node handles all three nodes. Nodes further behind the wall, or in columns
-    without material in front of the wall, respond one by one if their signed distance is below
-    `reach` [m]. So do nodes of columns that extend beyond `span`, the layers first <= i < last that
-    this launch may change. A moving shape is displaced by the value of its track, and its wall
-    moves at the track's rate, while the track is active. `lightest` is the mass of a fully covered
-    node in the lightest of several materials [kg], or infinite. `full` is the fraction of the
-    expected mass at which material counts as having reached the wall. In columns that the wall does
-    not push, nodes below the signed distance `loose` [m] respond one by one. A flat wall changes
-    `grid_out`, other walls change `changes_out` (see `make_settle`).
+    A thread handles a segment of a row, with the length `each` [nodes]. A column's first node
+    handles all three nodes. Nodes further behind the wall, or in columns without material in front
+    of the wall, respond one by one if their signed distance is below `reach` [m]. So do nodes of
+    columns that extend beyond `span`, the layers first <= i < last that this launch may change. A
+    moving shape is displaced by the value of its track, and its wall moves at the track's rate,
+    while the track is active. `lightest` is the mass of a fully covered node in the lightest of
+    several materials [kg], or infinite. `full` is the fraction of the expected mass at which
+    material counts as having reached the wall. In columns that the wall does not push, nodes below
+    the signed distance `loose` [m] respond one by one. A flat wall changes `grid_out`, other walls
+    change `changes_out` (see `make_settle`).
 
     With `updating`, a flat wall and the grid update are one kernel, which reads momenta from `grid`
     and writes velocities to `grid_out`. Its first threads have the nodes of the sub-box of the

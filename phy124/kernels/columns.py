@@ -100,7 +100,7 @@ def coverage(u: Any):
 
 @wp.func
 def xyz(q: Any):
-    """Return three components: a node's velocity, a distance's normal, or a track's value."""
+    """Return a vector's first three components: a velocity, a normal or the value of a track."""
     return wp.vector(q[0], q[1], q[2])
 
 
@@ -114,11 +114,11 @@ def relative(q0: Any, q1: Any, q2: Any, wall: Any):
 def narrow(m: Any, farther: Any, u: Any):
     """Return the factor on the mass expected at the next node, for a body narrowing to the wall.
 
-    The body has the mass m on a node u cells in front of the wall, and the mass `farther` on the
-    next node away from the wall. For a body of constant cross-section, the ratio of these masses is
-    the ratio of their `coverage`. If the cross-section grows with a power of the distance, this
-    ratio is smaller by a factor, and the next ratio towards the wall is smaller by about the same
-    factor to the power of `NARROWING`.
+    `m` is the mass of the body on a node u cells in front of the wall, and `farther` is its mass on
+    the next node away from the wall. For a body of constant cross-section, the ratio of these
+    masses is the ratio of their `coverage`. If the cross-section grows with a power of the
+    distance, this ratio is smaller by a factor, and the next ratio towards the wall is smaller by
+    about the same factor to the power of `NARROWING`.
     """
     unit = type(u)(1.0)
     return wp.pow(

@@ -21,7 +21,10 @@ from phy124.kernels.transfer import first_node, in_window, spline
 
 @cache
 def make_contact_copy(real: Any):
-    """Kernel over segments of rows in a box, `each` nodes long: copies the nodes before a wall."""
+    """Kernel: copies the nodes of a box before a wall acts.
+
+    A thread handles a segment of a row, with the length `each` [nodes].
+    """
 
     @kernel(f"phy124_contact_copy_{real.__name__}", real, seconds=0.15)
     def contact_copy(each, box, window, grid, kept_out, low_out: Ints, high_out: Ints):
@@ -40,7 +43,7 @@ def make_contact_copy(real: Any):
 
 @cache
 def make_contact_reach(real: Any):
-    """Kernel over the same segments: replaces each copied node by the change that a wall made.
+    """Kernel: replaces each node copied by `make_contact_copy` by the change that a wall made.
 
     It also stores the lowest and the highest changed node.
     """

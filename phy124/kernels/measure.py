@@ -36,8 +36,7 @@ def make_measure(law: Law, real: Any):
     """Kernel: measures the limits of the substep and the extent of the particles.
 
     The maxima are over the particles inside the domain. Particles with non-finite values are
-    counted as stray. Each thread measures `each` particles, `stride` apart, starting with index
-    `first` times the thread's number.
+    counted as stray. Thread n measures the particles n `first` + k `stride`, k < `each`.
     """
     t = types(real)
     modulus = law.modulus

@@ -91,7 +91,8 @@ def normal(to: Any, away: Any, yields: Any):
 
     `to` is the slope of the second body's volume, `away` that of the first body's. The steeper
     slope belongs to the flatter surface and is preferred (Nairn 2013 takes the steeper slope; the
-    mean of equal slopes is less rough). The slope of a body that never moves has no roughness.
+    mean of equal slopes is less rough). The volume of a body that never moves has a smooth slope,
+    whose weight is larger (`trust`).
     """
     a = wp.length_sq(to) * trust(yields[1])
     b = wp.length_sq(away) * trust(yields[0])
@@ -181,9 +182,11 @@ def neighbour(step: wp.vec3i, n: int):
 
 @wp.func
 def is_closed(gap: Any, more: Any):
-    """Return whether a gap is closed; `more` is the sum of the neighbours' gaps minus this gap.
+    """Return whether two bodies touch at a node, in view of the gap between them.
 
-    At the rim of a contact, the gap beyond the rim contributes to the gap at a node.
+    The gap is a mean over more than a cell. At the edge of the contact area it includes the wider
+    gap outside this area, so a gap up to `ROUNDING` times `more` counts as closed; `more` is the
+    sum of the neighbours' gaps, each minus this gap.
     """
     unit = type(gap)(1.0)
     return gap < unit and gap <= type(gap)(ROUNDING) * wp.max(more, type(gap)(0.0))

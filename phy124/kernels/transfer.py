@@ -130,7 +130,10 @@ def slope(f: Any):
 
 @wp.func
 def offsets(f: Any):
-    """Return 0, 1, 2 in the precision of f (casting a loop index would retype the index itself)."""
+    """Return the vector (0, 1, 2) in the precision of f.
+
+    It replaces casts of a loop index, which would change the type of the index itself.
+    """
     return wp.vector(type(f)(0.0), type(f)(1.0), type(f)(2.0))
 
 

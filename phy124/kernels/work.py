@@ -113,7 +113,10 @@ def make_push_sums(real: Any):
 
 @cache
 def make_wall_copy(real: Any):
-    """Kernel over segments of rows in a box, `each` nodes long: copies nodes before walls act."""
+    """Kernel: copies the nodes of a box before walls act.
+
+    A thread handles a segment of a row, with the length `each` [nodes].
+    """
 
     @kernel(f"phy124_wall_copy_{real.__name__}", real, seconds=0.15)
     def wall_copy(each, box, window, grid, kept_out):
@@ -127,11 +130,12 @@ def make_wall_copy(real: Any):
 
 @cache
 def make_wall_sums(real: Any):
-    """Kernel over the same segments: adds impulse and work of the walls to the `GIVEN` sums.
+    """Kernel: adds the impulse and the work of walls on the nodes of a box to the `GIVEN` sums.
 
     The work of an impulse J is J . v with the velocity v after the impulse, since this velocity
     moves the material: it is zero for walls at rest and negative for friction. With the velocity
-    before the impulse, stress that presses on a wall without moving it would count as work.
+    before the impulse, stress that presses on a wall without moving it would count as work. A
+    thread handles a segment of a row, as in `make_wall_copy`.
     """
 
     @kernel(f"phy124_wall_sums_{real.__name__}", real, seconds=0.2)

@@ -1,4 +1,4 @@
-"""Walls and clamps of a body on its lattice: launches of contact, impulse and work.
+"""Records launches in which walls and clamps act on a lattice, and which sum impulse and work.
 
 Surface points respond to walls. Nodes inside a clamp take its velocity. The node next to the
 clamp's surface moves against its free neighbour, so that the motion vanishes at the surface.
@@ -119,7 +119,11 @@ class Walls:
         return bool(self._clamps or self._contacts)
 
     def record(self) -> list[Recorded]:
-        """Return the launches of one substep: clamps, last impulses, then their correction."""
+        """Return the launches of one substep, in order.
+
+        Clamps act first. Then walls apply the impulses of the previous substep, correct them, and
+        sum impulse and work.
+        """
         near = [contact for contact in self._contacts if contact.near]
         return [
             *(("clamp", launch) for clamp in self._clamps for launch in clamp.record()),
@@ -278,7 +282,7 @@ class _Contact:
         return before != self.near
 
     def record_touch(self) -> wp.Launch | None:
-        """Record the launch that finds touching points and applies their last impulses."""
+        """Record the launch that finds touching points and applies their previous impulses."""
         model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
         inputs = [
             self._list, self.near, REACH * model.dx, self._shape, self._slot, points.nodes,

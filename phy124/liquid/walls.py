@@ -162,7 +162,7 @@ class Walls:
         yield STAGE, model.launch(kernel, count, [first, *shape], [cells.eighths])
 
     def _share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
-        """Return a worker's launch that computes the solid shares of the kernels in a region."""
+        """Return a worker's launch that computes the B-splines' fractions in walls in a region."""
         first, count = span(int(np.prod(region.size)), worker, workers)
         inputs = [first, cells.window, cells.lattice, region.box, cells.distances, cells.eighths]
         kernel = kernels.make_solid_shares(self._model.real)

@@ -119,7 +119,7 @@ def check_number(field: str, value: float, least: float, most: float) -> float:
 
 
 def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple[Vector, str]:
-    """Shorten a vector to a largest length; the sentence is empty if nothing was changed.
+    """Limit the length of a vector; return it with a sentence, which is empty if nothing changed.
 
     Args:
         field: Name in error messages.

@@ -136,6 +136,7 @@ def _load(model: str) -> Any:
         raise InputError(
             "clip-model",
             model,
-            f"it is not a CLIP model on this machine ({str(error).splitlines()[0]}).",
+            f"it is not a CLIP model that is stored on this machine "
+            f"({str(error).splitlines()[0]}).",
             f"Give a folder with config.json and model.safetensors, or run `hf download {model}`.",
         ) from error

@@ -130,7 +130,7 @@ class Tearing(Observer):
 
     @property
     def likely(self) -> bool:
-        """Whether a piece has separated, or enough particles lost neighbours that one may have."""
+        """Whether a piece has separated, or may have: many particles have lost neighbours."""
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def snapshot(self) -> dict[str, Any]:

@@ -99,7 +99,10 @@ class Wrenches(Observer):
         return [_Separated(self, name, wall, wrapped) for name, wall, wrapped in named]
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which sums the impulses between objects, and on a liquid of walls."""
+        """Bind to the solver, which sums the impulses between objects.
+
+        The solver of liquids also sums the impulses of walls.
+        """
         self._solver = solver
         self._read_impulses()
 
@@ -108,7 +111,7 @@ class Wrenches(Observer):
         self._read_impulses()
 
     def _read_impulses(self) -> None:
-        """Use the sums of the walls of a liquid by projection."""
+        """Use the walls' impulses that the solver of liquids sums."""
         if self._of_walls and isinstance(self._solver, LiquidSolver):
             impulses = self._solver.impulses
             self._sums = {name: {0: impulses.wrench(name)} for name in impulses.names}

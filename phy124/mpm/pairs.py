@@ -117,11 +117,10 @@ class Pairs:
         self._begun = np.asarray(snapshot["begun"])
 
     def record(self, grids: Sequence[Grid], worker: int, workers: int) -> list[Recorded]:
-        """Record a worker's launches: all pairs within reach, in the worker's layers of the
-        lattice.
+        """Record a worker's launches, one for each pair of bodies whose windows overlap.
 
-        Every node is in the layers of exactly one worker, which processes all pairs at this node in
-        order.
+        A launch is limited to the worker's layers of the lattice. Every node is in the layers of
+        exactly one worker, which processes all pairs at this node in order.
         """
         boxes = [_overlap(grids[pair.first], grids[pair.second]) for pair in self.all]
         near = [(low[0], high[0]) for low, high in boxes if np.all(high > low)]

@@ -123,8 +123,9 @@ class StepRejection:
     def room(self, clock: Clock) -> int:
         """Return the number of substeps in which no particle can leave the margin of its window.
 
-        In substep k a particle moves by at most (v + k a dt) dt. If a dt^2 exceeds `PULL`, substeps
-        are run as trials, and a violent substep is followed by a measurement.
+        In substep k a particle moves by at most (v + k a dt) dt. Here a dt^2 is capped at `PULL`
+        cells. Above this value substeps are run as trials, and the particles are measured after a
+        violent substep.
         """
         dx, dt = self._model.dx, clock.stable().dt
         if not math.isfinite(dt):

@@ -87,7 +87,7 @@ class Part:
 
 @dataclass
 class Worker:
-    """Some of the particles, and the launches for them."""
+    """The particles that one worker processes, and the launches for these particles."""
 
     maxima: wp.array
     """Measured maxima: `COUNT` numbers for each body, or for each of the worker's parts."""
@@ -169,7 +169,7 @@ class Slabs:
 
     @property
     def outgrown(self) -> bool:
-        """Whether slabs have grown enough since the last division for another division to pay."""
+        """Whether slabs have grown so much since the last division that a new one saves time."""
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share

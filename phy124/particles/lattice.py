@@ -240,14 +240,17 @@ def _find_voxels(
 
 
 def _cells(cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the keys of distinct cells, x slowest, and the number of each voxel's cell [V]."""
+    """Return the sorted keys of the distinct cells [K], and each voxel's index among them [V].
+
+    The x index varies slowest in the order of the keys.
+    """
     low = cell.min(axis=0)
     keys = np.ravel_multi_index(tuple((cell - low).T), tuple(cell.max(axis=0) - low + 1))
     return np.unique(keys, return_inverse=True)
 
 
 def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
-    """Return the sum of the rows [V,K] of each of `count` groups."""
+    """Return the sums [count,K] of the rows of `values` [V,K] in each of `count` groups."""
     total = np.zeros((count, values.shape[1]))
     for number, column in enumerate(values.T):
         total[:, number] = np.bincount(which, column, count)

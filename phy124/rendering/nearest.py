@@ -1,11 +1,11 @@
 """Find the nearest camera position that shows the whole motion, and the camera's target.
 
 A point is in the picture if it lies between four planes through the camera. Consider the planes
-that touch the outermost Gaussians: the two vertical planes intersect in a line, and so do the two
-horizontal planes. The more distant line gives the distance; both lines give the target. An object
-that is much longer along the view than across, such as a sword seen from its tip, would look
-distorted and blurred from this distance. The camera then stands farther away with a narrower field
-of view, in which the object has the same size.
+that touch the outermost Gaussians: the two vertical planes intersect in one line, and the two
+horizontal planes in another line. The more distant line gives the distance; both lines give the
+target. An object that is much longer along the view than across, such as a sword seen from its tip,
+would look distorted and blurred from this distance. The camera then stands farther away with a
+narrower field of view, in which the object has the same size.
 """
 
 from __future__ import annotations

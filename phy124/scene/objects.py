@@ -144,7 +144,7 @@ class SceneObject(Object):
         return np.array(self.sides) / max(self.sides) * self.size / 2
 
     def solid(self, pairs: Sequence[Pair]) -> Movable:
-        """Return the moving boundary that represents this object with a path for other objects.
+        """Return the boundary that other objects touch: it moves along this object's path.
 
         Args:
             pairs: The scene's pairs, for friction and contact.
@@ -255,7 +255,7 @@ def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
         for name in two - {ANY}:
             check_name(name, names)
         if len(two) == 1 and ANY not in two:
-            raise ValueError(f"between names {pair.between[0]} twice; name two different objects")
+            raise ValueError(f"`between` names {pair.between[0]} twice; name two different objects")
         if two in seen:
             about = " and ".join(pair.between)
             raise ValueError(f"two entries of pairs are for {about}; leave one out")

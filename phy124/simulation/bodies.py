@@ -323,7 +323,7 @@ def _join_appearances(bodies: list[Body]) -> Appearance:
     moves = np.concatenate([look.moves for look in looks])
 
     def reorder(values: NDArray) -> NDArray:
-        """Return values of the moving Gaussians in the joint order."""
+        """Return the values of all moving Gaussians, sorted into the order of the joint look."""
         every = np.zeros(len(moves), values.dtype)
         every[moves] = values
         return every[order][moves[order]]

@@ -84,8 +84,9 @@ def from_sides(
 def _show_sides(front: Continued, side_picture: Continued, look: BackLook) -> list[Shown]:
     """Return the images of the front, the back and both sides.
 
-    The more symmetric silhouette decides about the plane of symmetry. The other image, mirrored,
-    then shows the opposite side, too. The side opposite to the symmetric image is imagined.
+    The object is assumed to be symmetric about a vertical plane, which is seen edge-on in the image
+    with the more symmetric silhouette. The other image, mirrored, then also shows the opposite
+    side. The side opposite to the symmetric image is imagined.
     """
     pictures = []
     for picture, towards, across in ((front, FRONT, ACROSS), (side_picture, ACROSS, FRONT)):

@@ -129,7 +129,7 @@ class Surface(Implicit):
 
     @classmethod
     def of(cls, w: Field, m: Field | None = None) -> Surface:
-        """Return the surface of squared half thicknesses [H,W] and midsurface [H,W]."""
+        """Return the surface for squared half thicknesses w and a midsurface m (0 by default)."""
         m = np.zeros_like(w) if m is None else m
         slopes = [np.gradient(scipy.ndimage.gaussian_filter(field, 0.7))[::-1] for field in (w, m)]
         return cls(w, m, np.asarray(slopes))

@@ -4,10 +4,10 @@ An accessor (glTF 2.0, section 3.6.2) reads numbers of one type from a view of t
 sparse accessor replaces some of these numbers; an accessor without a view starts from zeros.
 
 Scales are lengths in the ratified KHR_gaussian_splatting, but logarithms in its review draft, and a
-file does not say which text it follows. Negative scales must be logarithms, and some generators are
-known to write logarithms. If all logarithms are positive, as in a file in millimetres, the
-Gaussians decide: in an object, their width is about the distance between them. Logarithms that are
-mistaken for lengths are much smaller than this distance.
+file does not say which text it follows. Negative scales must be logarithms. Some programs, named in
+the field `generator`, are known to write logarithms. If all logarithms are positive, as in a file
+in millimetres, the Gaussians decide: in an object, their width is about the distance between them.
+Logarithms that are mistaken for lengths are much smaller than this distance.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def _apply_sparse(scene: Scene, sparse: dict[str, Any], raw: NDArray[Any]) -> ND
         raise ValueError("the indices of a sparse accessor are not integers")
     rows = _read_view(scene, sparse["indices"], kind, count, 1)[:, 0]
     if rows.max() >= len(raw):
-        raise ValueError("a sparse accessor replaces values that do not exist")
+        raise ValueError("a sparse accessor has an index beyond its last value")
     raw = raw.copy()
     raw[rows] = _read_view(scene, sparse["values"], raw.dtype, count, raw.shape[1])
     return raw

@@ -1,7 +1,7 @@
 """Liquids by pressure projection: an incompressible flow on a staggered grid, carried by particles.
 
-The velocity component along an axis is stored at the centre of the low face of each cell across
-that axis; pressure, surface and density are stored at the centres of cells. A step is
+The x component of the velocity is stored at the centre of each cell's low x face; y and z likewise.
+Pressure, surface and density are stored at the centres of cells. A step is
 
     particles to faces (`faces`) - surface (`surface`) - pressure (`pressure`, `conjugate`)
     - velocities outside the liquid (`spread`) - faces to particles - out of walls (`walls`)

@@ -414,9 +414,10 @@ def make_sum_fills(real: Any):
 
 @cache
 def make_extent(real: Any):
-    """Kernel: corners of the particles' box (the lowest as the maximum of -x), and largest speed.
+    """Kernel: computes the bounding box of the particles and their largest squared speed.
 
-    Each thread reads `each` particles, `stride` apart, from `first` times its number on.
+    The lowest corner is stored as the maximum of -x. Thread n reads the particles n `first` +
+    k `stride`, k < `each`.
     """
     t = types(real)
     vec7 = wp.types.vector(7, real)

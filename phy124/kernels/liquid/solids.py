@@ -120,7 +120,8 @@ def make_jumps(real: Any):
 def make_lift(real: Any):
     """Kernel over parts: sums the weight between the cells' centres and the solid's surface.
 
-    The sums are an impulse on the solid and its moment, per rho dx^3.
+    The sums are the impulse on the solid and the moment of this impulse about the solid's centre,
+    both divided by rho dx^3.
     """
     t = types(real)
 

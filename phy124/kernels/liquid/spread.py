@@ -1,4 +1,4 @@
-"""Velocities outside the liquid, which particles near the surface and near walls interpolate.
+"""Extrapolates velocities beyond the liquid, where particles near its surface and walls need them.
 
 Faces that touch no liquid take the mean of their known neighbours, layer by layer. Faces inside
 walls then lose the part of their velocity that leads into the wall or out of it. Friction at a wall

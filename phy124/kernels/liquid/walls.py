@@ -87,7 +87,7 @@ def to_frame(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dty
 
 @wp.func
 def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
-    """Return a direction in the frame of a shape along the world's axes."""
+    """Rotate a direction from the frame of a shape to world axes."""
     if frame.shape[0] == 0:
         return n
     w = axes(frame) @ wide(n)
@@ -333,7 +333,10 @@ def make_eighths(shape: str, real: Any):
 
 @cache
 def make_solid_shares(real: Any):
-    """Kernel over cells: the share of the linear and of the quadratic kernel that is solid."""
+    """Kernel over cells: computes which fractions of two B-splines lie inside walls.
+
+    They are the linear and the quadratic B-spline around the cell's centre.
+    """
     t = types(real)
     vec6 = wp.types.vector(6, real)
 
@@ -358,7 +361,7 @@ def make_solid_shares(real: Any):
             result = wp.vector(real(1.0), real(1.0))
         elif d < real(2.7) * lattice[3] and inner(cell, size, 1):
             twice = wp.vec3i(2 * size[0], 2 * size[1], 2 * size[2])
-            # Integrals of the kernels over halves of cells, from 3 halves below the centre on.
+            # Integrals of the B-splines over halves of cells, from 3 halves below the centre on.
             hats = vec6(real(0.0), real(0.125), real(0.375), real(0.375), real(0.125), real(0.0))
             k = real(1.0) / real(48.0)
             splines = vec6(k, real(7.0) * k, real(16.0) * k, real(16.0) * k, real(7.0) * k, k)

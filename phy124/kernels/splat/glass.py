@@ -56,7 +56,8 @@ class Hit:
 def edge(solid: Solid, at: wp.vec3, pixel: float) -> float:
     """Return the opacity of a box's face at a point in the box's axes, higher at the edges.
 
-    On a face one coordinate is at its limit; the second nearest limit is the nearest edge.
+    A point on a face has one coordinate at its limit. Of the other two coordinates, the one that is
+    closer to its limit determines the nearest edge.
     """
     a = wp.abs(solid.half[0] - wp.abs(at[0]))
     b = wp.abs(solid.half[1] - wp.abs(at[1]))

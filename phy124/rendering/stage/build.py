@@ -156,7 +156,11 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
 
 
 def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Glass]:
-    """Yield the optical depth of glass solids at their lowest height, split over two layers."""
+    """Yield the optical depth of each glass solid for two layers of the shadow map.
+
+    The layers are those below and above the solid's lowest point; weights that add up to 1
+    interpolate between their heights.
+    """
     for solid in solids:
         x, y, z = solid.centre.tolist()
         *reach, down = (np.abs(solid.axes.T) @ solid.half + solid.radius).tolist()

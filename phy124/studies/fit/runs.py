@@ -191,5 +191,5 @@ def _digest(player: Player, declared: Fit) -> str:
 
 
 def _play(player: Player, kept: tuple[Path, dict[str, Any]]) -> Played:
-    """Predict the measurements for the scene in a pair (file, scene), in a worker process."""
+    """Predict the measurements for a scene, in a worker process; `kept` is (file, scene)."""
     return player(kept[1])

@@ -28,7 +28,7 @@ START_OPACITY = 0.1
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of Adam; the rate of the centres decreases from `xyz` to `xyz_last`."""
+    """Learning rates of Adam; the one for centres decreases from `xyz` to `xyz_last`."""
 
     xyz: float = 0.01
     xyz_last: float = 0.0002
@@ -40,7 +40,7 @@ class Rates:
     """Number of steps until `xyz_last` is reached."""
 
     def position(self, step: int) -> float:
-        """Return the rate of the centres at a step; its logarithm is linear in the step."""
+        """Return the learning rate of the centres, whose logarithm is linear in the step."""
         t = min(1.0, step / self.steps)
         return math.exp((1 - t) * math.log(self.xyz) + t * math.log(self.xyz_last))
 

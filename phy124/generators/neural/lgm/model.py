@@ -187,7 +187,10 @@ MARGIN = 0.98
 
 
 def remove_rotations(rows: Tensor) -> Tensor:
-    """Return Gaussians [N,14] with identity quaternions, as the first generation was drawn."""
+    """Return a copy of Gaussians [N,14] with identity quaternions.
+
+    LGM's first generation of weights was drawn without rotations (see `Rotations`).
+    """
     rows = rows.clone()
     rows[:, 7:11] = rows.new_tensor(NOT_ROTATED)
     return rows

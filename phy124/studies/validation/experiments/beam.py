@@ -100,7 +100,7 @@ def heavy_elastica_drop(load: float) -> float:
 
 
 def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return the force of a weight at the beam's tip; the profile's factors are P L^2 / E I.
+    """Return a load P at the beam's tip; the values of the profile are P L^2 / (E I).
 
     Args:
         width: Width of the beam [m].
@@ -112,7 +112,7 @@ def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
 
 
 def load_all(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return gravity on the whole beam; the profile's factors are rho g A L^3 / E I.
+    """Return gravity g on the whole beam; the values of the profile are rho g A L^3 / (E I).
 
     Args:
         width: Not used.
