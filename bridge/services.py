@@ -1,4 +1,4 @@
-"""Services of a ROS 2 node: three triggers, those of rosbag2's player, and those of simulators.
+"""Services of a ROS 2 node: triggers, and the standard services of players and simulators.
 
 Requests are served on the thread that spins the node. An action computes its steps between other
 callbacks, which allows it to be cancelled.

@@ -1,4 +1,4 @@
-"""Layout of the page: picture, scene and bar in a rail; stage and results fill the rest."""
+"""Lays out the page: a rail with picture, scene and bar, next to the stage and the results."""
 
 from __future__ import annotations
 

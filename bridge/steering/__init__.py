@@ -1,1 +1,1 @@
-"""A live run that is steered by messages and services: pushed, held, paused, stepped and reset."""
+"""A live run that peers push, hold, pause, step and reset by messages and services."""

@@ -1,4 +1,4 @@
-"""Inputs of peers: messages that push or grab the object, applied between two frames.
+"""Receives messages that push or grab the object, and applies them between two frames.
 
 Of the messages between two frames, only the newest wrench in each coordinate frame and the newest
 grab are applied: the work does not depend on the number of messages.

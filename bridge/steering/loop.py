@@ -1,4 +1,4 @@
-"""Loop of a steered run: computes frames when they are due, sends messages, reads inputs."""
+"""Computes the frames of a steered run when they are due, sends messages, and reads inputs."""
 
 from __future__ import annotations
 

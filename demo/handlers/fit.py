@@ -1,4 +1,4 @@
-"""Events of a fit to a video: offer, start, stop and end."""
+"""Handles the events of a fit to a video: offer, start, stop and end."""
 
 from __future__ import annotations
 

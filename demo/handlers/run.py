@@ -1,4 +1,4 @@
-"""Events of runs, studies and live runs: forecast, start, cancel, save."""
+"""Handles the events of runs, studies and live runs: forecast, start, cancel, save."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The process of a live run: make the object, simulate, and apply the visitor's inputs."""
+"""The process of a live run, which makes the object, simulates it, and applies inputs."""
 
 from __future__ import annotations
 

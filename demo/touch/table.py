@@ -1,4 +1,4 @@
-"""Tickets for live runs: one per visitor, a limit for the server, and limits of saved sessions.
+"""Tickets limit the number of live runs, per visitor and in total; saved sessions are limited, too.
 
 A ticket occupies a place from when a page shows it; unused tickets occupy none.
 """

@@ -1,4 +1,4 @@
-"""Motion of boundaries: along a path, or oscillating, without rotation; or free rigid motion."""
+"""Declares how boundaries move: on a path, in an oscillation (both without rotation), or freely."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Base class of all forces: a time profile within a start and an end, and a region of the body."""
+"""Base class of all forces: each has a profile, a start and an end in time, and a region."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forces on a part of the body as a whole: the material in a weighted ball about a rest point."""
+"""Forces on a group of particles as a whole; the group is a weighted ball about a rest point."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ballistic motion of particles outside the grid: only the uniform acceleration acts on them.
+"""Moves particles outside the grid, on which only the uniform acceleration acts.
 
 Whether a particle is outside the grid is decided when particles scatter, and holds for the whole
 substep. Such particles are moved out of the gather's window until the gather is over. Otherwise a

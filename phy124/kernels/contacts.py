@@ -1,4 +1,4 @@
-"""Impulse of single walls in a substep: on each particle (contacts) and in total (wrenches).
+"""Computes the impulse of each wall in a substep: per particle (contacts) and total (wrenches).
 
 A wall changes the velocity of nodes. The impulse m_i (v_after - v_before) on a node is divided
 among the particles by the weights w_ip with which their mass was scattered to the node: particle p

@@ -1,4 +1,4 @@
-"""Diagnostics of a state: momentum, energy, volume ratio; detection and reset of unsound particles.
+"""Measures momentum, energy and volume ratio of a state; detects and resets unsound particles.
 
 All sums are in float64; each thread sums several particles before it adds the result to the total.
 The kinetic energy includes the energy of APIC's C: m/2 (|v|^2 + dx^2/4 |C|^2), with the inertia of

@@ -1,4 +1,4 @@
-"""Impulse and work in every substep: of forces and walls, and of the stress of the material.
+"""Sums the impulse and work of forces and walls, and the work of the material's stress.
 
 Impulse and work depend on the path, so they are summed in every substep, in float64. They are then
 compared with the change of the state (phy124/kernels/diagnostics.py). The stress in a substep is

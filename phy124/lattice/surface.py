@@ -1,4 +1,4 @@
-"""Surface points of a body on its lattice: the nodes and weights by which contact acts on them.
+"""Finds a body's surface points, with the nodes and weights by which contact acts on them.
 
 A point takes its weights from a place a quarter of a cell further inside, without the tied nodes,
 and corrected so that they reproduce every linear function at the point itself. The true weights at

@@ -45,7 +45,7 @@ class LiquidClock(Clock):
         return Substep(limits[limiter], limiter)
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of the kinetic energy [J] from its own time to that of the positions.
+        """Return the change of kinetic energy [J] between the times of velocities and positions.
 
         Args:
             power: Power of the stress [W]; not used, since a liquid by projection has none.

@@ -1,4 +1,4 @@
-"""Solver of a liquid: steps that project the velocities onto those without divergence.
+"""Solver of a liquid, which removes the divergence of the velocities in each step.
 
 It has the interface of `phy124.mpm.Solver`, so that a run, its observers, pauses and live changes
 treat both alike. All particles of the run are one liquid.

@@ -1,4 +1,4 @@
-"""Diagnostics of a state: momentum, energy, volume ratios, and unsound particles.
+"""Measures momentum, energy and volume ratios of a state, and finds unsound particles.
 
 The functions that describe a particle or a substep are called only after a problem is detected.
 """

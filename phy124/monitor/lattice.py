@@ -1,4 +1,4 @@
-"""Observers of a body on its lattice: momentum and energy, impulse and work of walls.
+"""Observers of a body on its lattice, for momentum, energy, and the impulse and work of walls.
 
 Walls sum their impulses, moments and work themselves (phy124/kernels/lattice/contact.py), so that
 nothing is copied before and after they act.

@@ -67,7 +67,7 @@ class Clock:
         return self._limits[1]
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of the kinetic energy [J] from its own time to that of the positions.
+        """Return the change of kinetic energy [J] between the times of velocities and positions.
 
         Args:
             power: Power of the stress [W].

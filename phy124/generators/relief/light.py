@@ -79,7 +79,7 @@ def front_normals(surface: Surface) -> Field:
 
 
 def _groups(colours: Field) -> NDArray[np.int_]:
-    """Return the number of each pixel's group [N]: greys are group 0, the others are by hue."""
+    """Return the index of each pixel's group [N]: greys are group 0, other groups differ in hue."""
     red, green, blue = (colours / (colours.sum(axis=1, keepdims=True) + DARKEST)).T
     across, along = red - green, (red + green) / 2 - blue
     turn = np.arctan2(along, across) / (2 * np.pi) % 1.0

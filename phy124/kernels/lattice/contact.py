@@ -75,7 +75,7 @@ def strike(
 
 @cache
 def make_touch(shape: str, moving: bool, real: Any):
-    """Kernel of one thread: finds points near a wall and applies their impulse of the last substep.
+    """Kernel of one thread: finds points near a wall and applies their previous impulse to them.
 
     `force_out` holds the mean force on each point in the last substep [N]; it becomes zero where a
     point has left. `gap_out` is the normal and the distance of each point near the wall; its
@@ -277,7 +277,7 @@ def make_reach(shape: str, moving: bool, real: Any):
 
 @cache
 def make_distances(shape: str, real: Any):
-    """Kernel over points: normal of a shape, and signed distance from it [m]."""
+    """Kernel over points: computes the normal of a shape, and the signed distance from it [m]."""
     t = types(real)
     distance = SHAPES[shape]
 

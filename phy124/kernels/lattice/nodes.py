@@ -1,4 +1,4 @@
-"""Nodes of the lattice: kick by forces, holding, drift, and ties of nodes of almost no mass.
+"""Kernels that kick, hold and move the lattice's nodes, and tie nodes of almost no mass.
 
 `pool` holds the forces of all workers: the forces of worker w are for nodes `low[w]` to `high[w]`,
 and begin at `begin[w]`. `donor_*` and `tied_*` are the ties as sparse matrices: the tied nodes that
@@ -30,7 +30,7 @@ def sum_workers(pool: wp.array(dtype=Any), low: Ints, high: Ints, begin: Ints, n
 
 @cache
 def make_kick(real: Any):
-    """Kernel over nodes: velocities change by forces and by the uniform acceleration.
+    """Kernel over nodes: changes velocities by forces and by the uniform acceleration.
 
     `before_out` keeps the velocities before, from which the work of walls is computed.
     """
@@ -66,7 +66,7 @@ def make_kick(real: Any):
 
 @cache
 def make_hold(real: Any):
-    """Kernel over held nodes: velocities become the clamp's while its track is active.
+    """Kernel over held nodes: sets velocities to the clamp's velocity while its track is active.
 
     `movable_out` is the inverse mass of nodes that contact may move, 0 for held nodes.
     """
@@ -106,7 +106,7 @@ def make_hold(real: Any):
 
 @cache
 def make_pin(real: Any):
-    """Kernel over pairs of a held and a free node: the motion is zero where the clamp ends.
+    """Kernel over pairs of a held and a free node: makes the motion zero where the clamp ends.
 
     The quadratic B-spline of the pair vanishes at the clamp's surface if the held node moves at
     `ratio` times the velocity of the free node relative to the clamp. Momenta are projected on this
@@ -163,7 +163,7 @@ def make_pin(real: Any):
 
 @cache
 def make_drift(real: Any):
-    """Kernel over nodes: displacements change over the drift; tied nodes follow their donors."""
+    """Kernel over nodes: changes displacements over the drift; tied nodes follow their donors."""
     t = types(real)
 
     @kernel(f"phy124_lattice_drift_{real.__name__}", real, seconds=0.3)
@@ -195,7 +195,7 @@ def make_drift(real: Any):
 
 @cache
 def make_node_totals(real: Any):
-    """Kernel over nodes: momentum, angular momentum, kinetic energy, and mass times position."""
+    """Kernel over nodes: sums momentum, angular momentum, kinetic energy, mass times position."""
     t = types(real)
 
     @kernel(f"phy124_lattice_node_totals_{real.__name__}", real, seconds=0.3)

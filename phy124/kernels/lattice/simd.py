@@ -49,7 +49,7 @@ def pack(offset: NDArray, volume: NDArray, mass: NDArray) -> NDArray[np.float32]
 
 @cache
 def make_stress_simd(law: Law, viscous: bool):
-    """Kernel over blocks of sixteen cells: `make_stress` for float32 on a CPU."""
+    """Kernel over blocks of sixteen cells: works like `make_stress`, for float32 on a CPU."""
     kind = "viscous" if viscous else "elastic"
     pieces = ["lattice", *(["lattice:rates"] if viscous else []), f"lattice:{kind}"]
     body = f"const int width = {law.width};\n" + code(*pieces, "lattice:stress")
@@ -75,7 +75,7 @@ def make_stress_simd(law: Law, viscous: bool):
 
 @cache
 def make_measure_simd(law: Law, viscous: bool):
-    """Kernel over blocks of sixteen cells: `make_lattice_measure` for float32 on a CPU.
+    """Kernel over blocks of sixteen cells: works like `make_lattice_measure`, for float32 on a CPU.
 
     The squared least stretch is up to 2 % too small.
     """

@@ -101,7 +101,7 @@ def one_axis(A: Any, theta: Any):
 
 @cache
 def make_lattice_measure(law: Law, real: Any, viscous: bool):
-    """Kernel over points: the largest speed and rate of strain, and a bound of the stiffness.
+    """Kernel over points: finds the largest speed and rate of strain, and bounds the stiffness.
 
     A point's stiffness is rho dx^2 / dt^2 [Pa] of the longest stable substep dt = 2 / omega (sqrt(1
     + z^2) - z), where omega^2 = 4 A / (rho dx^2) and z is the damping ratio of that vibration.

@@ -1,4 +1,4 @@
-"""Impulses of walls on the liquid: the pressure on the solid part of the cells next to them.
+"""Sums the impulses of walls on the liquid from the pressure in the cells next to the walls.
 
 The solid surface inside a cell is minus the sum of the open faces (the area of a closed surface is
 zero). The pressure there is that of the cell's centre, plus the weight of the liquid between centre

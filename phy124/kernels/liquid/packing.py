@@ -32,7 +32,7 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
 
 @cache
 def make_excess(real: Any):
-    """Kernel over cells: the share of the error of the density that a step removes.
+    """Kernel over cells: computes the part of the density's error that a step removes.
 
     The density missing inside a wall's cells, which have no unknown, belongs to the cells before
     them; at an edge or corner between walls, to the cell before all of these walls.
@@ -102,7 +102,7 @@ def make_excess(real: Any):
 
 @cache
 def make_shift(real: Any):
-    """Kernel over cells: differences become displacements of at most half a cell [m]."""
+    """Kernel over cells: converts differences to displacements of at most half a cell [m]."""
     t = types(real)
 
     @kernel(f"phy124_liquid_shift_{real.__name__}", real, seconds=0.2)

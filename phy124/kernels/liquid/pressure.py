@@ -35,7 +35,7 @@ def beyond(here: Any, there: Any):
 
 @cache
 def make_assemble(real: Any):
-    """Kernel over cells: the matrix of the pressure equation, symmetric and positive.
+    """Kernel over cells: computes the matrix of the pressure equation, symmetric and positive.
 
     `diagonal_out` is zero in cells without liquid; `links_out` has the entries towards the next
     cells along the three axes.
@@ -83,7 +83,7 @@ def make_assemble(real: Any):
 
 @cache
 def make_divergence(real: Any):
-    """Kernel over cells: minus the flux out of each cell, relative to its walls [m/s].
+    """Kernel over cells: computes minus the flux out of each cell, relative to its walls [m/s].
 
     The last solution, times `carry`, is the first guess of the next one.
     """

@@ -48,7 +48,7 @@ from phy124.kernels.liquid.walls import centre_of, solid_face
 
 @cache
 def make_motions(real: Any):
-    """Kernel over walls: velocity, angular velocity and centre of each wall, from its track."""
+    """Kernel over walls: computes a wall's velocity, angular velocity and centre from its track."""
     t = types(real)
 
     @kernel(f"phy124_liquid_motions_{real.__name__}", real, seconds=0.15)
@@ -83,7 +83,7 @@ def write_motion(
 
 @cache
 def make_jumps(real: Any):
-    """Kernel over cells: the rows of J, for the velocity and for the angular velocity."""
+    """Kernel over cells: computes the rows of J, for the velocity and for the angular velocity."""
     t = types(real)
 
     @kernel(f"phy124_liquid_jumps_{real.__name__}", real, seconds=0.2)
@@ -118,7 +118,7 @@ def make_jumps(real: Any):
 
 @cache
 def make_lift(real: Any):
-    """Kernel over parts: sums the weight between the cells' centres and the solid's surface.
+    """Kernel over parts: sums the weight of liquid between cells' centres and the solid's surface.
 
     The sums are the impulse on the solid and the moment of this impulse about the solid's centre,
     both divided by rho dx^3.
@@ -206,7 +206,7 @@ def make_predict(real: Any):
 
 @cache
 def make_respond(real: Any):
-    """Kernel of one thread: the solid takes the opposite of its impulses on the liquid.
+    """Kernel of one thread: gives the solid the opposite of its impulses on the liquid.
 
     `total_out` sums the impulses on the liquid, as phy124/kernels/free does.
     """

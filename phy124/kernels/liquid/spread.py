@@ -19,7 +19,7 @@ from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
 @cache
 def make_spread(real: Any):
-    """Kernel over cells: unknown faces get the mean of their known neighbours.
+    """Kernel over cells: sets unknown faces to the mean of their known neighbours.
 
     Only unknown faces are written and only known ones are read, so the order of cells is free.
     """
@@ -60,7 +60,7 @@ def make_spread(real: Any):
 
 @wp.func
 def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
-    """Return the velocity at a cell's low face across an axis: other components are means."""
+    """Return the velocity at a cell's low face across an axis; the other components are means."""
     q = velocity[n]
     v = wp.vector(q[0], q[1], q[2])
     back = stride(axis, size)

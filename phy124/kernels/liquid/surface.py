@@ -1,6 +1,6 @@
-"""The surface of the liquid: how full the cells are, and the distance to the surface from it.
+"""Computes how full the cells are, and from this fill the distance to the surface of the liquid.
 
-`depth` inverts the fill of the quadratic kernel below a flat surface, so a flat surface is exact
+`depth` inverts the fill of the quadratic B-spline below a flat surface, so a flat surface is exact
 wherever it lies between two layers of cells. Near walls, the fill counts the open part only.
 """
 
@@ -17,7 +17,7 @@ from phy124.kernels.liquid.walls import SHUT
 
 @wp.func
 def depth(fill: Any):
-    """Return the depth below a flat surface [cells] at which the quadratic kernel is so full.
+    """Return the depth below a flat surface [cells] at which a quadratic B-spline has this fill.
 
     The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and
     1/2, and 1 - (3/2 - T)^3 / 6 above.
@@ -49,7 +49,7 @@ def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
 
 @cache
 def make_levels(real: Any):
-    """Kernel over cells: sums become velocities, densities, and the distance to the surface.
+    """Kernel over cells: converts sums to velocities, densities, and the distance to the surface.
 
     `known_out` has a bit for each face that has a velocity, `liquid_out` is 1 in cells of liquid,
     `hats_out` the share of the linear kernel that is filled, including solid. `phi_out` is the
@@ -101,7 +101,7 @@ def make_levels(real: Any):
 
 @cache
 def make_refill(real: Any):
-    """Kernel over cells: densities and distance to the surface from volumes alone."""
+    """Kernel over cells: computes densities and the distance to the surface from volumes alone."""
     t = types(real)
 
     @kernel(f"phy124_liquid_refill_{real.__name__}", real, seconds=0.3)

@@ -1,4 +1,4 @@
-"""Walls of a liquid: distances at half the grid's spacing, open shares of faces, and particles.
+"""Computes distances from walls and open shares of faces; moves particles out of walls.
 
 The lattice of distances has points at the corners, edges, faces and centres of cells, so the
 fraction of each face that is open (Ng, Min and Gibou 2009) and the volume of each eighth of a cell
@@ -96,7 +96,7 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 
 @cache
 def make_wall_distance(shape: str, real: Any):
-    """Kernel over points of half the spacing: lowers the distance to that of some walls of a shape.
+    """Kernel over points at half the spacing: stores distances from some walls if they are smaller.
 
     `walls` has the walls' numbers, which are stored in the points nearest to them, and `geometries`
     their shapes. `slots` has the index of the displacement of every wall, or 0 for those that never
@@ -176,7 +176,7 @@ def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
 
 @cache
 def make_openings(shape: str, real: Any):
-    """Kernel over cells: multiplies the open shares of the low faces by those before some walls.
+    """Kernel over cells: multiplies the low faces' open shares by what some walls leave open.
 
     The share before a plane follows from the distances at the face's corners; that before other
     shapes from 64 points of the face, since distances bend at edges. The product is exact where
@@ -287,7 +287,7 @@ def make_openings(shape: str, real: Any):
 
 @cache
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies their open fractions by those before some walls.
+    """Kernel over eighths of cells: multiplies their open fractions by what some walls leave open.
 
     The product is exact where walls are perpendicular to each other. The arguments are the same as
     for the kernel of distances.

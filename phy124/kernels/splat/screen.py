@@ -1,4 +1,4 @@
-"""Definitions for all stages: the camera, a splat on the screen, and its alpha at a pixel.
+"""Defines the camera, a splat on the screen, and the splat's alpha at a pixel, for all stages.
 
 The conventions are those of Kerbl et al. 2023 (3D Gaussian Splatting, section 4): alpha is capped
 at 0.99, contributions below 1/255 are skipped, and a pixel is finished before its transmittance
