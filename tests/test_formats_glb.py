@@ -131,7 +131,7 @@ SPLATS = "meshes/0/primitives/0/extensions/KHR_gaussian_splatting"
         (
             "accessors/0/sparse",
             {"count": 1, "indices": {"bufferView": 3, "componentType": 5125}},
-            "do not exist",
+            "index beyond its last value",
         ),
         ("meshes/0/primitives/0/attributes/POSITION", -1, "no number -1"),
         ("meshes/0/primitives/0/indices", 0, "selected by indices"),
