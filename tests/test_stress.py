@@ -55,7 +55,7 @@ SABOTAGE = {
                 "log_volume(wp.determinant(F)) - theta[0]\n",
                 "log_volume(wp.determinant(F)) - type(theta[0])(1.00001) * theta[0]\n"),
     2: Sabotage("nodes lighter than 1e-15 are left out, as PhysGaussian does", "kernels/grid.py",
-                "if m > real(0.0):", "if m > real(1.0e-15):"),
+                "if m > type(m)(0.0):", "if m > type(m)(1.0e-15):"),
     3: Sabotage("the first kick is a whole one", "mpm/solver.py",
                 "self.step((clock.last_dt + dt) / 2, dt)", "self.step(dt, dt)"),
     4: Sabotage("half of C is lost on the way to the grid", "kernels/transfer.py",

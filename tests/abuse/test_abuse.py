@@ -31,7 +31,7 @@ from support.shapes import ball
 
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
 GIGABYTE = 1 << 30
-NOT_HERE = "This picture is not here. Choose it once more."
+NOT_HERE = "The server does not have this picture. Choose it again."
 SECRETS = ["/etc/passwd", "/dev/zero", "/dev/random", "/no/such/file.png", "../../app.py"]
 SLOW, FILES = 2000, 1024
 """Connections that never finish their request, and how many files the server may have open."""
@@ -126,7 +126,7 @@ def test_nobody_reads_the_picture_of_somebody_else(server, attacker):
 def test_no_scene_names_a_file_of_the_server(attacker, changes):
     path = attacker.uploaded(DUCK)
     answer = attacker.generate({"path": path}, changes=changes)
-    assert "may name no file except a picture that you have sent" in answer, answer
+    assert "a scene cannot name a file, except a picture that you have sent" in answer, answer
 
 
 @pytest.mark.parametrize(
@@ -256,7 +256,7 @@ def test_a_refusal_names_the_picture_that_it_is_about(attacker, option):
     duck = {"path": attacker.uploaded(DUCK), "meta": {"_type": "gradio.FileData"}}
     for kind in ("text", "bomb", "empty", "heic bomb"):
         sent = {"path": attacker.uploaded(ODD[kind][0]), "meta": {"_type": "gradio.FileData"}}
-        assert f"{option}: It " in attacker.generate(duck, **{option: sent}), kind
+        assert f"{option}: " in attacker.generate(duck, **{option: sent}), kind
     for none in ("x", {"url": "data:image/png;base64,*", "path": "a.png"}):
         assert f"{option}: " in attacker.generate(duck, **{option: none})
 

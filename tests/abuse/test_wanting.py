@@ -66,7 +66,7 @@ def _megabytes(folder: Path) -> float:
 def test_exports_fill_no_more_than_the_room_of_one_visitor(server, attacker):
     path, scene = attacker.uploaded(DUCK), {"frames": 24, "changes": {"view.views": ["front"]}}
     kinds = ["ply", "usd", "mcap", "html", "4dgs"]
-    assert "our files " in attacker.generate({"path": path}, formats=kinds, **scene)
+    assert "your limit is" in attacker.generate({"path": path}, formats=kinds, **scene)
     for kind in kinds:
         answer = attacker.generate({"path": path}, formats=[kind], **scene)
         assert answer.startswith("complete"), answer
@@ -78,7 +78,7 @@ def test_a_run_that_would_take_more_is_refused_before_it_starts(attacker):
     path = {"path": attacker.uploaded(DUCK)}
     changes = {"velocities": True, "contacts": True}
     answer = attacker.generate(path, frames=72, changes=changes)
-    assert f"your files may take {EACH} MB here. Choose fewer frames" in answer
+    assert f"your limit is {EACH} MB. Choose fewer frames" in answer
 
 
 def test_newcomers_leave_the_picture_of_who_is_there(server):
@@ -104,6 +104,9 @@ def test_uploads_that_belong_to_nobody_stay_few(server):
 
 def test_thousands_of_forces_are_counted_and_no_more(attacker):
     scene = {"forces": [{"kind": "uniform"}] * 800}
+    job = attacker.press("picture", "choose", [], upload=attacker.uploaded(DUCK))[0]["job"]
+    assert attacker.followed(job)["state"] == "done"
+    attacker.press("picture", "cut", [None, None], job=job)
     with ThreadPoolExecutor(30) as pool:
         change = partial(attacker.press, "scene", "change", [None, scene, None])
         for asked in [pool.submit(change) for _ in range(30)]:
