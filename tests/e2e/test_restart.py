@@ -44,7 +44,7 @@ def test_page_outlives_restarts_of_its_server(browser, start):
     notice.get_by_text("The connection to the server was lost").wait_for()
     before = page.locator("#cutout img").get_attribute("src")
     with start():
-        notice.get_by_text("it no longer has your files").wait_for()
+        notice.get_by_text("no longer has your files").wait_for()
         page.wait_for_function(CUT_AGAIN, arg=before)
         assert page.evaluate("globalThis.sameDocument"), "the page was loaded again"
         assert page.locator("#viewer .phy-time").is_visible()
