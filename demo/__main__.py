@@ -66,7 +66,10 @@ def serve(settings: Settings) -> None:
 
 
 def read_options(arguments: Sequence[str] | None) -> dict[str, str]:
-    """Read the command line's options as environment variables: --port 80 is PHY124_PORT=80."""
+    """Return the options of the command line as environment variables.
+
+    For example, --port 80 becomes PHY124_PORT=80.
+    """
     parser = ArgumentParser(
         prog="phy124-demo",
         usage="%(prog)s [--port 7860] [--max-frames 72] ...",

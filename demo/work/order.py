@@ -152,7 +152,10 @@ def bytes_to_write(order: Order) -> float:
 
 
 def study_file(order: Order) -> Path:
-    """Return the file for the errors of an order's scene; it is the same for every grid."""
+    """Return the file for the measured errors of an order's scene.
+
+    Orders that differ only in the grid or the precision have the same file.
+    """
     physics = {name: value for name, value in order.scene.data().items() if name not in VIEWED}
     resolution = order.scene.resolution.model_dump(mode="json", exclude={"cells", "precision"})
     name = key(made_gaussians(order).name, physics, resolution)

@@ -415,7 +415,10 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
 def _choose_next(
     cells: int, forecast: Forecast, left: float, fits: bool, tried: set[int]
 ) -> int | None:
-    """Return the grid to forecast next, for a time close to the remaining one; None: no more."""
+    """Return the next grid to forecast; None if no other grid is worth a forecast.
+
+    The next grid is expected to take about as much time as is left.
+    """
     simulation = forecast.stages["simulate"]
     available = max(left - (forecast.seconds - simulation), 0.05 * simulation)
     target = cells * (available / simulation) ** (1 / GROWTH)

@@ -57,7 +57,7 @@ class Convergence:
         return self.errors[-1] if self.errors else None
 
     def error_of(self, apart: NDArray) -> float | None:
-        """Estimate the error of any result from its distances to the levels [L].
+        """Estimate the error of any result from its distance to the result of each level [L].
 
         Returns:
             The error; None if the levels have no extrapolated result.

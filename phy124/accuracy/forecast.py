@@ -82,7 +82,7 @@ class Load:
         return cls(thread, thread if free else SECOND_THREAD * thread)
 
     def of(self, stage: str) -> float:
-        """Return the factor on the time of a stage of a run."""
+        """Return the factor by which this load lengthens a stage of a run."""
         return self.simulation if stage == "simulate" else self.thread
 
     def mean(self, other: Load) -> Load:

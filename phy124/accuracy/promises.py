@@ -133,7 +133,7 @@ def _plate_speed(wall: Any, size: float) -> float:
 
 
 def _squeeze(scene: Scene) -> float:
-    """Return the largest fraction of its height by which the object is pressed."""
+    """Return the largest distance by which a press compresses the object, in object heights."""
     return max((wall.depth for wall in scene.boundaries if isinstance(wall, Press)), default=0.0)
 
 

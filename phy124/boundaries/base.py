@@ -238,7 +238,7 @@ class Boundary(Section):
         return record
 
     def _swept_bounds(self, model: Model) -> Corners:
-        """Return the corners of a box around every node that may ever respond [m]."""
+        """Return the corners [m] of a box around all nodes that may respond at any time."""
         bounds, track = self.bounds(model), self.track(model)
         return bounds if track is None else swept(bounds, track)
 
@@ -321,7 +321,9 @@ def lightest(model: Model) -> float:
 
 
 def contact_mass_fraction(model: Model) -> float:
-    """Return the fraction of the expected mass at a wall above which a body touches the wall.
+    """Return the contact threshold, as a fraction of the mass expected at a wall.
+
+    A body touches the wall if its mass there exceeds the threshold.
 
     The fraction is 0.9 for solids, which then touch the wall 0.07 cells early: a smaller fraction
     makes solids too stiff at first contact, and a larger one lets columns with few particles sink

@@ -25,7 +25,7 @@ class Motion(Section):
     )
 
     def track(self) -> Track:
-        """Return the displacement [m]; the rate of the track is the velocity of the wall."""
+        """Return the displacement over time [m]; its rate is the velocity of the wall [m/s]."""
         raise NotImplementedError
 
 

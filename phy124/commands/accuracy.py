@@ -246,7 +246,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def _split(lost: dict[str, float] | None) -> str:
-    """Format the energy lost by cause, in per cent of the energy supplied."""
+    """Format the energy lost to each cause, in per cent of the energy supplied."""
     if lost is None:
         return "-"
     return "/".join(f"{round(100 * part, 1) + 0.0:.1f}" for part in lost.values())

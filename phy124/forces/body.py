@@ -75,7 +75,7 @@ class Impulse(Force):
 
     @property
     def varies(self) -> bool:
-        """Always True, since the impulse ends."""
+        """Always True, because an impulse acts for a limited time."""
         return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:

@@ -193,7 +193,7 @@ class Grab(Force):
         return Track(tuple(zip(self.times, self.targets, strict=True)), start, end, self.start)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that compute the centre of the part, and pull it to the target."""
+        """Return the stages that compute the centre of the part and pull the part to the target."""
         part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         slot = tracks.add(self.target(), limited=True)
         spring = wp.vec4d(self.stiffness, self.damping, part.drawn, self.strength)

@@ -105,7 +105,7 @@ def effort_of(generator: Any) -> Effort | None:
 
 
 def speed_of(device: str, dtype: Any) -> Work:
-    """Measure torch's rate of floating-point operations by kind [1/s], under the current load.
+    """Measure torch's floating-point operations per second, by kind, under the current load.
 
     This takes about a second and uses arrays as large as those in the networks.
     """

@@ -55,7 +55,7 @@ class Content(NamedTuple):
 
     @property
     def in_place(self) -> Content:
-        """The content with absolute positions, or unchanged if float32 cannot resolve them."""
+        """The content with absolute positions; if float32 cannot resolve them, the same content."""
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
         if means is None:
             return self

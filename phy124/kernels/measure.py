@@ -1,4 +1,4 @@
-"""Maxima over the particles that limit a substep, and the particles' bounding box.
+"""Measure the particles' bounding box, and maxima over the particles that limit a substep.
 
 `timestep.make_timestep` reads these maxima on the device and phy124/mpm/timestep.py on the host.
 The lowest corner is stored as the maximum of -x.

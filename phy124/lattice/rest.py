@@ -2,8 +2,8 @@
 
 Node i is at (i + 1/2) dx, in the middle of cell i, and its quadratic B-spline covers the cells
 i - 1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore touch the same 27
-nodes, and each weight is a single polynomial in the cell. Points between nodes instead of points in
-the cells between knots would leave motions of cut cells without stiffness.
+nodes, and each weight is a single polynomial in the cell. If the points were placed between nodes
+instead of between knots, some motions of cut cells would have no stiffness.
 
 Every body that does not fill its cells has nodes of almost no mass, which have almost no stiffness
 either. Nodes lighter than `LIGHTEST` are tied: their motion is extrapolated linearly from heavier

@@ -108,7 +108,7 @@ class Projection:
         Args:
             run: Runs a phase of all workers.
             begin: Index of the first phase of the solution.
-            tolerance: Largest residual, as a fraction of the largest right side.
+            tolerance: Largest residual, as a fraction of the largest right-hand side.
         """
         every = 1 if self._model.device == "cpu" else CHECK
         run(begin)

@@ -59,7 +59,7 @@ from phy124.mpm.workers import (
 EXTENT = -1
 """Task of the workers that is not a phase: measure the particles' extent."""
 TOLERANCE, LOOSE = 1e-5, 1e-2
-"""Largest residual of the pressure and of the density, as a fraction of the right side."""
+"""Largest residual of the pressure and of the density, relative to the right-hand side."""
 MOST_CELLS = 2**22
 """Largest number of cells of a window; particles outside it fly on parabolas."""
 BULK = 0.01
@@ -278,7 +278,11 @@ class LiquidSolver:
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def _guess(self, kick: float) -> None:
-        """Scale the last pressure to a step whose velocities change over `kick` [s]."""
+        """Scale the last pressure to be the initial guess of a step.
+
+        Args:
+            kick: Time over which the step changes the velocities [s].
+        """
         scale = kick / self._kick if self._kick > 0 else 0.0
         self._phases.carry.fill_(scale)
         self._kick = kick
@@ -287,7 +291,7 @@ class LiquidSolver:
         self.projection.solve(self._run, self._phases.group(name)[0], tolerance)
 
     def _move_walls(self) -> None:
-        """Describe walls that have moved to the cells."""
+        """Update the walls' geometry in the cells, after walls have moved."""
         self._join()
         run_timed(self.timings, "walls", self.cells.restore_walls)
         self.walls.centre(self.cells)
@@ -373,7 +377,7 @@ class LiquidSolver:
         return np.maximum(lower, middle - side / 2), np.minimum(upper, middle + side / 2)
 
     def _record(self) -> None:
-        """Record the launches for the current window, and describe the walls to its cells."""
+        """Record the launches for the current window, and write the walls into its cells."""
         self.grid.low, self.grid.size = self.cells.low, self.cells.size
         self._extents = [self._phases.extent(index) for index in range(len(self.workers))]
         self._phases.record(self._forces, self.walls, self.tracks, self.impulses, self.grid)

@@ -97,7 +97,7 @@ def walls_of_solids(bodies: FreeBodies, model: Model) -> Iterator[Wall]:
 
 
 class Walls:
-    """Records launches that describe walls to the cells, and that move particles out of walls."""
+    """Records launches that write walls into the cells, and that move particles out of walls."""
 
     def __init__(self, model: Model, tracks: Tracks, walls: Sequence[Wall]) -> None:
         self._model, self._tracks, self.all = model, tracks, tuple(walls)
@@ -121,7 +121,7 @@ class Walls:
     def describe(
         self, cells: Cells, worker: int, workers: int, *, move: bool
     ) -> list[list[Recorded]]:
-        """Return a worker's launches that describe walls to the cells.
+        """Return a worker's launches that write the walls' geometry into the cells.
 
         Args:
             cells: The cells, which the launches write.
@@ -162,7 +162,10 @@ class Walls:
         yield STAGE, model.launch(kernel, count, [first, *shape], [cells.eighths])
 
     def _share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
-        """Return a worker's launch that computes the B-splines' fractions in walls in a region."""
+        """Return a worker's launch for the B-splines in a region.
+
+        For each B-spline, it computes the fraction that is inside walls.
+        """
         first, count = span(int(np.prod(region.size)), worker, workers)
         inputs = [first, cells.window, cells.lattice, region.box, cells.distances, cells.eighths]
         kernel = kernels.make_solid_shares(self._model.real)

@@ -65,7 +65,7 @@ class Inputs:
         """Times [s] and factors on Young's modulus."""
 
     def soften(self, factor: float, now: float, before: float) -> None:
-        """Set the factor on Young's modulus from `now` on; up to `before` the old factor acts."""
+        """Set the factor that multiplies E from `now` on; until `before`, the old factor acts."""
         kept = [key for key in self.softness if key[0] < now]
         if kept and kept[-1][0] < before:
             kept.append((before, kept[-1][1]))

@@ -130,8 +130,8 @@ class Material(Section):
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
     """Return rho dx^2 / (8 eta), the substep [s] in which viscosity stops a particle's strain.
 
-    The particle is isolated. A substep twice as long would be unstable. `timestep.beside_elastic`
-    combines this limit with the elastic limit.
+    The particle is isolated. A substep twice as long would be unstable. If elastic stress acts as
+    well, the limit is smaller by the factor `timestep.beside_elastic`.
 
     Args:
         density: rho [kg/m^3].

@@ -120,7 +120,10 @@ class Contacts(Observer):
     def _measure(
         self, wall: Boundary, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage, Stage]:
-        """Return the stages before and after the `stages` of a wall."""
+        """Return the stages that measure a wall: one before the wall acts, and two after.
+
+        The wall acts in `stages`.
+        """
         del stages
         near = NodesNear([wall], model)
         copy, changed, share = contact_kernels(model.real)
@@ -148,7 +151,10 @@ class Contacts(Observer):
         return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)
 
     def _sums(self, grid: Grid, model: Model) -> wp.array:
-        """Return the sums of a worker; each worker reads all particles, near its own nodes."""
+        """Return the array in which a worker sums the impulse on each particle [P,3].
+
+        The nodes of several workers may act on the same particle, so each worker has its own array.
+        """
         if grid.worker not in self._impulses:
             zeros = wp.zeros(len(model), dtype=wp.vec3d, device=model.device)
             self._impulses[grid.worker] = zeros

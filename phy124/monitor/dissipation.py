@@ -1,9 +1,9 @@
 """Dissipation: energy lost to the material, to walls and to the grid.
 
 Viscous materials dissipate the work of the rate-dependent part of their stress. Plastic and fluid
-materials dissipate the work of the other part, minus the elastic energy stored. Walls dissipate by
-friction. The rest is the numerical loss, in the transfers and in the layer of cells that a wall
-stops.
+materials dissipate the work of the rest of their stress, minus the elastic energy stored. Walls
+dissipate energy by friction. All other losses are numerical: they occur in the transfers and in the
+layer of cells that a wall stops.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ STRIDE = 16
 
 
 class Loss(NamedTuple):
-    """Energy lost since the start, by cause [J]."""
+    """Energy [J] lost since the start to each cause."""
 
     material: float
     """Viscosity, plastic flow and fluid flow."""
@@ -56,7 +56,7 @@ class Dissipation(Observer):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene requests the energy lost by cause."""
+        """Return whether the scene requests the energy lost to each cause."""
         return subject.scene.checks.energy
 
     @classmethod
@@ -99,7 +99,7 @@ class Dissipation(Observer):
         return STAGE, model.launch(kernel, threads, inputs, outputs)
 
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
-        """Return the energy lost by cause.
+        """Return the energy [J] lost to each cause: the material, the walls and the grid.
 
         Args:
             gained: Energy of the body now, minus the energy at the start and the work of all forces
@@ -136,5 +136,5 @@ class Dissipation(Observer):
 
 
 def split_seconds(timings: Mapping[str, Sequence[float]]) -> float:
-    """Return the time spent on computing losses by cause [s], from the times of the stages."""
+    """Return the time [s] spent on computing the losses, from the times of the stages."""
     return timings.get(STAGE, (0.0, 0))[0]

@@ -203,7 +203,7 @@ class Observer:
         del index
 
     def before_frame(self, time: float) -> None:
-        """Prepare a frame that starts at a time [s]."""
+        """Prepare the frame that starts at `time` [s]."""
 
     def before_attempt(self, *, closely: bool) -> None:
         """Prepare an attempt at a frame; a failed attempt is repeated with half the substep.

@@ -3,8 +3,9 @@
 Zero speed at one time is not rest: a thrown body has zero speed at the top of its path. At rest
 means that for Q frames of T seconds no particle moved further than D from its starting point. Under
 a constant acceleration, a particle can then move by at most 7 D m (1 + m) in the next M = m Q
-frames (in the worst case it moved forth, back and on). A vibration in phase with the frames, with
-the largest speed v, can hide a displacement of v T / 2 pi.
+frames. In the worst case, it first moved by D to one side, turned, and is now moving away at
+distance D on the other side. A vibration in phase with the frames, with the largest speed v, can
+hide a displacement of v T / 2 pi.
 
 The object sleeps if the sum of both displacements is invisible and its speed does not grow. It
 sleeps until a force or a boundary anywhere in the scene changes, or the clip ends. Under gravity it

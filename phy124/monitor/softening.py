@@ -64,7 +64,7 @@ class Softening(Observer):
         self._scene = scene
 
     def before_frame(self, time: float) -> None:
-        """Set the factor for a frame that starts at a time [s]."""
+        """Set the factor for the frame that starts at `time` [s]."""
         self.follow(self._scene.softness(time))
 
     def follow(self, factor: float) -> None:

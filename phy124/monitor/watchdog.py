@@ -259,7 +259,7 @@ class Watchdog(Observer):
         return {"balance": balance, **self._energy()}
 
     def _energy(self) -> dict[str, Any]:
-        """Return the energy lost by cause, and the largest energy supplied [J]."""
+        """Return the energy lost to each cause, and the largest energy supplied [J]."""
         if self._dissipation is None or self.external is None:
             return {}
         turnover = self.balance.turnover

@@ -111,7 +111,7 @@ class Wrenches(Observer):
         self._read_impulses()
 
     def _read_impulses(self) -> None:
-        """Use the walls' impulses that the solver of liquids sums."""
+        """Use the sums of impulses on walls that the liquid solver keeps."""
         if self._of_walls and isinstance(self._solver, LiquidSolver):
             impulses = self._solver.impulses
             self._sums = {name: {0: impulses.wrench(name)} for name in impulses.names}

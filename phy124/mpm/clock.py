@@ -130,7 +130,12 @@ class Clock:
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a substep of length `drift` [s]; a violent substep requires a new measurement."""
+        """Count a finished substep; after a violent one, the next is preceded by a measurement.
+
+        Args:
+            drift: Time step for positions and F [s].
+            violent: Whether the substep was violent.
+        """
         self.time += drift
         self.substeps += 1
         self.since_measured += 1

@@ -134,7 +134,7 @@ class Plane(Protocol):
         ...
 
     def geometry(self, model: Model) -> Any:
-        """Return a point of the wall [m] and the normal out of the wall."""
+        """Return a point on the wall [m], and the normal that points out of the wall."""
         ...
 
     def track(self, model: Model) -> Track | None:

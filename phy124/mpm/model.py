@@ -179,11 +179,11 @@ class Model:
         return slice(groups[0].start, groups[-1].stop)
 
     def named(self, name: str | None) -> slice:
-        """Return the span of a named body's particles; of all particles if None."""
+        """Return the span of a body's particles; if the name is None, that of all particles."""
         return slice(0, len(self)) if name is None else self.particles(self.names.index(name))
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return positions at rest of a named body [Q,3], m; of all particles if None."""
+        """Return the rest positions [Q,3], m, of a body; if the name is None, of all particles."""
         return self.rest[self.named(name)]
 
     @property

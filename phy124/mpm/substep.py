@@ -145,7 +145,7 @@ class Recorder:
             yield launches([kept.remain(part, grid, turn) for part, grid in pairs])
 
     def _put_down(self, body: int) -> None:
-        """Scatter the mass of a body that never moves, once for all substeps."""
+        """Scatter the mass of a body that never moves; all substeps use the result."""
         grid = self.grids[body]
         grid.nodes.zero_()
         every = wp.zeros(0, dtype=int, device=self.model.device)

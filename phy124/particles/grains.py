@@ -63,7 +63,7 @@ def add_grains(
 
 
 def leave_room(gaussians: Gaussians, x: NDArray, spacing: float) -> NDArray[np.bool_]:
-    """Return the mask of the points [P,3] that are far enough from all Gaussians for a grain.
+    """Return whether each point is far enough from all Gaussians to hold a grain [P].
 
     Args:
         gaussians: The object at rest.

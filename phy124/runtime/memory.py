@@ -1,4 +1,4 @@
-"""Measure the free memory of this process, and refuse too small a limit of its address space."""
+"""Measure the memory available to this process, and refuse a `ulimit -v` that is too small."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ THREADS = "OPENBLAS_NUM_THREADS"
 
 
 def refuse_narrow() -> None:
-    """Refuse too small a limit of the address space; to be called before NumPy is imported.
+    """Refuse a limit on the address space that is too small; call this before importing NumPy.
 
     Under any larger limit, OpenBLAS gets a single thread, because each thread allocates buffers.
 

@@ -162,11 +162,11 @@ class Scene(Section):
         return self.resolution.rpic_damping > 0 and (viscous or self.properties is not None)
 
     def softness(self, time: float) -> float:
-        """Return the factor on Young's modulus at a time [s]."""
+        """Return the factor that multiplies Young's modulus at `time` [s]."""
         return float(self.softnesses(np.array([time]))[0])
 
     def softnesses(self, times: NDArray) -> NDArray[np.float64]:
-        """Return the factors on Young's modulus at the times [T]."""
+        """Return the factors that multiply Young's modulus at `times` [T], s."""
         if self.stiffness_profile is None:
             return np.ones(len(times))
         whole = Track.of_profile((1.0, 0.0, 0.0), self.stiffness_profile, 0.0, LONGEST, mean=False)

@@ -25,7 +25,7 @@ Angles = tuple[_Degrees, _Degrees, _Degrees]
 
 
 def _is(default: Any) -> Callable[[Any], bool]:
-    """Return a test for a default value; defaults are not written into scene files."""
+    """Return a test for a field's default value, which is not written into scene files."""
     return lambda value: value == default
 
 

@@ -254,7 +254,7 @@ def stiffness_fractions(
     crop: Crop = WHOLE,
     listed: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64] | None:
-    """Return the factor on E of each particle [P], relative to its material; None if all are 1.
+    """Return each particle's E divided by the E of its material [P]; None if all are 1.
 
     Args:
         particles: The particles that move.

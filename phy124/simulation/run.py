@@ -51,7 +51,7 @@ class Interrupted(Cancelled):
 class Simulation:
     """One run, which yields its frames by iteration. A loop that is left early pauses the run.
 
-    A new loop continues with the next frame. `phy124.pipeline.resume` saves a paused run and
+    Iterating again continues with the next frame. `phy124.pipeline.resume` saves a paused run and
     continues it later, bit for bit.
     """
 
@@ -295,7 +295,7 @@ class Simulation:
         return problem
 
     def before_frame(self, time: float) -> None:
-        """Prepare the observers for a frame that starts at a time [s]."""
+        """Prepare the observers for the frame that starts at `time` [s]."""
         for observer in self.observers:
             observer.before_frame(time)
 

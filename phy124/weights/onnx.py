@@ -1,7 +1,7 @@
 """Runs ONNX networks with onnxruntime on the CPU, and predicts how long they take.
 
-Only the inputs and outputs that a caller names are used, so a file of another network is refused
-before it runs. Nothing is downloaded.
+Callers may name the inputs and outputs that they need. A file of another network, in which these
+names are missing, is then refused before it runs. Nothing is downloaded.
 """
 
 from __future__ import annotations

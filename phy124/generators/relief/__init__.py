@@ -2,7 +2,7 @@
 
 It needs no trained weights. The shape is a guess, not a reconstruction: the most plausible solid
 for the silhouette (`phy124.generators.relief.solids`). The front shows the image; the back
-is imagined (`phy124.generators.relief.back`). An image from the side replaces the guess of the
+is invented (`phy124.generators.relief.back`). An image from the side replaces the guess of the
 depth (`phy124.generators.relief.hull`). docs/lab/relief.md compares the results with objects whose
 shape is known from all sides.
 """

@@ -181,7 +181,10 @@ def smooth_back(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
 
 
 def _thickness(depth: Field) -> Field:
-    """Return the radius of the largest inscribed disc that covers each pixel [H,W], in 8 levels."""
+    """Return an array [H,W] with the local thickness at each pixel, rounded down to 8 levels.
+
+    The local thickness is the radius of the largest inscribed disc that covers the pixel.
+    """
     thick = np.ones_like(depth)
     for radius in np.geomspace(1.5, max(2.0, float(depth.max())), 8)[:-1]:
         thick[nearest_of(depth >= radius)[0] <= radius] = radius

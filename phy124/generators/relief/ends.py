@@ -91,7 +91,7 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
 def _arc(solid: NDArray[np.bool_]) -> int:
     """Return the height, in rows, of the arc at the silhouette's lower end; 0 if it is not flat.
 
-    Above the corners of a flat end, the sides are steep: the width hardly changes.
+    A flat end has corners. Above the corners, the sides are steep, so the width hardly changes.
     """
     solid = solid[::-1][np.flatnonzero(solid[::-1].any(axis=1))[0] :]
     widths = np.count_nonzero(solid, axis=1)

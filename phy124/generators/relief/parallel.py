@@ -111,7 +111,10 @@ def _ends(front: Profile, side: Profile, y: Field) -> NDArray[np.bool_]:
 
 
 def straighten(profile: Profile, y: Field, rows: Rows) -> Field:
-    """Resample the squared half thickness [N,W] at heights y [N]; W is odd and centred."""
+    """Return the squared half thickness at heights y [N], as an array [N,W].
+
+    W is odd, and the middle of the profile is in the middle column.
+    """
     column = np.flatnonzero((profile.w > 0).any(axis=0)) - profile.middle[0]
     reach = int(np.ceil(np.abs(column).max() / rows.k.min())) + 4
     columns = np.arange(-reach, reach + 1)

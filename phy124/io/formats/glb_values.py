@@ -38,7 +38,7 @@ class Scene:
 
 
 def item(scene: Scene, kind: str, index: Any) -> Any:
-    """Return an entry of a list of the description, such as the node with index 3.
+    """Return an entry of one of the lists in the JSON description, such as node 3.
 
     Raises:
         ValueError: If there is no such entry.

@@ -199,7 +199,7 @@ def _add_targets(
 
 
 def _animate(document: dict[str, Any], buffer: bytearray, times: NDArray[np.float64]) -> None:
-    """Add an animation in which frame k has the weight 1 of target k - 1 and no other."""
+    """Add an animation that gives weight 1 to target k - 1 in frame k, and 0 to all others."""
     if len(times) < 2:
         return
     at = _append(document, buffer, times)

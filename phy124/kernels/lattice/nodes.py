@@ -1,8 +1,8 @@
 """Kernels that kick, hold and move the lattice's nodes, and tie nodes of almost no mass.
 
 `pool` holds the forces of all workers: the forces of worker w are for nodes `low[w]` to `high[w]`,
-and begin at `begin[w]`. `donor_*` and `tied_*` are the ties as sparse matrices: the tied nodes that
-each node carries, and the nodes that carry each tied node.
+and begin at `begin[w]`. The ties are stored as two sparse matrices: `donor_*` lists the tied nodes
+that each node carries, and `tied_*` lists the nodes that carry each tied node.
 """
 
 from functools import cache

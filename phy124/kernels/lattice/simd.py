@@ -1,7 +1,8 @@
 """The kernels of lattice/stress.py for neo-Hookean bodies on the vector units of a CPU.
 
-A thread processes sixteen cells. `packed` holds, for each block of sixteen cells and each of their
-eight points, sixteen numbers of each kind: three of `offset`, the volume, and the density.
+A thread processes a block of sixteen cells. A cell has eight integration points, and a point has
+five constants: the three components of `offset`, the volume and the density. `packed`
+[blocks,8,5,16] stores each constant of each point for all sixteen cells of a block in a row.
 """
 
 from functools import cache

@@ -14,7 +14,9 @@ from phy124.kernels.build import kernel
 TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
 """Modification of MIC(0), and the share of the diagonal below which it is not used."""
 RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
-"""Rows of sums: largest residual, largest right side, and s A s. Rows 0 and 1 are r M r, in turn.
+"""Rows of sums: largest residual, largest right-hand side, and s A s.
+
+Rows 0 and 1 are r M r, in turn.
 """
 RIGID = wp.constant(5)
 """First of six rows: force and moment J^T s of a vector s on a free solid (see `solids`)."""

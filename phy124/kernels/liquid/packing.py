@@ -1,9 +1,10 @@
-"""Density at rest: displacements that move particles from crowded cells into empty ones.
+"""Compute displacements from crowded cells into empty ones, which restore the rest density.
 
-The error of the density is the right side of the pressure equation's matrix, and the displacement
-is the gradient of its solution (Kugelstadt et al. 2019, "Implicit density projection for volume
-conserving liquids"). Below the surface only excess density counts. In the first row below the
-surface, the density is compared with the density below a flat surface.
+The displacements are the gradient of the solution of a linear system. Its matrix is that of the
+pressure equation, and its right-hand side is the error of the density (Kugelstadt et al. 2019,
+"Implicit density projection for volume conserving liquids"). Below the surface only excess density
+counts. In the first row below the surface, the density is compared with the density below a flat
+surface.
 """
 
 from functools import cache

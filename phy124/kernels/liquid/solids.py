@@ -2,9 +2,9 @@
 
 Let J (V, w) be the flux out of each cell through the surface of a solid with velocity V and angular
 velocity w. The pressure's impulse on the solid is rho dx^3 J^T q, so the pressure equation becomes
-(A + rho dx^3 J M^-1 J^T) q = right side, with the solid's mass and inertia M (Batty, Bertails and
-Bridson 2007). The added matrix has rank six: conjugate gradients sum J^T s and apply the mobility
-rho dx^3 M^-1 in each iteration (`conjugate`).
+(A + rho dx^3 J M^-1 J^T) q = b, with the solid's mass and inertia M (Batty, Bertails and Bridson
+2007). The added matrix has rank six: conjugate gradients sum J^T s and apply the mobility rho dx^3
+M^-1 in each iteration (`conjugate`).
 
 A cell's pressure acts at its centre. The weight of the liquid between centre and surface is added,
 without which buoyancy would jump when the solid's bottom passes a layer of centres.

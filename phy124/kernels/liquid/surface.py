@@ -17,7 +17,7 @@ from phy124.kernels.liquid.walls import SHUT
 
 @wp.func
 def depth(fill: Any):
-    """Return the depth below a flat surface [cells] at which a quadratic B-spline has this fill.
+    """Return how deep [cells] below a flat surface a quadratic B-spline with this fill is centred.
 
     The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and
     1/2, and 1 - (3/2 - T)^3 / 6 above.

@@ -394,7 +394,7 @@ def make_push_out(shape: str, real: Any):
 
     @wp.func
     def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return a velocity after a wall of velocity u has stopped its normal part."""
+        """Return velocity v after a wall of velocity u has stopped the motion into the wall."""
         along = wp.dot(v - u, normal)
         if along >= real(0.0):
             return v

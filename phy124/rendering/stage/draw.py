@@ -52,7 +52,13 @@ class Surroundings:
         self._counts = wp.zeros(3, dtype=int, device="cpu")
 
     def look(self, shown: StageFrame, view: Any, means: Array) -> None:
-        """Upload a stage and sort its solids for a `screen.View` and Gaussians at means [N,3]."""
+        """Upload a stage, and sort its solids into those before, among and behind the Gaussians.
+
+        Args:
+            shown: The stage.
+            view: The view, a `screen.View`.
+            means: Positions of the Gaussians [N,3], m.
+        """
         count, uploaded = len(shown.solids), self._uploaded.get(shown)
         if uploaded is None:
             uploaded = self._uploaded[shown] = Uploaded(shown, self.device)

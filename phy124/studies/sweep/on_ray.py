@@ -89,7 +89,7 @@ class _Tasks:
                 self.ray.cancel(task, force=True)
 
     def _most(self) -> int:
-        """Return the maximum number of submitted tasks, from the current size of the cluster."""
+        """Return how many tasks may be submitted at a time, for the current number of CPUs."""
         return AHEAD * max(1, int(self.ray.cluster_resources().get("CPU", 1)))
 
     def _reserve(self, order: Order) -> dict[str, float]:

@@ -179,10 +179,10 @@ class Vortex:
     material: NeoHookean = NeoHookean(E=1000.0, nu=0.3, density=1000.0)  # noqa: RUF009
 
     def angle(self, radius: Array, time: float) -> Array:
-        """Return the exact angle by which the circle of a radius has rotated [rad].
+        """Return the exact angle [rad] by which each circle has rotated.
 
         Args:
-            radius: Radii [m].
+            radius: Radii of the circles [m].
             time: Time [s].
         """
         s = (radius - (self.inner + self.outer) / 2) / (self.outer - self.inner)

@@ -75,7 +75,7 @@ class Row:
     energy_lost: float
     """Energy that was lost, as a fraction of the energy supplied."""
     lost_to: dict[str, float] | None
-    """The energy loss by cause (material, contact, numerical); None if it cannot be split."""
+    """The energy lost to each cause (material, contact, numerical); None if it cannot be split."""
     angular_momentum_lost: float | None
     """Relative change of the angular momentum; None if forces or walls may change it."""
     from_finest: Difference | None = None

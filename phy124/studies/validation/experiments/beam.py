@@ -129,7 +129,8 @@ def make_band(
 ) -> tuple[Quantity, ...]:
     """Return the tip deflection for each load, with its band.
 
-    The band extends from a slender beam to a beam with twice the shear of this beam.
+    The band extends from the deflection of a slender beam to that of a beam with twice as much
+    shear deflection as this beam.
 
     Args:
         loads: Dimensionless loads.
@@ -187,9 +188,9 @@ def measure_drops(
 
 
 def _steps(loads: Sequence[float], hold: float) -> Keyframes:
-    """Return a profile with the duration `hold` per load [s].
+    """Return a profile that applies the loads one after another, each for the time `hold` [s].
 
-    In the first third of this duration, the factor rises to the load. It then stays constant.
+    In the first third of this time, the factor rises to the load. It then stays constant.
     """
     times, factors = [0.0], [0.0]
     for number, load in enumerate(loads):

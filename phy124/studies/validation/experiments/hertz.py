@@ -88,8 +88,8 @@ def publish() -> tuple[Quantity, ...]:
 def turning_time(of: Law) -> float:
     """Return the turning time of a bouncing ball with a force law, relative to Hertz's law.
 
-    The turning time is the time between half the initial speed downwards and half the initial speed
-    upwards.
+    The turning time starts when the ball still moves down at half its initial speed, and ends when
+    the ball moves up at half its initial speed.
     """
     depth = restitution.SHALLOW
     turning = [restitution.solve_theory(0.0, depth, law).turning for law in (of, Law(0.0))]

@@ -62,7 +62,10 @@ def run_out(aspect: float, law: tuple[float, float, float]) -> float:
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the run-out of each column, with a band between sand (Lube) and glass (Lajeunesse)."""
+    """Return the run-out of each column by Lube's law for sand, with a band.
+
+    The band extends from 0.9 times this run-out to the run-out by Lajeunesse's law for glass beads.
+    """
     quantities = []
     for aspect in ASPECTS:
         low, high = run_out(aspect, LUBE), run_out(aspect, LAJEUNESSE)
