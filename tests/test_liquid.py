@@ -6,10 +6,12 @@ import pytest
 from phy124.boundaries import Box, Container, HalfSpace, Path
 from phy124.budget.cost import count_substeps
 from phy124.budget.effects import Effects
+from phy124.budget.remedies import find_speedups
 from phy124.errors import InputError
 from phy124.forces import Gravity
 from phy124.liquid import LiquidSolver
 from phy124.materials import Fluid
+from phy124.monitor.diagnostics import describe_substep
 from phy124.mpm import FreeBody, Model, State
 from phy124.mpm.tracks import Sine
 from phy124.runtime.context import RunContext
@@ -288,3 +290,11 @@ def test_projection_refuses_what_it_cannot_compute(changes, field):
     with pytest.raises(InputError, match=r"liquid = compressible") as error:
         prepare(ball(), scene)
     assert error.value.field == field
+
+
+def test_slow_liquid_is_described_with_a_remedy():
+    solver = run(liquid(block((0, 0, 0), (1, 1, 0.25), 8), 8, [TANK]), 1)
+    assert solver.clock.stable().limiter == "wave"
+    sentence = describe_substep(solver.model, solver.state, solver.clock)
+    assert "limited by the waves on its surface" in sentence
+    assert find_speedups(Scene.named("water"), "wave", 0.5)

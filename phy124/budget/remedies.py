@@ -113,6 +113,7 @@ SLOW = {
     "gradient": ("push",),
     "viscous": ("friction",),
     "user": ("ceiling",),
+    "wave": (),
 }
 """Limit that determines the substep -> keys of `REMEDIES` that lengthen the substep."""
 

@@ -30,6 +30,7 @@ LIMITS = {
     "gradient": "its rate of strain",
     "viscous": "its viscosity or damping",
     "user": "time.substep",
+    "wave": "the waves on its surface",
 }
 """Phrase for messages by limit of the substep."""
 
