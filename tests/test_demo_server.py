@@ -126,7 +126,8 @@ def test_health_and_static_files(server):
 
 def test_address_is_printed_at_once(server):
     """The log is a file, and the server still runs; Gradio's advice to share is not printed."""
-    assert f"The page is at {server.url}/\n" in server.log.read_text("utf-8")
+    line = f"The page is at {server.url}/\n"
+    server.until(lambda: line in server.log.read_text("utf-8"), "the line with the address")
     assert "share" not in server.log.read_text("utf-8")
 
 

@@ -104,6 +104,11 @@
   /* ---- the forecast, and its button that measures the error of the scene ------------------- */
 
   function forecast(element, trigger) {
+    // A new forecast replaces the details that the visitor has opened.
+    let open = false;
+    element.addEventListener('toggle', ({ target }) => { open = target.open; }, true);
+    const reopen = () => { for (const details of element.querySelectorAll('details')) if (open) details.open = true; };
+    new MutationObserver(reopen).observe(element, { childList: true, subtree: true });
     element.addEventListener('click', (event) => {
       // While something runs it does nothing, as Generate.
       if (event.target.closest('[data-measure]') && !document.querySelector('#go').disabled) trigger('measure');
