@@ -266,12 +266,14 @@ class Boundary(Section):
     def _updater(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
         """Return the recorder of a flat wall together with the grid update."""
         moving, bounds = slot is not None, self._swept_bounds(model)
-        kernel = make_contact(self.outline(), self.response(), moving, model.real, updating=True)
 
         def record(grid: Grid) -> wp.Launch | None:
             start, extent = grid.nodes_within(*bounds)
             if not extent.all():
                 return None
+            # Made here, since most runs on a CPU never need this kernel.
+            shape, response = self.outline(), self.response()
+            kernel = make_contact(shape, response, moving, model.real, updating=True)
             box = [wp.vec3i(*corner.tolist()) for corner in (start, extent)]
             inputs = [*self._wall(model, slot), *box, *_columns(model, grid), grid.lattice]
             inputs += [grid.window, tracks.clock, tracks.values, tracks.rates, grid.momenta]
