@@ -104,11 +104,17 @@
   /* ---- the forecast, and its button that measures the error of the scene ------------------- */
 
   function forecast(element, trigger) {
-    // A new forecast replaces the details that the visitor has opened.
+    // A new forecast closes the details that the visitor or the server has opened. Setting `open` again where it
+    // is set would call the observer for ever.
     let open = false;
-    element.addEventListener('toggle', ({ target }) => { open = target.open; }, true);
-    const reopen = () => { for (const details of element.querySelectorAll('details')) if (open) details.open = true; };
-    new MutationObserver(reopen).observe(element, { childList: true, subtree: true });
+    const reopen = () => { const details = element.querySelector('details'); if (open && details && !details.open) details.open = true; };
+    new MutationObserver(reopen).observe(element, { childList: true, subtree: true, attributeFilter: ['open'] });
+    element.addEventListener('toggle', ({ target }) => { open ||= target.open; }, true);
+    document.addEventListener('click', ({ target }) => {
+      if (!element.contains(target)) open = false;
+      else if (target.closest('summary')) open = !target.closest('details').open;
+    }, true);
+    document.addEventListener('keydown', ({ key }) => { if (key === 'Escape') open = false; }, true);
     element.addEventListener('click', (event) => {
       // While something runs it does nothing, as Generate.
       if (event.target.closest('[data-measure]') && !document.querySelector('#go').disabled) trigger('measure');

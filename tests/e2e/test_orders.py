@@ -231,6 +231,7 @@ def test_the_forecast_is_that_of_the_last_scene(visit):
         "(before) => document.querySelector('#forecast').textContent !== before",
         arg=before,
     )  # fmt: skip
+    page.locator("#forecast summary").click()
     waits = False
     answers[0][0].fulfill(response=answers[0][1])
     _until(visit, answers, 2)
@@ -240,6 +241,7 @@ def test_the_forecast_is_that_of_the_last_scene(visit):
         " return document.querySelector('#forecast').textContent.includes(e.textContent); }",
         arg=last,
     )  # fmt: skip
+    assert page.locator("#forecast details[open]").count() == 1, "as the visitor left it"
     page.unroute_all(behavior="wait")
 
 
