@@ -16,6 +16,9 @@ FAREWELL = 2.0
 """Longest time that an ending publisher waits for acknowledgements of the last frames [s]."""
 STEP = 0.02
 """Longest wait between two updates of the clock, in which Ctrl-C is noticed, too [s]."""
+IN_BUFFERS = 1 << 20
+"""Unacknowledged data that is assumed to have arrived [bytes]: acknowledgements may take 100 ms
+(Cyclone's heartbeat), and this much fits into the default buffers of a subscriber."""
 log = logging.getLogger(__name__)
 
 
@@ -23,7 +26,12 @@ class Delivery:
     """Counts the frames that reliable subscribers have not acknowledged."""
 
     def __init__(
-        self, acknowledged: Callable[[float], bool], depth: int, meanwhile: Callable[[], None]
+        self,
+        acknowledged: Callable[[float], bool],
+        depth: float,
+        meanwhile: Callable[[], None],
+        *,
+        patient: bool = True,
     ) -> None:
         """Start without sent frames.
 
@@ -32,28 +40,37 @@ class Delivery:
                 acknowledged, which is true without reliable subscribers.
             depth: Number of frames that the writer keeps.
             meanwhile: Called repeatedly while waiting.
+            patient: Whether a frame waits before it displaces another one.
         """
         self.lost = 0
         """Number of frames that at least one subscriber may not have received."""
         self._acknowledged, self._depth, self._meanwhile = acknowledged, depth, meanwhile
-        self._open = 0  # frames sent since the last time that all were acknowledged
-        self._stuck = False
+        # Frames, bytes and counted losses since the last time that all were acknowledged.
+        self._open = self._bytes = self._missed = 0
+        self._patient, self._stuck = patient, not patient
 
-    def before_frame(self) -> None:
-        """Wait if the next frame would displace one; a hanging subscriber delays only one frame."""
-        full = self._open >= self._depth
+    def before_frame(self, size: int) -> None:
+        """Wait if the next frame would displace one; a hanging subscriber delays only one frame.
+
+        Args:
+            size: Size of the frame [bytes].
+        """
+        full = self._open >= self._depth and self._bytes + size > IN_BUFFERS
         if self._within(LONGEST_WAIT if full and not self._stuck else 0.0):
-            self._open, self._stuck = 0, False
+            self._open = self._bytes = self._missed = 0
+            self._stuck = not self._patient
         elif full:
             self._stuck = True
+            self._missed += 1
             self.lost += 1
         self._open += 1
+        self._bytes += size
 
     def farewell(self) -> None:
         """Wait for up to `FAREWELL` until the last frames have arrived; log missing frames."""
         if not self._open or self._within(FAREWELL):
             return
-        missing = min(self._open, self._depth)
+        missing = self._open - self._missed
         self.lost += missing
         log.warning(
             "A subscriber has not acknowledged the last frames for %g "

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, get_args
 from xml.sax.saxutils import quoteattr
@@ -22,6 +24,8 @@ RANGE, PEERS, LOCALHOST_ONLY, DOMAIN = (
     "ROS_LOCALHOST_ONLY",
     "ROS_DOMAIN_ID",
 )
+URI = "CYCLONEDDS_URI"
+"""Variable with Cyclone's settings: XML, or the address of a file."""
 LAST_DOMAIN = 232
 """Largest DDS domain number, limited by the range of port numbers."""
 # Only `max`: with `min`, the publisher would not start on hosts with a small rmem_max.
@@ -143,6 +147,22 @@ def _range() -> Range:
 
 def _peers() -> tuple[str, ...]:
     return tuple(filter(None, map(str.strip, os.environ.get(PEERS, "").split(";"))))
+
+
+@contextmanager
+def tuned_cyclone() -> Iterator[None]:
+    """Within this context, a domain of Cyclone DDS that rclpy creates has the settings `BUFFERS`.
+
+    A user's CYCLONEDDS_URI takes precedence. Other middlewares ignore the variable.
+    """
+    if URI in os.environ:
+        yield
+        return
+    os.environ[URI] = _xml(BUFFERS)
+    try:
+        yield
+    finally:
+        del os.environ[URI]
 
 
 def _xml(inner: str) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 from phy124.errors import InputError
 
+from .discovery import tuned_cyclone
 from .topics import NAMESPACE, PLAYER
 
 
@@ -25,8 +26,10 @@ def ros_node(args: list[str] | None = None, name: str = PLAYER) -> Iterator[Any]
 
     try:
         # ROS's own signal handlers would end its context before the last frames have arrived.
-        _start(lambda: rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO))
-        node = _start(lambda: Node(name, namespace=NAMESPACE))
+        no_handlers = SignalHandlerOptions.NO
+        with tuned_cyclone():
+            _start(lambda: rclpy.init(args=args, signal_handler_options=no_handlers))
+            node = _start(lambda: Node(name, namespace=NAMESPACE))
         try:
             with logged_by(node):
                 yield node

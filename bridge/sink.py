@@ -58,10 +58,11 @@ class LiveSink(Sink, Protocol):
     monotonic: bool = True
     """True if time must not decrease; otherwise time jumps at each loop and seek."""
 
-    def listen(self, seconds: float, obey: Obey) -> None:
+    def listen(self, seconds: float, obey: Obey) -> bool | None:
         """Wait for a command for up to `seconds`, and pass it to `obey`.
 
-        Only this method may run in another thread than `write`.
+        Only this method may run in another thread than `write`. Returns whether something was read
+        and more may be waiting.
         """
         del obey
         time.sleep(seconds)

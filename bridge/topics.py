@@ -59,7 +59,7 @@ DIAGNOSTICS = Topic(
 COMMAND = Topic("/phy124/command", "std_msgs/msg/String", depth=10, transient_local=False)
 """Subscribed to, not published; `live.command` defines the commands."""
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", depth=100, transient_local=False)
-PUSH = Topic("~/push", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False)
+PUSH = Topic("~/push", "geometry_msgs/msg/WrenchStamped", depth=64, transient_local=False)
 GRAB = Topic("~/grab", "geometry_msgs/msg/PointStamped", depth=10, transient_local=False)
 """Topics to which a steered run subscribes."""
 FACTOR = Topic("~/real_time_factor", "std_msgs/msg/Float64", depth=1)
@@ -118,5 +118,7 @@ class Controls:
     """Receives a sentence about a refusal."""
     clock: bool = False
     """Whether /clock is published."""
+    patient: bool = True
+    """Whether frames wait for slow subscribers, which delays the program that computes them."""
     values: Callable[[], Mapping[str, Any]] = dict
     """Returns values of the diagnostics in addition to the state of playback."""

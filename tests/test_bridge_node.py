@@ -136,7 +136,7 @@ def test_the_parameters_follow_what_services_do(ros, tmp_path):
         5,
         [
             lambda made: made.call("~/set_rate", rate=3.0),
-            lambda made: made.subscriptions["command"][1](SimpleNamespace(data="loop off")),
+            lambda made: made.subscriptions["command"].callback(SimpleNamespace(data="loop off")),
         ],
     )
     assert made.get_parameter("speed").value == 3.0

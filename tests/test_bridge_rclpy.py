@@ -1,5 +1,6 @@
 """The rclpy sink and the nodes against a recording double; none of this has run on ROS here."""
 
+import os
 from types import SimpleNamespace
 
 import pytest
@@ -10,12 +11,14 @@ from bridge.options import Options
 from bridge.player import Player
 from bridge.reports import CLOCK_RATE
 from bridge.sinks.rclpy import RclpySink, require_rclpy
+from bridge.steering.loop import FLOOD, _Listening, controls
 from bridge.topics import POINTS, PUSH, Controls, Message, Service, contact
 from phy124.errors import InputError
 from support import ros_double
 from support.clips import random_clip
 from support.ros_double import POLICIES, Node
 from support.ros_messages import clouds, decoded, statuses, values
+from support.steered import OPTIONS, steered, transform, wrench
 
 FOREVER = 1000
 """Spins after which a test's script gives up."""
@@ -40,9 +43,10 @@ def test_topics_qos_and_bytes(ros):
         "/diagnostics": 0,
         "~/status": 0,
     }
+    profiles = {topic: publisher.qos_profile for topic, publisher in made.publishers.items()}
     qos = {
-        topic: (p.qos.history.name, p.qos.depth, p.qos.reliability.name, p.qos.durability.name)
-        for topic, p in made.publishers.items()
+        topic: (q.history.name, q.depth, q.reliability.name, q.durability.name)
+        for topic, q in profiles.items()
     }
     assert qos["points"] == ("KEEP_LAST", 5, "RELIABLE", "TRANSIENT_LOCAL")
     assert qos["/tf_static"] == ("KEEP_LAST", 1, "RELIABLE", "TRANSIENT_LOCAL")
@@ -94,6 +98,7 @@ def test_the_last_frames_are_waited_for_on_every_way_out(ros):
 def test_frames_that_were_not_acknowledged_are_counted(ros, monkeypatch):
     monkeypatch.setattr(delivery, "LONGEST_WAIT", 0.3)
     monkeypatch.setattr(delivery, "FAREWELL", 0.2)
+    monkeypatch.setattr(delivery, "IN_BUFFERS", 0)
     waited = []
     with RclpySink() as sink:
         made = ros.nodes[0]
@@ -110,9 +115,88 @@ def test_frames_that_were_not_acknowledged_are_counted(ros, monkeypatch):
     assert sink._delivery.lost == 4 + 5
 
 
+class Clock:
+    """Time that passes only while somebody sleeps [s]."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def monotonic(self):
+        return self.now
+
+    perf_counter = time = monotonic
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The time of the double and of what waits for it."""
+    clock = Clock()
+    waiting = ("bridge.delivery", "bridge.steering.loop")
+    for module in (*waiting, "support.ros_double", "support.ros_double.node"):
+        monkeypatch.setattr(f"{module}.time", clock)
+    return clock
+
+
+def heard_by_one(ros, topic):
+    """Let somebody subscribe as soon as the first callback runs."""
+    ros.script.append(lambda made: setattr(made.publishers[topic], "subscriptions", 1))
+
+
+STREAMS = {
+    "splats": (30, 30, 2, "splats"),
+    "4,096 points at 60 Hz": (90, 60, 4096, "viz"),
+    "4,096 points at 120 Hz": (90, 120, 4096, "viz"),
+}
+
+
+@pytest.mark.parametrize("settings", ["", "<CycloneDDS/>"])
+@pytest.mark.parametrize("case", STREAMS)
+def test_acknowledgements_do_not_limit_the_rate(case, settings, ros, clock, monkeypatch):
+    """Also with the settings of a user, which leave Cyclone's heartbeat at 100 ms."""
+    frames, fps, count, profile = STREAMS[case]
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    if settings:
+        monkeypatch.setenv("CYCLONEDDS_URI", settings)
+    clip = random_clip(frames=frames, fps=fps, count=count)
+    player = Player(clip.times)
+    with RclpySink(Options(profile=profile)) as sink:
+        assert ros.nodes[0].heartbeat == (0.1 if settings else 0.01)
+        heard_by_one(ros, sink._encoder.main.name.removeprefix("/phy124/"))
+        live.play(clip, sink, player, clock=clock.monotonic)
+    assert (player.shown, player.dropped, sink._delivery.lost) == (frames, 0, 0)
+    assert os.environ.get("CYCLONEDDS_URI", "") == settings
+
+
+def test_frames_larger_than_the_buffers_wait_for_heartbeats(ros, clock, monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS/>")
+    clip = random_clip(frames=12, fps=1000, count=20_000)
+    with RclpySink(Options(profile="viz")) as sink:
+        ros.nodes[0].publishers["points"].subscriptions = 1
+        start = clock.now
+        for frame in clip.frames():
+            sink.write(frame)
+    assert clock.now - start > 0.2 and sink._delivery.lost == 0
+
+
+def test_depth_of_the_overrides_is_the_depth_of_the_delivery(ros, clock):
+    Node.parameters = {"qos_overrides./phy124/points.publisher.depth": 9}
+    with RclpySink(Options(profile="viz")) as sink:
+        ros.nodes[0].publishers["points"].acked = False
+        waited = []
+        for frame in random_clip(frames=11, count=20_000).frames():
+            before = clock.now
+            sink.write(frame)
+            waited.append(clock.now > before)
+    assert waited == [False] * 9 + [True, False]
+
+
 def test_the_clock_ticks_while_a_frame_waits_for_acknowledgement(ros, monkeypatch):
     monkeypatch.setattr(delivery, "LONGEST_WAIT", 0.2)
     monkeypatch.setattr(delivery, "FAREWELL", 0.0)
+    monkeypatch.setattr(delivery, "IN_BUFFERS", 0)
     clip = random_clip(frames=6)
     with RclpySink(clock=True) as sink:
         made = ros.nodes[0]
@@ -142,7 +226,7 @@ def test_services_and_topic_command_playback(ros):
         call("~/set_rate", rate=2.0),
         call("~/set_rate", rate=0.0),
         call("~/restart"),
-        lambda made: made.subscriptions["command"][1](at(data="speed 100")),
+        lambda made: made.subscriptions["command"].callback(at(data="speed 100")),
         call("~/play"),
     ]
     player = Player(clip.times)
@@ -234,7 +318,7 @@ def test_refused_services_say_why(ros):
     ros.script += [
         lambda made: made.call("~/pause"),
         lambda made: refused.append(made.call("~/play")),
-        lambda made: made.subscriptions["command"][1](SimpleNamespace(data="dance")),
+        lambda made: made.subscriptions["command"].callback(SimpleNamespace(data="dance")),
     ]
     with RclpySink() as sink:
         live.play(clip, sink, Player(clip.times))
@@ -277,7 +361,7 @@ def test_a_steered_run_has_its_topics_and_the_standard_services(ros):
     with RclpySink(Options(epoch=1.0), controls=offered) as sink:
         (made,) = ros.nodes
         sink.send(Message(contact("ground"), 0, b"bytes"))
-        made.subscriptions["~/push"][1]("a wrench")
+        made.subscriptions["~/push"].callback("a wrench")
         response = SimpleNamespace(result=ros_double.simulation_result())
         kind, serve = made.services["~/step_simulation"]
         serve(SimpleNamespace(steps=3), response)
@@ -325,3 +409,65 @@ def test_without_simulation_interfaces_there_are_triggers(ros, monkeypatch):
         assert {"~/play", "~/pause", "~/step", "~/reset"} <= ros.nodes[0].services.keys()
     assert asked == ["next", "restart"]
     assert "apt install" in "".join(text for _, text in ros.nodes[0].logger.lines)
+
+
+@pytest.fixture
+def listening(ros, clock):
+    """A run that is steered over rclpy, and what it reads before a frame."""
+    run = steered()
+    offered = controls(run, "", action=False)
+    with RclpySink(OPTIONS, controls=offered) as sink:
+        yield run, _Listening(run, sink), ros.nodes[0], clock
+
+
+def ages(listening, *, hz, frame, frames=60):
+    """Age of the newest pose that is used in each frame, which takes `frame` seconds [s]."""
+    run, reading, made, clock = listening
+    found, sent = [], clock.now
+    for _ in range(frames):
+        clock.sleep(frame)
+        while sent + 1 / hz <= clock.now:
+            sent += 1 / hz
+            made.hear("/tf", transform("map", "tool", (sent, 0, 0)))
+        before = clock.now
+        reading.briefly()
+        assert clock.now - before < max(0.03, 0.5 * frame), "reading takes too long"
+        _, place = run.inputs._transforms._links["tool"]
+        found.append(clock.now - place[0, 3])
+    return found
+
+
+@pytest.mark.parametrize("frame", [1 / 12, 1.0])
+def test_poses_are_fresh_when_the_run_is_slow(listening, frame):
+    assert max(ages(listening, hz=100, frame=frame)) < 0.06
+    assert not listening[0].remarks.count
+
+
+def test_a_flood_of_poses_is_read_for_a_bounded_time(listening):
+    assert max(ages(listening, hz=7000, frame=1 / 24)) < 0.06
+    assert listening[0].remarks.last == FLOOD
+
+
+def test_twenty_wrenches_at_once_all_act(listening):
+    run, reading, made, _ = listening
+    run.advance()
+    frames = [f"f{number}" for number in range(20)]
+    for name in frames:
+        made.hear("/tf", transform("phy124", name, (0, 0, 0.5)))
+        made.hear("~/push", wrench((1, 0, 0), frame=name))
+    reading.briefly()
+    run.advance()
+    assert sum(force.kind == "wrench" for force in run.live.session().forces) == 20
+    assert not run.remarks.count
+    made.hear("~/push", *(wrench((1, 0, 0)) for _ in range(65)))
+    reading.briefly()
+    assert run.remarks.last == FLOOD
+
+
+def test_live_frames_do_not_wait_for_subscribers(listening, ros):
+    _, reading, made, clock = listening
+    points = made.publishers["points"]
+    points.acked, before = False, clock.now
+    for frame in random_clip(frames=12, count=30_000).frames():
+        reading._sink.write(frame)
+    assert clock.now == before and reading._sink._delivery.lost == 7

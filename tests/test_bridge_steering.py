@@ -171,7 +171,7 @@ BAD = {
         "its own parent",
     ),
     "many frames": (
-        lambda i: [i.push(wrench((1, 0, 0), frame=f"f{n}")) for n in range(17)],
+        lambda i: [i.push(wrench((1, 0, 0), frame=f"f{n}")) for n in range(33)],
         "at once",
     ),
 }

@@ -202,7 +202,7 @@ def test_what_is_too_much_is_made_smaller_and_said():
     for frame in run.frames(5):
         assert np.isfinite(frame.gaussians.means).all()
     assert len(run.notes) == 2 and "reduced to the limit" in run.notes[0]
-    for _ in range(14):
+    for _ in range(30):
         run.push((1, 0, 0), seconds=9)
     run.push((1, 0, 0), seconds=9)
     with pytest.raises(InputError, match="push"):

@@ -20,7 +20,7 @@ from phy124.runtime.installation import install_command
 
 from ..cdr import ENCAPSULATION, encode
 from ..delivery import Delivery
-from ..discovery import Discovery
+from ..discovery import URI, Discovery
 from ..encoder import FrameEncoder
 from ..messages import HASHES
 from ..options import Options
@@ -31,11 +31,10 @@ from ..topics import COMMAND, NAMESPACE, Controls, Hear, Message, Service, Topic
 DISCOVERY = Topic("ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo", depth=1)
 MANY = 1000
 """Largest number of participants whose nodes are examined."""
-URI = "CYCLONEDDS_URI"
 log = logging.getLogger(__name__)
 DEPTH = 10
-AT_ONCE = 4
-"""Largest number of requests that are answered before the next service has its turn."""
+AT_ONCE = 16
+"""Largest number of messages or requests of a topic that are read before the next topic."""
 HEADER = struct.Struct("<Qq")
 """Client identity and request number; 16 bytes, which keeps the following members aligned."""
 
@@ -76,7 +75,10 @@ class DdsSink:
             values=self._controls.values,
         )
         self._delivery = Delivery(
-            self._wait_acknowledged, self._encoder.main.depth, self._reports.send_due
+            self._wait_acknowledged,
+            self._encoder.main.depth,
+            self._reports.send_due,
+            patient=self._controls.patient,
         )
 
     def __enter__(self) -> DdsSink:
@@ -122,23 +124,27 @@ class DdsSink:
     def write(self, frame: Frame) -> None:
         """Publish a frame."""
         messages = self._encoder.encode(frame)
-        self._delivery.before_frame()
+        self._delivery.before_frame(len(messages[0].data))
         for message in messages:
             self.send(message)
 
-    def listen(self, seconds: float, obey: Obey) -> None:
-        """Wait for messages and requests, and carry them out."""
+    def listen(self, seconds: float, obey: Obey) -> bool:
+        """Wait for messages and requests, and carry them out; return whether more may wait."""
         self._obey = obey
         self._reports.send_due()
         wait = min(seconds, self._reports.wait())
         if wait > 0:
             self._waitset.wait(int(wait * 1e9))
+        more = False
         for reader, hear in self._heard:
-            for sample in reader.take(16):
+            samples = reader.take(AT_ONCE)
+            more = more or len(samples) == AT_ONCE
+            for sample in samples:
                 # An invalid sample means that a publisher has left.
                 if sample.sample_info.valid_data:
                     hear(sample)
         self._services.serve()
+        return more
 
     def show(self, playback: Playback) -> None:
         """Publish the status."""

@@ -109,8 +109,11 @@ class FoxgloveSink:
         self._latest = self._encoder.encode(frame)
         self._log(self._latest)
 
-    def listen(self, seconds: float, obey: Obey) -> None:
-        """Carry out the viewers' commands, and send new viewers the transform and latest frame."""
+    def listen(self, seconds: float, obey: Obey) -> bool:
+        """Carry out the viewers' commands, and send new viewers the transform and latest frame.
+
+        Returns whether more commands are waiting.
+        """
         if self._reports:
             self._reports.send_due()
             seconds = min(seconds, self._reports.wait())
@@ -118,6 +121,7 @@ class FoxgloveSink:
             job = self._jobs.get(timeout=seconds) if seconds else self._jobs.get_nowait()
             job(obey)
         self.clients.hear(obey)
+        return not self._jobs.empty()
 
     def show(self, playback: Playback) -> None:
         """Send the state of playback to the viewers."""

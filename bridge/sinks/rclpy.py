@@ -9,6 +9,7 @@ fields is slow. Names are relative to the namespace `phy124`, which allows remap
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -26,7 +27,7 @@ from ..reports import Audience, Reports
 from ..ros_node import ros_node
 from ..services import Services, offer_standard
 from ..sink import Obey, Playback
-from ..topics import COMMAND, NAMESPACE, Controls, Message, Topic
+from ..topics import COMMAND, NAMESPACE, Controls, Hear, Message, Topic
 
 
 class RclpySink:
@@ -65,6 +66,7 @@ class RclpySink:
         self._playback: Playback | None = None
         self._obey: Obey = self._remember
         self._values: dict[str, Any] = {}  # state of playback, by parameter
+        self._received = 0  # messages on all subscribed topics
         self._wishes: list[str] = []  # commands that came before the start of playback
 
     def __enter__(self) -> RclpySink:
@@ -83,17 +85,21 @@ class RclpySink:
                 clock=controls.clock,
                 values=controls.values,
             )
-            tick = self._reports.send_due
-            self._delivery = Delivery(self._wait_acknowledged, self._encoder.main.depth, tick)
             topics = [*self._encoder.topics, *self._reports.topics, *controls.published]
             self._publishers = {topic.name: self._publisher(topic) for topic in topics}
+            self._delivery = Delivery(
+                self._wait_acknowledged,
+                self._depth(),
+                self._reports.send_due,
+                patient=controls.patient,
+            )
             for message in self._encoder.static():
                 self.send(message)
             Services(self._node, self._ask, lambda: self._playback)
             offer_standard(self._node, controls, self._ask)
             for topic, hear in {COMMAND: self._heard, **controls.heard}.items():
                 self._node.create_subscription(
-                    message_class(topic.type), relative(topic), hear, quality(topic)
+                    message_class(topic.type), relative(topic), self._count(hear), quality(topic)
                 )
             self._executor = SingleThreadedExecutor(context=self._node.context)
             stack.callback(self._executor.shutdown)
@@ -117,18 +123,23 @@ class RclpySink:
         """Publish a frame."""
         messages = self._encoder.encode(frame)
         with self._until_shutdown():
-            self._delivery.before_frame()
+            self._delivery.before_frame(len(messages[0].data))
         for message in messages:
             self.send(message)
 
-    def listen(self, seconds: float, obey: Obey) -> None:
-        """Spin the node for up to `seconds`; raises KeyboardInterrupt if ROS shuts down."""
+    def listen(self, seconds: float, obey: Obey) -> bool:
+        """Spin the node for up to `seconds`; raises KeyboardInterrupt if ROS shuts down.
+
+        A spin runs at most one callback. Returns whether it received a message.
+        """
         self._obey = obey
         while self._wishes:
             obey(self._wishes.pop(0))
         self._reports.send_due()
+        before = self._received
         with self._until_shutdown():
             self._executor.spin_once(timeout_sec=min(seconds, self._reports.wait()))
+        return self._received > before
 
     def show(self, playback: Playback) -> None:
         """Publish the status, and update the parameters."""
@@ -166,6 +177,13 @@ class RclpySink:
     def _ask(self, text: str) -> str | None:
         return self._obey(text)
 
+    def _count(self, hear: Hear) -> Hear:
+        def count_and_hear(message: Any) -> None:
+            self._received += 1
+            hear(message)
+
+        return count_and_hear
+
     def _heard(self, message: Any) -> None:
         self._obey(message.data)
 
@@ -180,6 +198,11 @@ class RclpySink:
         return self._publishers[self._encoder.main.name].wait_for_all_acked(
             Duration(seconds=seconds)
         )
+
+    def _depth(self) -> float:
+        """Return the number of frames that the writer keeps, after `qos_overrides`."""
+        profile = self._publishers[self._encoder.main.name].qos_profile
+        return math.inf if profile.history.name == "KEEP_ALL" else profile.depth
 
     def _say_goodbye(self) -> None:
         """Wait for the last frames, unless ROS has already been shut down."""

@@ -24,7 +24,7 @@ import logging
 import math
 import time
 
-MOST = 16
+MOST = 32
 """Largest number of coordinate frames with a wrench between two frames of the run."""
 READER_DEPTH = 100
 """Depth of the reader of /tf_static, because each publishing node has a message there."""
@@ -63,6 +63,8 @@ class Inputs:
         self._pushes: dict[str, Any] = {}
         self._grab: Any = None
         self._let_go = False
+        self.wrenches = 0
+        """Number of wrenches received so far."""
         if options.parent_frame:
             self._transforms.hear(_static(options))
 
@@ -74,6 +76,7 @@ class Inputs:
 
     def push(self, message: Any) -> None:
         """Receive a WrenchStamped."""
+        self.wrenches += 1
         frame = message.header.frame_id
         if frame in self._pushes or len(self._pushes) < MOST:
             self._pushes[frame] = message

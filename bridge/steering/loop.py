@@ -15,7 +15,7 @@ from phy124.gaussians import Frame
 from .. import cdr
 from ..options import Options
 from ..sink import LONGEST_WAIT, LiveSink, Recorder
-from ..topics import FACTOR, STEERED, TF, Controls, Message, contact
+from ..topics import FACTOR, PUSH, STEERED, TF, Controls, Message, contact
 from .inputs import centre_frame, object_frame
 from .run import SteeredRun
 from .standard import Standard
@@ -23,8 +23,12 @@ from .standard import Standard
 if TYPE_CHECKING:
     from phy124.live import Live
 
-ROUNDS = 8
-"""Number of reads from a sink between two frames, even if the next frame is late."""
+IDLE = 3
+"""Number of reads without a message after which no message is assumed to wait."""
+READING, SHARE = 0.02, 0.25
+"""Longest time for reading before a frame [s], or share of the time since the last reading, if that
+is longer. A slower run has more messages to read."""
+FLOOD = "Messages arrive faster than they are read: only the newest of each topic are kept."
 
 
 def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
@@ -46,6 +50,7 @@ def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
         steps=run.steps if action else None,
         refused=run.remarks.add,
         clock=True,
+        patient=False,
         values=lambda: {
             "accuracy": accuracy,
             "held": run.live.holds,
@@ -113,15 +118,22 @@ class _Listening:
 
     def __init__(self, run: SteeredRun, sink: LiveSink) -> None:
         self._run, self._sink = run, sink
+        self._last = time.perf_counter()
 
-    def once(self, seconds: float) -> None:
-        """Wait for an input for up to `seconds`."""
-        self._sink.listen(seconds, self._obey)
+    def once(self, seconds: float) -> bool:
+        """Wait for an input for up to `seconds`; return whether more may be waiting."""
+        return bool(self._sink.listen(seconds, self._obey))
 
     def briefly(self) -> None:
-        """Read the inputs that have already arrived."""
-        for _ in range(ROUNDS):
-            self.once(0.0)
+        """Read the inputs that have already arrived, for a bounded time."""
+        inputs, idle = self._run.inputs, 0
+        before, start = inputs.wrenches, time.perf_counter()
+        until = start + max(READING, SHARE * (start - self._last))
+        while idle < IDLE and time.perf_counter() <= until:
+            idle = 0 if self.once(0.0) else idle + 1
+        if idle == 0 or inputs.wrenches - before >= PUSH.depth:
+            self._run.remarks.add(FLOOD)
+        self._last = time.perf_counter()
 
     def during(self, seconds: float) -> None:
         """Read inputs for `seconds`."""

@@ -29,7 +29,7 @@ FARTHEST = 5.0
 """Reach of a hand from the middle of the scene [sizes of the object]."""
 FASTEST = 5.0
 """Largest speed at which a hand moves a wall [sizes per second]."""
-PUSHES = 16
+PUSHES = 32
 """Largest number of simultaneous pushes."""
 
 

@@ -2,7 +2,9 @@
 
 What it is strict about is what rclpy is strict about: parameters have a static type unless their
 descriptor says otherwise, ranges and read-only are enforced, one line of code logs at one level,
-`publish` takes the message class or bytes, and nothing works once the context is shut down.
+`publish` takes the message class or bytes, and nothing works once the context is shut down. It also
+behaves as Jazzy did over Cyclone DDS: one callback per spin, queues of limited depth, and
+acknowledgements that wait for a heartbeat.
 """
 
 from __future__ import annotations
@@ -37,8 +39,12 @@ MESSAGES = {
 }
 
 
+COST = 0.0003
+"""What rclpy needs for a callback [s]."""
+
+
 class Executor:
-    """Runs one scripted callback per spin."""
+    """Runs one callback per spin: a scripted one, or that of the longest queue of messages."""
 
     script: list
 
@@ -50,9 +56,16 @@ class Executor:
 
     def spin_once(self, *, timeout_sec: float) -> None:
         assert 0 <= timeout_sec < math.inf
-        time.sleep(min(timeout_sec, 0.001))
+        queues = [each for node in self.nodes for each in node.subscriptions.values()]
+        fullest = max(queues, key=lambda each: len(each.waiting), default=None)
         if self.script:
+            time.sleep(COST)
             self.script.pop(0)(self.nodes[0])
+        elif fullest is not None and fullest.waiting:
+            time.sleep(COST)
+            fullest.callback(fullest.waiting.popleft())
+        else:
+            time.sleep(min(timeout_sec, 0.001))
 
     def shutdown(self) -> None:
         self.stopped = True

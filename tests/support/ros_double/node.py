@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import enum
+import math
+import os
+import re
 import sys
 import time
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +28,15 @@ from support.ros_double.parameters import (
 )
 
 POLICIES = ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY", "LIVELINESS")
+HEARTBEAT = 0.1
+"""Cyclone's interval between two heartbeats, unless its settings say otherwise [s]."""
+
+
+def heartbeat() -> float:
+    """What CYCLONEDDS_URI says when the first node of a process creates the DDS domain [s]."""
+    settings = os.environ.get("CYCLONEDDS_URI", "")
+    found = re.search(r"<HeartbeatInterval>(\d+) ms<", settings)
+    return int(found[1]) / 1000 if found else HEARTBEAT
 
 
 class Context:
@@ -66,23 +80,26 @@ class Logger:
 
 @dataclass
 class Publisher:
-    """rclpy.publisher.Publisher; `unacked` is what subscribers still owe."""
+    """rclpy.publisher.Publisher over Cyclone: subscribers acknowledge only at a heartbeat."""
 
     kind: type
     topic: str
-    qos: SimpleNamespace
+    qos_profile: SimpleNamespace
     overrides: Any
     node: Node
     sent: list = field(default_factory=list)
     subscriptions: int = 0
     acked: bool = True
+    """False: a subscriber hangs."""
     waits: list = field(default_factory=list)
+    _last: float = -math.inf
 
     def publish(self, message: Any) -> None:
         self.node.context_must_be_ok("publisher's context is invalid")
         if not isinstance(message, (self.kind, bytes)):
             raise TypeError(f"Expected {self.kind}, got {type(message)}")
         self.sent.append(message)
+        self._last = time.monotonic()
 
     def get_subscription_count(self) -> int:
         return self.subscriptions
@@ -90,9 +107,31 @@ class Publisher:
     def wait_for_all_acked(self, timeout: Any) -> bool:
         self.node.context_must_be_ok("publisher's context is invalid")
         self.waits.append(timeout.seconds)
+        wait = self._unacknowledged()
+        time.sleep(min(wait, timeout.seconds))
+        return wait <= timeout.seconds
+
+    def _unacknowledged(self) -> float:
+        """Time until all messages are acknowledged [s]."""
         if not self.acked:
-            time.sleep(timeout.seconds)
-        return self.acked
+            return math.inf
+        if not (self.subscriptions and self.sent):
+            return 0.0
+        beat = self.node.heartbeat
+        return max((math.floor(self._last / beat) + 1) * beat - time.monotonic(), 0.0)
+
+
+@dataclass
+class Subscription:
+    """rclpy.subscription.Subscription: its queue drops the oldest of too many messages."""
+
+    kind: type
+    callback: Callable[[Any], None]
+    qos_profile: SimpleNamespace
+    waiting: deque = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.waiting = deque(maxlen=self.qos_profile.depth)
 
 
 class Node:
@@ -109,12 +148,14 @@ class Node:
         self.context = Context()
         self.destroyed = False
         self.publishers: dict[str, Publisher] = {}
-        self.services, self.subscriptions = {}, {}
+        self.services: dict[str, tuple] = {}
+        self.subscriptions: dict[str, Subscription] = {}
+        self.heartbeat = heartbeat()
         self.declared: dict[str, Parameter] = {}
         self.descriptors: dict[str, ParameterDescriptor] = {}
         self.actions: dict[str, tuple] = {}
         self.logger = Logger()
-        self._checks, self._afters = [], []
+        self._befores, self._checks, self._afters = [], [], []
         self.made.append(self)
 
     def context_must_be_ok(self, complaint: str) -> None:
@@ -162,7 +203,7 @@ class Node:
 
     def create_subscription(self, kind, topic, callback, qos) -> None:
         self.context_must_be_ok("context is invalid")
-        self.subscriptions[topic] = (kind, callback, qos)
+        self.subscriptions[topic] = Subscription(kind, callback, qos)
 
     def has_parameter(self, name: str) -> bool:
         return name in self.declared
@@ -198,9 +239,14 @@ class Node:
 
     def set_parameters(self, parameters: list[Parameter]) -> list[SetParametersResult]:
         """Also what `ros2 param set` ends in."""
+        for before in self._befores:
+            parameters = before(parameters)
         for parameter in parameters:
             self.get_parameter(parameter.name)
         return [self._set(p, self.descriptors[p.name], check_read_only=True) for p in parameters]
+
+    def add_pre_set_parameters_callback(self, callback) -> None:
+        self._befores.insert(0, callback)
 
     def add_on_set_parameters_callback(self, callback) -> None:
         self._checks.insert(0, callback)
@@ -223,6 +269,10 @@ class Node:
         return SetParametersResult(True)
 
     # What tests do, as another program would.
+
+    def hear(self, topic: str, *messages: Any) -> None:
+        """Let messages wait in the queue of a subscription."""
+        self.subscriptions[topic].waiting.extend(messages)
 
     def call(self, service: str, **request: Any) -> Any:
         """Call a service, as `ros2 service call` does."""
