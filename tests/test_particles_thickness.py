@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.particles.solid import Solid
+from phy124.particles.solid import Solid, find_interior
 from phy124.particles.thickness import local_thickness, relative_thickness
 from support.shapes import ball
 
@@ -42,7 +42,9 @@ def test_a_sheet_below_a_voxel_counts_as_one():
 def test_relative_thickness_does_not_depend_on_the_size():
     some = ball(2000)
     near, far = (
-        relative_thickness(some.transform(size, np.zeros(3)), size * np.ptp(some.means[:, 2]))
+        relative_thickness(
+            find_interior(some.transform(size, np.zeros(3))), size * np.ptp(some.means[:, 2])
+        )
         for size in (1.0, 1e-3)
     )
     assert near == pytest.approx(far, abs=0.02) and 0.8 < near < 1.1

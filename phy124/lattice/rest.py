@@ -70,7 +70,7 @@ class RestLattice:
             ValueError: The points do not form cells of eight.
         """
         if len(x) % PER_CELL:
-            raise ValueError("the number of points is not a multiple of eight; use make_lattice")
+            raise ValueError("the number of points is not a multiple of eight; use lattice_of")
         x = np.asarray(x, np.float64) / dx
         middle = x.reshape(-1, PER_CELL, 3).mean(axis=1)
         cell = np.floor(middle).astype(np.int64)

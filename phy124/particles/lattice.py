@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
 from phy124.particles.seeding import MAX_PARTICLES, Particles
-from phy124.particles.solid import Solid, find_solid
+from phy124.particles.solid import Solid
 
 PER_CELL = 8
 """Number of integration points of a cell."""
@@ -39,20 +38,6 @@ which has no single outward normal.
 ALIGNED = 1e-7
 """Difference of second moments [cells^2] below which the points lie along the lattice."""
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-
-
-def make_lattice(gaussians: Gaussians, *, density: float, dx: float) -> Particles:
-    """Return the integration points of clean Gaussians in metres, cell by cell.
-
-    Args:
-        gaussians: The object, N Gaussians.
-        density: Mass density [kg/m^3].
-        dx: Side of a cell [m].
-
-    Raises:
-        InputError: The cells are so small that the object needs more than `MAX_PARTICLES` points.
-    """
-    return lattice_of(find_solid(gaussians, dx / 2), density=density, dx=dx)
 
 
 def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.particles.solid import Solid, find_solid
+from phy124.particles.solid import Solid, find_interior, find_solid
 
 BINDINGS = ("lattice", "particles")
 MAX_PARTICLES = 8_000_000
@@ -60,6 +60,7 @@ class Particles:
 
 def make_particles(
     gaussians: Gaussians,
+    interior: Solid | None = None,
     *,
     density: float,
     spacing: float,
@@ -70,6 +71,7 @@ def make_particles(
 
     Args:
         gaussians: The object, N Gaussians.
+        interior: Its interior, from `find_interior`, if that is known.
         density: Mass density, kg/m^3.
         spacing: Distance of neighbouring particles, m: grid spacing / particles per cell and axis.
         binding: `lattice`: a lattice, denser where the object is thin; `particles`: one particle
@@ -81,7 +83,7 @@ def make_particles(
             that the object could need more than `MAX_PARTICLES` particles.
     """
     _check(density, spacing, binding)
-    shape = find_solid(gaussians, spacing)
+    shape = (interior or find_interior(gaussians)).resample(spacing)
     room = _room_per_cell(shape, spacing)
     lattice = _lattice(shape, room, spacing)
     if binding == "particles":

@@ -99,13 +99,18 @@ class Solid:
 
 def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
     """Find the solid outlined by clean Gaussians, for particles that are `spacing` m apart."""
+    return find_interior(gaussians).resample(spacing)
+
+
+def find_interior(gaussians: Gaussians) -> Solid:
+    """Find the solid outlined by clean Gaussians, on voxels that depend on the Gaussians alone."""
     opaque = gaussians.opacities >= VISIBLE
     some = gaussians.select(opaque) if opaque.any() else gaussians
     grid = _voxelise(some)
     region, outside = _find_inside(grid.occupied, grid.across)
     fraction = region.astype(np.float32)
     _trim_surface(fraction, region, outside, grid)
-    return Solid(grid.first, grid.voxel, fraction).resample(spacing)
+    return Solid(grid.first, grid.voxel, fraction)
 
 
 @dataclass(frozen=True, eq=False)

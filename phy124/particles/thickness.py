@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from phy124.gaussians import Gaussians
-from phy124.particles.solid import ACROSS, Solid, find_solid
+from phy124.particles.solid import ACROSS, Solid
 
 FRACTION = 0.25
 """Fraction of the volume that may be thinner than the reported thickness.
@@ -20,14 +19,14 @@ A tenth of the volume would be too sensitive to the voxel size, since every corn
 """
 
 
-def relative_thickness(gaussians: Gaussians, size: float) -> float:
+def relative_thickness(interior: Solid, size: float) -> float:
     """Return the local thickness of an object as a fraction of its longest side.
 
     Args:
-        gaussians: The cleaned object.
+        interior: The object, from `find_interior`.
         size: Longest side of the object [m].
     """
-    return local_thickness(find_solid(gaussians, size / ACROSS)) / size
+    return local_thickness(interior.resample(size / ACROSS)) / size
 
 
 def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
@@ -39,7 +38,9 @@ def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
         shape: The object.
         fraction: Fraction of the volume that may be thinner.
     """
-    inside = np.pad(shape.fraction > 0.5 * min(1.0, shape.fraction.max()), 1)
+    inside = shape.fraction > 0.5 * min(1.0, shape.fraction.max())
+    # The voxels around the solid do not matter; without them, distances take half the time.
+    inside = np.pad(inside[scipy.ndimage.find_objects(inside.astype(np.int8))[0]], 1)
     depth = scipy.ndimage.distance_transform_edt(inside)
     radii = np.arange(1.0, depth.max() + 0.5, 0.5)
     fits, too_large = 0, len(radii)

@@ -27,8 +27,9 @@ from phy124.lattice.refusals import refuse_for_lattice
 from phy124.materials import AnyMaterial
 from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
-from phy124.particles.lattice import cells_of, make_lattice, points_of, repeat_for_points
+from phy124.particles.lattice import cells_of, lattice_of, points_of, repeat_for_points
 from phy124.particles.scenery import Scenery
+from phy124.particles.solid import Solid, find_interior
 from phy124.particles.thickness import relative_thickness
 from phy124.scene import Scene, SceneObject
 from phy124.scene.objects import ANY, find_pair
@@ -57,6 +58,8 @@ class Body(NamedTuple):
     materials: Sequence[AnyMaterial]
     stiffness: NDArray | None
     """Factor on E of each particle, relative to its material [P]; None if all are 1."""
+    interior: Solid | None = None
+    """Interior of the object, without its surroundings; None for several objects."""
 
 
 class _Placed(NamedTuple):
@@ -121,7 +124,8 @@ def thickness_of(gaussians: Gaussians, scene: Scene) -> float | None:
     if scene.objects:
         return None
     placed = _clean_and_place(gaussians.of_object(0), scene, WHOLE)
-    return relative_thickness(placed.gaussians.select(placed.belonging), scene.object.size)
+    interior = find_interior(placed.gaussians.select(placed.belonging))
+    return relative_thickness(interior, scene.object.size)
 
 
 @contextmanager
@@ -241,14 +245,16 @@ def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> _Placed:
 def _with_particles(placed: _Placed, spacing: float) -> Body:
     """Make the particles of one object, and its appearance."""
     scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
-    points = None
+    alone, points = gaussians.select(belonging), None
+    interior = find_interior(alone)
     if scene.resolution.on_lattice:
         density = scene.material.density
-        points = make_lattice(gaussians.select(belonging), density=density, dx=2 * spacing)
+        points = lattice_of(interior.resample(spacing), density=density, dx=2 * spacing)
         particles = cells_of(points)
     else:
         particles = make_particles(
-            gaussians.select(belonging),
+            alone,
+            interior,
             density=scene.material.density,
             spacing=spacing,
             binding=scene.binding,
@@ -267,7 +273,8 @@ def _with_particles(placed: _Placed, spacing: float) -> Body:
         refuse_for_lattice(scene, materials)
         particles, stiffness = points_of(particles, points), repeat_for_points(stiffness)
     appearance = make_appearance(gaussians, particles, moves, materials, scene, spacing)
-    return Body(scene, placed.cleaned.sentences, gaussians, appearance, materials, stiffness)
+    sentences = placed.cleaned.sentences
+    return Body(scene, sentences, gaussians, appearance, materials, stiffness, interior)
 
 
 def _without_particles(placed: _Placed) -> Body:

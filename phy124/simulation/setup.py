@@ -26,6 +26,7 @@ from phy124.mpm import FreeBody
 from phy124.mpm.workers import layers, usable_workers
 from phy124.particles import Particles
 from phy124.particles.scenery import Scenery
+from phy124.particles.solid import Solid
 from phy124.particles.thickness import relative_thickness
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
@@ -34,7 +35,6 @@ from phy124.simulation.appearance import Appearance
 from phy124.simulation.bodies import make_body, make_free, make_scenery
 from phy124.simulation.liquids import refuse_unprojectable
 from phy124.simulation.overlap import refuse_solids
-from phy124.simulation.placing import belongs
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,8 @@ class Setup:
     """Messages about Gaussians that were changed or dropped."""
     gaussians: Gaussians
     """The cleaned Gaussians at rest, in their position in the scene [m]."""
+    interior: Solid | None
+    """Interior of the object, without its surroundings; None in scenes of several objects."""
     appearance: Appearance
     """Appearance of the Gaussians, including grains."""
     particles: Particles
@@ -92,11 +94,10 @@ class Setup:
     @cached_property
     def thickness(self) -> float | None:
         """Local thickness of the object relative to its size; None in scenes of several objects."""
-        if self.scene.objects:
+        if self.interior is None:
             return None
         with self.context.watch.stage("thickness"):
-            belonging = belongs(self.cleaned_scene, len(self.gaussians))
-            return relative_thickness(self.gaussians.select(belonging), self.scene.object.size)
+            return relative_thickness(self.interior, self.scene.object.size)
 
     @property
     def subject(self) -> Subject:
@@ -165,6 +166,7 @@ def prepare(
             cleaned_scene=body.scene,
             cleaning=body.cleaning,
             gaussians=body.gaussians,
+            interior=body.interior,
             appearance=look,
             particles=particles,
             materials=body.materials,
