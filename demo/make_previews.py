@@ -160,7 +160,7 @@ def _film(clip: Clip, view: View, camera: Camera, step: int) -> list[Image.Image
     """
     frames, shine = list(clip.frames())[::step], make_shine(clip, view)
     if shine is not None:
-        frames = list(shine.frames(frames, [camera] * len(frames)))
+        frames = [shine.illuminate(frame, camera) for frame in frames]
     black, white = (_draw_on(grey, clip, frames, camera, view) for grey in (0.0, 1.0))
     clear = [_clear(dark, light) for dark, light in zip(black, white, strict=True)]
     return [*clear, *[clear[-1]] * 4]

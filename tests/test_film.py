@@ -9,6 +9,7 @@ from PIL import Image, ImageSequence
 from phy124.errors import InputError
 from phy124.io.formats import usd
 from phy124.io.ply import read_ply
+from phy124.rendering import film as film_module
 from phy124.rendering.film import (
     describe_playback,
     film,
@@ -157,3 +158,16 @@ def test_film_makes_its_folder(tmp_path, clip):
     view = Scene().view.model_copy(update={"views": ("front",), "size": (16, 16)})
     (path,) = film(clip, view, tmp_path / "out/new")
     assert path == tmp_path / "out/new/front.mp4" and path.is_file()
+
+
+@pytest.mark.parametrize(("formats", "left"), [(["mp4", "gif"], 2), (["gif"], 0)])
+def test_other_films_stay_if_an_encoder_fails(tmp_path, clip, monkeypatch, formats, left):
+    def fail(folder, side, images, fps):
+        next(images)
+        raise InputError("output", side, "it failed.", "Try again.")
+
+    monkeypatch.setitem(film_module.ENCODERS, "gif", fail)
+    monkeypatch.setattr(film_module, "WAITING", 1)
+    with pytest.raises(InputError, match="it failed"):
+        film(clip, view(formats=formats), tmp_path, device="cpu")
+    assert len(list(tmp_path.glob("*.mp4"))) == len(list(tmp_path.iterdir())) == left

@@ -1,5 +1,6 @@
 """Ctrl-C and SIGTERM: what is good stays, what is half-made goes, and a run can go on."""
 
+import itertools
 import json
 import os
 import signal
@@ -77,13 +78,13 @@ def test_cancelled_run_resumes_bit_for_bit(tmp_path):
         assert (whole.folder / view).read_bytes() == (again.folder / view).read_bytes()
 
 
-def test_filming_that_is_cancelled_keeps_the_finished_views(tmp_path):
-    cancel = cancelling(lambda stage, done: stage == "render left")
+def test_filming_that_is_cancelled_keeps_the_clip(tmp_path):
+    cancel = cancelling(lambda stage, done: stage == "render" and done == 8)
     cut = pipeline.simulate(ball(500), SCENE, tmp_path, progress=cancel, keep=True)
     assert (cut.report["interrupted"], cut.report["complete"]) == (True, True)
     names = {path.name for path in tmp_path.iterdir()}
-    assert names >= {"front.mp4", "clip.safetensors", "report.json", pipeline.PAUSE}
-    assert "left.mp4" not in names
+    assert names >= {"clip.safetensors", "report.json", pipeline.PAUSE}
+    assert not names & {"front.mp4", "left.mp4"}
     assert {path.name for path in pipeline.go_on(tmp_path).files} >= {"front.mp4", "left.mp4"}
 
 
@@ -338,31 +339,34 @@ def test_checks_that_were_made_are_shown_if_a_later_one_fails(monkeypatch, capsy
         assert "there is not enough memory" in said.err and "; 1 " in said.err
 
 
-def test_render_and_compare_keep_the_sides_that_are_finished(tmp_path, monkeypatch, capsys):
+def test_render_and_compare_keep_only_finished_films(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("phy124.rendering.film.MOST_PIXELS", 2 * 32**2)
     pipeline.simulate(ball(300), SCENE, tmp_path / "a")
     clip, quick = str(tmp_path / "a"), ["--size", "32", "--views", "front", "left"]
     commands = {
         "render": ["render", f"{clip}/clip.safetensors", *quick, "--format", "png", "mp4"],
         "compare": ["compare", clip, clip, *quick],
     }
-    for stage, command in (("render left", "render"), ("compare left", "compare")):
-        press = pressing_ctrl_c(stage)
+    for stage, first, command in (("render", 7, "render"), ("compare left", 1, "compare")):
+        press = pressing_ctrl_c(stage, first)
         monkeypatch.setattr(Bars, "_report", press)
         assert (
             main([*commands[command], "--device", "cpu", "--out", str(tmp_path / command)]) == 130
         )
         assert "stopped; " in capsys.readouterr().err
-    assert [path.name for path in (tmp_path / "render").iterdir()] == ["front-png"]
+    made = {path.name for path in (tmp_path / "render").iterdir()}
+    assert made == {"front-png", "front.mp4"}
     assert len(list((tmp_path / "render/front-png").iterdir())) == SCENE.time.frames
     made = {path.name for path in (tmp_path / "compare").iterdir()}
     assert made == {"front.mp4", "comparison.json"}
 
 
-def pressing_ctrl_c(where: str):
-    """A `Bars._report` that interrupts at the first word of a stage."""
+def pressing_ctrl_c(where: str, after: int = 1):
+    """A `Bars._report` that interrupts a stage at its report number `after`."""
+    reports = itertools.count(1)
 
     def report(bars: Bars, stage: str, done: int, total: int) -> None:
-        if stage == where and not bars.cancelled:
+        if stage == where and not bars.cancelled and next(reports) == after:
             signal.raise_signal(signal.SIGINT)
 
     return report

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Semaphore
 from typing import TYPE_CHECKING, Any
 
 from phy124.errors import InputError
@@ -38,6 +42,10 @@ if TYPE_CHECKING:
     from phy124.runtime.context import ContextOptions
 
 PathLike = str | os.PathLike[str]
+MOST_PIXELS = 1 << 23
+"""Number of pixels of all pictures that are encoded at the same time, about four in full HD."""
+WAITING = 4
+"""Largest number of pictures that wait for an encoder."""
 
 
 def film(
@@ -49,14 +57,16 @@ def film(
 ) -> list[Path]:
     """Write every format and output of a view, from each of its sides.
 
-    Pictures are rendered separately for each format, because keeping them would take much memory.
+    Each frame is drawn from all sides before the next, and each film has an encoder that receives
+    its pictures as they are drawn. Large pictures are drawn from fewer sides at a time
+    (`MOST_PIXELS`), because every encoder holds several of them.
 
     Args:
         clip: The clip to film.
         view: Sides, size, background, formats and outputs.
         folder: The folder to write; it is created if it is missing.
-        context: Device, threads, stopwatch, and progress: called as ("render SIDE", pictures done,
-            total pictures) for each side, and as ("outputs SIDE", ...).
+        context: Device, threads, stopwatch, and progress: called as ("render", pictures done,
+            total pictures), and as ("outputs SIDE", ...).
         **fields: `device`, `threads` and `progress`, if there is no context.
 
     Returns:
@@ -71,20 +81,20 @@ def film(
     folder.mkdir(parents=True, exist_ok=True)
     with watch.stage("render"):
         stage, shine = make_stage(clip, view, device=context.device), make_shine(clip, view)
+    made: dict[tuple[str, str], Path] = {}
+    formats = [name for name in view.formats if name in ENCODERS]
+    at_once = max(1, MOST_PIXELS // math.prod((*view.size, max(len(formats), 1))))
+    for first in range(0, len(view.sides) if formats else 0, at_once):
+        sides = view.sides[first : first + at_once]
+        with closing(_images(clip, view, sides, stage, shine, context)) as images:
+            made |= _encode_sides(clip, view, first, sides, formats, folder, images, context)
     paths: list[Path] = []
     for name in view.formats:
         if name in EXPORTS:
             with watch.stage("export"):
                 paths.append(EXPORTS[name](clip, folder, context.progress))
-            continue
-        with closing(_images(clip, view, stage, shine, context)) as images:
-            for side in view.sides:
-                before = watch.seconds.get("render", 0.0)
-                with watch.stage("encode"):
-                    pictures = _take_side(images, side, len(clip), context.progress)
-                    drawn = watch.each("render", pictures)
-                    paths.append(ENCODERS[name](folder, side, drawn, playback(rate(clip), view)))
-                watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
+        else:
+            paths += [made[name, side] for side in view.sides]
     if shine is not None and shine.seconds:
         watch.seconds["shine"] = watch.seconds.get("shine", 0.0) + shine.seconds
         watch.seconds["render"] -= shine.seconds
@@ -94,21 +104,101 @@ def film(
     return paths
 
 
+def _encode_sides(
+    clip: Clip,
+    view: View,
+    first: int,
+    sides: Sequence[str],
+    formats: Sequence[str],
+    folder: Path,
+    images: Iterator[Picture],
+    context: RunContext,
+) -> dict[tuple[str, str], Path]:
+    """Encode pictures, ordered by frame and then by side, in every format at once.
+
+    If an encoder fails, the other films are completed before its exception is raised.
+
+    Args:
+        clip: The clip.
+        view: The view.
+        first: Index of the first of these sides.
+        sides: Sides that are drawn together.
+        formats: Formats that are made from pictures.
+        folder: The folder to write.
+        images: The pictures.
+        context: Stopwatch and progress.
+
+    Returns:
+        The file or folder of each format and side.
+    """
+    watch, fps = context.watch, playback(rate(clip), view)
+    before, total = first * len(clip), len(view.sides) * len(clip)
+    films = {(name, side): Feed() for name in formats for side in sides}
+    with watch.stage("encode"), ThreadPoolExecutor(len(films), "encode") as pool:
+        spent = watch.seconds.get("render", 0.0)
+        for (name, side), feed in films.items():
+            feed.task = pool.submit(ENCODERS[name], folder, side, feed, fps)
+        try:
+            for done, image in enumerate(watch.each("render", images)):
+                if all(feed.task.done() for feed in films.values()):
+                    break  # every encoder failed
+                for name in formats:
+                    films[name, sides[done % len(sides)]].put(image)
+                context.progress("render", before + done + 1, total)
+        except BaseException as error:
+            for feed in films.values():
+                feed.close(error)
+            raise
+        for feed in films.values():
+            feed.close()
+        made = {key: feed.task.result() for key, feed in films.items()}
+    watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - spent
+    return made
+
+
+class Feed(Iterator[Picture]):
+    """The pictures of one film, passed to the thread that encodes them."""
+
+    task: Future[Path]
+    """The encoder's thread."""
+
+    def __init__(self) -> None:
+        self._queue: SimpleQueue[Picture | BaseException] = SimpleQueue()
+        self._room = Semaphore(WAITING)
+
+    def put(self, picture: Picture) -> None:
+        """Pass on a picture once fewer than `WAITING` are waiting, unless the encoder has ended."""
+        while not self._room.acquire(timeout=0.2):
+            if self.task.done():
+                return
+        self._queue.put(picture)
+
+    def close(self, error: BaseException | None = None) -> None:
+        """End the film; with an error, the encoder removes the unfinished film."""
+        self._queue.put(error or StopIteration())
+
+    def __next__(self) -> Picture:
+        picture = self._queue.get()
+        if isinstance(picture, BaseException):
+            raise picture
+        self._room.release()
+        return picture
+
+
 def _images(
     clip: Clip,
     view: View,
+    sides: Sequence[str],
     stage: Stage | None,
     shine: Shine | None,
     context: RunContext,
 ) -> Generator[Picture, None, None]:
-    """Render the pictures of all sides, one side after the other.
-
-    The first pictures of a side are rendered while the encoder finishes the previous side's video.
-    """
-    seen = [cameras(clip, view, side) for side in view.sides]
-    shown = (clip.frames() if shine is None else shine.frames(clip.frames(), c) for c in seen)
+    """Render the pictures of all sides, frame by frame."""
+    seen = list(zip(*(cameras(clip, view, side) for side in sides), strict=True))
+    pairs = ((frame, at) for frame, row in zip(clip.frames(), seen, strict=True) for at in row)
+    shown = (frame if shine is None else shine.illuminate(frame, at) for frame, at in pairs)
     return render_frames(
-        chain.from_iterable(shown),
+        shown,
         chain.from_iterable(seen),
         background=None if view.stage == "transparent" else view.background,
         stage=stage and stage.at,
@@ -116,15 +206,6 @@ def _images(
         device=context.device,
         threads=context.threads,
     )
-
-
-def _take_side(
-    images: Iterator[Picture], side: str, count: int, progress: Progress
-) -> Iterator[Picture]:
-    """Yield the next `count` pictures, which show one side, and report progress."""
-    for done, image in enumerate(islice(images, count), 1):
-        progress(f"render {side}", done, count)
-        yield image
 
 
 def _encode(ending: str, write: Callable[..., object]) -> Encoder:

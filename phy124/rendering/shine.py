@@ -11,7 +11,6 @@ are drawn as discs along the surface. The normals of metal are the shortest axes
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -84,16 +83,14 @@ class Shine:
         """Whether any Gaussians are glossy."""
         return bool(self._parts) and self._cell > 0
 
-    def frames(self, frames: Iterable[Frame], cameras: Sequence[Camera]) -> Iterator[Frame]:
-        """Yield the frames with the gloss that their cameras see; there is a camera per frame."""
-        for frame, camera in zip(frames, cameras, strict=False):
-            start = time.perf_counter()
-            shown = self.illuminate(frame, camera)
-            self.seconds += time.perf_counter() - start
-            yield shown
-
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
         """Return the frame with the colours of glossy Gaussians as a camera sees them."""
+        start = time.perf_counter()
+        lit = self._illuminate(frame, camera)
+        self.seconds += time.perf_counter() - start
+        return lit
+
+    def _illuminate(self, frame: Frame, camera: Camera) -> Frame:
         gaussians = frame.gaussians
         sh, quats, scales = gaussians.sh.copy(), gaussians.quats, gaussians.scales
         for law, which in self._parts.items():

@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ from phy124.rendering.stage.shadow import GLASS, SLOPE, Caster, Glass
 from phy124.rendering.stage.solids import floor_heights, place_walls
 from phy124.scene import Scene, View
 
+RECENT = 64
+"""Number of frames whose surroundings are kept for the frames' other sides."""
 SAMPLE = 1024
 """Number of Gaussians whose paths determine the extent of the shadow map."""
 OUTLIERS = (0.5, 99.5)
@@ -36,7 +39,7 @@ PICTURE_SIDE = 1280
 
 @dataclass(eq=False)
 class Stage:
-    """The surroundings of the object in each frame; computed frames are reused in further views."""
+    """The surroundings of the object in each frame; those of recent frames are reused."""
 
     backdrop: Backdrop
     heights: NDArray[np.float64]
@@ -50,19 +53,26 @@ class Stage:
     pool: float = POOL
     """Additional brightness in the middle of the floor."""
     frames: dict[int, StageFrame] = field(default_factory=dict)
+    """The surroundings in the last `RECENT` frames that were asked for, by index."""
+    lock: Any = field(default_factory=Lock)
 
     def at(self, frame: Frame) -> StageFrame:
         """Return the surroundings of the object in a frame of the clip."""
-        if frame.index not in self.frames:
-            solids = tuple(
-                replace(solid, centre=solid.centre + displacement[frame.index])
-                for solid, displacement, present in self.walls
-                if present[frame.index]
-            )
-            box = bounds(frame.gaussians.means) if solids else None
-            floor = self._floor(frame, solids)
-            self.frames[frame.index] = StageFrame(self.backdrop, floor, solids, box)
-        return self.frames[frame.index]
+        with self.lock:  # threads that draw the same frame from several sides ask at the same time
+            if frame.index not in self.frames:
+                while len(self.frames) >= RECENT:
+                    del self.frames[next(iter(self.frames))]
+                self.frames[frame.index] = self._make(frame)
+            return self.frames[frame.index]
+
+    def _make(self, frame: Frame) -> StageFrame:
+        solids = tuple(
+            replace(solid, centre=solid.centre + displacement[frame.index])
+            for solid, displacement, present in self.walls
+            if present[frame.index]
+        )
+        box = bounds(frame.gaussians.means) if solids else None
+        return StageFrame(self.backdrop, self._floor(frame, solids), solids, box)
 
     def _floor(self, frame: Frame, solids: tuple[Solid, ...]) -> Floor | None:
         caster, gaussians = self.caster, frame.gaussians
