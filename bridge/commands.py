@@ -18,6 +18,7 @@ from phy124.gaussians import Frame
 from phy124.io.files import replacing
 
 from .backends import choose, open_sink, sink_names
+from .cameras import Cameras
 from .info import describe, diagnose
 from .live import follow, play
 from .options import Options
@@ -31,7 +32,7 @@ from .source import LiveOptions, LiveRun, open_clip
 from .steering.loop import controls, steer
 from .steering.run import SteeredRun, checked_duration
 from .steering.source import SteeredOptions, make_live
-from .topics import FACTOR, Topic
+from .topics import FACTOR, STEERED, Topic
 
 STOPPED_EARLY = 3
 """Exit status of a simulation that stopped early and whose valid frames were saved."""
@@ -71,11 +72,14 @@ class Record:
             run = LiveRun(self.source, self.simulated)
             self._sink().check()  # before the object is made
             run.prepare()
-            self._record(say, run, len(run), run.scene.data(), run.report)
+            scene = run.scene.data()
+            with Cameras(self.messages, scene) as cameras:
+                self._record(say, map(cameras.look, run), len(run), scene, run.report)
             return _status(run)
         clip = open_clip(self.source)
-        frames = clip.frames(velocities=True)
-        self._record(say, frames, len(clip), clip.scene, lambda: clip.report)
+        with Cameras(self.messages, clip.scene, clip) as cameras:
+            frames = map(cameras.look, clip.frames(velocities=True))
+            self._record(say, frames, len(clip), clip.scene, lambda: clip.report)
         return 0
 
     def _record(
@@ -146,8 +150,11 @@ class Play:
         )
         end, report = float(clip.times[-1]), lambda: clip.report
         try:
-            with self._outlets(say, end, scene=clip.scene, report=report) as (sink, records):
-                play(clip, sink, player, records=records, stay=self.stay)
+            with (
+                Cameras(self.messages, clip.scene, clip) as cameras,
+                self._outlets(say, end, scene=clip.scene, report=report) as (sink, records),
+            ):
+                play(clip, sink, player, records=records, look=cameras.look, stay=self.stay)
         finally:
             say(player.report())
         return 0
@@ -160,8 +167,12 @@ class Play:
         run = LiveRun(self.source, self.simulated)
         run.prepare()
         about = {"scene": run.scene.data(), "report": run.report}
-        with self._outlets(say, None, **about) as (sink, records):
-            frames = tqdm(run, "simulate", len(run), leave=False, disable=None)
+        with (
+            Cameras(self.messages, about["scene"]) as cameras,
+            self._outlets(say, None, **about) as (sink, records),
+        ):
+            seen = map(cameras.look, run)
+            frames = tqdm(seen, "simulate", len(run), leave=False, disable=None)
             follow(frames, sink, records=records, speed=self.speed)
         return _status(run)
 
@@ -240,6 +251,7 @@ class Steer:
         try:
             with ExitStack() as stack:
                 records = self._records(stack, messages, live, offered.published)
+                cameras = stack.enter_context(Cameras(messages, live.scene.data()))
                 sink = open_sink(
                     backend,
                     messages,
@@ -250,7 +262,7 @@ class Steer:
                 )
                 sink = stack.enter_context(sink)
                 say(f"Publishing through {backend}. {sink.audience()}".rstrip())
-                steer(run, sink, messages, records=records, frames=self.frames)
+                steer(run, sink, messages, records=records, look=cameras.look, frames=self.frames)
         finally:
             if self.session is not None and run.shown:
                 with replacing(self.session) as temporary:
@@ -264,7 +276,8 @@ class Steer:
         if self.record is None:
             return []
         recorded = [topic for topic in topics if topic is not FACTOR]
-        bag = McapSink(self.record, messages, scene=live.scene.data(), topics=recorded)
+        scene = live.scene.data()
+        bag = McapSink(self.record, messages, scene=scene, topics=recorded, node=STEERED)
         return [stack.enter_context(Background(bag, depth=16 * (1 + len(topics))))]
 
 

@@ -12,9 +12,11 @@ import numpy as np
 from phy124.gaussians import Frame
 
 from . import cdr
+from .camera_messages import encode_picture, list_topics, transform_of
+from .cameras import SeenFrame
 from .layout import Profile, cloud, evenly, splat_array
 from .options import Options
-from .topics import ELLIPSOIDS, POINTS, SPLATS, TF_STATIC, Message, Topic
+from .topics import ELLIPSOIDS, POINTS, SPLATS, TF, TF_STATIC, Message, Topic
 
 SPHERE = 2
 """`visualization_msgs/msg/Marker.SPHERE`."""
@@ -33,12 +35,15 @@ class FrameEncoder:
         """Time of the clip's start [ns since 1970]."""
         self._profile: Profile = self.options.profile or "full"
         self._announced: set[str] = set()
+        self._fixed: dict[str, dict[str, Any]] = {}  # transforms of fixed cameras, by name
 
     @property
     def topics(self) -> list[Topic]:
         """Topics that will be published, the static transform first."""
-        static = [TF_STATIC] if self.options.parent_frame else []
-        return [*static, self.main, *([ELLIPSOIDS] if self.options.ellipsoids else [])]
+        cameras = list_topics(self.options)
+        static = [TF_STATIC] if self.options.parent_frame or cameras else []
+        markers = [ELLIPSOIDS] if self.options.ellipsoids else []
+        return [*static, self.main, *markers, *([TF, *cameras] if cameras else [])]
 
     @property
     def main(self) -> Topic:
@@ -54,10 +59,11 @@ class FrameEncoder:
         self.options = self.options.model_copy(update={"max_points": points})
 
     def static(self) -> list[Message]:
-        """Return the messages that are sent once, before all frames."""
-        if not self.options.parent_frame:
-            return []
-        transform = {
+        """Return the static transforms: that of the world, and those of fixed cameras seen so far.
+
+        They are sent before all frames, and as a whole again when a camera is added.
+        """
+        world = {
             "header": {"stamp": cdr.time(self.epoch), "frame_id": self.options.parent_frame},
             "child_frame_id": self.options.frame_id,
             "transform": {
@@ -65,7 +71,8 @@ class FrameEncoder:
                 "rotation": self.options.rotation,
             },
         }
-        return [_message(TF_STATIC, self.epoch, {"transforms": [transform]})]
+        links = [*([world] if self.options.parent_frame else []), *self._fixed.values()]
+        return [_message(TF_STATIC, self.epoch, {"transforms": links})] if links else []
 
     def encode(self, frame: Frame) -> list[Message]:
         """Return the messages of a frame; its time counts from the epoch."""
@@ -75,6 +82,19 @@ class FrameEncoder:
         messages = [self._gaussians(shown, stamp, header)]
         if self.options.ellipsoids:
             messages.append(_message(ELLIPSOIDS, stamp, self._ellipsoids(frame, header)))
+        return messages + self._pictures(frame, stamp)
+
+    def _pictures(self, frame: Frame, stamp: int) -> list[Message]:
+        """Return the messages of the frame's cameras, their transforms first."""
+        pictures = frame.pictures if isinstance(frame, SeenFrame) else ()
+        links = {p.name: transform_of(p, self.options, stamp) for p in pictures if not p.fixed}
+        messages = [_message(TF, stamp, {"transforms": [*links.values()]})] if links else []
+        new = [p for p in pictures if p.fixed and p.name not in self._fixed]
+        if new:
+            self._fixed |= {p.name: transform_of(p, self.options, self.epoch) for p in new}
+            messages += self.static()
+        for picture in pictures:
+            messages += encode_picture(picture, self.options, stamp)
         return messages
 
     def _gaussians(self, shown: Frame, stamp: int, header: dict[str, Any]) -> Message:

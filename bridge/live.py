@@ -18,6 +18,7 @@ from .player import Player, checked_speed
 from .sink import LONGEST_WAIT, LiveSink, Obey, Sink
 
 Clock = Callable[[], float]
+Look = Callable[[Frame], Frame]
 REPORT_EVERY = 5.0
 """Time between two warnings about dropped frames [s]."""
 SLOW = (
@@ -36,6 +37,7 @@ def play(
     player: Player,
     *,
     records: Sequence[Sink] = (),
+    look: Look = lambda frame: frame,
     clock: Clock = time.monotonic,
     stay: bool = False,
 ) -> None:
@@ -46,6 +48,7 @@ def play(
         sink: Shows the clip, and receives commands.
         player: Decides which frame is due.
         records: Other sinks for the frames that are shown.
+        look: Adds the pictures of cameras to a frame.
         clock: Current time [s].
         stay: Whether to accept commands after the last frame.
     """
@@ -62,7 +65,7 @@ def play(
         tick = player.due(clock())
         if tick is None:
             continue
-        frame = replace(clip.frame(tick.index, velocities=True), time=tick.stamp)
+        frame = look(replace(clip.frame(tick.index, velocities=True), time=tick.stamp))
         sink.write(frame if sink.monotonic else replace(frame, time=tick.time))
         for record in records:
             record.write(frame)

@@ -1,9 +1,9 @@
 """Definitions of the ROS 2 messages that the bridge uses, and their RIHS01 hashes in ROS 2 Jazzy.
 
 Constants are left out of the definitions, because they are not part of the wire format. The tests
-compare every definition and hash of ROS 2 itself with the package rosbags. Two other packages, both
-under Apache-2.0, are represented by names and types: simulation_interfaces 2.1.0 and
-splat_interfaces (of RVizSplat).
+compare every definition and hash of ROS 2 itself with the package rosbags. Three other packages are
+represented by names and types: simulation_interfaces 2.1.0, splat_interfaces (of RVizSplat) and
+foxglove_msgs.
 """
 
 from __future__ import annotations
@@ -40,6 +40,21 @@ DEFINITIONS: dict[str, str] = {
         "bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense"
     ),
     "sensor_msgs/msg/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
+    "sensor_msgs/msg/Image": (
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\n"
+        "uint8 is_bigendian\nuint32 step\nuint8[] data"
+    ),
+    "sensor_msgs/msg/RegionOfInterest": (
+        "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify"
+    ),
+    "sensor_msgs/msg/CameraInfo": (
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\n"
+        "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\n"
+        "uint32 binning_y\nsensor_msgs/RegionOfInterest roi"
+    ),
+    "foxglove_msgs/msg/CompressedVideo": (
+        "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format"
+    ),
     "geometry_msgs/msg/Point": "float64 x\nfloat64 y\nfloat64 z",
     "geometry_msgs/msg/Vector3": "float64 x\nfloat64 y\nfloat64 z",
     "geometry_msgs/msg/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
@@ -136,6 +151,18 @@ HASHES: dict[str, str] = {
     ),
     "visualization_msgs/msg/MarkerArray": (
         "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf"
+    ),
+    "sensor_msgs/msg/Image": (
+        "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"
+    ),
+    "sensor_msgs/msg/CameraInfo": (
+        "RIHS01_b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275"
+    ),
+    "sensor_msgs/msg/CompressedImage": (
+        "RIHS01_15640771531571185e2efc8a100baf923961a4d15d5569652e6cb6691e8e371a"
+    ),
+    "foxglove_msgs/msg/CompressedVideo": (
+        "RIHS01_32039eafc3770e589c86c4dabff9c392ce9955ebffd43f5f60763011d43d8d1d"
     ),
     "rmw_dds_common/msg/ParticipantEntitiesInfo": (
         "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"

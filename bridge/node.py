@@ -14,6 +14,7 @@ from typing import Any
 from phy124.runtime.failures import failure
 from phy124.runtime.signals import handling, interrupt
 
+from .cameras import Cameras
 from .live import follow, play
 from .options import Options
 from .parameters import (
@@ -54,10 +55,13 @@ def play_clip(node: Any) -> None:
     options = _options(chosen)
     clip = open_clip(path)
     player = Player(clip.times, rate=rate or None, speed=speed, loop=loop)
-    with RclpySink(options, clock=clock, node=node) as sink:
+    with (
+        Cameras(options, clip.scene, clip) as cameras,
+        RclpySink(options, clock=clock, node=node) as sink,
+    ):
         log.info("Playing %s. %s", path, sink.audience())
         try:
-            play(clip, sink, player, stay=True)
+            play(clip, sink, player, look=cameras.look, stay=True)
         finally:
             log.info(player.report())
 
@@ -73,9 +77,12 @@ def simulate(node: Any) -> None:
     options = _options(chosen)
     asked = LiveOptions(True, scene, changes, generator, device, tuple(map(Path, more)), **making)
     run = LiveRun(Path(source), asked)
-    with RclpySink(options, clock=clock, node=node, running=RUNNING_LIVE) as sink:
+    with (
+        Cameras(options, run.scene.data()) as cameras,
+        RclpySink(options, clock=clock, node=node, running=RUNNING_LIVE) as sink,
+    ):
         log.info("Simulating %s, scene %s. %s", source, scene, sink.audience())
-        follow(run, sink, speed=speed)
+        follow(map(cameras.look, run), sink, speed=speed)
     if run.stopped is not None:
         log.error("The simulation stopped early; its good frames were shown. %s", run.stopped)
         raise SystemExit(STOPPED_EARLY)
@@ -118,5 +125,5 @@ def _take(chosen: dict[str, Any], *names: str) -> list[Any]:
 
 def _options(chosen: dict[str, Any]) -> Options:
     """Return the options of the messages; a parameter of 0 means None."""
-    optional = {name: chosen.get(name) or None for name in ("max_points", "epoch")}
+    optional = {name: chosen.get(name) or None for name in ("max_points", "epoch", "cameras")}
     return Options(**{**chosen, **optional})

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
+from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -17,6 +20,7 @@ LIVE_POINTS = 32_768
 (docs/guide/ros2-messages.md)."""
 LIVE_SPLATS = 8_192
 """Largest number of Gaussians per frame in the profile `splats`, of 384 bytes each."""
+Image = Literal["rgb", "depth", "mask", "flow", "jpeg", "h264"]
 LAST_SECOND = 2**31 - 1
 """Largest time, because `builtin_interfaces/msg/Time` counts seconds in an int32 [s]."""
 
@@ -63,6 +67,24 @@ class Options(Section):
         lt=LAST_SECOND,
         description="Time of the clip's start, seconds since 1970; default: now.",
     )
+    views: tuple[str, ...] = Field(
+        default=(),
+        description="Cameras whose pictures are sent: front, right, back, left, orbit, an azimuth "
+        "[deg], or the name of a camera of the scene. Default: none.",
+    )
+    cameras: Path | None = Field(
+        default=None,
+        description="TOML file with [[view.cameras]] as in a scene; their pictures are sent, too.",
+    )
+    images: tuple[Image, ...] = Field(
+        default=("rgb", "depth"),
+        min_length=1,
+        description="What a camera sends: rgb, depth [m], mask, flow [px], jpeg, h264.",
+    )
+    size: str = Field(
+        default="640x480",
+        description="Width and height of the pictures, or one number for both [pixels].",
+    )
 
     @field_validator("frame_id", "parent_frame")
     @classmethod
@@ -103,6 +125,25 @@ class Options(Section):
             )
         return self
 
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of the cameras, as in the names of their topics; ROS allows no hyphens and dots.
+
+        Raises:
+            InputError: The file of cameras cannot be read.
+        """
+        if not self.views and self.cameras is None:
+            return ()
+        from phy124.scene.files import read_cameras
+
+        named = [] if self.cameras is None else read_cameras(self.cameras)
+        angles = {view: azimuth(view) for view in self.views}
+        sides = [
+            view if angle is None else f"azimuth-{angle % 360:g}" for view, angle in angles.items()
+        ]
+        sides += [str(camera.get("name", camera.get("kind"))) for camera in named]
+        return tuple(map(camera_name, sides))
+
     def live(self) -> Options:
         """Return the options with live defaults: as many points as arrive at 30 Hz."""
         chosen = {
@@ -114,6 +155,19 @@ class Options(Section):
     def for_recording(self) -> Options:
         """Return the options with the defaults of recordings, which leave nothing out."""
         return self.model_copy(update={"profile": self.profile or "full"})
+
+
+def azimuth(view: str) -> float | None:
+    """Return the azimuth [deg] that a view names, or None if it is a word."""
+    try:
+        return float(view)
+    except ValueError:
+        return None
+
+
+def camera_name(side: str) -> str:
+    """Return the name of a camera in topics and frames, where ROS allows no hyphens and dots."""
+    return re.sub(r"\W", "_", side)
 
 
 def live_points(profile: Profile | None, asked: int | None) -> int:

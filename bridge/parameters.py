@@ -109,14 +109,18 @@ def section_of(chosen: dict[str, Any], section: type[Made]) -> Made:
     return section(**{name: value for name, value in values.items() if value not in ("", 0)})
 
 
+TEXTS = {"views": [""], "images": ["rgb", "depth"]}
+"""Options that are lists of texts, with their initial values."""
+
+
 def message_options() -> dict[str, Parameter]:
     """Return the parameters for the message options; max_points is in `RUNNING`."""
-    absent = {"epoch": 0.0, "profile": LIVE_PROFILE}
+    absent = {"epoch": 0.0, "profile": LIVE_PROFILE, "cameras": ""}
     fields = {n: field for n, field in Options.model_fields.items() if n not in RUNNING}
     return {
         name: Parameter(
             # None, which ROS parameters lack, is replaced by another value.
-            absent[name] if field.default is None else field.default,
+            absent[name] if field.default is None else TEXTS.get(name, field.default),
             field.description or "",
         )
         for name, field in fields.items()

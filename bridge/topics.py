@@ -64,6 +64,17 @@ GRAB = Topic("~/grab", "geometry_msgs/msg/PointStamped", depth=10, transient_loc
 """Topics to which a steered run subscribes."""
 FACTOR = Topic("~/real_time_factor", "std_msgs/msg/Float64", depth=1)
 SPLATS = Topic("/phy124/gaussian_splats", "splat_interfaces/msg/SplatArray", depth=1)
+IMAGE = "sensor_msgs/msg/Image"
+CAMERA = {
+    "info": ("camera_info", "sensor_msgs/msg/CameraInfo"),
+    "rgb": ("image_raw", IMAGE),
+    "depth": ("depth", IMAGE),
+    "mask": ("mask", IMAGE),
+    "flow": ("flow", IMAGE),
+    "jpeg": ("image_raw/compressed", "sensor_msgs/msg/CompressedImage"),
+    "h264": ("video", "foxglove_msgs/msg/CompressedVideo"),
+}
+"""What a camera sends -> end of the topic's name, and type."""
 MAIN = (POINTS.name, SPLATS.name)
 """Names of the two topics of Gaussians; every frame is on one of them."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS, SPLATS, TF)}
@@ -79,11 +90,22 @@ def contact(at: str) -> Topic:
     )
 
 
+def camera_topic(camera: str, kind: str) -> Topic:
+    """Return the topic of a camera for one of the kinds in `CAMERA`."""
+    end, message = CAMERA[kind]
+    return Topic(f"~/camera/{camera}/{end}", message, depth=5)
+
+
 def find_recorded(name: str) -> Topic | None:
     """Return the recorded topic with a full name, or None."""
     node, _, wall = name.partition("/contact/")
     if node.startswith(f"/{NAMESPACE}/") and wall:
         return replace(contact(wall), name=name)
+    node, _, camera = name.partition("/camera/")
+    camera, _, end = camera.partition("/")
+    kinds = {ending: kind for kind, (ending, _) in CAMERA.items()}
+    if node.startswith(f"/{NAMESPACE}/") and end in kinds:
+        return replace(camera_topic(camera, kinds[end]), name=name)
     return RECORDED.get(name)
 
 

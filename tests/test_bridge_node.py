@@ -13,6 +13,7 @@ from bridge.sinks.rclpy import RclpySink
 from phy124.generators.extras import DepthMap
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutting import Cutting
+from phy124.scene import Scene
 from support.clips import random_clip
 from support.ros_double import Node
 from support.ros_messages import clouds, statuses, values
@@ -195,7 +196,7 @@ def test_a_running_simulation_as_a_node(ros, monkeypatch):
     asked = []
 
     class Run:
-        stopped = None
+        stopped, scene = None, Scene()
 
         def __init__(self, source, options):
             asked.append((source.name, options))
@@ -254,7 +255,7 @@ def test_a_running_simulation_answers_while_it_computes(ros, monkeypatch):
         wait_until(lambda: not ros.script and len(clock.sent) >= ticks + 5)
 
     class Run:
-        stopped = None
+        stopped, scene = None, Scene()
 
         def __init__(self, source, options):
             pass
@@ -280,7 +281,7 @@ def test_a_running_simulation_answers_while_it_computes(ros, monkeypatch):
 
 def test_a_running_simulation_that_stops_early_says_so(ros, monkeypatch):
     class Run:
-        stopped = "The object left the grid."
+        stopped, scene = "The object left the grid.", Scene()
 
         def __init__(self, source, options):
             pass

@@ -294,7 +294,7 @@ def test_topics_and_frames_name_the_object(tmp_path, monkeypatch):
     published = [topic for topic in controls(run, "", action=False).published if topic != FACTOR]
     assert "~/contact/object_on_box" in {topic.name for topic in published}
     wanted = []
-    with McapSink(tmp_path / "bag", OPTIONS, topics=published) as sink:
+    with McapSink(tmp_path / "bag", OPTIONS, topics=published, node="live") as sink:
 
         def show(frame):
             sink.write(frame)

@@ -172,7 +172,7 @@ class DdsSink:
         self._domain = None if URI in os.environ else _domain(domain, self._discovery)
         self._participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))
         topics = [*self._encoder.topics, *self._reports.topics, *self._controls.published]
-        self._writers = {topic.name: self._writer(topic) for topic in topics}
+        self._writers = {topic.name: self._writer(topic) for topic in dict.fromkeys(topics)}
         heard: dict[Topic, Hear] = {COMMAND: self._command, **self._controls.heard}
         self._heard = [(self._reader(topic), hear) for topic, hear in heard.items()]
         # All nodes write to this topic, which has no key that distinguishes them.

@@ -94,7 +94,7 @@ class FoxgloveSink:
         topics = [*self._encoder.topics]
         if self._controls and self._reports:
             topics += [*self._reports.topics, *self._controls.published]
-        self._channels = {topic.name: self._channel(topic) for topic in topics}
+        self._channels = {topic.name: self._channel(topic) for topic in dict.fromkeys(topics)}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -157,9 +157,14 @@ class FoxgloveSink:
         self._viewers -= topic == self._encoder.main.name
 
     def newcomer(self, topic: str) -> None:
-        """Count a viewer that subscribes, and send the latest frame; called by a server thread."""
+        """Count a subscribing viewer, and send the latest message; called by a server thread."""
         self._viewers += topic == self._encoder.main.name
-        self.post(lambda obey: self._log([*self._encoder.static(), *self._latest]))
+        names = {t.name for t in self._encoder.topics if full_name(t.name, self._node) == topic}
+        self.post(
+            lambda obey: self._log(
+                [*self._encoder.static(), *(m for m in self._latest if m.topic.name in names)]
+            )
+        )
 
     def control(self, playing: bool, speed: float, seek: int | None, request: str) -> None:
         """Carry out a viewer's use of the playback controls; called by a server thread.

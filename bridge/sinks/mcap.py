@@ -22,7 +22,7 @@ from phy124.runtime.installation import install_command
 from .. import PROGRAM, bag
 from ..encoder import FrameEncoder
 from ..options import Options
-from ..topics import STEERED, Message, Topic, full_name
+from ..topics import PLAYER, Message, Topic, full_name
 
 Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
@@ -46,6 +46,7 @@ class McapSink:
         report: Callable[[], dict[str, Any]] = dict,
         overwrite: bool = False,
         topics: Sequence[Topic] = (),
+        node: str = PLAYER,
     ) -> None:
         """Prepare a recording; no file is changed before the sink is entered.
 
@@ -57,7 +58,8 @@ class McapSink:
             scene: The resolved scene as plain data, to be stored in the file.
             report: Called at the end; its result is stored in the file.
             overwrite: Replace an existing bag.
-            topics: Additional topics, whose messages come by `send`; names relative to node `live`.
+            topics: Additional topics, whose messages come by `send`.
+            node: Node to which names of topics are relative.
 
         Raises:
             InputError: The package `mcap` is missing.
@@ -70,7 +72,8 @@ class McapSink:
         self._compression = compression
         self._scene, self._report = scene or {}, report
         self._overwrite = overwrite
-        self._topics = {t.name: replace(t, name=full_name(t.name, STEERED)) for t in topics}
+        announced = (*self._encoder.topics, *topics)
+        self._topics = {t.name: replace(t, name=full_name(t.name, node)) for t in announced}
         self._counts = bag.Counts()
         self._single = self.path.suffix == bag.SUFFIX
         # A complete single file gets its final name; a bag is complete with metadata.yaml.
@@ -151,11 +154,10 @@ class McapSink:
         Raises:
             Incomplete: The disk is full or gone; frames written so far stay in the file.
         """
-        topic = self._topics.get(message.topic.name)
-        if topic is None:
+        if message.topic.name not in self._topics:
             return
         try:
-            self._add(message._replace(topic=topic))
+            self._add(message)
         except OSError as error:
             raise self._failure() from error
 
@@ -177,7 +179,7 @@ class McapSink:
         self._writer = Writer(self._stream, chunk_size=CHUNK, compression=kind)
         self._writer.start(bag.PROFILE)
         self._write_record({})
-        topics = [*self._encoder.topics, *self._topics.values()]
+        topics = list(self._topics.values())
         self._channels = {topic.name: bag.register(self._writer, topic) for topic in topics}
         self._counts.announce(topics)
         for message in self._encoder.static():
@@ -185,9 +187,10 @@ class McapSink:
         self._writer.flush()
 
     def _add(self, message: Message) -> None:
-        self._counts.add(message.topic, message.stamp)
+        topic = self._topics[message.topic.name]
+        self._counts.add(topic, message.stamp)
         self._writer.add_message(
-            self._channels[message.topic.name],
+            self._channels[topic.name],
             log_time=message.stamp,
             data=message.data,
             publish_time=message.stamp,

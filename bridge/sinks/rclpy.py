@@ -86,7 +86,9 @@ class RclpySink:
                 values=controls.values,
             )
             topics = [*self._encoder.topics, *self._reports.topics, *controls.published]
-            self._publishers = {topic.name: self._publisher(topic) for topic in topics}
+            self._publishers = {
+                topic.name: self._publisher(topic) for topic in dict.fromkeys(topics)
+            }
             self._delivery = Delivery(
                 self._wait_acknowledged,
                 self._depth(),

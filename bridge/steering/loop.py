@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,6 +66,7 @@ def steer(
     options: Options,
     *,
     records: Sequence[Recorder] = (),
+    look: Callable[[Frame], Frame] = lambda frame: frame,
     frames: int | None = None,
 ) -> None:
     """Compute frames until a peer quits the run.
@@ -75,12 +76,14 @@ def steer(
         sink: Sink that shows the run and receives inputs, opened with its `controls`.
         options: Options that define how frames become messages, with an epoch.
         records: Recordings of the frames and wrenches.
+        look: Adds the pictures of cameras to a frame.
         frames: Number of frames after which the run ends; None: no limit.
     """
     from phy124.live import RealTime
 
     listening = _Listening(run, sink)
-    run.show = _Outlets(run, sink, options, records).show
+    outlets = _Outlets(run, sink, options, records)
+    run.show = lambda frame: outlets.show(look(frame))
     run.changed = lambda: sink.show(run)
     sink.show(run)
     run.advance()

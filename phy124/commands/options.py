@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import tyro
 
-from phy124.errors import InputError
 from phy124.generators import list_names
 from phy124.progress import Progress
 from phy124.runtime.context import RunContext
@@ -25,7 +24,7 @@ from phy124.scene import (
     parse_value,
 )
 from phy124.scene.changes import LENGTH
-from phy124.scene.files import read_toml
+from phy124.scene.files import read_cameras
 from phy124.scene.view import StageName
 
 Device = Annotated[str, tyro.conf.arg(help=CHOICES)]
@@ -69,7 +68,7 @@ class CameraOptions:
             "view.views": _items(self.views),
             "view.azimuths": _items(self.azimuth),
             "view.elevation": self.elevation,
-            "view.cameras": self.cameras and cameras_in(self.cameras),
+            "view.cameras": self.cameras and read_cameras(self.cameras),
             "view.size": self.size,
             "view.follow": False if self.no_follow else self.follow or None,
         }
@@ -99,20 +98,6 @@ class ViewOptions(CameraOptions):
         }
         made = {path: value for path, value in chosen.items() if value is not None}
         return super().changes() | made
-
-
-def cameras_in(path: Path) -> list[Any]:
-    """Read the cameras in a TOML file, as plain data.
-
-    Raises:
-        InputError: The file cannot be read, or contains anything but cameras.
-    """
-    data = read_toml(path, "cameras")
-    view = data.get("view")
-    if set(data) != {"view"} or not isinstance(view, dict) or set(view) != {"cameras"}:
-        limit = "it must contain only cameras, each below a line [[view.cameras]]."
-        raise InputError("cameras", path, limit, "Give a whole scene after --scene.")
-    return view["cameras"]
 
 
 def _items(texts: Listed) -> list[Any] | None:

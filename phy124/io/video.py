@@ -86,7 +86,7 @@ def encoder_problem() -> str:
 def _problem_of(program: str) -> str:
     """Return the reason why an encoder cannot encode a test frame; an empty text if it can."""
     size = 16
-    command = [program, *_source(size, size, Fraction(24)), *CODEC, "-f", "null", "-"]
+    command = [program, *list_source_options(size, size, Fraction(24)), *CODEC, "-f", "null", "-"]
     try:
         done = subprocess.run(
             command, input=bytes(3 * size * size), capture_output=True, timeout=STUCK, check=False
@@ -219,7 +219,7 @@ def _encode(
     height, width, channels = first.shape
     rate = Fraction(fps).limit_denominator(1001)
     program = imageio_ffmpeg.get_ffmpeg_exe()
-    command = [program, "-y", *_source(width, height, rate, channels), *codec]
+    command = [program, "-y", *list_source_options(width, height, rate, channels), *codec]
     with tempfile.TemporaryFile() as log:
         encoder = subprocess.Popen(
             [*command, os.fspath(temporary)], stdin=subprocess.PIPE, stdout=log, stderr=log
@@ -240,8 +240,15 @@ def _encode(
     return sent
 
 
-def _source(width: int, height: int, rate: Fraction, channels: int = 3) -> list[str]:
-    """Return the options that make ffmpeg read raw frames from its standard input, silently."""
+def list_source_options(width: int, height: int, rate: Fraction, channels: int = 3) -> list[str]:
+    """Return the options that make ffmpeg read raw frames from its standard input, silently.
+
+    Args:
+        width: Width of the frames, pixels.
+        height: Height of the frames, pixels.
+        rate: Frames per second.
+        channels: 3 for RGB, 4 for RGBA.
+    """
     kind = "rgba" if channels == 4 else "rgb24"
     return f"-v error -f rawvideo -pix_fmt {kind} -s {width}x{height} -r {rate} -i -".split()
 

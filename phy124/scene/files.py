@@ -44,6 +44,20 @@ def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
     raise InputError(field, path, limit, remedy)
 
 
+def read_cameras(path: str | os.PathLike[str]) -> list[Any]:
+    """Read the cameras in a TOML file, as plain data.
+
+    Raises:
+        InputError: The file cannot be read, or contains anything but cameras.
+    """
+    data = read_toml(path, "cameras")
+    view = data.get("view")
+    if set(data) != {"view"} or not isinstance(view, dict) or set(view) != {"cameras"}:
+        limit = "it must contain only cameras, each below a line [[view.cameras]]."
+        raise InputError("cameras", path, limit, "Give a whole scene after --scene.")
+    return view["cameras"]
+
+
 def check_depth(data: Any, field: str) -> None:
     """Refuse plain data that is nested too deep.
 

@@ -1,0 +1,231 @@
+"""What cameras see, read back from bags by rosbags, and over Foxglove and DDS."""
+
+import io
+import subprocess
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
+
+from bridge.camera_messages import list_topics
+from bridge.cameras import Cameras, choose_view
+from bridge.encoder import FrameEncoder
+from bridge.messages import DEFINITIONS
+from bridge.options import Options
+from bridge.sinks.mcap import McapSink
+from bridge.steering.loop import steer
+from bridge.topics import find_recorded, full_name
+from phy124.errors import InputError
+from phy124.gaussians import Frame, Gaussians
+from phy124.io.clip import Clip
+from phy124.rendering.framing import cameras
+from phy124.rendering.outputs import Seen
+from phy124.rendering.render import Renderer
+from phy124.scene import Scene
+from support.steered import steered
+
+SIZE = (160, 120)
+VIDEO = "foxglove_msgs/msg/CompressedVideo"
+JAZZY = get_typestore(Stores.ROS2_JAZZY)
+JAZZY.register(get_types_from_msg(DEFINITIONS[VIDEO], VIDEO))
+CORNERS = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(-1, 3)
+
+
+def dots_clip(frames=4):
+    """The corners of a cube of 1 m, as dots of different colours, which sink."""
+    n = len(CORNERS)
+    rgb = np.random.default_rng(124).uniform(0, 0.6, (n, 3))
+    quats = np.tile([1.0, 0, 0, 0], (n, 1))
+    dots = Gaussians.from_rgb(CORNERS, quats, np.full((n, 3), 0.008), np.full(n, 0.95), rgb)
+    return Clip.from_frames(
+        [Frame(i, i / 24, dots.transform(1.0, np.array([0, 0, -0.03 * i]))) for i in range(frames)]
+    )
+
+
+def options(**changes):
+    return Options(**{"views": ("front", "orbit"), "size": "160x120", "epoch": 1e9, **changes})
+
+
+def record(path, clip, chosen):
+    with Cameras(chosen, clip.scene, clip) as seen, McapSink(path, chosen) as sink:
+        for frame in map(seen.look, clip.frames()):
+            sink.write(frame)
+    return path
+
+
+def messages(bag):
+    """Topic -> messages, as rosbags reads them."""
+    found = {}
+    with Reader(bag) as reader:
+        for connection, _, raw in reader.messages():
+            message = JAZZY.deserialize_cdr(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append(message)
+    return found
+
+
+def camera(found, name, end):
+    return found[f"/phy124/player/camera/{name}/{end}"]
+
+
+def pixels(image):
+    kind, channels = {
+        "rgb8": ("u1", 3),
+        "mono8": ("u1", 1),
+        "32FC1": ("f4", 1),
+        "32FC2": ("f4", 2),
+    }[image.encoding]
+    assert image.step == image.width * channels * np.dtype(kind).itemsize
+    return np.frombuffer(image.data, kind).reshape(image.height, image.width, channels)
+
+
+def project(points, info, link):
+    """Pixels by K and TF, in ROS's convention: the centre of the first pixel is (0, 0)."""
+    q, t = link.transform.rotation, link.transform.translation
+    seen = Rotation.from_quat([q.x, q.y, q.z, q.w]).inv().apply(points - [t.x, t.y, t.z])
+    image = seen @ info.k.reshape(3, 3).T
+    return image[:, :2] / image[:, 2:]
+
+
+def test_points_land_on_their_pixels(tmp_path):
+    clip = dots_clip()
+    found = messages(record(tmp_path / "bag", clip, options(images=("mask",))))
+    for index in range(len(clip)):
+        (fixed,) = [
+            link
+            for link in found["/tf_static"][-1].transforms
+            if link.child_frame_id == "phy124_camera_front_optical"
+        ]
+        (moving,) = found["/tf"][index].transforms
+        assert moving.child_frame_id == "phy124_camera_orbit_optical"
+        for name, link in (("front", fixed), ("orbit", moving)):
+            info = camera(found, name, "camera_info")[index]
+            assert (info.width, info.height, *info.d) == (*SIZE, 0, 0, 0, 0, 0)
+            assert info.header.frame_id == link.child_frame_id
+            np.testing.assert_array_equal(info.p.reshape(3, 4)[:, :3], info.k.reshape(3, 3))
+            mask = pixels(camera(found, name, "mask")[index])[..., 0].astype(float)
+            for x, y in project(clip.means[index], info, link):
+                left, top = round(x) - 4, round(y) - 4
+                spot = mask[top : top + 9, left : left + 9]
+                rows, columns = np.mgrid[top : top + 9, left : left + 9]
+                centre = np.array([(columns * spot).sum(), (rows * spot).sum()]) / spot.sum()
+                assert np.abs(centre - [x, y]).max() < 0.1
+
+
+def test_images_are_those_of_the_renderer(tmp_path):
+    clip = dots_clip()
+    chosen = options(images=("rgb", "depth", "flow", "jpeg"))
+    found = messages(record(tmp_path / "bag", clip, chosen))
+    view = choose_view(chosen, Scene())
+    for side in view.sides:
+        path = cameras(clip, view, side)
+        seen = Seen(clip, path, ("depth", "flow"))
+        for index in range(len(clip)):
+            picture = Renderer().picture(clip.frame(index).gaussians, path[index])
+            np.testing.assert_array_equal(pixels(camera(found, side, "image_raw")[index]), picture)
+            packed = camera(found, side, "image_raw/compressed")[index]
+            opened = np.asarray(Image.open(io.BytesIO(packed.data)), float)
+            assert np.abs(opened - picture).mean() < 3
+            rasters, covered = seen.rasters(Renderer(), index)
+            depth = pixels(camera(found, side, "depth")[index])
+            np.testing.assert_array_equal(depth[covered], rasters["depth"][covered])
+            assert np.isnan(depth[~covered]).all()
+        assert len(camera(found, side, "flow")) == len(clip) - 1
+    # A dot that sinks moves downwards by f * distance / depth.
+    flow, mask = pixels(camera(found, "front", "flow")[0]), covered
+    down = flow[..., 1][flow[..., 1] != 0]
+    focal = camera(found, "front", "camera_info")[0].k[4]
+    nearest, farthest = (focal * 0.03 / (path[0].eye[0] - x) for x in (0.5, -0.5))
+    assert mask.any() and down.min() > 0.9 * farthest and down.max() < 1.2 * nearest
+
+
+def test_video_has_one_picture_per_message(tmp_path):
+    clip = dots_clip(6)
+    found = messages(record(tmp_path / "bag", clip, options(images=("rgb", "h264"), size="161x99")))
+    units = [bytes(message.data) for message in camera(found, "front", "video")]
+    pictures = [pixels(image) for image in camera(found, "front", "image_raw")]
+    # Each message begins with an access unit delimiter; only the first has parameter sets (7).
+    assert all(unit.startswith(b"\0\0\0\1\x09") for unit in units)
+    assert [b"\0\0\1\x67" in unit for unit in units] == [True] + [False] * 5
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        *["-v", "error", "-f", "h264", "-i", "-", "-f", "rawvideo"],
+    ]
+    done = subprocess.run(
+        [*command, "-pix_fmt", "rgb24", "-"], input=b"".join(units), capture_output=True, check=True
+    )
+    decoded = np.frombuffer(done.stdout, np.uint8).reshape(len(units), 100, 162, 3)[:, :99, :161]
+    assert np.abs(decoded - np.array(pictures, float)).mean() < 3
+
+
+def test_cameras_are_off_by_default():
+    clip = dots_clip()
+    with Cameras(Options(), {"not": "read"}, clip) as seen:
+        frame = clip.frame(0)
+        assert seen.look(frame) is frame
+    assert [topic.name for topic in FrameEncoder(Options()).topics] == [
+        "/tf_static",
+        "/phy124/points",
+    ]
+
+
+def test_names_of_cameras(tmp_path):
+    file = tmp_path / "cameras.toml"
+    file.write_text(
+        '[[view.cameras]]\nkind = "dolly"\n[[view.cameras]]\nkind = "path"\nname = "a-b"'
+    )
+    scene = {"view": {"cameras": [{"kind": "turntable", "name": "table"}]}}
+    chosen = options(views=("right", "table", "52.5"), cameras=file)
+    assert chosen.camera_names == ("right", "table", "azimuth_52_5", "dolly", "a_b")
+    with Cameras(chosen, scene, dots_clip()) as seen:
+        pictures = seen.look(dots_clip().frame(1)).pictures
+    fixed = {picture.name: picture.fixed for picture in pictures}
+    assert fixed.keys() == set(chosen.camera_names)
+    assert [name for name in fixed if not fixed[name]] == ["table", "dolly"]
+    for topic in list_topics(chosen):
+        name = full_name(topic.name, "live")
+        assert find_recorded(name).type == topic.type
+    assert find_recorded("/phy124/live/camera/front/other") is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"views": ("top",)}, "views = top: the scene has no such camera."),
+        ({"views": ("front", "front")}, "their names must differ"),
+        ({"size": "7x"}, "size"),
+        ({"cameras": "no.toml"}, "there is no such file"),
+    ],
+)
+def test_refusals(changes, sentence):
+    with pytest.raises(InputError, match=sentence):
+        Cameras(options(**changes), {}, dots_clip())
+
+
+def test_live_cameras_stay_where_the_object_rested():
+    chosen = options(images=("rgb", "flow"))
+    run, shown = steered(), []
+    with Cameras(chosen, run.live.scene.data()) as seen:
+        sink = type("Sink", (), {"show": lambda *_: None, "listen": lambda *_: None})()
+        sink.send, sink.write = shown.append, shown.append
+        run.enter(1)
+        steer(run, sink, chosen, look=seen.look, frames=3)
+    frames = [frame for frame in shown if isinstance(frame, Frame)]
+    front, orbit = zip(*(frame.pictures for frame in frames), strict=True)
+    assert len(front) == 3 and len({picture.camera.eye for picture in front}) == 1
+    assert len({picture.camera.eye for picture in orbit}) == 3
+    assert [("flow" in picture.images) for picture in front] == [False, True, True]
+    assert all((picture.images["rgb"] < 250).any() for picture in front)
+
+
+def test_circling_camera_goes_on_after_the_scene():
+    clip = dots_clip()
+    scene = Scene().replaced({"time.frames": 4}).data()
+    with Cameras(options(images=("mask",)), scene) as seen:
+        first, *_ = [seen.look(Frame(i, i / 24, clip.frame(0).gaussians)) for i in range(4)]
+        again = seen.look(Frame(4, 4 / 24, clip.frame(0).gaussians))
+    assert first.pictures[1].camera == again.pictures[1].camera
+    assert again.pictures[0].camera == first.pictures[0].camera
