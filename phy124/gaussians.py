@@ -1,4 +1,4 @@
-"""Gaussians and frames: the data that the stages of the pipeline exchange.
+"""Gaussians, particles and frames: the data that the stages of the pipeline exchange.
 
 Conventions: the world is right-handed, in metres, z up, and the object faces +x
 (docs/reference/conventions.md); quaternions are wxyz; values are post-activation (opacity 0..1,
@@ -7,7 +7,7 @@ scales in metres). The field names are gsplat's.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -206,6 +206,47 @@ class Frame:
     """Force of the walls on each Gaussian [N,3], N, averaged over the last frame interval."""
     wrenches: dict[str, Wrench] | None = None
     """Force and torque of the object on each wall, by the wall's name, if requested."""
+
+
+@dataclass(frozen=True, eq=False)
+class Particles:
+    """P material points at rest, sorted so that neighbours in space are close in memory."""
+
+    x: NDArray[np.float32]
+    """Positions [P,3], m."""
+    volume: NDArray[np.float64]
+    """Volumes [P], m^3; their sum is the volume of the object."""
+    density: NDArray[np.float64]
+    """Densities [P], kg/m^3."""
+    material: NDArray[np.int32]
+    """Index of the material of each particle [P]."""
+    gaussian: NDArray[np.int32]
+    """Index of the Gaussian at the particle's position [P]; -1 if there is none."""
+    body: NDArray[np.int32] | None = None
+    """Index of the scene's object to which each particle belongs [P]; None for a single object."""
+    surface: NDArray[np.float64] | None = None
+    """Surface points [m] and their outward normals [S,6] of a body on its lattice at rest; None for
+    other bodies.
+    """
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    @property
+    def mass(self) -> NDArray[np.float64]:
+        """Masses [P], kg."""
+        return self.volume * self.density
+
+
+def by_object(
+    gaussians: Gaussians, particles: Particles
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Yield, for each object, the indices of its Gaussians and of its particles."""
+    if particles.body is None or gaussians.object_id is None:
+        yield np.arange(len(gaussians)), np.arange(len(particles.x))
+        return
+    for body in np.unique(gaussians.object_id):
+        yield np.flatnonzero(gaussians.object_id == body), np.flatnonzero(particles.body == body)
 
 
 def rotation_matrices(quats: NDArray) -> NDArray[np.float64]:

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions, rotation_matrices, sh_basis
 from phy124.kernels import deform
+from phy124.motion.deform import THREADS, Deformer, carriers
 from phy124.particles import Particles, make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.deform import THREADS, Deformer, carriers
 from phy124.studies.validation.bodies import lattice
 from support.shapes import ball
 

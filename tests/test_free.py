@@ -12,9 +12,9 @@ from phy124.io.axes import euler
 from phy124.materials import Fluid, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
+from phy124.motion.scenery import Scenery
 from phy124.mpm import FreeBody
 from phy124.mpm.free import STAGE
-from phy124.particles.scenery import Scenery
 from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene

@@ -7,11 +7,11 @@ import pytest
 
 from phy124.gaussians import Gaussians, join
 from phy124.materials import Fluid, NeoHookean, Sand
+from phy124.motion.deform import Deformer
 from phy124.particles.grains import CLEARANCE, SIZE, add_grains, vary_brightness
 from phy124.particles.seeding import make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.deform import Deformer
 from support.shapes import ball
 
 SPACING = 0.08

@@ -23,9 +23,9 @@ from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.io.files import staging
 from phy124.io.ply import write_ply
+from phy124.motion.deform import THREADS
 from phy124.mpm.threads import Barrier
 from phy124.scene import Scene
-from phy124.simulation.deform import THREADS
 from phy124.studies.validation import stress
 from phy124.studies.validation.accuracy import verify as verifying
 from phy124.studies.validation.accuracy.verify import Verdict

@@ -15,15 +15,15 @@ from phy124.io.clip import Clip
 from phy124.io.formats.usd import write_usd
 from phy124.io.ply import read_ply, write_ply
 from phy124.monitor.tearing import Pieces
+from phy124.motion.deform import Deformer
+from phy124.motion.scenery import Scenery
 from phy124.particles import Particles, compute_bounds
-from phy124.particles.scenery import Scenery
 from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Pair, Scene
 from phy124.scene.objects import find_pair
 from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import notes
-from phy124.simulation.deform import Deformer
 from support.clips import random_clip
 from support.pages import blocks
 from support.shapes import ball

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
 from phy124.live import Live
+from phy124.motion.deform import CARRIERS, carriers
 from phy124.rendering.stage.solids import floor_heights, place_walls
-from phy124.simulation.deform import CARRIERS, carriers
 
 MOST = 5000
 """Largest number of nodes; at 24 frames per second they need 2.9 MB/s."""

@@ -22,6 +22,7 @@ from phy124.kernels.arguments import types
 from phy124.liquid import AnySolver
 from phy124.monitor.softening import Softening
 from phy124.monitor.watchdog import Watchdog
+from phy124.motion.deform import Deformer
 from phy124.mpm import Solver, Unstable
 from phy124.mpm.workers import HOST
 from phy124.rendering.film import film
@@ -30,7 +31,6 @@ from phy124.runtime.context import RunContext
 from phy124.runtime.cores import cores
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.deform import Deformer
 from phy124.simulation.solver import kernels
 
 PROBE, MIN_PROBE = 20, 6

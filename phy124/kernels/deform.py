@@ -1,4 +1,4 @@
-"""Device code of `phy124.simulation.deform`: Gaussians follow the material, all in float64.
+"""Device code of `phy124.motion.deform`: Gaussians follow the material, all in float64.
 
 One-sided Jacobi rotations (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) of A = F R0
 S0 V make the columns of A orthogonal by plane rotations of at most 45 degrees: their directions are

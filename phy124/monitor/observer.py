@@ -17,12 +17,12 @@ from phy124.io.clip import Clip
 from phy124.kernels.transfer import Law
 from phy124.liquid import AnySolver
 from phy124.materials import AnyMaterial
+from phy124.motion.scenery import Scenery
 from phy124.mpm import Attachable, Model, Stage, State
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
 from phy124.particles import Particles
-from phy124.particles.scenery import Scenery
 from phy124.scene import Scene
 
 if TYPE_CHECKING:

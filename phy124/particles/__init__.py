@@ -3,13 +3,14 @@
 There are two bindings of Gaussians to particles:
 
 - `lattice`: a regular lattice of particles fills the solid, and the Gaussians are interpolated from
-  it (`phy124.simulation.deform`). The number of Gaussians therefore hardly affects the simulation.
+  it (`phy124.motion.deform`). The number of Gaussians therefore hardly affects the simulation.
   Thin parts additionally have particles at their Gaussians, at half the spacing.
 - `particles`, the method of the paper (Phy124, arXiv 2409.07179): every Gaussian is an MPM
   particle, and the closed interior is filled with further particles, as in PhysGaussian (arXiv
   2311.12198).
 """
 
+from phy124.gaussians import Particles, by_object
 from phy124.particles.cleaning import (
     Cleaning,
     clean,
@@ -20,8 +21,6 @@ from phy124.particles.cleaning import (
 )
 from phy124.particles.seeding import (
     BINDINGS,
-    Particles,
-    by_object,
     fill,
     is_in_box,
     make_particles,

@@ -8,8 +8,6 @@ MPM: its time-step limit depends on stiffness and density, not on the volume.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Gaussians, Particles
 from phy124.particles.solid import Solid, find_interior, find_solid
 
 BINDINGS = ("lattice", "particles")
@@ -26,36 +24,6 @@ THIN = 4
 """Largest width of a part that counts as thin, in particle spacings."""
 SMALLEST = 0.01
 """Smallest volume of a particle, relative to the mean volume."""
-
-
-@dataclass(frozen=True, eq=False)
-class Particles:
-    """P material points at rest, sorted so that neighbours in space are close in memory."""
-
-    x: NDArray[np.float32]
-    """Positions [P,3], m."""
-    volume: NDArray[np.float64]
-    """Volumes [P], m^3; their sum is the volume of the object."""
-    density: NDArray[np.float64]
-    """Densities [P], kg/m^3."""
-    material: NDArray[np.int32]
-    """Index of the material of each particle [P]."""
-    gaussian: NDArray[np.int32]
-    """Index of the Gaussian at the particle's position [P]; -1 if there is none."""
-    body: NDArray[np.int32] | None = None
-    """Index of the scene's object to which each particle belongs [P]; None for a single object."""
-    surface: NDArray[np.float64] | None = None
-    """Surface points [m] and their outward normals [S,6] of a body on its lattice at rest; None for
-    other bodies.
-    """
-
-    def __len__(self) -> int:
-        return len(self.x)
-
-    @property
-    def mass(self) -> NDArray[np.float64]:
-        """Masses [P], kg."""
-        return self.volume * self.density
 
 
 def make_particles(
@@ -103,17 +71,6 @@ def make_particles(
         material=np.full(len(x), material, np.int32),
         gaussian=owner.astype(np.int32),
     )
-
-
-def by_object(
-    gaussians: Gaussians, particles: Particles
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Yield, for each object, the indices of its Gaussians and of its particles."""
-    if particles.body is None or gaussians.object_id is None:
-        yield np.arange(len(gaussians)), np.arange(len(particles.x))
-        return
-    for body in np.unique(gaussians.object_id):
-        yield np.flatnonzero(gaussians.object_id == body), np.flatnonzero(particles.body == body)
 
 
 def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:

@@ -13,10 +13,10 @@ from phy124.io.clip import Clip
 from phy124.materials import AnyMaterial
 from phy124.materials.base import FLOWING, SHADING
 from phy124.monitor.tearing import APART
+from phy124.motion.deform import of_gaussians
 from phy124.particles import Particles
 from phy124.particles.grains import add_grains, tint, vary_brightness
 from phy124.scene import Scene
-from phy124.simulation.deform import of_gaussians
 
 
 class Appearance(NamedTuple):

@@ -25,10 +25,10 @@ from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.axes import euler
 from phy124.lattice.refusals import refuse_for_lattice
 from phy124.materials import AnyMaterial
+from phy124.motion.scenery import Scenery
 from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
 from phy124.particles.lattice import cells_of, lattice_of, points_of, repeat_for_points
-from phy124.particles.scenery import Scenery
 from phy124.particles.solid import Solid, find_interior
 from phy124.particles.thickness import relative_thickness
 from phy124.scene import Scene, SceneObject

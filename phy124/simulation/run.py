@@ -19,13 +19,13 @@ from phy124.io.clip import Clip, stack_arrays
 from phy124.monitor.diagnostics import describe_substep
 from phy124.monitor.observer import Kind, Observer, Violation, find, restore_all, snapshots
 from phy124.monitor.watchdog import Watchdog
+from phy124.motion.deform import Deformer
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.threads import Team
 from phy124.mpm.workers import HOST, REPAIR, run_timed
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.device import one_at_a_time
 from phy124.scene import Scene
-from phy124.simulation.deform import Deformer
 from phy124.simulation.report import report_clip, report_run
 from phy124.simulation.setup import Setup
 from phy124.simulation.solver import kernels, make_solver, wrap

@@ -22,10 +22,10 @@ from phy124.lattice.refusals import refuse_for_lattice
 from phy124.materials import AnyMaterial
 from phy124.monitor import LATTICE_OBSERVERS, OBSERVERS
 from phy124.monitor.observer import Observer, Subject
+from phy124.motion.scenery import Scenery
 from phy124.mpm import FreeBody
 from phy124.mpm.workers import layers, usable_workers
 from phy124.particles import Particles
-from phy124.particles.scenery import Scenery
 from phy124.particles.solid import Solid
 from phy124.particles.thickness import relative_thickness
 from phy124.runtime.context import RunContext

@@ -9,8 +9,8 @@ from phy124.forces import Gravity
 from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.monitor.diagnostics import diagnose
+from phy124.motion.deform import Deformer
 from phy124.mpm import Solver
-from phy124.simulation.deform import Deformer
 from phy124.studies.validation.bodies import block
 from phy124.studies.validation.stress.bodies import (
     Array,

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
 from phy124.io.ply import raw_table, read_ply
+from phy124.motion.deform import Deformer
 from phy124.particles import clean, find_solid, make_particles, scale_to_size
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.deform import Deformer
 from phy124.studies.validation.bodies import block, surface_of_ball
 from phy124.studies.validation.stress.bodies import DX, Array, body, host, relative
 from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal

@@ -23,10 +23,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Array, Frame, Gaussians, rotate_sh
+from phy124.gaussians import Array, Frame, Gaussians, Particles, by_object, rotate_sh
 from phy124.kernels import deform as field
 from phy124.kernels.arguments import types
-from phy124.particles import Particles, by_object
 
 THREADS = "shapes"
 """Prefix of the names of the threads that process the Gaussians."""

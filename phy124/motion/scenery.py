@@ -7,17 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Array, Frame, Gaussians, rotation_matrices
-from phy124.mpm.tracks import Track
 
 IDENTITY = np.array([1, 0, 0, 0], np.float32)
 """The identity rotation, wxyz."""
 INSTANT = 1e-6
 """Time step of the difference quotient for the velocity of an object on a track [s]."""
+
+
+class Track(Protocol):
+    """Displacement of an object over time."""
+
+    def values(self, times: NDArray) -> NDArray:
+        """Return the displacements at some times [T,3], m."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

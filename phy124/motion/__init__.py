@@ -1,0 +1,1 @@
+"""How the Gaussians of a frame follow from the motion of the particles that carry them."""
