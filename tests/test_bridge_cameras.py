@@ -1,6 +1,7 @@
 """What cameras see, read back from bags by rosbags, and over Foxglove and DDS."""
 
 import io
+import os
 import subprocess
 
 import imageio_ffmpeg
@@ -16,7 +17,9 @@ from bridge.cameras import Cameras, choose_view
 from bridge.encoder import FrameEncoder
 from bridge.messages import DEFINITIONS
 from bridge.options import Options
+from bridge.sinks.foxglove import FoxgloveSink
 from bridge.sinks.mcap import McapSink
+from bridge.sinks.rclpy import RclpySink
 from bridge.steering.loop import steer
 from bridge.topics import find_recorded, full_name
 from phy124.errors import InputError
@@ -26,9 +29,14 @@ from phy124.rendering.framing import cameras
 from phy124.rendering.outputs import Seen
 from phy124.rendering.render import Renderer
 from phy124.scene import Scene
+from support import ros_double
+from support.foxglove_client import Client
+from support.ros_messages import decoded
 from support.steered import steered
+from support.waiting import until
 
 SIZE = (160, 120)
+IMAGE = "sensor_msgs/msg/Image"
 VIDEO = "foxglove_msgs/msg/CompressedVideo"
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 JAZZY.register(get_types_from_msg(DEFINITIONS[VIDEO], VIDEO))
@@ -229,3 +237,79 @@ def test_circling_camera_goes_on_after_the_scene():
         again = seen.look(Frame(4, 4 / 24, clip.frame(0).gaussians))
     assert first.pictures[1].camera == again.pictures[1].camera
     assert again.pictures[0].camera == first.pictures[0].camera
+
+
+def seen_frames(clip, chosen):
+    with Cameras(chosen, clip.scene, clip) as seen:
+        return [seen.look(frame) for frame in clip.frames()]
+
+
+def test_rclpy_publishes_cameras(monkeypatch):
+    ros = ros_double.install(monkeypatch)
+    chosen = options(images=("rgb", "depth"))
+    with RclpySink(chosen) as sink:
+        for frame in seen_frames(dots_clip(), chosen):
+            sink.write(frame)
+    (made,) = ros.nodes
+    (first, *_, last) = decoded(made.publishers["~/camera/front/image_raw"], IMAGE)
+    assert (first.header.frame_id, last.width, last.height) == (
+        "phy124_camera_front_optical",
+        *SIZE,
+    )
+    # The last static transforms are whole: a late subscriber gets no others.
+    *_, links = decoded(made.publishers["/tf_static"], "tf2_msgs/msg/TFMessage")
+    assert [link.child_frame_id for link in links.transforms] == ["phy124", first.header.frame_id]
+    assert len(made.publishers["/tf"].sent) == 4
+    with pytest.raises(
+        InputError, match=r"foxglove_msgs is not installed\. Install ros-DISTRO-fox"
+    ):
+        RclpySink(options(images=("h264",))).__enter__()
+
+
+def test_foxglove_shows_cameras():
+    pytest.importorskip("foxglove")
+    chosen = options(views=("front",))
+    first, second, *_ = seen_frames(dots_clip(), chosen)
+    with FoxgloveSink(chosen, duration=0.1, port=0) as sink:
+        client = Client(sink.port)
+        sink.write(first)
+        client.subscribe("/phy124/player/camera/front/depth")
+        # A new viewer gets the latest picture of this topic alone.
+        sink.listen(10.0, lambda text: None)
+        sink.write(second)
+        shown = [JAZZY.deserialize_cdr(client.data()[2], IMAGE) for _ in range(2)]
+        client.close()
+    for frame, image in zip((first, second), shown, strict=True):
+        np.testing.assert_array_equal(pixels(image)[..., 0], frame.pictures[0].images["depth"])
+
+
+def test_dds_publishes_cameras(monkeypatch):
+    pytest.importorskip("cyclonedds")
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic as DdsTopic
+
+    from bridge.idl import idl_type
+    from bridge.sinks.dds import DdsSink, quality
+
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(101 + os.getpid() % 100))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    chosen = options(views=("front",), size="32x24", images=("rgb",))
+    (frame,) = seen_frames(dots_clip(1), chosen)
+    with DdsSink(chosen) as sink:
+        peer, found = DomainParticipant(sink._discovery.domain), []
+        readers = []
+        for topic in list_topics(chosen):
+            name = f"rt{full_name(topic.name, 'player')}"
+            dds_topic = DdsTopic(peer, name, idl_type(topic.type))
+            readers.append(DataReader(peer, dds_topic, qos=quality(topic)))
+        sink.write(frame)
+
+        def arrived():
+            found.extend(sample for reader in readers for sample in reader.take(5))
+            return len(found) == 2
+
+        until(arrived)
+    info, image = sorted(found, key=lambda sample: hasattr(sample, "encoding"))
+    assert info.k[2] == 15.5
+    np.testing.assert_array_equal(image.data, frame.pictures[0].images["rgb"].ravel())

@@ -15,6 +15,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
+from bridge.cameras import Cameras
 from bridge.layout import points
 from bridge.options import Options
 from bridge.sinks.mcap import McapSink
@@ -305,21 +306,25 @@ def node_modules(pytestconfig):
     return folder
 
 
-@pytest.mark.parametrize("profile", ["viz", "full", "ply"])
-def test_foxglove_reads_every_value_to_the_last_bit(tmp_path, node_modules, profile):
-    clip = random_clip(count=300)
-    bag = record(tmp_path / "bag", clip, profile=profile, translation=(1, 2, 3))
+def read_by_foxglove(bag, node_modules):
+    """Lines that Foxglove's own packages print about a bag."""
     script = Path(__file__).parent / "support/read_bag.mjs"
-    file = bag / "bag_0.mcap"
     run = subprocess.run(
-        ["node", script, node_modules, file],
+        ["node", script, node_modules, bag / f"{bag.name}_0.mcap"],
         check=False,
         capture_output=True,
         text=True,
         timeout=60,
     )
     assert run.returncode == 0, run.stderr
-    head, *lines = map(json.loads, run.stdout.splitlines())
+    return [json.loads(line) for line in run.stdout.splitlines()]
+
+
+@pytest.mark.parametrize("profile", ["viz", "full", "ply"])
+def test_foxglove_reads_every_value_to_the_last_bit(tmp_path, node_modules, profile):
+    clip = random_clip(count=300)
+    bag = record(tmp_path / "bag", clip, profile=profile, translation=(1, 2, 3))
+    head, *lines = read_by_foxglove(bag, node_modules)
     assert head == {"profile": "ros2", "messages": len(clip) + 1}
     found = [line for line in lines if "data" in line]
     assert len(found) == len(clip)
@@ -335,3 +340,25 @@ def test_foxglove_reads_every_value_to_the_last_bit(tmp_path, node_modules, prof
     assert (transform["parent"], transform["child"]) == ("map", "phy124")
     assert transform["transform"]["translation"] == {"x": 1, "y": 2, "z": 3}
     assert json.loads(lines[-1]["metadata"]["report"]) == clip.report
+
+
+def test_foxglove_reads_cameras(tmp_path, node_modules):
+    clip = random_clip(frames=2)
+    kinds = {"rgb": "image_raw", "depth": "depth", "jpeg": "image_raw/compressed", "h264": "video"}
+    chosen = Options(epoch=EPOCH, views=("front",), images=tuple(kinds), size="64x48")
+    with Cameras(chosen, clip.scene, clip) as cameras, McapSink(tmp_path / "bag", chosen) as sink:
+        frames = [cameras.look(frame) for frame in clip.frames()]
+        for frame in frames:
+            sink.write(frame)
+    lines = [line for line in read_by_foxglove(tmp_path / "bag", node_modules) if "logTime" in line]
+    for kind, end in kinds.items():
+        topic = f"/phy124/player/camera/front/{end}"
+        found = [line for line in lines if line["topic"] == topic]
+        images = [frame.pictures[0].images[kind] for frame in frames]
+        data = [image if isinstance(image, bytes) else image.tobytes() for image in images]
+        assert [line["data"] for line in found] == [hashlib.sha256(d).hexdigest() for d in data]
+    assert {line.get("encoding") or line.get("format") for line in lines if "k" not in line} >= {
+        "rgb8",
+        "32FC1",
+        "h264",
+    }

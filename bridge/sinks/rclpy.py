@@ -252,9 +252,18 @@ class RclpySink:
 
 
 def message_class(name: str) -> Any:
-    """Return the Python class of `package/msg/Name`."""
+    """Return the Python class of `package/msg/Name`.
+
+    Raises:
+        InputError: The package is not installed.
+    """
     package, _, base = name.split("/")
-    return getattr(import_module(f"{package}.msg"), base)
+    try:
+        return getattr(import_module(f"{package}.msg"), base)
+    except ModuleNotFoundError as error:
+        limit = f"The ROS 2 package {package} is not installed."
+        remedy = f"Install ros-DISTRO-{package.replace('_', '-')}, or leave out what needs it."
+        raise InputError("message", name, limit, remedy) from error
 
 
 def relative(topic: Topic) -> str:

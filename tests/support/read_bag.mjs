@@ -37,6 +37,10 @@ for await (const message of reader.readMessages()) {
       fields: value.fields.map((field) => [field.name, field.offset, field.datatype, field.count]),
       data: createHash("sha256").update(value.data).digest("hex"),
     });
+  } else if (topic.includes("/camera/")) {
+    const { height, width, encoding, format, k } = value;
+    const data = value.data && createHash("sha256").update(value.data).digest("hex");
+    say({ topic, logTime: String(message.logTime), height, width, encoding, format, k, data });
   } else if (topic === "/tf_static") {
     const [{ header, child_frame_id, transform }] = value.transforms;
     say({ topic, parent: header.frame_id, child: child_frame_id, transform });

@@ -31,7 +31,7 @@ from support.ros_double.simulation import ActionServer, GoalHandle, SimulateStep
 __all__ = ["POLICIES", "GoalHandle", "Node", "install", "simulation_result"]
 
 MESSAGES = {
-    "sensor_msgs": "PointCloud2",
+    "sensor_msgs": "PointCloud2 Image CameraInfo CompressedImage",
     "tf2_msgs": "TFMessage",
     "visualization_msgs": "MarkerArray",
     "rosgraph_msgs": "Clock",
@@ -109,8 +109,8 @@ def install(monkeypatch: Any) -> SimpleNamespace:
             QoSPolicyKind=" ".join(POLICIES),
         ),
     )
-    for package, name in MESSAGES.items():
-        module(f"{package}.msg", **{name: type(name, (), {})})
+    for package, names in MESSAGES.items():
+        module(f"{package}.msg", **{name: type(name, (), {}) for name in names.split()})
     names = ("DiagnosticArray", "DiagnosticStatus")
     module("diagnostic_msgs.msg", **{name: type(name, (), {}) for name in names})
     module(
