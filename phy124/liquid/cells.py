@@ -146,7 +146,15 @@ class Cells:
         self.directions = [self._zeros(count, wp.float64) for _ in range(2)]
         self.jumps, self.turns = (self._zeros(count, wp.vec3d) for _ in range(2))
         """Flux out of each cell per velocity and angular velocity of a free solid."""
-        self.listed = self._zeros(count, int)
+        self.active, self.listed = (self._zeros(count, int) for _ in range(2))
+        """Indices of the active cells, and of the cells of liquid."""
+        self.ends = self._zeros(self._copies + 1, int)
+        """First active cell of each worker, and the number of active cells."""
+        columns = int(self.size[0] * self.size[1])
+        self.lowest, self.highest = (self._zeros(self._copies * columns, int) for _ in range(2))
+        """Lowest and highest cell of the particles in each column, in a copy for each worker."""
+        self.begins, self.tops = (self._zeros(columns, int) for _ in range(2))
+        """First active cell of each column, and the end of its active cells."""
 
     def region(self, reach: float) -> Region:
         """Return the region of all cells up to `reach` [m] around a solid's centre."""

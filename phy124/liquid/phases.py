@@ -11,7 +11,16 @@ from typing import Any, cast
 import numpy as np
 import warp as wp
 
-from phy124.kernels.liquid import faces, impulses, packing, pressure, spread, surface
+from phy124.kernels.liquid import (
+    active,
+    faces,
+    impulses,
+    packing,
+    pressure,
+    spread,
+    surface,
+    transfer,
+)
 from phy124.kernels.reduction import shared_out
 from phy124.liquid.cells import Cells
 from phy124.liquid.impulses import WallImpulses
@@ -59,6 +68,7 @@ class Phases:
         self._model, self._state, self._cells = model, state, cells
         self._projection, self._workers, self._missed = projection, workers, missed
         device = model.device
+        self._form = "simd" if model.form == "simd" else "plain"
         shape = (len(workers), EXTENT)
         self.extents = wp.zeros(shape, dtype=model.real, device=device)
         """Extent of each worker's particles."""
@@ -134,13 +144,15 @@ class Phases:
             yield "fill", launches(records)
         for phase in solve.phases(cells, cells.packing, worker):
             yield "packing", launches(phase)
-        yield "displace", self._shift(worker)
+        gradient = self._gradient(cells.packing, worker, shifts=packing.MOST)
+        yield "displace", launches([gradient])
         for records in self._displacements(worker):
             yield "displace", launches(records)
 
     def _equation(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield a worker's phases that set up the pressure equation."""
         cells, solve = self._cells, self._projection
+        yield from self._activate(worker)
         yield [self._sum_copies(worker), self._levels(worker)]
         yield [self._assemble(worker), *self._jumps(worker)]
         yield from solve.list_cells(cells, worker)
@@ -151,7 +163,7 @@ class Phases:
 
     def _follow(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield a worker's phases in which velocities and particles follow the pressure."""
-        yield [*self._gradient(self._cells.pressure, worker), self._impulses(worker)]
+        yield [self._gradient(self._cells.pressure, worker), self._impulses(worker)]
         yield self._respond(worker)
         for turn in range(LAYERS):
             yield [self._spread(worker, turn)]
@@ -178,9 +190,11 @@ class Phases:
         return slice(first, first + count)
 
     def _over_cells(self, worker: int, name: str, kernel: Any, inputs: list, outputs: list) -> Any:
-        """Record a worker's launch over its cells; their first index precedes the inputs."""
-        first, count = span(self._cells.count, worker, len(self._workers))
-        return name, self._model.launch(kernel, count, [first, *inputs], outputs)
+        """Record a worker's launch over its active cells, whose list precedes the inputs."""
+        cells = self._cells
+        count = -(-cells.count // len(self._workers))
+        inputs = [worker, cells.active, cells.ends, *inputs]
+        return name, self._model.launch(kernel, count, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
         """Return a worker's pushes; the first worker has all, unless all can be divided."""
@@ -192,24 +206,46 @@ class Phases:
         return launches([(stage.name, stage.record(grid)) for stage in stages])
 
     def _copy(self, sums: wp.array, worker: int) -> wp.array:
-        """Return a worker's copy of sums over the cells."""
-        count = self._cells.count
+        """Return a worker's copy of sums over cells or columns."""
+        count = len(sums) // len(self._workers)
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
+
+    def _activate(self, worker: int) -> list[list[Recorded]]:
+        """Return a worker's launches that count, and then list, the active cells."""
+        cells, launch, (part, parts) = (
+            self._cells,
+            self._model.launch,
+            self._projection.part(worker),
+        )
+        counts = self._projection.counts
+        ends = [cells.begins, cells.tops]
+        outputs = [cells.known, cells.also, cells.liquid]
+        forget = self._over_cells(worker, "active", active.forget, [], outputs)
+        inputs = [part, len(self._workers), cells.window, cells.lowest, cells.highest]
+        count = launch(active.count_active, parts, inputs, [*ends, counts])
+        inputs = [part, cells.window, *ends, counts]
+        listed = launch(active.list_active, parts, inputs, [cells.active, cells.ends])
+        return [[forget, ("active", count)], [("active", listed)]]
 
     def _scatter(self, worker: int) -> list[Named]:
         model, s, run, cells = self._model, self._state, self._run(worker), self._cells
         sums = self._copy(cells.sums, worker)
         inputs = [model.mass[run], model.volume[run], cells.lattice, cells.window]
         inputs += [s.x[run], s.v[run], s.C[run]]
-        kernel = faces.make_scatter(model.real)
-        launch = model.launch(kernel, run.stop - run.start, inputs, [sums])
-        return [("clear", sums.zero_), *launches([("p2g", launch)])]
+        kernel, count = transfer.make_scatter(model.real, self._form), run.stop - run.start
+        launch = model.launch(kernel, count, inputs, [sums])
+        columns = [self._copy(ends, worker) for ends in (cells.lowest, cells.highest)]
+        inputs = [cells.lattice, cells.window, s.x[run]]
+        sweep = model.launch(active.make_sweep(model.real), count, inputs, columns)
+        clear = [sums.zero_, lambda: columns[0].fill_(active.NONE), lambda: columns[1].fill_(-1)]
+        named = [("clear", work) for work in clear]
+        return [*named, *launches([("p2g", launch), ("active", sweep)])]
 
     def _sum_copies(self, worker: int) -> Recorded:
         cells, workers = self._cells, len(self._workers)
         if workers == 1:
             return "levels", None
-        kernel = faces.make_sum_copies(self._model.real)
+        kernel = faces.make_sum_copies(self._model.real, 8)
         return self._over_cells(worker, "levels", kernel, [cells.count, workers], [cells.sums])
 
     def _levels(self, worker: int) -> Recorded:
@@ -253,12 +289,13 @@ class Phases:
     def _drift(self, worker: int) -> list[Recorded]:
         return self._solids.bodies.drift() if worker == 0 else []
 
-    def _gradient(self, solution: wp.array, worker: int) -> list[Recorded]:
+    def _gradient(self, solution: wp.array, worker: int, *, shifts: float = 0.0) -> Recorded:
         cells = self._cells
-        inputs = [1.0, cells.window, cells.open, cells.phi, cells.liquid, solution]
+        inputs = [shifts, cells.lattice, cells.window, cells.open, cells.phi, cells.liquid]
+        inputs.append(solution)
         kernel = pressure.make_gradient(self._model.real)
         outputs = [cells.velocity, cells.known]
-        return [self._over_cells(worker, "spread", kernel, inputs, outputs)]
+        return self._over_cells(worker, "spread", kernel, inputs, outputs)
 
     def _impulses(self, worker: int) -> Recorded:
         model, cells, walls, tracks = self._model, self._cells, self._walls, self._tracks
@@ -292,7 +329,7 @@ class Phases:
         inputs = [cells.lattice, cells.window, self._tracks.clock, self._tracks.values]
         outputs = [s.x[run], s.residue[run], s.v[run], s.C[run], part_of(s.total, run)]
         outputs.append(cast("wp.array", self._missed[worker]))
-        kernel, count = faces.make_gather(model.real), run.stop - run.start
+        kernel, count = transfer.make_gather(model.real, self._form), run.stop - run.start
         return "g2p", model.launch(kernel, count, [*inputs, cells.other], outputs)
 
     def _push_out(self, worker: int, *, stops: bool) -> list[Recorded]:
@@ -304,7 +341,7 @@ class Phases:
         model, run, cells = self._model, self._run(worker), self._cells
         fills = self._copy(cells.fills, worker)
         inputs = [model.volume[run], cells.lattice, cells.window, self._state.x[run]]
-        kernel = faces.make_scatter_volume(model.real)
+        kernel = transfer.make_scatter_volume(model.real, self._form)
         launch = model.launch(kernel, run.stop - run.start, inputs, [fills])
         return [("density", fills.zero_), *launches([("density", launch)])]
 
@@ -312,7 +349,7 @@ class Phases:
         cells, workers = self._cells, len(self._workers)
         if workers == 1:
             return "density", None
-        kernel = faces.make_sum_fills(self._model.real)
+        kernel = faces.make_sum_copies(self._model.real, 2)
         return self._over_cells(worker, "density", kernel, [cells.count, workers], [cells.fills])
 
     def _refill(self, worker: int) -> Recorded:
@@ -330,30 +367,22 @@ class Phases:
         kernel = packing.make_excess(self._model.real)
         return self._over_cells(worker, "density", kernel, inputs, outputs)
 
-    def _shift(self, worker: int) -> list[Named]:
-        cells = self._cells
-        first, count = span(cells.count, worker, len(self._workers))
-        field = cast("wp.array", cells.velocity[first : first + count])
-        kernel, inputs = packing.make_shift(self._model.real), [cells.lattice]
-        shift = self._over_cells(worker, "density", kernel, inputs, [cells.velocity])
-        gradient = self._gradient(cells.packing, worker)
-        return [("density", field.zero_), *launches([*gradient, shift])]
-
     def _displace(self, worker: int) -> Recorded:
         model, run, cells = self._model, self._run(worker), self._cells
         inputs = [cells.lattice, cells.window, cells.other]
-        kernel, count = faces.make_displace(model.real), run.stop - run.start
+        kernel, count = transfer.make_displace(model.real, self._form), run.stop - run.start
         return "density", model.launch(kernel, count, inputs, [self._state.x[run]])
 
 
-def kernels(real: Any) -> Iterator[Any]:
+def kernels(real: Any, form: str) -> Iterator[Any]:
     """Yield the kernels of all phases, except those of walls and of conjugate gradients."""
-    yield from (make(real) for make in (faces.make_scatter, faces.make_scatter_volume))
-    yield from (make(real) for make in (faces.make_sum_copies, faces.make_sum_fills))
-    yield from (make(real) for make in (faces.make_gather, faces.make_displace, faces.make_extent))
+    yield from (make(real, form) for make in (transfer.make_scatter, transfer.make_scatter_volume))
+    yield from (make(real, form) for make in (transfer.make_gather, transfer.make_displace))
+    yield from (faces.make_sum_copies(real, width) for width in (2, 8))
+    yield from (make(real) for make in (faces.make_extent, active.make_sweep))
+    yield from (active.count_active, active.list_active, active.forget)
     yield from (make(real) for make in (surface.make_levels, surface.make_refill))
     yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
     yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))
     yield from (make(real) for make in (spread.make_spread, spread.make_slide))
-    yield from (make(real) for make in (packing.make_excess, packing.make_shift))
-    yield impulses.settle
+    yield from (packing.make_excess(real), impulses.settle)

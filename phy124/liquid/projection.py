@@ -48,7 +48,7 @@ class Projection:
     def list_cells(self, cells: Cells, worker: int) -> tuple[list[Recorded], list[Recorded]]:
         """Return a worker's launches that count the cells of liquid, and that list them."""
         launch, (part, parts) = self._model.launch, self.part(worker)
-        inputs = [part, cells.count, cells.diagonal]
+        inputs = [part, cells.active, cells.ends, cells.liquid]
         count = launch(conjugate.count_liquid, parts, inputs, [self.counts])
         listed = launch(conjugate.list_liquid, parts, [*inputs, self.counts], [cells.listed])
         return [(STAGE, count)], [(STAGE, listed)]

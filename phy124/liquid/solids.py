@@ -11,7 +11,7 @@ from phy124.kernels.liquid import solids as kernels
 from phy124.liquid.cells import Cells
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.projection import Projection
-from phy124.liquid.walls import Walls, span
+from phy124.liquid.walls import Walls
 from phy124.mpm import FreeBodies, Model
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
@@ -77,8 +77,9 @@ class Solids:
             worker: Index of the worker.
             workers: Number of workers.
         """
-        model, (first, count) = self._model, span(cells.count, worker, workers)
-        inputs = [first, len(walls.all) - 1, cells.lattice, cells.window, cells.open]
+        model, count = self._model, -(-cells.count // workers)
+        inputs = [worker, cells.active, cells.ends, len(walls.all) - 1]
+        inputs += [cells.lattice, cells.window, cells.open]
         inputs += [cells.owners, cells.liquid, self.bodies.numbers[0]]
         outputs = [cells.jumps, cells.turns]
         return STAGE, model.launch(kernels.make_jumps(model.real), count, inputs, outputs)

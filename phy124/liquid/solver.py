@@ -397,16 +397,19 @@ def _launch_all(named: Sequence[Named]) -> None:
         launch()
 
 
-def kernels(boundaries: Sequence[Boundary], solids: Sequence[str], real: Any) -> Iterator[Any]:
+def kernels(
+    boundaries: Sequence[Boundary], solids: Sequence[str], real: Any, form: str
+) -> Iterator[Any]:
     """Yield the kernels that a liquid's steps launch, without forces on particles.
 
     Args:
         boundaries: The walls.
         solids: Shapes of free solids.
         real: wp.float32 or wp.float64.
+        form: Form of the transfers, "plain" or "simd".
     """
     yield from wall_kernels(boundaries, solids, real)
     if solids:
         yield from solid_kernels(real)
-    yield from phases.kernels(real)
+    yield from phases.kernels(real, form)
     yield from projection.kernels()

@@ -138,7 +138,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     yield from tracks.kernels(real)
     if scene.projects:
         solids = [body.shape or "" for body in scene.objects if body.free]
-        yield from liquid_kernels(scene.boundaries, solids, real)
+        yield from liquid_kernels(scene.boundaries, solids, real, form)
         yield from free.kernels_of(solids, real)
         yield from repair.kernels(subject.laws, real)
         yield from deform.kernels(real, scene.binding, device)

@@ -54,27 +54,27 @@ def count_of(counts: Ints):
 
 
 @kernel("phy124_liquid_count", seconds=0.2)
-def count_liquid(part: int, cells: int, diagonal: Doubles, counts_out: Ints):
-    """Count the cells of liquid in a part of all cells."""
+def count_liquid(part: int, active: Ints, ends: Ints, liquid: Ints, counts_out: Ints):
+    """Count the cells of liquid in a part of the active cells."""
     p = part + wp.tid()
-    span = share(cells, p, counts_out.shape[0])
+    span = share(ends[ends.shape[0] - 1], p, counts_out.shape[0])
     wet = int(0)
-    for n in range(span[0], span[1]):
-        if diagonal[n] > wp.float64(0.0):
-            wet += 1
+    for k in range(span[0], span[1]):
+        wet += liquid[active[k]]
     counts_out[p] = wet
 
 
 @kernel("phy124_liquid_list", seconds=0.2)
-def list_liquid(part: int, cells: int, diagonal: Doubles, counts: Ints, listed_out: Ints):
-    """List the cells of liquid in a part of all cells."""
+def list_liquid(part: int, active: Ints, ends: Ints, liquid: Ints, counts: Ints, listed_out: Ints):
+    """List the cells of liquid in a part of the active cells."""
     p = part + wp.tid()
     at = int(0)
     for k in range(p):
         at += counts[k]
-    span = share(cells, p, counts.shape[0])
-    for n in range(span[0], span[1]):
-        if diagonal[n] > wp.float64(0.0):
+    span = share(ends[ends.shape[0] - 1], p, counts.shape[0])
+    for k in range(span[0], span[1]):
+        n = active[k]
+        if liquid[n] == 1:
             listed_out[at] = n
             at += 1
 

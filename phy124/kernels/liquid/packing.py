@@ -14,12 +14,12 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import kernel
-from phy124.kernels.liquid.faces import cell_of, inner, stride
+from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.surface import opening
 
 RATE = wp.constant(0.5)
 """Share of the error that a step removes."""
-MOST = wp.constant(0.5)
+MOST = 0.5
 """Largest error of a cell that a step considers, and largest displacement [cells]."""
 
 
@@ -42,7 +42,9 @@ def make_excess(real: Any):
 
     @kernel(f"phy124_liquid_excess_{real.__name__}", real, seconds=0.4)
     def excess(
-        first,
+        worker: int,
+        active: Ints,
+        ends: Ints,
         window,
         open: t.vec4s,
         shares: t.vec2s,
@@ -52,7 +54,9 @@ def make_excess(real: Any):
         right_out: Doubles,
         x_out: Doubles,
     ):
-        n = first + wp.tid()
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
         size = window[1]
         error = real(0.0)
         if liquid[n] == 1 and inner(cell_of(n, size), size, 2):
@@ -94,25 +98,8 @@ def make_excess(real: Any):
                 if deep > real(0.5):
                     least = wp.min(below, real(0.0))
                 error = wp.max(error, least)
-            error = wp.clamp(error, real(-MOST), real(MOST))
+            error = wp.clamp(error, real(-wp.static(MOST)), real(wp.static(MOST)))
         right_out[n] = wp.float64(real(RATE) * error)
         x_out[n] = wp.float64(0.0)
 
     return excess
-
-
-@cache
-def make_shift(real: Any):
-    """Kernel over cells: converts differences to displacements of at most half a cell [m]."""
-    t = types(real)
-
-    @kernel(f"phy124_liquid_shift_{real.__name__}", real, seconds=0.2)
-    def shift(first, lattice, shifts_out: t.vec4s):
-        n = first + wp.tid()
-        most = real(MOST) * lattice[3]
-        d = lattice[3] * shifts_out[n]
-        for axis in range(3):
-            d[axis] = wp.clamp(d[axis], -most, most)
-        shifts_out[n] = d
-
-    return shift

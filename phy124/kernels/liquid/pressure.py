@@ -14,7 +14,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import kernel
-from phy124.kernels.liquid.faces import cell_of, inner, stride
+from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import centre_of, solid_face, speed_of
 
 NEAREST = wp.constant(0.02)
@@ -44,7 +44,9 @@ def make_assemble(real: Any):
 
     @kernel(f"phy124_liquid_assemble_{real.__name__}", real, seconds=0.4)
     def assemble(
-        first,
+        worker: int,
+        active: Ints,
+        ends: Ints,
         window,
         open: t.vec4s,
         phi: t.reals,
@@ -53,7 +55,9 @@ def make_assemble(real: Any):
         links_out: wp.array(dtype=wp.vec3d),
         inverse_out: Doubles,
     ):
-        n = first + wp.tid()
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
         size = window[1]
         total = real(0.0)
         links = wp.vec3d()
@@ -91,7 +95,9 @@ def make_divergence(real: Any):
 
     @kernel(f"phy124_liquid_divergence_{real.__name__}", real, seconds=0.3)
     def divergence(
-        first,
+        worker: int,
+        active: Ints,
+        ends: Ints,
         moving: int,
         lattice,
         window,
@@ -104,7 +110,9 @@ def make_divergence(real: Any):
         right_out: Doubles,
         x_out: Doubles,
     ):
-        n = first + wp.tid()
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
         size = window[1]
         flux = real(0.0)
         if liquid[n] == 1:
@@ -131,16 +139,21 @@ def make_divergence(real: Any):
 
 @cache
 def make_gradient(real: Any):
-    """Kernel over cells: adds minus `scale` times the differences of q to the low faces.
+    """Kernel over cells: adds minus the differences of q to the velocities of the low faces.
 
-    `known_out` gets a bit for each open face that touches liquid; other faces become zero.
+    With `shifts` above 0 it writes minus the differences alone, as displacements of at most that
+    many cells [m]. `known_out` gets a bit for each open face that touches liquid; other faces
+    become zero.
     """
     t = types(real)
 
     @kernel(f"phy124_liquid_gradient_{real.__name__}", real, seconds=0.4)
     def gradient(
-        first,
-        scale: real,
+        worker: int,
+        active: Ints,
+        ends: Ints,
+        shifts: real,
+        lattice,
         window,
         open: t.vec4s,
         phi: t.reals,
@@ -149,10 +162,14 @@ def make_gradient(real: Any):
         velocity_out: t.vec4s,
         known_out: Ints,
     ):
-        n = first + wp.tid()
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
         size = window[1]
         known = 0
         v = velocity_out[n]
+        if shifts > real(0.0):
+            v = t.vec4()
         if inner(cell_of(n, size), size, 1):
             for axis in range(3):
                 m = n - stride(axis, size)
@@ -163,7 +180,9 @@ def make_gradient(real: Any):
                         rise = -real(pressure[m]) / beyond(phi[m], phi[n])
                     if liquid[m] == 0:
                         rise = real(pressure[n]) / beyond(phi[n], phi[m])
-                    v[axis] = v[axis] - scale * rise
+                    if shifts > real(0.0):
+                        rise = lattice[3] * wp.clamp(rise, -shifts, shifts)
+                    v[axis] = v[axis] - rise
                     known += 1 << axis
                 else:
                     v[axis] = real(0.0)

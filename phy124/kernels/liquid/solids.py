@@ -41,7 +41,7 @@ from phy124.kernels.liquid.conjugate import (
     rigid_sums,
     share,
 )
-from phy124.kernels.liquid.faces import cell_of, stride
+from phy124.kernels.liquid.faces import cell_of, entry, stride
 from phy124.kernels.liquid.impulses import Sums, take_row, way_to_wall
 from phy124.kernels.liquid.walls import centre_of, solid_face
 
@@ -88,7 +88,9 @@ def make_jumps(real: Any):
 
     @kernel(f"phy124_liquid_jumps_{real.__name__}", real, seconds=0.2)
     def jumps(
-        first,
+        worker: int,
+        active: Ints,
+        ends: Ints,
         wall: int,
         lattice,
         window,
@@ -99,7 +101,9 @@ def make_jumps(real: Any):
         jumps_out: Vectors,
         turns_out: Vectors,
     ):
-        n = first + wp.tid()
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
         size = window[1]
         row = wp.vec3d()
         cell = cell_of(n, size)

@@ -13,7 +13,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import kernel
-from phy124.kernels.liquid.faces import cell_of, inner, stride
+from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
 
@@ -26,8 +26,18 @@ def make_spread(real: Any):
     t = types(real)
 
     @kernel(f"phy124_liquid_spread_{real.__name__}", real, seconds=0.3)
-    def spread(first, window, known: Ints, velocity_out: t.vec4s, known_out: Ints):
-        n = first + wp.tid()
+    def spread(
+        worker: int,
+        active: Ints,
+        ends: Ints,
+        window,
+        known: Ints,
+        velocity_out: t.vec4s,
+        known_out: Ints,
+    ):
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
         size = window[1]
         mask = known[n]
         missing = int(0)
@@ -101,7 +111,9 @@ def make_slide(real: Any):
 
     @kernel(f"phy124_liquid_slide_{real.__name__}", real, seconds=0.5)
     def slide(
-        first,
+        worker: int,
+        active: Ints,
+        ends: Ints,
         rubs: int,
         weight: real,
         lattice,
@@ -118,7 +130,9 @@ def make_slide(real: Any):
         velocity_out: t.vec4s,
         sums_out: wp.array2d(dtype=wp.float64),
     ):
-        n = first + wp.tid()
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
         size = window[1]
         cell = cell_of(n, size)
         v = velocity[n]

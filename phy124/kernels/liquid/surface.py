@@ -11,7 +11,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
-from phy124.kernels.liquid.faces import FILL, HAT, cell_of, inner, stride, sums
+from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride, sums
 from phy124.kernels.liquid.walls import SHUT
 
 
@@ -47,6 +47,22 @@ def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
     return total
 
 
+@wp.func
+def filled_share(volume: Any, solid: Any, dx: Any):
+    """Return the filled share of a B-spline's open part; `solid` is its share inside walls."""
+    open = wp.max(type(dx)(1.0) - solid, type(dx)(0.1))
+    return wp.min(volume / (dx * dx * dx) / open, type(dx)(1.0))
+
+
+@wp.func
+def is_liquid(n: int, phi: Any, open: wp.array(dtype=Any), size: wp.vec3i):
+    """Return 1 if a cell's centre is below the surface and the cell is not inside a wall."""
+    if phi < type(phi)(0.0) and inner(cell_of(n, size), size, 1):
+        if opening(open, n, size) > type(phi)(SHUT):
+            return 1
+    return 0
+
+
 @cache
 def make_levels(real: Any):
     """Kernel over cells: converts sums to velocities, densities, and the distance to the surface.
@@ -60,7 +76,9 @@ def make_levels(real: Any):
 
     @kernel(f"phy124_liquid_levels_{real.__name__}", real, seconds=0.4)
     def levels(
-        first,
+        worker: int,
+        active: Ints,
+        ends: Ints,
         lattice,
         window,
         clock,
@@ -73,7 +91,9 @@ def make_levels(real: Any):
         phi_out: t.reals,
         liquid_out: Ints,
     ):
-        n = first + wp.tid()
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
         size = window[1]
         q = cells[n]
         a = values[0]
@@ -82,19 +102,14 @@ def make_levels(real: Any):
             m = q[4 + axis]
             if m > real(0.0):
                 v[axis] = q[axis] / m + clock[0] * a[axis]
-        cell = lattice[3] * lattice[3] * lattice[3]
         share = shares[n]
-        fill = wp.min(q[FILL] / cell / wp.max(real(1.0) - share[1], real(0.1)), real(1.0))
-        v[3] = fill
+        filled = filled_share(q[FILL], share[1], lattice[3])
+        v[3] = filled
         velocity_out[n] = v
-        hats_out[n] = q[HAT] / cell + share[0]
-        phi = -depth(fill)
+        hats_out[n] = q[HAT] / (lattice[3] * lattice[3] * lattice[3]) + share[0]
+        phi = -depth(filled)
         phi_out[n] = phi
-        wet = 0
-        if inner(cell_of(n, size), size, 1):
-            if phi < real(0.0) and opening(open, n, size) > real(SHUT):
-                wet = 1
-        liquid_out[n] = wet
+        liquid_out[n] = is_liquid(n, phi, open, size)
 
     return levels
 
@@ -106,7 +121,9 @@ def make_refill(real: Any):
 
     @kernel(f"phy124_liquid_refill_{real.__name__}", real, seconds=0.3)
     def refill(
-        first,
+        worker: int,
+        active: Ints,
+        ends: Ints,
         lattice,
         window,
         open: t.vec4s,
@@ -116,19 +133,15 @@ def make_refill(real: Any):
         phi_out: t.reals,
         liquid_out: Ints,
     ):
-        n = first + wp.tid()
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
         size = window[1]
-        cell = lattice[3] * lattice[3] * lattice[3]
         share = shares[n]
         q = fills[n]
-        fill = wp.min(q[0] / cell / wp.max(real(1.0) - share[1], real(0.1)), real(1.0))
-        hats_out[n] = q[1] / cell + share[0]
-        phi = -depth(fill)
+        hats_out[n] = q[1] / (lattice[3] * lattice[3] * lattice[3]) + share[0]
+        phi = -depth(filled_share(q[0], share[1], lattice[3]))
         phi_out[n] = phi
-        wet = 0
-        if inner(cell_of(n, size), size, 1):
-            if phi < real(0.0) and opening(open, n, size) > real(SHUT):
-                wet = 1
-        liquid_out[n] = wet
+        liquid_out[n] = is_liquid(n, phi, open, size)
 
     return refill
