@@ -1,5 +1,7 @@
 """Liquids by pressure projection: tanks, slopes and closed boxes with known results."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,13 +37,14 @@ def block(low, high, cells: int, per_axis: int = 2) -> np.ndarray:
 
 
 def liquid(
-    x, cells: int, walls=(), *, gravity=(0, 0, -G), offset=0.0, threads=1, **solids
+    x, cells: int, walls=(), *, gravity=(0, 0, -G), offset=0.0, threads=1, simd=True, **solids
 ) -> LiquidSolver:
     """A liquid of particles, with 8 in each cell, in walls; the grid is off by some cells."""
     dx = 1 / cells
     volume = np.full(len(x), dx**3 / 8)
     origin = (-offset * dx,) * 3
     model = Model.of(x, volume, [Fluid(density=DENSITY)], dx=dx, origin=origin)
+    model = model if simd else replace(model, form="plain")
     named = [(f"wall_{index}", wall) for index, wall in enumerate(walls)]
     forces = [Gravity(g=gravity)] if np.any(gravity) else []
     options = {"forces": forces, "boundaries": named, "threads": threads, **solids}
@@ -211,6 +214,25 @@ def test_liquid_repeats_and_resumes_bit_for_bit(threads):
     whole = end(None)
     np.testing.assert_array_equal(end(None), whole)
     np.testing.assert_array_equal(end(5), whole)
+
+
+def test_simd_and_plain_transfers_agree(rng):
+    x = block((0, 0, 0), (0.5, 0.5, 0.5), 8)
+    x += rng.uniform(-0.02, 0.02, x.shape)
+    simd, plain = (run(liquid(x, 8, [TANK], simd=form), 8) for form in (True, False))
+    assert plain.model.form == "plain"
+    np.testing.assert_allclose(simd.state.x.numpy(), plain.state.x.numpy(), atol=1e-4)
+    np.testing.assert_allclose(simd.state.C.numpy(), plain.state.C.numpy(), atol=0.05)
+
+
+def test_only_cells_near_particles_are_active():
+    solver = run(liquid(block((0, 0, 0), (0.5, 0.5, 0.5), 8), 8), 6)
+    cells, x = solver.cells, solver.state.x.numpy()
+    active = cells.active.numpy()[: cells.ends.numpy()[-1]]
+    assert np.all(np.diff(active) > 0)
+    assert len(active) <= 14**3 < cells.count
+    at = np.floor((x - np.array(solver.model.origin)) * 8).astype(int) - cells.low
+    assert np.isin(np.ravel_multi_index(at.T, cells.size), active).all()
 
 
 def test_two_threads_agree_with_one():

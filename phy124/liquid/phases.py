@@ -318,7 +318,7 @@ class Phases:
     def _slide(self, worker: int, motions: wp.array, *, rubs: bool) -> Recorded:
         cells, walls, dx = self._cells, self._walls, self._model.dx
         inputs = [int(rubs), self._density * dx**3, cells.lattice, cells.window, motions]
-        inputs += [walls.frictions, cells.open, cells.distances, cells.owners]
+        inputs += [walls.frictions, cells.open, cells.shares, cells.distances, cells.owners]
         inputs += [cells.liquid, cells.known, cells.pressure, cells.velocity]
         kernel = spread.make_slide(self._model.real)
         outputs = [cells.other, self._impulses_of_walls.rows(worker)]

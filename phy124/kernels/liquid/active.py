@@ -14,9 +14,9 @@ from phy124.kernels.build import kernel
 from phy124.kernels.liquid.conjugate import share
 from phy124.kernels.liquid.faces import cell_at, entry, inner, local
 
-REACH = wp.constant(5)
-"""Cells around a particle's cell that are active: a step moves it by two cells, its kernels reach
-two cells further, and their neighbours are read.
+REACH = wp.constant(4)
+"""Cells around a particle's cell that are active: a step moves it by two cells, and its kernels
+reach two cells further.
 """
 NONE = 1 << 30
 """Lowest cell of a column without particles."""

@@ -74,21 +74,22 @@ def make_excess(real: Any):
                                 near += 1
             hat = hats[n]
             error = hat - real(1.0)
-            for a in range(-1, last):
-                for b in range(-1, last):
-                    for c in range(-1, last):
-                        behind = int(1)
-                        if a == 0 and b == 0 and c == 0:
-                            behind = 0
-                        if a != 0 and not is_wall(open, liquid, n + a * layer, size):
-                            behind = 0
-                        if b != 0 and not is_wall(open, liquid, n + b * row, size):
-                            behind = 0
-                        if c != 0 and not is_wall(open, liquid, n + c, size):
-                            behind = 0
-                        m = n + a * layer + b * row + c
-                        if behind == 1 and is_wall(open, liquid, m, size):
-                            error += hats[m] - real(1.0)
+            if shares[n][1] > real(0.0):
+                for a in range(-1, last):
+                    for b in range(-1, last):
+                        for c in range(-1, last):
+                            behind = int(1)
+                            if a == 0 and b == 0 and c == 0:
+                                behind = 0
+                            if a != 0 and not is_wall(open, liquid, n + a * layer, size):
+                                behind = 0
+                            if b != 0 and not is_wall(open, liquid, n + b * row, size):
+                                behind = 0
+                            if c != 0 and not is_wall(open, liquid, n + c, size):
+                                behind = 0
+                            m = n + a * layer + b * row + c
+                            if behind == 1 and is_wall(open, liquid, m, size):
+                                error += hats[m] - real(1.0)
             if near > 0:
                 deep = wp.clamp(-phi[n], real(-1.0), real(1.0))
                 solid = shares[n][0]

@@ -121,6 +121,7 @@ def make_slide(real: Any):
         motions: wp.array2d(dtype=t.vec3),
         frictions: t.vec2s,
         open: t.vec4s,
+        shares: t.vec2s,
         distances: t.reals,
         owners: Ints,
         liquid: Ints,
@@ -136,7 +137,8 @@ def make_slide(real: Any):
         size = window[1]
         cell = cell_of(n, size)
         v = velocity[n]
-        if known[n] > 0 and inner(cell, size, 1):
+        # The spline of a cell that is far from walls has no solid share.
+        if known[n] > 0 and shares[n][1] > real(0.0) and inner(cell, size, 1):
             for axis in range(3):
                 at = wp.vec3i(1, 1, 1)
                 at[axis] = 0
