@@ -15,11 +15,8 @@ from phy124.errors import InputError
 from phy124.io.clip import Clip, read_shape
 from phy124.io.files import staging
 from phy124.io.formats import FORMATS, Format, written_formats
-from phy124.io.html import write_html
 from phy124.io.sequence import write_ply_sequence
-from phy124.rendering.framing import still_camera
-from phy124.rendering.shine import add_gloss
-from phy124.rendering.stage.build import make_stage, pack_stage
+from phy124.rendering.film import write_player
 from phy124.scene import View
 
 from .room import all_taken
@@ -108,10 +105,7 @@ class Export:
 def _html(done: Done, path: Path) -> None:
     clip = Clip.load(done.clip / "clip.safetensors")
     view = View.model_validate(clip.scene["view"])
-    around = pack_stage(make_stage(clip, view), clip)
-    first = still_camera(clip, view, "front")
-    shown, gloss = add_gloss(clip, view)
-    write_html(path, shown, first, background=view.background, stage=around, shine=gloss)
+    write_player(path, clip, view, "front")
 
 
 def _ply(done: Done, path: Path) -> None:
@@ -169,7 +163,7 @@ EXPORTS = {
         hint="Opens in any browser, offline",
         file="player.html",
         write=_html,
-        empty=1_310_000,
+        empty=465_000,
         still=28.0,
         moving=8.0,
     ),

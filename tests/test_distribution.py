@@ -129,7 +129,9 @@ def test_the_command_line(programs, tmp_path):
 
 @pytest.mark.slow
 def test_the_player_is_in_it(programs, tmp_path):
-    code = "from phy124.io.html import *; print([(VIEWER / s).is_file() for s in SCRIPTS])"
+    code = (
+        "from phy124.io.html import *; print([(VIEWER / s).is_file() for s in (*SCRIPTS, READER)])"
+    )
     assert "False" not in run(programs / "python", "-c", code, cwd=tmp_path)
 
 

@@ -18,6 +18,7 @@ from phy124.io.axes import orientation
 from phy124.io.clip import Clip
 from phy124.io.content import Y_DOWN
 from phy124.io.formats.lattice4d import TOLERANCE, write_lattice4d
+from phy124.io.html import VIEWER
 
 GUIDE = Path(__file__).parents[1] / "docs/guide"
 TURN = orientation(*Y_DOWN).T
@@ -87,7 +88,7 @@ def test_javascript_reader_agrees_with_python(tmp_path, reader):
     film = reader(lambda offset, length: path.read_bytes()[offset : offset + length])
     film.means.astype("<f4").tofile(tmp_path / "centres")
     script = f"""
-        import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{GUIDE / "read_p4d.mjs"}';
+        import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{VIEWER / "p4d.mjs"}';
         const data = new Uint8Array(readFileSync('{path}'));
         const film = await P4D.open((offset, length) => data.slice(offset, offset + length));
         const bytes = readFileSync('{tmp_path / "centres"}');

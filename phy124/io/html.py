@@ -1,6 +1,8 @@
 """Writes a clip as one HTML file, and packs a clip for the browser player.
 
-A pack is the gzip of: header length (uint32, little-endian), header (JSON), then the arrays below.
+The HTML file contains a P4D file (phy124/io/formats/lattice4d.py), or a pack if the motion of a
+lattice does not describe the shapes of the Gaussians, as in fluids. A pack is the gzip of: header
+length (uint32, little-endian), header (JSON), then the arrays below.
 Arrays are planar (component after component). Arrays that change over time, marked with T, hold
 differences between frames modulo the range of their type, which gzip compresses much better:
 
@@ -22,6 +24,7 @@ import gzip
 import html
 import json
 import os
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -33,20 +36,21 @@ from phy124.errors import InputError
 from phy124.gaussians import SH_C0
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
+from phy124.io.formats import lattice4d
+from phy124.io.formats.lattice4d import measure, measure_speeds
 
 VIEWER = Path(__file__).with_name("viewer")
 """Folder of the player's scripts; the web page serves the same scripts."""
 SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "shine.js", "player.js")
+READER = "p4d.mjs"
 STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
-TALLEST = 4.0
-"""Largest absolute log ratio of scales that is stored: exp(4) = 55 times; more is clipped."""
+LOOSE = 0.5
+"""Largest error of the Gaussians' shapes at which the page contains a P4D file."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
 """A stage as plain data, and its shadow maps [T,C,C] (phy124/rendering/stage/build.py)."""
 Glossy = dict[str, Any]
 """The reflective Gaussians and their reflectance as plain data (phy124/rendering/shine.py)."""
-PERCENTILES = (1, 99)
-"""Percentiles of the stretch at the ends of its colour ramp; this ignores single outliers."""
 
 
 def pack(
@@ -71,34 +75,18 @@ def pack(
     """
     if not len(clip) or not clip.opacities.size:
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
-    low, high = clip.means.min(axis=(0, 1)), clip.means.max(axis=(0, 1))
     rest = np.maximum(clip.scales[0], 1e-9)
     ratios = np.log(np.maximum(clip.scales, 1e-9) / rest)
-    reach = _reach(ratios)
-    speeds = _speeds(clip)
-    head = {
-        "splats": len(clip.opacities),
-        "times": clip.times.tolist(),
-        "low": low.tolist(),
-        "high": high.tolist(),
-        "ratio": reach,
-        "speed": float(speeds.max()),
-        "stretch": _stretches(clip.scales),
-        "background": list(background),
-        "view": _view(camera),
-    }
-    shades = []
-    if stage is not None:
-        head["stage"], shades = stage[0], [_differences(stage[1])]
-    if shine is not None:
-        head["shine"] = shine
+    head = {"splats": len(clip.opacities), "times": clip.times.tolist(), **measure(clip)}
+    head |= _describe(camera, background, stage, shine)
+    shades = [] if stage is None else [_differences(stage[1])]
     arrays = [
         _colours(clip),
         rest.astype("<f4"),
-        *_split(_centres(clip.means, low, high)),
+        *_split(_centres(clip.means, np.array(head["low"]), np.array(head["high"]))),
         _differences(_planar(np.rint(clip.quats * 127).clip(-127, 127).astype(np.int8))),
-        _differences(_planar(_quantise(ratios, *reach))),
-        _differences(_quantise(speeds, 0.0, head["speed"])),
+        _differences(_planar(_quantise(ratios, *head["ratio"]))),
+        _differences(_quantise(measure_speeds(clip), 0.0, head["speed"])),
         *shades,
     ]
     text = json.dumps(head, allow_nan=False).encode()
@@ -119,6 +107,8 @@ def write_html(
 ) -> None:
     """Write one HTML file that plays the clip offline in any browser with WebGL 2.
 
+    If the page is opened with `?p4d=ADDRESS`, it plays that P4D file instead.
+
     Args:
         path: Path of the HTML file.
         clip: The clip to show.
@@ -132,19 +122,49 @@ def write_html(
     Raises:
         InputError: If the clip is empty, the player is not installed or the file cannot be written.
     """
-    parts = {name: _asset(viewer / name) for name in (*SCRIPTS, STYLE, LICENCE)}
-    packed = pack(clip, camera, background=background, stage=stage, shine=shine)
-    data = base64.b64encode(packed).decode()
-    scripts = "".join(f"<script>{parts[name]}</script>\n" for name in SCRIPTS)
+    names = (*SCRIPTS, READER, STYLE, LICENCE)
+    parts = {name: _asset(viewer / name) for name in names}
+    scripts = "\n".join(parts[name] for name in SCRIPTS)
     page = PAGE.format(
         title=html.escape(title),
         licence=parts[LICENCE].replace("--", "- -"),
         style=parts[STYLE],
-        data=data,
-        scripts=scripts,
+        data=base64.b64encode(
+            _pack_smallest(clip, camera, background=background, stage=stage, shine=shine)
+        ).decode(),
+        scripts=base64.b64encode(gzip.compress(scripts.encode(), 9, mtime=0)).decode(),
+        reader=parts[READER],
     )
     with replacing(path) as temporary:
         temporary.write_text(page, "utf-8")
+
+
+def _pack_smallest(
+    clip: Clip,
+    camera: Camera,
+    *,
+    background: tuple[float, ...],
+    stage: Staged | None,
+    shine: Glossy | None,
+) -> bytes:
+    """Return a P4D file of all Gaussians, or a pack if the P4D file would be inexact or larger."""
+    packed = pack(clip, camera, background=background, stage=stage, shine=shine)
+    if not np.isfinite(clip.means).all():
+        return packed
+    shades = b"" if stage is None else zlib.compress(_differences(stage[1]).tobytes(), 9)
+    player = _describe(camera, background, stage, shine)
+    every = np.ones(len(clip.opacities), bool)
+    film, shape = lattice4d.encode(clip, every, player=player, shades=shades)
+    return film if shape <= LOOSE and len(film) < len(packed) else packed
+
+
+def _describe(
+    camera: Camera, background: tuple[float, ...], stage: Staged | None, shine: Glossy | None
+) -> dict[str, Any]:
+    """Return how the player shows a clip at first, as plain data."""
+    shown: dict[str, Any] = {"background": list(background), "view": _view(camera)}
+    shown |= {} if stage is None else {"stage": stage[0]}
+    return shown | ({} if shine is None else {"shine": shine})
 
 
 PAGE = """<!doctype html>
@@ -154,16 +174,27 @@ PAGE = """<!doctype html>
 <!-- Drawn by the PlayCanvas engine:
 {licence}-->
 <style>html, body {{ margin: 0; height: 100%; }}
-#player {{ height: 100%; }}
+#film {{ height: 100%; }}
 {style}</style></head>
-<body><main id="player" aria-label="{title}"></main>
+<body><main id="film" aria-label="{title}"></main>
 <script type="text/plain" id="pack">{data}</script>
-{scripts}<script>
-const text = atob(document.getElementById('pack').textContent);
-const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
-Phy124Player.mount(document.getElementById('player'), bytes).then((player) => {{
-  globalThis.player = player;
-}});
+<script type="text/plain" id="scripts">{scripts}</script>
+<script type="module">
+{reader}
+const textOf = (id) => atob(document.getElementById(id).textContent);
+const bytesOf = (id) => Uint8Array.from(textOf(id), (letter) => letter.charCodeAt(0));
+const code = new Blob([bytesOf('scripts')]).stream().pipeThrough(new DecompressionStream('gzip'));
+const script = document.createElement('script');
+script.textContent = await new Response(code).text();
+document.head.append(script);
+globalThis.P4D = P4D;
+const source = new URLSearchParams(location.search).get('p4d') ?? bytesOf('pack');
+const host = document.getElementById('film');
+try {{
+  globalThis.player = await Phy124Player.mount(host, source);
+}} catch (error) {{
+  host.textContent = `The motion cannot be read. ${{error.message}}`;
+}}
 </script></body></html>
 """
 
@@ -220,29 +251,3 @@ def _differences(values: NDArray) -> NDArray:
 
 def _quantise(values: NDArray, low: float, high: float) -> NDArray[np.uint8]:
     return np.rint((values - low) / max(high - low, 1e-12) * 255).clip(0, 255).astype(np.uint8)
-
-
-def _reach(ratios: NDArray) -> list[float]:
-    """Return the ends of the log ratios' range, clipped to +-`TALLEST`."""
-    minimum, maximum = float(ratios.min()), float(ratios.max())
-    return [max(minimum, -TALLEST), min(maximum, TALLEST)]
-
-
-def _speeds(clip: Clip) -> NDArray:
-    """Return speeds [T,N], m/s, from the clip's velocities, or from its positions without them."""
-    if clip.velocities is not None:
-        return np.linalg.norm(clip.velocities, axis=2)
-    if len(clip) < 2:
-        return np.zeros(clip.means.shape[:2])
-    return np.linalg.norm(np.gradient(clip.means, clip.times, axis=0), axis=2)
-
-
-def _stretches(scales: NDArray) -> list[float]:
-    """Return the ends of the colour ramp for stretch, which are symmetric about 1.
-
-    Stretch is the longest axis of a Gaussian divided by its longest axis at rest.
-    """
-    longest = scales.max(axis=2)
-    low, high = np.percentile(longest / np.maximum(longest[0], 1e-9), PERCENTILES).tolist()
-    half = max(1 - low, high - 1, 0.01)
-    return [1 - half, 1 + half]

@@ -12,7 +12,7 @@ from phy124.simulation import Simulation
 
 PLY = 4 * 17
 """Size of a Gaussian in a PLY file [bytes]; 12 more per further colour coefficient."""
-EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY}
+EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY, "html": 8}
 """Format -> size of a Gaussian of one frame [bytes]."""
 PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05, "webm": 0.05, "mov": 2.0}
 """Format -> approximate size of a rendered pixel [bytes]."""

@@ -17,6 +17,7 @@ from phy124.errors import InputError
 from phy124.io.clip import Clip
 from phy124.io.files import staging
 from phy124.io.formats.usd import refuse_missing_usd, write_usd
+from phy124.io.html import write_html
 from phy124.io.sequence import write_ply_sequence
 from phy124.io.video import (
     FPS_RANGE,
@@ -30,9 +31,10 @@ from phy124.io.video import (
 from phy124.progress import Progress
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras as cameras
+from phy124.rendering.framing import still_camera
 from phy124.rendering.outputs import refuse_outputs, refuse_unkept, write_outputs
-from phy124.rendering.shine import Shine, make_shine
-from phy124.rendering.stage.build import Stage, make_stage
+from phy124.rendering.shine import Shine, add_gloss, make_shine
+from phy124.rendering.stage.build import Stage, make_stage, pack_stage
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
 
@@ -92,7 +94,7 @@ def film(
     for name in view.formats:
         if name in EXPORTS:
             with watch.stage("export"):
-                paths.append(EXPORTS[name](clip, folder, context.progress))
+                paths.append(EXPORTS[name](clip, view, folder, context.progress))
         else:
             paths += [made[name, side] for side in view.sides]
     if shine is not None and shine.seconds:
@@ -225,12 +227,32 @@ def _png(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path
     return path
 
 
-def _usd(clip: Clip, folder: Path, progress: Progress) -> Path:
+def _html(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
+    del progress
+    write_player(folder / "clip.html", clip, view, view.sides[0])
+    return folder / "clip.html"
+
+
+def write_player(path: PathLike, clip: Clip, view: View, side: str) -> None:
+    """Write one HTML file that plays a clip on the stage of a view, seen first from a side.
+
+    Raises:
+        InputError: The clip is empty, or the file cannot be written.
+    """
+    first = still_camera(clip, view, side)
+    shown, gloss = add_gloss(clip, view)
+    around = pack_stage(make_stage(clip, view), clip)
+    write_html(path, shown, first, background=view.background, stage=around, shine=gloss)
+
+
+def _usd(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
+    del view
     write_usd(folder / "clip.usdc", clip, progress=progress)
     return folder / "clip.usdc"
 
 
-def _ply(clip: Clip, folder: Path, progress: Progress) -> Path:
+def _ply(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
+    del view
     write_ply_sequence(folder / "clip-ply", clip, progress=progress)
     return folder / "clip-ply"
 
@@ -249,7 +271,11 @@ PLAYED = {"mp4", "webm", "mov", "webp", "gif"}
 """Formats with a playback rate."""
 SMOOTH = 12.0
 """Frame rate below which slow motion looks choppy [1/s]."""
-EXPORTS: dict[str, Callable[[Clip, Path, Progress], Path]] = {"usd": _usd, "ply": _ply}
+EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {
+    "usd": _usd,
+    "ply": _ply,
+    "html": _html,
+}
 """Formats made from the whole clip; each function returns its file or folder."""
 
 

@@ -20,7 +20,7 @@ from phy124.schema.bounds import RGB, FileName
 from phy124.schema.section import Section
 
 ViewName = Literal["front", "right", "back", "left", "orbit"]
-Format = Literal["mp4", "webm", "mov", "webp", "gif", "png", "usd", "ply"]
+Format = Literal["mp4", "webm", "mov", "webp", "gif", "png", "usd", "ply", "html"]
 StageName = Literal["plain", "studio", "transparent"]
 Output = Literal["depth", "alpha", "normals", "flow", "velocity", "force"]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
@@ -72,7 +72,8 @@ class View(Section):
     formats: tuple[Format, ...] = Field(
         default=("mp4",),
         description="File formats. For each view: a video (mp4, webm, mov, webp, gif) or a folder "
-        "of pictures (png). For the whole clip: usd, or ply, a folder with a file per frame.",
+        "of pictures (png). For the whole clip: usd, ply (a folder with a file per frame), or "
+        "html (a page that plays the motion in 3D).",
     )
     outputs: tuple[Output, ...] = Field(
         default=(),

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from visit import GRAPHICS_ARE_LOST, LONG, drawn, psnr
 
 from phy124.camera import Camera
-from phy124.gaussians import Frame, Gaussians
+from phy124.gaussians import Frame, Gaussians, rotation_matrices
 from phy124.io.clip import Clip
+from phy124.io.formats.lattice4d import write_lattice4d
 from phy124.io.html import write_html
 from phy124.rendering.render import Renderer
 from phy124.rendering.shine import add_gloss, make_shine
@@ -24,6 +27,7 @@ from support.shapes import ball
 
 pytestmark = pytest.mark.browser
 CAMERA = Camera.orbit(30, 20, 2.2, 256)
+VIEW = {"azimuth": 30, "elevation": 20, "radius": 2.2, "target": [0, 0, 0], "fov": CAMERA.fov_y}
 
 
 SWINGS = """() => {
@@ -100,6 +104,50 @@ def test_the_player_draws_the_same_stage(browser, tmp_path, rng):
             drawn(page, lambda now, wanted=wanted: psnr(now, wanted) > 30, "below 30 dB")
         page.locator(".phy-canvas").evaluate(GRAPHICS_ARE_LOST)
         drawn(page, lambda now: psnr(now, wanted) > 30, "below 30 dB after graphics were lost")
+
+
+def _sheared(amount: float, index: int) -> Frame:
+    """A ball of ellipsoids that is turned and sheared, with its Gaussians' shapes."""
+    one, gradient = ball(2000), np.eye(3) + amount * np.array([[0, -1, 0], [1, 0, 0], [0, 1, 0]])
+    frames = gradient @ rotation_matrices(one.quats) * (one.scales * [1, 2, 0.5])[:, None]
+    axes, scales, _ = np.linalg.svd(frames)
+    axes[:, :, 0] *= np.linalg.det(axes)[:, None]
+    quats = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    means, colours = one.means @ gradient.T, 0.5 + one.means
+    gaussians = Gaussians.from_rgb(means, quats, scales, one.opacities, colours)
+    return Frame(index, 0.5 * index, gaussians)
+
+
+def test_p4d_is_drawn_and_read_by_range(browser, tmp_path):
+    """Once from the page itself, and once from an address, of which only ranges are requested."""
+    frames = [_sheared(0.3 * index, index) for index in range(3)]
+    clip, renderer = Clip.from_frames(frames), Renderer(device="cpu")
+    write_html(tmp_path / "a.html", clip, CAMERA)
+    write_lattice4d(tmp_path / "a.p4d", clip)
+    page, data, ranges = (tmp_path / "a.html").read_text(), (tmp_path / "a.p4d").read_bytes(), []
+
+    def answer(route):
+        if "range" not in route.request.headers:
+            return route.fulfill(body=page, content_type="text/html")
+        first, last = map(int, route.request.headers["range"].removeprefix("bytes=").split("-"))
+        ranges.append((first, last + 1 - first))
+        return route.fulfill(status=206, body=data[first : last + 1])
+
+    for query in ("", "?p4d=a.p4d"):
+        with browser.new_context(reduced_motion="reduce") as context:
+            context.set_default_timeout(LONG)
+            tab = context.new_page()
+            tab.route("**/*", answer)
+            tab.goto(f"http://player.test/{query}")
+            tab.wait_for_function("globalThis.player?.pack.p4d")
+            tab.evaluate(f"player.take({VIEW}); player.stage.resize(256, 256)")
+            for frame in frames[::-1]:
+                wanted = 255 * renderer(frame.gaussians, CAMERA)
+                tab.evaluate(f"player.seek({frame.time})")
+                drawn(tab, lambda now, wanted=wanted: psnr(now, wanted) > 30, "below 30 dB")
+    about = json.loads(data[12 : 12 + int.from_bytes(data[8:12], "little")])
+    assert {tuple(section) for section in about["frames"]} < set(ranges)
+    assert max(length for _, length in ranges) < len(data)
 
 
 @pytest.mark.slow

@@ -10,7 +10,8 @@ each Gaussian. Layout, little endian, with offsets from the start of the file:
     0 to 7         "PHY4D" 0 1 0
     8 to 11        length of the JSON, uint32
     12 on          JSON: count, times [s], origin [3] and spacing of the lattice [m], shape [3],
-                   nodes and exceptions (numbers), size [m], error {max, p99} [m], and sections
+                   nodes and exceptions (numbers), size [m], error {max, p99} [m] and {shape},
+                   player (what the player needs to know, in the axes of phy124), and sections
                    [offset, length]: still (SOG), indices, frames (one each), errors
     indices        index of each node in the lattice, in C order, then of each exception, uint32;
                    compressed by zlib
@@ -20,7 +21,7 @@ each Gaussian. Layout, little endian, with offsets from the start of the file:
     errors         largest error of each Gaussian, uint8 in steps of error.max / 255, rounded up;
                    compressed by zlib
 
-Frames are independent, so a reader can request a range of bytes. docs/guide/p4d.md has
+Frames are independent, so a reader can request a range of bytes. docs/guide/p4d.md describes
 readers in Python and JavaScript. The axes are those of SOG: -y up, -z to the front.
 """
 
@@ -38,6 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
+from phy124.gaussians import rotation_matrices
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.clip import Clip
 from phy124.io.content import Y_DOWN
@@ -55,6 +57,10 @@ STIFF = 1e-4
 STEP = TOLERANCE / 8
 """Step of the displacements relative to the object's size."""
 LARGEST = 2**15 - 1
+TALLEST = 4.0
+"""Largest absolute log ratio of scales that is stored: exp(4) = 55 times; more is clipped."""
+PERCENTILES = (1, 99)
+"""Percentiles of the stretch at the ends of its colour ramp; this ignores single outliers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +96,19 @@ class Lattice:
         matrix = sparse.csr_matrix(entries, (len(points), len(indices)))
         return cls(origin, spacing, shape, indices, matrix)
 
+    def slopes(self, points: NDArray[np.float64]) -> list[Any]:
+        """Return the derivatives of the weights at points [N,3] along each axis, 1/m."""
+        at = (points - self.origin) / self.spacing
+        fraction, slopes = (at - np.floor(at))[:, None], []
+        far = np.arange(8)[:, None] >> [2, 1, 0] & 1
+        factors = np.where(far, fraction, 1 - fraction)
+        for axis in range(3):
+            others = factors[..., [(axis + 1) % 3, (axis + 2) % 3]].prod(axis=-1)
+            slope = self.weights.copy()
+            slope.data = ((2 * far[:, axis] - 1) * others / self.spacing).ravel()
+            slopes.append(slope)
+        return slopes
+
     def solver(self) -> Any:
         """Return the factors of the least-squares fit of node displacements."""
         from scipy import sparse
@@ -117,15 +136,42 @@ class Lattice:
 def write_lattice4d(
     path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent
 ) -> None:
-    """Write a clip as one file, which appears whole or not at all.
+    """Write the object of a clip as one file, which appears whole or not at all.
 
     Raises:
         InputError: The clip is empty, or the file cannot be written.
     """
-    if not len(clip):
+    data, _ = encode(clip, clip.object_mask, progress=progress)
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def encode(
+    clip: Clip,
+    mask: NDArray[np.bool_],
+    *,
+    player: dict[str, Any] | None = None,
+    shades: bytes = b"",
+    progress: Progress = silent,
+) -> tuple[bytes, float]:
+    """Return the bytes of a file, and the error of the Gaussians' shapes.
+
+    The error is the 99th percentile, over Gaussians, of the largest relative error of the
+    covariances that follow from the deformation gradient of the lattice.
+
+    Args:
+        clip: The clip.
+        mask: The Gaussians to write [N].
+        player: Further entries for the player.
+        shades: The player's shadow maps.
+        progress: Called as progress("export", lattices tried, lattices in total).
+
+    Raises:
+        InputError: The clip is empty.
+    """
+    if not len(clip) or not mask.any():
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
     turn = orientation(*Y_DOWN).T
-    mask = clip.object_mask
     first = rotate_gaussians(clip.frame(0).gaussians.select(mask), turn)
     still = sog.encode(first)
     rest = _centres(still)
@@ -139,6 +185,7 @@ def write_lattice4d(
             break
     motion = min(made, key=lambda each: each.size)
     lattice, errors = motion.lattice, motion.errors
+    shape = float(np.percentile(_shape_errors(clip, mask, motion, rest, turn), 99))
     worst = float(errors.max()) or 1e-12
     steps = np.ceil(errors / worst * 255).astype(np.uint8)
     about = {
@@ -150,13 +197,64 @@ def write_lattice4d(
         "nodes": len(lattice.indices),
         "exceptions": len(motion.exceptions),
         "size": size,
-        "error": {"max": worst, "p99": float(np.percentile(errors, 99))},
+        "error": {"max": worst, "p99": float(np.percentile(errors, 99)), "shape": shape},
+        "player": {**measure(clip), **(player or {})},
     }
     numbers = np.concatenate([lattice.indices, motion.exceptions]).astype("<u4").tobytes()
     parts = [still, zlib.compress(numbers, 9), *motion.frames]
-    data = _pack(about, [*parts, zlib.compress(steps.tobytes(), 9)])
-    with replacing(path) as temporary:
-        temporary.write_bytes(data)
+    return _pack(about, [*parts, zlib.compress(steps.tobytes(), 9), shades]), shape
+
+
+def measure(clip: Clip) -> dict[str, Any]:
+    """Return what the player must know of all frames before it has read them.
+
+    These are the bounding box, the range of the log ratios of scales, clipped to +-`TALLEST`, the
+    largest speed, and the ends of the colour ramp for stretch, which are symmetric about 1. Stretch
+    is the longest axis of a Gaussian divided by its longest axis at rest.
+    """
+    ratios = np.log(np.maximum(clip.scales, 1e-9) / np.maximum(clip.scales[0], 1e-9))
+    longest = clip.scales.max(axis=2)
+    stretch = longest / np.maximum(longest[0], 1e-9)
+    low, high = np.percentile(stretch, PERCENTILES).tolist()
+    half = max(1 - low, high - 1, 0.01)
+    return {
+        "low": clip.means.min(axis=(0, 1)).tolist(),
+        "high": clip.means.max(axis=(0, 1)).tolist(),
+        "ratio": [max(float(ratios.min()), -TALLEST), min(float(ratios.max()), TALLEST)],
+        "speed": float(measure_speeds(clip).max()),
+        "stretch": [1 - half, 1 + half],
+    }
+
+
+def measure_speeds(clip: Clip) -> NDArray:
+    """Return speeds [T,N], m/s, from the clip's velocities, or from its positions without them."""
+    if clip.velocities is not None:
+        return np.linalg.norm(clip.velocities, axis=2)
+    if len(clip) < 2:
+        return np.zeros(clip.means.shape[:2])
+    return np.linalg.norm(np.gradient(clip.means, clip.times, axis=0), axis=2)
+
+
+def _shape_errors(
+    clip: Clip, mask: NDArray[np.bool_], motion: _Motion, rest: NDArray, turn: NDArray
+) -> NDArray[np.float64]:
+    """Return the largest relative error of the covariance of each Gaussian [N], in a few frames."""
+    first = _covariances(clip, 0, mask, turn)
+    slopes = motion.lattice.slopes(rest)
+    errors = np.zeros(len(first))
+    for index in {len(clip) // 2, len(clip) - 1}:
+        gradient = np.eye(3) + np.stack([slope @ motion.moved[index] for slope in slopes], axis=-1)
+        made = np.einsum("nij,njk,nlk->nil", gradient, first, gradient)
+        true = _covariances(clip, index, mask, turn)
+        error = np.linalg.norm(made - true, axis=(1, 2)) / np.linalg.norm(true, axis=(1, 2))
+        errors = np.maximum(errors, error)
+    return errors
+
+
+def _covariances(clip: Clip, index: int, mask: NDArray[np.bool_], turn: NDArray) -> NDArray:
+    """Return the covariances of Gaussians in a frame [N,3,3], m^2, in the axes of the file."""
+    turns = turn @ rotation_matrices(clip.quats[index][mask])
+    return np.einsum("nij,nj,nkj->nik", turns, clip.scales[index][mask].astype(float) ** 2, turns)
 
 
 def _centres(still: bytes) -> NDArray[np.float64]:
@@ -177,6 +275,8 @@ class _Motion:
     frames: list[bytes]
     errors: NDArray[np.float64]
     """Largest error of each Gaussian [N], m."""
+    moved: list[NDArray[np.float64]]
+    """Displacements of the nodes in each frame [M,3], m."""
 
     @property
     def size(self) -> int:
@@ -209,7 +309,8 @@ class _Motion:
             frames.append(
                 np.float32(step).tobytes() + zlib.compress(change.astype("<i2").tobytes(), 9)
             )
-        return cls(lattice, exceptions, frames, errors)
+        moved = [whole * step for step, whole, _ in fitted]
+        return cls(lattice, exceptions, frames, errors, moved)
 
 
 def _pack(about: dict[str, Any], parts: list[bytes]) -> bytes:
@@ -218,6 +319,7 @@ def _pack(about: dict[str, Any], parts: list[bytes]) -> bytes:
     offsets = start + np.cumsum([0, *map(len, parts[:-1])])
     sections = [[int(at), len(part)] for at, part in zip(offsets, parts, strict=True)]
     about |= {"still": sections[0], "indices": sections[1]}
-    about |= {"frames": sections[2:-1], "errors": sections[-1]}
+    about |= {"frames": sections[2:-2], "errors": sections[-2]}
+    about["player"] |= {"shades": sections[-1]} if parts[-1] else {}
     text = json.dumps(about).encode().ljust(start - 12)
     return MAGIC + len(text).to_bytes(4, "little") + text + b"".join(parts)

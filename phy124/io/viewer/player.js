@@ -37,7 +37,8 @@ globalThis.Phy124Player = (() => {
       this.canvas = canvas;
       this.clear = clear;
       this.pack = pack;
-      this.blend = new (pack.frames ? Phy124Pack.Growing : Phy124Pack.Blend)(pack);
+      const { Growing, Film, Blend } = Phy124Pack;
+      this.blend = new (pack.frames ? Growing : pack.load ? Film : Blend)(pack);
       const device = new pc.WebglGraphicsDevice(canvas, { antialias: false, alpha: clear, preserveDrawingBuffer: true });
       const app = this.app = new pc.AppBase(canvas);
       const options = new pc.AppOptions();
@@ -198,6 +199,7 @@ globalThis.Phy124Player = (() => {
       this.find('time').max = this.length;
       this.listen();
       this.seek(0);
+      if (pack.load) this.loadAll();
       this.still = matchMedia('(prefers-reduced-motion: reduce)').matches;
       if (play && !this.still && this.length > 0) this.play();
     }
@@ -325,6 +327,19 @@ globalThis.Phy124Player = (() => {
       this.stage.look(this.pose);
     }
 
+    /** Read all frames of a .p4d file, one after the other, so that they are there when they are played. */
+    async loadAll() {
+      for (let k = 0; k < this.pack.t && !this.gone; k++) await this.pack.load(k);
+    }
+
+    /** Whether a frame and the next one can be drawn; else they are read, and the instant is shown then. */
+    ready(frame) {
+      const { load, loaded, t } = this.pack, missing = load ? [Math.floor(frame), Math.min(Math.ceil(frame), t - 1)].filter((k) => loaded[k] !== true) : [];
+      if (!missing.length) return true;
+      this.waiting ??= Promise.all(missing.map(load)).then(() => { this.waiting = null; if (!this.gone) this.seek(this.time); });
+      return false;
+    }
+
     /** Show the instant `time`, seconds from the start. */
     seek(time) {
       this.time = Math.min(Math.max(time, 0), this.length);
@@ -332,7 +347,7 @@ globalThis.Phy124Player = (() => {
       let k = 0;
       while (k < t - 2 && times[k + 1] <= now) k++;
       const frame = t > 1 ? k + (now - times[k]) / (times[k + 1] - times[k]) : 0;
-      this.stage.show(frame, this.colouring);
+      if (this.ready(frame)) this.stage.show(frame, this.colouring);
       this.find('time').value = this.time;
       this.find('clock').textContent = `${this.time.toFixed(2)} s`;
       for (const other of this.followers) other.seek(time);
@@ -348,7 +363,7 @@ globalThis.Phy124Player = (() => {
         if (!this.host.isConnected) return this.dispose();
         const next = this.time + Math.min((now - last) / 1000, 0.25) * this.speed * this.forth;
         last = now;
-        this.seek(this.turned(next));
+        if (!this.waiting) this.seek(this.turned(next));
         requestAnimationFrame(tick);
       };
       requestAnimationFrame(tick);
@@ -387,12 +402,16 @@ globalThis.Phy124Player = (() => {
     }
   }
 
-  async function mount(host, bytes, settings) {
+  /** Show a pack or a .p4d file, given as bytes, or a .p4d file at an address, whose frames are read by range. */
+  async function mount(host, source, settings) {
     if (!document.createElement('canvas').getContext('webgl2')) {
       host.textContent = 'This browser has no WebGL 2, which the 3D player needs. The videos show the same motion.';
       return null;
     }
-    const pack = await Phy124Pack.unpack(bytes);
+    const moving = typeof source === 'string' || String.fromCharCode(...source.slice(0, 5)) === 'PHY4D';
+    const slice = (offset, length) => source.slice(offset, offset + length);
+    const open = () => (typeof source === 'string' ? P4D.fetch(source) : P4D.open(slice));
+    const pack = await (moving ? open().then(Phy124Pack.film) : Phy124Pack.unpack(source));
     return new Player(host, pack, settings);
   }
 
