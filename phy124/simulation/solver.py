@@ -18,6 +18,7 @@ from phy124.liquid import kernels as liquid_kernels
 from phy124.monitor import LATTICE_OBSERVERS, OBSERVERS
 from phy124.monitor.observer import Observer, Subject
 from phy124.monitor.wrenches import wall_names
+from phy124.motion import deform
 from phy124.mpm import (
     Attachable,
     Model,
@@ -36,7 +37,6 @@ from phy124.mpm.model import PRECISIONS, form_of
 from phy124.particles import Particles
 from phy124.scene import Object, Scene
 from phy124.scene.objects import find_pair
-from phy124.simulation import deform
 from phy124.simulation.bodies import planes_for_free
 from phy124.simulation.overlap import refuse_buried
 from phy124.simulation.setup import Setup
