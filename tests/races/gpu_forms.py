@@ -25,10 +25,10 @@ def choose() -> None:
     reduction.shared_out, reduction.along_rows = shared_out, along_rows
     from phy124.kernels.deform import deform_shapes
     from phy124.kernels.splat.shadow import cover
+    from phy124.motion import deform
     from phy124.mpm import model, solver
     from phy124.rendering import render
     from phy124.rendering.stage import shadow
-    from phy124.simulation import deform
 
     model.form_of = lambda precision, device, gradient="affine": (
         "spline" if gradient == "spline" else "plain"
