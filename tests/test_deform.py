@@ -291,10 +291,24 @@ def test_weights_sum_to_one_and_vary_smoothly(rng):
     assert np.abs(np.diff(dense, axis=0)).max() < 0.02
     for few in (1, 2, 5):
         index, weights = carriers(line, particles[:few])
-        assert index.shape == (2001, few) and index.max() < few
+        assert index.max() < few
         assert np.abs(weights.sum(axis=1) - 1).max() < 1e-6
     _, weights = carriers(line, np.zeros((20, 3)))
     assert np.isfinite(weights).all()
+
+
+def test_carriers_are_the_nearest_particles(rng):
+    """Points inside, on and far outside a sparse cloud, compared with a search of all distances."""
+    particles = rng.random((400, 3), np.float32) ** 3 * (1, 3, 0.1)
+    points = np.concatenate([particles[:50], 4 * rng.random((200, 3)) - 1]).astype(np.float32)
+    index, weights = carriers(points, particles.astype(np.float32), 0.3)
+    far = np.linalg.norm(points[:, None].astype(float) - particles.astype(np.float32), axis=2)
+    near = np.sort(far, axis=1)[:, :9]
+    assert np.allclose(np.take_along_axis(far, index, axis=1), near[:, :8], atol=1e-12)
+    reach = np.minimum(near[:, 8:], 2 * near[:, 7:8])
+    reach = np.minimum(reach, np.maximum(0.3, 2 * near[:, :1]))
+    expected = (1 - np.minimum(near[:, :8] / reach, 1) ** 2) ** 2 + 1e-9
+    assert np.allclose(weights, expected / expected.sum(axis=1, keepdims=True), atol=1e-6)
 
 
 def test_far_particles_do_not_carry_a_tip():

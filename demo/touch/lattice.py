@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
 from phy124.live import Live
-from phy124.motion.deform import CARRIERS, carriers
+from phy124.motion.deform import carriers
 from phy124.rendering.stage.solids import floor_heights, place_walls
 
 MOST = 5000
@@ -79,8 +79,7 @@ def _bound(
         nodes = np.sort(np.random.default_rng(0).permutation(used)[:most])
         near, weights = carriers(gaussians.means, rest[nodes])
         used = np.unique(near)
-    spare = ((0, 0), (0, CARRIERS - near.shape[1]))
-    return nodes[used], np.pad(np.searchsorted(used, near), spare), np.pad(weights, spare)
+    return nodes[used], np.searchsorted(used, near), weights
 
 
 class Walls:

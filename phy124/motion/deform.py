@@ -26,11 +26,15 @@ from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians, Particles, by_object, rotate_sh
 from phy124.kernels import deform as field
 from phy124.kernels.arguments import types
+from phy124.kernels.carriers import CARRIERS, find_carriers
+from phy124.runtime.cores import cores
 
+PER_CELL, MOST_CELLS = 2, 256
+"""Mean number of particles in a cell of their bounding box, and largest number of cells per axis,
+in the search for the particles that carry each Gaussian.
+"""
 THREADS = "shapes"
 """Prefix of the names of the threads that process the Gaussians."""
-CARRIERS = 8
-"""Number of particles that carry each Gaussian with the binding `lattice`."""
 FARTHEST = 4.0
 """Distance, in mean distances of particles, beyond which a particle carries only Gaussians without
 a nearer particle, because the grid does not connect material so far apart.
@@ -300,18 +304,26 @@ def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return each Gaussian's carriers [N,K], from its own object, and their weights [N,K]."""
-    count = min(CARRIERS, len(particles.x))
-    neighbours = np.zeros((len(gaussians), count), np.int32)
-    weights = np.zeros((len(gaussians), count), np.float32)
+    if particles.body is None or gaussians.object_id is None:
+        return _carriers_within(gaussians.means, particles.x, particles.volume)
+    neighbours = np.zeros((len(gaussians), CARRIERS), np.int32)
+    weights = np.zeros((len(gaussians), CARRIERS), np.float32)
     for ours, theirs in by_object(gaussians, particles):
-        spacing = np.cbrt(particles.volume[theirs].mean())
-        index, weight = carriers(gaussians.means[ours], particles.x[theirs], FARTHEST * spacing)
-        if len(theirs) < CARRIERS:
-            # Few particles do not determine the motion far from them: use the nearest one alone.
-            index, weight = index[:, :1], np.ones_like(weight[:, :1])
-        few = index.shape[1]  # A tiny object may have fewer carriers; the rest have no weight.
-        neighbours[ours, :few], weights[ours, :few] = theirs[index], weight
+        means, x, volume = gaussians.means[ours], particles.x[theirs], particles.volume[theirs]
+        index, weights[ours] = _carriers_within(means, x, volume)
+        neighbours[ours] = theirs[index]
     return neighbours, weights
+
+
+def _carriers_within(
+    means: NDArray, x: NDArray, volume: NDArray
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Return the carriers [N,K] and weights [N,K] of the Gaussians of one object."""
+    index, weights = carriers(means, x, FARTHEST * np.cbrt(volume.mean()))
+    if len(x) < CARRIERS:
+        # Few particles do not determine the motion far from them: use the nearest one alone.
+        weights[:] = np.eye(1, CARRIERS)
+    return index, weights
 
 
 def carriers(
@@ -322,22 +334,32 @@ def carriers(
     w = (1 - (d / R)^2)^2. R is the distance of the nearest particle that is not chosen. R is at
     most twice the distance of the farthest chosen particle, and at most the larger of `farthest`
     and twice the distance of the nearest particle [m]. The weights vary smoothly over the points,
-    since a particle enters and leaves the chosen set with weight 0.
+    since a particle enters and leaves the chosen set with weight 0. With fewer than K particles,
+    the last weights are 0.
     """
-    count = min(CARRIERS, len(particles))
-    # With these options, building the tree takes half the default time, queries nine tenths.
-    tree = scipy.spatial.KDTree(particles, balanced_tree=False, leafsize=20)
-    distance, index = tree.query(points, k=count + 1, workers=-1)
-    distance, index = np.asarray(distance), np.asarray(index)
-    # If all particles are chosen, the distance of the next particle is infinite.
-    reach = np.minimum(distance[:, -1:], 2 * distance[:, -2:-1])
-    reach = np.minimum(reach, np.maximum(farthest, 2 * distance[:, :1]))
-    near = distance[:, :count]
-    ratio = np.divide(near, reach, out=np.zeros_like(near), where=reach > 0).clip(0, 1)
-    # Without this term, particles at equal distance would all have weight 0.
-    weights = (1 - ratio**2) ** 2 + 1e-9
-    weights /= weights.sum(axis=1, keepdims=True)
-    return index[:, :count].astype(np.int32), weights.astype(np.float32)
+    low, high = particles.min(axis=0).astype(np.float64), particles.max(axis=0)
+    extent = np.maximum(high - low, 1e-9)
+    cell = max(float(np.cbrt(extent.prod() * PER_CELL / len(particles))), extent.max() / MOST_CELLS)
+    shape = np.floor(extent / cell).astype(np.int64) + 1
+    place = np.minimum(((particles - low) / cell).astype(np.int64), shape - 1)
+    flat = np.ravel_multi_index(tuple(place.T), tuple(shape))
+    order = np.argsort(flat, kind="stable").astype(np.int32)
+    starts = np.zeros(shape.prod() + 1, np.int32)
+    np.cumsum(np.bincount(flat, minlength=shape.prod()), out=starts[1:])
+    neighbours = np.empty((len(points), CARRIERS), np.int32)
+    weights = np.empty((len(points), CARRIERS), np.float32)
+    ordered, sorted_x = (np.ascontiguousarray(a, np.float32) for a in (points, particles[order]))
+    written: list[Any] = [wp.array(a, device="cpu", copy=False) for a in (neighbours, weights)]
+    shared = [wp.array(sorted_x, dtype=wp.vec3, device="cpu", copy=False)]
+    shared += [wp.array(a, device="cpu", copy=False) for a in (order, starts)]
+    numbers = [wp.vec3i(*shape.tolist()), wp.vec3d(*low.tolist()), cell, min(farthest, 1e100)]
+    _Share(len(points), "cpu", cores()).launch(
+        find_carriers,
+        [wp.array(ordered, dtype=wp.vec3, device="cpu", copy=False)],
+        [*shared, *numbers],
+        written,
+    )
+    return neighbours, weights
 
 
 def _bound_particles(count: int, particles: Particles | None) -> NDArray[np.int32] | None:
@@ -404,5 +426,6 @@ def shapes_of(device: str) -> tuple[Any, int]:
 
 def kernels(real: Any, binding: str, device: str) -> list[Any]:
     """Return the kernels that deform the Gaussians of a frame."""
-    carry = field.make_carry(real) if binding == "lattice" else field.make_follow(real)
-    return [shapes_of(device)[0], carry, field.make_count_broken(real)]
+    bound = [field.make_carry(real), find_carriers] if binding == "lattice" else []
+    carry = bound or [field.make_follow(real)]
+    return [shapes_of(device)[0], *carry, field.make_count_broken(real)]
