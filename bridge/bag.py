@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import textwrap
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from phy124.errors import InputError
 from phy124.io.files import replacing
 
 from . import messages
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
     from mcap.writer import Writer
 
 SUFFIX = ".mcap"
+PART = ".part"
+"""Ending of a single file that is being written."""
+SQLITE = ".db3"
 METADATA = "metadata.yaml"
 PROFILE = "ros2"
 ENCODING = "cdr"
@@ -57,8 +62,42 @@ class Counts:
 
 
 def mcap_file(bag: Path) -> Path:
-    """Return the .mcap file of a bag: the file itself, or the file in the folder."""
+    """Return the .mcap file of a new bag: the file itself, or the file in the folder."""
     return bag if bag.suffix == SUFFIX else bag / f"{bag.name}_0{SUFFIX}"
+
+
+def recorded_files(path: Path) -> list[Path]:
+    """Return the .mcap files of a recording in order; files in metadata.yaml may be missing.
+
+    A bag that was renamed keeps the names of its files, and a split bag has several files.
+
+    Raises:
+        InputError: The recording is a bag of sqlite3, or there is no recording.
+    """
+    if path.suffix == SQLITE or any(path.glob(f"*{SQLITE}")):
+        limit = "It is a bag of sqlite3, but only MCAP is supported."
+        text = "{output_bags: [{uri: NEW, storage_id: mcap, all_topics: true}]}"
+        remedy = f"Write `{text}` to mcap.yaml, then run `ros2 bag convert -i {path} -o mcap.yaml`."
+        raise InputError("recording", path, limit, remedy)
+    if path.is_dir():
+        listed = _listed_files(path)
+        if not any(file.is_file() for file in listed):
+            listed = sorted(path.glob(f"*{SUFFIX}"))
+    else:
+        part = path if path.suffix == PART else path.with_name(path.name + PART)
+        listed = [file for file in (part, path) if file.is_file()][:1]
+    if not listed:
+        limit = f"There is no recording: {path} has no {SUFFIX} file."
+        raise InputError("recording", path, limit, "Give a bag folder or an .mcap file.")
+    return listed
+
+
+def _listed_files(bag: Path) -> list[Path]:
+    """Return the `relative_file_paths` of metadata.yaml."""
+    text = (bag / METADATA).read_text("utf-8") if (bag / METADATA).is_file() else ""
+    found = re.search(r"^ *relative_file_paths:\n((?: *- .*\n)+)", text, re.MULTILINE)
+    names = re.findall(r"- [\"']?(.+?)[\"']?$", found[1], re.MULTILINE) if found else []
+    return [bag / name for name in names]
 
 
 def register(writer: Writer, topic: Topic) -> int:

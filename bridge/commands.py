@@ -239,7 +239,8 @@ class Steer:
         checked_duration(self.push_seconds)
         backend = choose(self.backend)
         messages = self.messages.model_copy(update={"epoch": self.messages.epoch or time.time()})
-        velocities = messages.profile == "full"
+        recorded = self.record is not None and messages.profile is None  # in the profile `full`
+        velocities = messages.profile == "full" or recorded
         live, accuracy = make_live(
             self.source, self.simulated, speed=self.speed, velocities=velocities
         )

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import Counter
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from phy124.errors import InputError
 from phy124.io.clip import Clip
 
 from . import PROGRAM, bag
 from .backends import AUTOMATIC, REQUIREMENTS, missing, sink_names
 from .layout import FULL, SMALL, VIZ
 from .recover import records
-from .sinks.mcap import PART
 from .topics import MAIN
 
 WANTED_BUFFER = 4 << 20
@@ -45,10 +44,8 @@ def describe(path: Path) -> list[str]:
     Raises:
         InputError: The path is neither a clip nor a recording.
     """
-    file = bag.mcap_file(path)
-    if path.is_dir() or path.suffix in (bag.SUFFIX, PART):
-        part = path if path.suffix == PART else file.with_name(file.name + PART)
-        return describe_recording(path, file if file.is_file() else part)
+    if path.is_dir() or path.suffix in (bag.SUFFIX, bag.PART, bag.SQLITE):
+        return describe_recording(path)
     return describe_clip(Clip.load(path))
 
 
@@ -69,39 +66,47 @@ def describe_clip(clip: Clip) -> list[str]:
     return lines
 
 
-def describe_recording(path: Path, file: Path) -> list[str]:
+def describe_recording(path: Path) -> list[str]:
     """Describe a recording: topics, numbers of messages, and whether it is complete.
 
     Args:
-        path: The bag folder or the .mcap file that the user named.
-        file: The .mcap file.
+        path: The bag folder or the .mcap file.
 
     Raises:
-        InputError: There is no such file.
+        InputError: There is no such recording.
     """
-    if not file.is_file():
-        limit = f"There is no recording: {file} does not exist."
-        raise InputError("path", path, limit, "Give a clip, a bag folder or an .mcap file.")
     from mcap.records import Channel, Footer, Message
 
-    channels: dict[int, Channel] = {}
-    times: dict[int, list[int]] = {}
-    whole, damaged = False, 0
-    for record in records(file):
-        if isinstance(record, Channel):
-            channels[record.id] = record
-        elif isinstance(record, Message):
-            times.setdefault(record.channel_id, []).append(record.log_time)
-        damaged += record is None
-        whole = whole or isinstance(record, Footer)
-    whole = whole and not damaged and (path.suffix == bag.SUFFIX or (path / bag.METADATA).is_file())
-    lines = [f"recording: {file}, {file.stat().st_size / 1e6:.1f} MB"]
-    for number, channel in channels.items():
-        lines.append(f"{channel.topic}: {len(times.get(number, []))} messages")
-        if channel.topic in MAIN and number in times:
-            seconds = np.ptp(times[number]) / 1e9
-            lines.append(f"duration: {seconds:.3f} s")
+    files = bag.recorded_files(path)
+    counts: Counter[str] = Counter()
+    times: list[int] = []  # of the frames [ns]
+    whole = path.suffix == bag.SUFFIX or (path / bag.METADATA).is_file()
+    missing = [file.name for file in files if not file.is_file()]
+    lines = []
+    for file in files:
+        if not file.is_file():
+            continue
+        names: dict[int, str] = {}
+        finished = False
+        for record in records(file):
+            if isinstance(record, Channel):
+                names[record.id] = record.topic
+                counts[record.topic] += 0
+            elif isinstance(record, Message):
+                counts[names[record.channel_id]] += 1
+                if names[record.channel_id] in MAIN:
+                    times.append(record.log_time)
+            whole = whole and record is not None
+            finished = finished or isinstance(record, Footer)
+        whole = whole and finished
+        lines.append(f"recording: {file}, {file.stat().st_size / 1e6:.1f} MB")
+    for name, count in counts.items():
+        lines.append(f"{name}: {count} messages")
+        if name in MAIN and times:
+            lines.append(f"duration: {np.ptp(times) / 1e9:.3f} s")
     state = "complete" if whole else f"not finished or damaged; run `{PROGRAM} recover {path}`"
+    if missing:
+        state = f"not complete; missing: {', '.join(missing)}"
     return [*lines, f"state: {state}"]
 
 

@@ -18,7 +18,7 @@ from phy124.errors import InputError
 from phy124.io.files import move_to
 
 from . import bag
-from .sinks.mcap import CHUNK, PART
+from .sinks.mcap import CHUNK
 from .topics import MAIN, find_recorded
 
 if TYPE_CHECKING:
@@ -51,11 +51,15 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
             readable, or the disk is full; the damaged file stays unchanged.
     """
     target = Path(output) if output else Path(path)
-    source = _damaged_file(Path(path))
+    source, *others = bag.recorded_files(Path(path))
+    if others:
+        limit = f"It is split into {1 + len(others)} files, so this program did not record it."
+        raise InputError("recover", path, limit, "Use `ros2 bag reindex -s mcap` for it.")
     whole, frames = _inspect(source)
     if whole and _is_finished(Path(path), source) and output is None:
         return Recovery(Path(path), frames, repaired=False)
-    file = bag.mcap_file(target)
+    in_place = source.with_name(source.name.removesuffix(bag.PART))
+    file = bag.mcap_file(target) if output else in_place
     temporary = file.with_name(file.name + ".recovering")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -68,7 +72,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
         raise InputError("recover", target, limit, "Make room, or give another output.") from error
     finally:
         temporary.unlink(missing_ok=True)
-    if source.suffix == PART and output is None:
+    if source.suffix == bag.PART and output is None:
         source.unlink()
     return Recovery(target, sum(counts.messages.get(name, 0) for name in MAIN), repaired=True)
 
@@ -100,17 +104,6 @@ def records(file: Path) -> Iterator[Any]:
             except broken:
                 inside = [None]
             yield from inside
-
-
-def _damaged_file(path: Path) -> Path:
-    """Return the file with the records of a recording, whether finished or not."""
-    file = bag.mcap_file(path)
-    part = file.with_name(file.name + PART)
-    for candidate in (part, file):
-        if candidate.is_file():
-            return candidate
-    limit = f"There is no recording: neither {file} nor {part.name} exists."
-    raise InputError("recover", path, limit, "Give the bag folder or the .mcap file.")
 
 
 def _is_finished(path: Path, source: Path) -> bool:

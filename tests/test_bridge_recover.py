@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 
+from bridge.info import describe
 from bridge.layout import points
 from bridge.options import Options
 from bridge.recover import Recovery, recover
@@ -234,3 +235,38 @@ def test_sigkill_twenty_times(tmp_path, attempt):
     count = [500, 8000, 65536][attempt % 3]
     begun, recovered = check_kill(tmp_path, np.random.default_rng(), count)
     sys.stdout.write(f"{count} points: {begun} frames begun, {recovered} recovered\n")
+
+
+def test_a_renamed_bag_is_read_and_repaired(tmp_path):
+    recorded(tmp_path / "old", random_clip())
+    bag = (tmp_path / "old").rename(tmp_path / "new")
+    assert describe(bag)[-1] == "state: complete"
+    assert recover(bag) == Recovery(bag, 4, repaired=False)
+    (bag / "metadata.yaml").unlink()
+    assert recover(bag) == Recovery(bag, 4, repaired=True)
+    assert [file.name for file in bag.iterdir() if file.suffix == ".mcap"] == ["old_0.mcap"]
+    assert len(frames_in(bag)) == 4
+
+
+def test_a_split_bag_is_described_as_a_whole(tmp_path):
+    recorded(tmp_path / "bag", random_clip())
+    recorded(tmp_path / "more", random_clip(frames=3))
+    metadata = tmp_path / "bag/metadata.yaml"
+    file = '- "bag_0.mcap"\n'
+    assert file in metadata.read_text()
+    metadata.write_text(metadata.read_text().replace(file, "- bag_0.mcap\n  - bag_1.mcap\n"))
+    assert describe(tmp_path / "bag")[-1] == "state: not complete; missing: bag_1.mcap"
+    (tmp_path / "more/more_0.mcap").rename(tmp_path / "bag/bag_1.mcap")
+    lines = describe(tmp_path / "bag")
+    assert "/phy124/points: 7 messages" in lines and lines[-1] == "state: complete"
+    with pytest.raises(InputError, match="split into 2 files"):
+        recover(tmp_path / "bag")
+
+
+def test_a_bag_of_sqlite_is_to_be_converted(tmp_path):
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag/bag_0.db3").touch()
+    for path in (tmp_path / "bag", tmp_path / "bag/bag_0.db3"):
+        for use in (describe, recover):
+            with pytest.raises(InputError, match="ros2 bag convert"):
+                use(path)

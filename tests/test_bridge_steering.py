@@ -350,6 +350,12 @@ def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys):
             if channel.topic == "/phy124/live/contact/ground"
         ]
         assert {channel.topic for channel in recorded.connections} >= {"/tf", "/phy124/points"}
+        vx = [
+            np.frombuffer(JAZZY.deserialize_cdr(data, channel.msgtype).data, "<f4")
+            for channel, _, data in recorded.messages()
+            if channel.topic == "/phy124/points"
+        ]
+    assert len(vx) == 3 and np.isfinite(vx).all(), "the profile `full` has velocities"
     assert [one.header.frame_id for one in wrenches] == 3 * ["phy124_com"]
     kept = Scene.named(str(session))
     assert kept.time.frames == 3 and kept.object == own.object

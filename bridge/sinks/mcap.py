@@ -27,7 +27,6 @@ from ..topics import PLAYER, Message, Topic, full_name
 Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
 """Size of a chunk [bytes]; a larger frame gets a chunk of its own."""
-PART = ".part"
 OLDER = ".old"
 """Ending of a replaced recording in a bag folder, until the new recording is complete."""
 log = logging.getLogger(__name__)
@@ -78,7 +77,9 @@ class McapSink:
         self._single = self.path.suffix == bag.SUFFIX
         # A complete single file gets its final name; a bag is complete with metadata.yaml.
         self.file = (
-            self.path.with_name(self.path.name + PART) if self._single else bag.mcap_file(self.path)
+            self.path.with_name(self.path.name + bag.PART)
+            if self._single
+            else bag.mcap_file(self.path)
         )
         self._older = self.file.with_name(self.file.name + OLDER)
 
