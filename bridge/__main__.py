@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 STOPPED = "bridge: stopped\n"
+ALWAYS = ("SIGINT",)
+"""Signals that end a node even if its parent ignores them: `ros2 launch` relies on SIGINT."""
 
 
 # Import only light modules above: until `importing` runs, Ctrl-C would show a traceback.
@@ -23,7 +25,7 @@ def importing(status: int, text: str = "") -> Iterator[None]:
     try:
         from phy124.runtime.signals import ending, handling
 
-        with handling(ending(status, text)):
+        with handling(ending(status, text), always=ALWAYS):
             yield
     except KeyboardInterrupt:
         sys.stderr.write(text)
@@ -42,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             refuse_narrow()  # before NumPy is imported
             from .command_line import run
-        with steady_streams() as lost, handling(interrupt):
+        with steady_streams() as lost, handling(interrupt, always=ALWAYS):
             status = run(words, __doc__)
             sys.stdout.flush()
             if lost:

@@ -11,9 +11,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from phy124.errors import InputError
 from phy124.runtime.failures import failure
 from phy124.runtime.signals import handling, interrupt
 
+from .__main__ import ALWAYS
 from .cameras import Cameras
 from .live import follow, play
 from .options import Options
@@ -53,6 +55,7 @@ def play_clip(node: Any) -> None:
     chosen = declare(node, {**CLIP, **RUNNING, **message_options()})
     path, clock, rate, speed, loop = _take(chosen, "clip", "clock", "rate", "speed", "loop")
     options = _options(chosen)
+    _require("clip", path, "/path/to/clip.safetensors")
     clip = open_clip(path)
     player = Player(clip.times, rate=rate or None, speed=speed, loop=loop)
     with (
@@ -75,6 +78,7 @@ def simulate(node: Any) -> None:
     )
     making = {name: section_of(chosen, section) for name, section in MAKING.items()}
     options = _options(chosen)
+    _require("source", source, "/path/to/photo.png")
     asked = LiveOptions(True, scene, changes, generator, device, tuple(map(Path, more)), **making)
     run = LiveRun(Path(source), asked)
     with (
@@ -94,7 +98,7 @@ def _live_through(args: list[str] | None, work: Callable[[Any], None]) -> None:
     refused = None
     try:
         # `ros2 launch` and supervisors send SIGTERM if SIGINT does not end a node.
-        with handling(interrupt), ros_node(args) as node:
+        with handling(interrupt, always=ALWAYS), ros_node(args) as node:
             refused = _attempt(node, work)
     except KeyboardInterrupt:
         # Ctrl-C is the usual end of a node.
@@ -121,6 +125,11 @@ def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
 
 def _take(chosen: dict[str, Any], *names: str) -> list[Any]:
     return [chosen.pop(name) for name in names]
+
+
+def _require(name: str, value: str, example: str) -> None:
+    if not value:
+        raise InputError(name, "''", "it is required.", f"For example `-p {name}:={example}`.")
 
 
 def _options(chosen: dict[str, Any]) -> Options:

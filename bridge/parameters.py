@@ -1,6 +1,7 @@
 """The options as ROS parameters of a node; four of them can be changed while the node runs.
 
-All are declared with dynamic typing, because `-p speed:=2` is an integer for ROS but a float here.
+All are declared with dynamic typing, because `-p speed:=2` is an integer for ROS but a float here;
+the node then stores the float.
 A wrong value is refused with a sentence, both at the start and by `ros2 param set`.
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar, get_args
 
@@ -130,6 +132,7 @@ def message_options() -> dict[str, Parameter]:
 def declare(node: Any, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     """Declare parameters and return their values; raises InputError for a wrong value."""
     from rcl_interfaces.msg import ParameterDescriptor
+    from rclpy.parameter import Parameter as RosParameter
 
     values = {}
     for name, parameter in parameters.items():
@@ -138,6 +141,9 @@ def declare(node: Any, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
         # Set limits after the declaration: a wrong value then gets our message, not ROS's.
         value = node.declare_parameter(name, start, ParameterDescriptor(dynamic_typing=True)).value
         values[name] = convert(name, value, parameter)
+        if isinstance(default, (float, tuple)):
+            kept = list(values[name]) if isinstance(default, tuple) else values[name]
+            node.set_parameters([RosParameter(name, value=kept)])
         node.set_descriptor(name, descriptor(parameter))
     return values
 
@@ -191,6 +197,7 @@ class Running:
     ) -> None:
         """Watch declared `parameters`; `apply(name, value)` carries out a change."""
         self._node, self._parameters, self._apply = node, parameters, apply
+        node.add_pre_set_parameters_callback(self._keep_types)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._carry_out)
 
@@ -201,6 +208,20 @@ class Running:
         for name in values.keys() & self._parameters.keys():
             if self._node.get_parameter(name).value != values[name]:
                 self._node.set_parameters([RosParameter(name, value=values[name])])
+
+    def _keep_types(self, asked: list[Any]) -> list[Any]:
+        """Replace numbers by those of the declared type; `_check` refuses other wrong values."""
+        from rclpy.parameter import Parameter as RosParameter
+
+        kept = []
+        for parameter in asked:
+            known = self._parameters.get(parameter.name)
+            with suppress(InputError):
+                if known is not None:
+                    value = convert(parameter.name, parameter.value, known)
+                    parameter = RosParameter(parameter.name, value=value)
+            kept.append(parameter)
+        return kept
 
     def _check(self, asked: list[Any]) -> Any:
         from rcl_interfaces.msg import SetParametersResult
@@ -256,4 +277,10 @@ KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
 def _example(default: Any) -> str:
     if isinstance(default, (tuple, list)):
         return f"[{', '.join(map(str, default)) or 'KEY=VALUE'}]"
-    return str(default).lower() if isinstance(default, bool) else str(default or "TEXT")
+    return (
+        str(default).lower()
+        if isinstance(default, bool)
+        else "TEXT"
+        if default == ""
+        else str(default)
+    )

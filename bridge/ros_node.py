@@ -47,7 +47,8 @@ def _start(start: Callable[[], Any]) -> Any:
         said = " ".join(str(error).split())
         limit = f"ROS 2 refuses it ({said})."
         remedy = (
-            "Either all numbers of a list have a decimal point, or none; see `ros2 run --help`."
+            "A parameter is -p NAME:=VALUE. Quote a list; either all of its numbers have a "
+            "decimal point, or none: -p 'translation:=[1.0, 0.0, 0.0]'."
         )
         raise InputError("--ros-args", " ".join(sys.argv[1:]), limit, remedy) from error
 

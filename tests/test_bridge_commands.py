@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -217,6 +218,23 @@ def test_a_stopped_recording_is_whole(tmp_path, number):
     assert process.returncode == 130
     with Reader(bag) as reader:
         assert 4 <= reader.message_count < 600
+
+
+def test_sigint_ends_a_background_process(clip):
+    """A shell script starts `command &` with SIGINT ignored; ROS nodes handle it nevertheless."""
+    play = ["play", "--backend", "foxglove", "--port", "0", "--stay", str(clip)]
+    command = shlex.join([sys.executable, "-m", "bridge", *play])
+    script = ["sh", "-c", f"{command} & echo $!; wait $!"]
+    with subprocess.Popen(script, cwd=ROOT, stdout=subprocess.PIPE, text=True) as shell:
+        assert shell.stdout is not None
+        number = int(shell.stdout.readline())
+        try:
+            assert "Publishing" in shell.stdout.readline()
+            os.kill(number, signal.SIGINT)
+            assert shell.wait(20) == 130
+        finally:
+            if shell.poll() is None:
+                os.kill(number, signal.SIGKILL)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -76,6 +76,9 @@ def test_whole_numbers_do_for_numbers(ros, tmp_path, name, whole):
     """What `-p speed:=2` gives: ROS makes an integer of it."""
     made = run_node(ros, tmp_path, 50, **{name: whole})
     assert made.publishers["points"].sent
+    kept = made.declared[name].value
+    numbers = kept if isinstance(kept, list) else [kept]
+    assert kept == whole and {type(number) for number in numbers} == {float}
     assert not [line for line in made.logger.lines if line[0] == "FATAL"]
 
 
@@ -85,6 +88,8 @@ def test_whole_numbers_do_for_numbers(ros, tmp_path, name, whole):
         ({"speed": -1.0}, "speed = -1.0: It must lie between 0.01 and 100."),
         ({"speed": 1000}, "speed = 1000: It must lie between"),
         ({"speed": "fast"}, "speed = fast: It takes a number. For example `-p speed:=1.0`."),
+        ({"rate": -1.0}, "It must lie between 0 and 1000. The default is 0.0."),
+        ({"clip": ""}, "clip = '': it is required. For example `-p clip:=/path/to/clip"),
         ({"loop": 1}, "loop = 1: It takes true or false."),
         ({"max_points": 2.5}, "max_points = 2.5: It takes a whole number."),
         ({"translation": ["a"]}, "translation = ['a']: It takes a list of numbers."),
@@ -125,6 +130,7 @@ def test_parameters_can_be_set_while_it_runs(ros, tmp_path):
     assert done == [True] * 4
     assert [result.successful for result in refusals] == [False] * 4
     assert "It takes a number" in refusals[1].reason
+    assert type(made.declared["speed"].value) is float, "2 is stored as 2.0"
     last = values(statuses(made)[-1])
     assert (last["speed"], last["rate [Hz]"], last["loop"]) == ("2", "7.5", "False")
     assert clouds(made)[-1].width == 10
@@ -293,6 +299,7 @@ def test_a_running_simulation_that_stops_early_says_so(ros, monkeypatch):
             yield random_clip().frame(0)
 
     monkeypatch.setattr(node, "LiveRun", Run)
+    Node.parameters = {"source": "photo.png"}
     with pytest.raises(SystemExit) as ended:
         node.simulation()
     assert ended.value.code == node.STOPPED_EARLY

@@ -216,7 +216,10 @@ def test_launch_without_rviz_starts_the_player_alone(launched):
 
 def test_launch_ends_with_the_player(launched):
     player, _ = nodes(launched(clip="a.safetensors"))
-    assert player.on_exit.event.kind == "Shutdown"
+    ended = types.SimpleNamespace
+    assert player.on_exit(ended(returncode=0), None).event.kind == "Shutdown"
+    with pytest.raises(RuntimeError, match="exit status 1"):
+        player.on_exit(ended(returncode=1), None)
 
 
 def test_launch_simulates_a_picture(launched):
@@ -227,9 +230,8 @@ def test_launch_simulates_a_picture(launched):
 
 @pytest.mark.parametrize("arguments", [{}, {"clip": "a", "source": "b"}])
 def test_launch_needs_a_clip_or_a_source(launched, arguments):
-    started = launched(**arguments)
-    assert nodes(started) == []
-    assert [entity.kind for entity in started] == ["LogInfo", "EmitEvent"]
+    with pytest.raises(ValueError, match="Give clip:="):
+        launched(**arguments)
 
 
 def test_launch_arguments_are_parameters_of_the_node(launched):

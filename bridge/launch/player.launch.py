@@ -60,8 +60,8 @@ def _nodes(context):
     """Return the node for the launch arguments, and RViz if it is installed."""
     values = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
     if bool(values["clip"]) == bool(values["source"]):
-        text = "Give clip:=/path/clip.safetensors, or source:=/path/photo.png."
-        return [LogInfo(msg=text), EmitEvent(event=Shutdown(reason=text))]
+        # For launch, an exception is the only way to a nonzero exit status.
+        raise ValueError("Give clip:=/path/clip.safetensors, or source:=/path/photo.png.")
     namespace = "/" + LaunchConfiguration("namespace").perform(context).strip("/")
     executable, names = ("simulate", SIMULATED) if values["source"] else ("player", PLAYER)
     parameters = {
@@ -76,10 +76,17 @@ def _nodes(context):
         namespace=namespace,
         parameters=[LaunchConfiguration("config"), parameters],
         output="screen",
-        # Otherwise RViz would stay open after the node has ended.
-        on_exit=EmitEvent(event=Shutdown(reason="the player has ended")),
+        on_exit=_end,
     )
     return [node, *_rviz(namespace)]
+
+
+def _end(event, context):
+    """Also end RViz; the exit status of launch is nonzero if that of the node is."""
+    del context
+    if event.returncode:
+        raise RuntimeError(f"The {PACKAGE} node has ended with exit status {event.returncode}.")
+    return EmitEvent(event=Shutdown(reason="the player has ended"))
 
 
 def _rviz(namespace):

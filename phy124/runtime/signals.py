@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from functools import partial
 from types import FrameType
 
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -14,16 +15,18 @@ Handler = Callable[[int, FrameType | None], object]
 
 
 @contextmanager
-def handling(handler: Handler) -> Iterator[None]:
+def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None]:
     """Within this context these signals call `handler`; outside the main thread nothing changes.
 
-    Signals that the parent process has set to be ignored (nohup) stay ignored.
+    Signals that the parent process has set to be ignored (nohup) stay ignored, except those in
+    `always`: a shell without job control sets SIGINT to be ignored for background processes.
     """
     usual = {}
     if threading.current_thread() is threading.main_thread():
-        numbers = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
-        for number in (n for n in numbers if signal.getsignal(n) is not signal.SIG_IGN):
-            usual[number] = signal.signal(number, handler)
+        for name in filter(partial(hasattr, signal), NAMES):
+            number = getattr(signal, name)
+            if name in always or signal.getsignal(number) is not signal.SIG_IGN:
+                usual[number] = signal.signal(number, handler)
     try:
         yield
     finally:
