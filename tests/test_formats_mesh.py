@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from phy124.__main__ import main as run_command
 from phy124.errors import InputError
@@ -13,7 +14,7 @@ from phy124.gaussians import Frame, Gaussians, rotation_matrices
 from phy124.generators.shapes import ball
 from phy124.io.clip import Clip
 from phy124.io.formats import FORMATS, write_gaussians
-from phy124.io.formats.mesh import CELLS, find_surface, sample_density, to_trimesh
+from phy124.io.formats.mesh import BLUR, CELLS, find_surface, sample_density, to_trimesh
 from phy124.io.formats.moving_mesh import fit_to_clip, follow, write_moved, write_moving_mesh
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
@@ -59,6 +60,17 @@ def test_surface_is_where_the_density_is_a_half():
     steps = np.linspace(-1, 1, 9)
     near = np.stack([exact_density(one, vertices + step * outwards) for step in steps])
     assert (near[-1] < 0.5).all() and (near.max(axis=0) > 0.5).all()
+
+
+def test_surface_is_a_cell_from_that_of_a_finer_grid():
+    """Of the same density, both ways, for a ball of discs that are thinner than a cell."""
+    one = ball()
+    discs = Gaussians(one.means, one.quats, one.scales * [1, 1, 0.1], one.opacities, one.sh)
+    coarse = find_surface(discs, 40)
+    fine = find_surface(discs, 120, 3 * BLUR)
+    samples = [to_trimesh(each).sample(200_000, seed=0) for each in (coarse, fine)]
+    for surface, other in zip((coarse, fine), samples[::-1], strict=True):
+        assert KDTree(other).query(surface.vertices)[0].max() < coarse.cell
 
 
 @pytest.mark.parametrize("name", ["mesh", "mesh-obj", "mesh-ply"])

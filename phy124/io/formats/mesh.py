@@ -2,7 +2,9 @@
 
 The surface is where the density of the Gaussians, the sum of opacity * exp(-d^2 / 2) with the
 Mahalanobis distance d, is 1/2. The density is sampled on a grid with `CELLS` cells along the
-longest side; Gaussians thinner than `BLUR` cells are widened to it. Cavities that the surface
+longest side; Gaussians thinner than `BLUR` cells are widened to it, because the discs of a surface
+are much thinner than a cell. From the same density on a grid four times as fine, the surface is at
+most one cell away. Cavities that the surface
 encloses are filled. The triangles are those of marching cubes (Lewiner et al. 2003, by
 scikit-image); a vertex has the mean colour of the nearest Gaussians.
 """
@@ -50,12 +52,13 @@ class Surface:
     """Side of a cell of the grid [m]."""
 
 
-def find_surface(gaussians: Gaussians, cells: int = CELLS) -> Surface:
+def find_surface(gaussians: Gaussians, cells: int = CELLS, blur: float = BLUR) -> Surface:
     """Return the surface at which the density of Gaussians is 1/2.
 
     Args:
         gaussians: The Gaussians.
         cells: Number of cells along the longest side.
+        blur: Smallest standard deviation of a Gaussian, in cells; thinner ones are widened.
 
     Raises:
         InputError: scikit-image is not installed, or the density is below 1/2 everywhere.
@@ -69,7 +72,7 @@ def find_surface(gaussians: Gaussians, cells: int = CELLS) -> Surface:
     gaussians = gaussians.select(finite)
     low, high = gaussians.means.min(axis=0), gaussians.means.max(axis=0)
     cell = max(float((high - low).max()), 1e-6) / cells
-    density, corner = sample_density(gaussians, cell)
+    density, corner = sample_density(gaussians, cell, blur)
     _fill_cavities(density)
     if not density.max() > LEVEL:
         limit = f"The density of its Gaussians is below {LEVEL} everywhere."
@@ -81,7 +84,7 @@ def find_surface(gaussians: Gaussians, cells: int = CELLS) -> Surface:
 
 
 def sample_density(
-    gaussians: Gaussians, cell: float
+    gaussians: Gaussians, cell: float, blur: float = BLUR
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Return the density of Gaussians at the nodes of a grid [X,Y,Z], and its first node [3], m.
 
@@ -90,9 +93,10 @@ def sample_density(
     Args:
         gaussians: The Gaussians.
         cell: Distance between nodes [m].
+        blur: Smallest standard deviation of a Gaussian, in cells; thinner ones are widened.
     """
     turns = rotation_matrices(gaussians.quats)
-    spread = np.maximum(gaussians.scales / cell, BLUR)
+    spread = np.maximum(gaussians.scales / cell, blur)
     covariance = np.einsum("nij,nj,nkj->nik", turns, spread**2, turns)
     inverse = np.einsum("nij,nj,nkj->nik", turns, 1 / spread**2, turns)
     reach = np.ceil(REACH * np.sqrt(covariance[:, [0, 1, 2], [0, 1, 2]])).astype(np.int64)
