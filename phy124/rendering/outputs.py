@@ -251,19 +251,24 @@ def means_seen(
 def _draw_means(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, columns: Values
 ) -> tuple[Array, Array]:
-    """Render the means [H,W,3] of up to three columns of values [N,C], and alpha [H,W]."""
-    padded = np.pad(columns, [(0, 0), (0, 3 - columns.shape[1])])
+    """Render the means [H,W,C] of up to three columns of values [N,C], and alpha [H,W]."""
+    count = columns.shape[1]
     # The renderer accepts colours in 0..1: map the values to this range and back.
     ahead = camera.project(gaussians.means)[1] > NEAR
-    shown = padded[ahead] if ahead.any() else np.zeros((1, 3))
-    low, high = shown.min(axis=0), shown.max(axis=0)
+    shown = (columns[ahead] if ahead.any() else np.zeros((1, count))).T
+    low, high = shown.min(axis=1), shown.max(axis=1)
     span = np.where(high > low, high - low, 1.0)
-    g, rgb = gaussians, np.clip((padded - low) / span, 0, 1)
+    g, rgb = gaussians, np.zeros((len(gaussians), 3))
+    rgb[:, :count] = np.clip((columns - low) / span, 0, 1)
     painted = Gaussians.from_rgb(g.means, g.quats, g.scales, g.opacities, rgb)
     image = renderer(painted, camera, BLACK, alpha=True)
     alpha = image[..., 3]
-    mean = image[..., :3] / np.maximum(alpha, 1e-6)[..., None]
-    return np.where(alpha[..., None] > 0, low + span * mean, 0).astype(np.float32), alpha
+    # An object covers a small part of its picture, so only covered pixels are computed.
+    covered = np.flatnonzero(alpha > 0)
+    drawn = image.reshape(-1, 4)[covered]
+    means = np.zeros((alpha.size, count), np.float32)
+    means[covered] = low + span * (drawn[:, :count] / np.maximum(drawn[:, 3:], 1e-6))
+    return means.reshape(*alpha.shape, count), alpha
 
 
 def normals(gaussians: Gaussians, camera: Camera) -> Values:
