@@ -393,11 +393,6 @@ def make_displace(real: Any, form: str):
         size = window[1]
         here = cell_at(s)
         if inner(here, size, 3):
-            first = carry(shifts, size, lowest(here, size), within(s, here))
-            middle = s + (real(0.5) / lattice[3]) * first
-            there = cell_at(middle)
-            if inner(there, size, 2):
-                change = carry(shifts, size, lowest(there, size), within(middle, there))
-                x_out[p] = x_out[p] + change
+            x_out[p] = x_out[p] + carry(shifts, size, lowest(here, size), within(s, here))
 
     return liquid_displace
