@@ -161,7 +161,7 @@ def test_momentum_of_liquid_and_solid_is_conserved():
 def test_block_floats_at_the_depth_of_its_density(ratio):
     solver = floating(ratio * DENSITY, 0.4 - ratio * 0.15)
     level = solver.model.total_mass / DENSITY + ratio * solver.free.all[0].volume
-    run(solver, 480)
+    run(solver, 240)
     depths = []
     for _ in range(96):
         run(solver, 1)

@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
+from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.liquid.faces import sums
 from phy124.mpm import Model, Unstable
 from phy124.mpm.grid import FARTHEST
@@ -134,6 +135,7 @@ class Cells:
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
         """Open shares of the low faces, and solid shares of the kernels."""
         self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
+        self.phi.fill_(float(EMPTY))
         self.liquid = self._zeros(count, int)
         self.distances = self._zeros(self.points, real)
         self.owners = self._zeros(self.points, int)

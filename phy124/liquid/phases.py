@@ -219,8 +219,9 @@ class Phases:
         )
         counts = self._projection.counts
         ends = [cells.begins, cells.tops]
-        outputs = [cells.known, cells.also, cells.liquid]
-        forget = self._over_cells(worker, "active", active.forget, [], outputs)
+        outputs = [cells.phi, cells.known, cells.also, cells.liquid]
+        kernel = active.make_forget(self._model.real)
+        forget = self._over_cells(worker, "active", kernel, [], outputs)
         inputs = [part, len(self._workers), cells.window, cells.lowest, cells.highest]
         count = launch(active.count_active, parts, inputs, [*ends, counts])
         inputs = [part, cells.window, *ends, counts]
@@ -380,7 +381,7 @@ def kernels(real: Any, form: str) -> Iterator[Any]:
     yield from (make(real, form) for make in (transfer.make_gather, transfer.make_displace))
     yield from (faces.make_sum_copies(real, width) for width in (2, 8))
     yield from (make(real) for make in (faces.make_extent, active.make_sweep))
-    yield from (active.count_active, active.list_active, active.forget)
+    yield from (active.count_active, active.list_active, active.make_forget(real))
     yield from (make(real) for make in (surface.make_levels, surface.make_refill))
     yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
     yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))

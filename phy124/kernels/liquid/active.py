@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints
+from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.liquid.conjugate import share
 from phy124.kernels.liquid.faces import cell_at, entry, inner, local
@@ -18,6 +18,8 @@ REACH = wp.constant(4)
 """Cells around a particle's cell that are active: a step moves it by two cells, and its kernels
 reach two cells further.
 """
+EMPTY = wp.constant(1.5)
+"""Distance to the surface of a cell without liquid [cells]."""
 NONE = 1 << 30
 """Lowest cell of a column without particles."""
 
@@ -107,19 +109,27 @@ def list_active(
             shares_out[w] = share(total, w, workers)[0]
 
 
-@kernel("phy124_liquid_forget", seconds=0.2)
-def forget(
-    worker: int,
-    active: Ints,
-    ends: Ints,
-    known_out: Ints,
-    also_out: Ints,
-    liquid_out: Ints,
-):
-    """Clear the cells that were active in the step before."""
-    n = entry(active, ends, worker, wp.tid())
-    if n < 0:
-        return
-    known_out[n] = 0
-    also_out[n] = 0
-    liquid_out[n] = 0
+@cache
+def make_forget(real: Any):
+    """Kernel over cells: clears those that were active in the step before."""
+    t = types(real)
+
+    @kernel(f"phy124_liquid_forget_{real.__name__}", real, seconds=0.2)
+    def forget(
+        worker: int,
+        active: Ints,
+        ends: Ints,
+        phi_out: t.reals,
+        known_out: Ints,
+        also_out: Ints,
+        liquid_out: Ints,
+    ):
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
+        phi_out[n] = real(EMPTY)
+        known_out[n] = 0
+        also_out[n] = 0
+        liquid_out[n] = 0
+
+    return forget

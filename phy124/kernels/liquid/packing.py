@@ -17,7 +17,7 @@ from phy124.kernels.build import kernel
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.surface import opening
 
-RATE = wp.constant(0.5)
+RATE = wp.constant(0.75)
 """Share of the error that a step removes."""
 MOST = 0.5
 """Largest error of a cell that a step considers, and largest displacement [cells]."""
