@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from phy124.generators.relief.surface import Surface
 Field = NDArray[np.float64]
 REACH = 0.2
 """Depth behind the rim over which the mirrored image fades into the back, in image sizes."""
+STRETCH, BLURS = 1.0, (0.0, 1.5, 3.0, 6.0)
+"""Blur per stretch of the image on a steep surface, and the levels of blur [pixels]."""
 FRINGE = 2.0
 """Width of the edge whose colours are ignored [pixels]."""
 
@@ -60,17 +63,33 @@ def colour_points(
         reach: Depth behind the rim over which the mirrored image fades into the back, pixels.
     """
     place = points[:, 1::-1].T
-    shown = _sample(front, place)
+    blur = STRETCH * (1 / np.maximum(np.abs(normals[:, 2]), 1e-3) - 1)
+    shown = _sample_blurred(front, place, blur)
     below = surface.middle(points) - points[:, 2]
     hidden = below > 0
-    place = place[:, hidden]
-    behind = _sample(back, place)
+    place, blur = place[:, hidden], blur[hidden]
+    behind = _sample_blurred(back, place, blur)
     if reach > 0:
         fraction = np.clip(below[hidden] / reach, 0, 1)
         fraction = fraction * fraction * (3 - 2 * fraction)
-        behind = _sample(unlit, place) * (1 - fraction) + behind * fraction
+        behind = _sample_blurred(unlit, place, blur) * (1 - fraction) + behind * fraction
     shown[:, hidden] = behind * np.exp(normals[hidden] @ light)
     return np.clip(shown, 0, 1).T
+
+
+def _sample_blurred(picture: Field, place: Field, blur: Field) -> Field:
+    """Return colours [3,N] at image positions, each blurred by its standard deviation [pixels].
+
+    On a steep surface, a pixel covers a long strip; without the blur, strips show as streaks.
+    """
+    levels = np.stack(
+        [_sample(cv2.GaussianBlur(picture, (0, 0), b) if b else picture, place) for b in BLURS]
+    )
+    level = np.interp(blur, BLURS, np.arange(len(BLURS)))
+    below = np.minimum(level.astype(int), len(BLURS) - 2)
+    number = np.arange(len(blur))
+    part = level - below
+    return (1 - part) * levels[below, :, number].T + part * levels[below + 1, :, number].T
 
 
 def _sample(picture: Field, place: Field) -> Field:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -53,6 +54,19 @@ class Silhouette:
         filled = np.array(values)
         filled[self.inside] = self.factors.solve(np.ascontiguousarray(known[self.inside]))
         return filled
+
+    @cached_property
+    def distance(self) -> Field:
+        """Distance of each inside pixel to the rim [H,W], pixels; 0 outside."""
+        rim = np.concatenate(
+            [
+                np.argwhere(weight > 0) + np.outer(1 / weight[weight > 0], shift)
+                for weight, shift in zip(self.weights, NEIGHBOURS, strict=True)
+            ]
+        )
+        distance = np.zeros(self.inside.shape)
+        distance[self.inside] = scipy.spatial.KDTree(rim).query(np.argwhere(self.inside))[0]
+        return distance
 
     def extend(self, u: Field) -> Field:
         """Extrapolate `u` linearly across the rim: outside, it is negative and decreases."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.generators.relief.ends import Continued
 from phy124.generators.relief.height import Silhouette, nearest_of
-from phy124.generators.relief.surface import Surface, View
+from phy124.generators.relief.surface import Surface, View, smooth
 
 Field = NDArray[np.float64]
 SMOOTHING = 0.02
@@ -28,6 +28,9 @@ EVERY = 0.97
 """Smallest fraction of the rows that must fit a solid of revolution."""
 WAISTED = 0.97
 """Largest ratio of the silhouette's area to that of its convex hull that shows a waist."""
+COMPACT = 1.25
+"""Largest ratio of height and width, either way, of a convex shape that looks like a solid of
+revolution; longer ones may lie on their side."""
 OVERHANG = 3.0
 """Largest ratio of depth to height of a brim; limits the depth of thin features such as wings."""
 STRAIGHT = 0.98
@@ -89,12 +92,12 @@ def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Fie
         picture: Colours, and mask of the object.
         size: Size of the object, pixels.
     """
-    round_ = _within(silhouette, _balls(silhouette.inside), 0.3, 1.2, size)
+    round_ = _within(silhouette, _balls(silhouette), 0.3, 1.2, size)
     if _polygonal(picture.object_mask) and not _is_shaded(picture, round_):
         return None
     if (lathe := _lathe(picture)) is not None:
         lathe = np.maximum(lathe, round_)
-        limit = _smooth(lathe, silhouette.inside, 2.0)
+        limit = smooth(lathe, silhouette.inside, 2.0)
         round_ = np.minimum(_within(silhouette, lathe, 0.3, 30, size), limit)
     return round_
 
@@ -114,22 +117,25 @@ def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size
     """
     u = silhouette.poisson(4.0)
     ratio = np.clip(wanted / np.maximum(u, 1e-9), low, high)
-    return u * _smooth(ratio, silhouette.inside, max(1.0, SMOOTHING * size))
+    width = max(1.0, SMOOTHING * size)
+    # At the rim, both are almost 0 and their ratio is inexact.
+    weight = np.minimum(silhouette.distance, width)
+    inside = silhouette.inside
+    return u * smooth(ratio * weight, inside, width) / np.maximum(smooth(weight, inside, width), 1e-9)
 
 
-def _balls(inside: NDArray[np.bool_]) -> Field:
+def _balls(silhouette: Silhouette) -> Field:
     """Return the squared half thicknesses of the union of all balls in the silhouette.
 
     They are the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim: an
     upper envelope of parabolas, computed along one axis after the other.
     """
-    # The rim lies half a pixel before the centre of the nearest outside pixel.
-    squares = np.where(inside, (nearest_of(~inside)[0] - 0.5) ** 2, 0.0)
+    squares = silhouette.distance**2
     for _ in range(2):
         offsets = np.arange(squares.shape[1])
         parabolas = (offsets[:, None] - offsets).astype(np.float64) ** 2
         squares = np.stack([(row - parabolas).max(axis=1) for row in squares]).T
-    return np.where(inside, squares, 0.0)
+    return np.where(silhouette.inside, squares, 0.0)
 
 
 def _lathe(picture: Continued) -> Field | None:
@@ -144,7 +150,9 @@ def _lathe(picture: Continued) -> Field | None:
     axis = np.average(middle, weights=half)
     single = np.count_nonzero(object_mask[rows], axis=1) == high - low
     good = single & (np.abs(middle - axis) < CENTRED * half.max())
-    if good.mean() < EVERY or _solidity(object_mask) > WAISTED:
+    tall = len(rows) / (2 * half.max())
+    upright = 1 / COMPACT < tall < COMPACT or _solidity(object_mask) <= WAISTED
+    if good.mean() < EVERY or not upright:
         return None
     inside = picture.alpha > 0.5
     x = np.arange(inside.shape[1])
@@ -228,13 +236,6 @@ def _slab(picture: Continued, view: View, thickness: float) -> Surface:
     return Surface.of(
         scipy.ndimage.gaussian_filter(w, 1.0), scipy.ndimage.gaussian_filter((h + far) / 2, 1.0)
     )
-
-
-def _smooth(values: Field, inside: NDArray[np.bool_], width: float) -> Field:
-    """Smooth the values of the inside pixels with a Gaussian kernel."""
-    fraction = scipy.ndimage.gaussian_filter(inside.astype(np.float64), width)
-    smooth = scipy.ndimage.gaussian_filter(np.where(inside, values, 0.0), width)
-    return np.where(inside, smooth / np.maximum(fraction, 1e-9), 0.0)
 
 
 MIXED_RIM = 8.0

@@ -77,6 +77,25 @@ ALIKE = 3
 """Number of rounds that reuse the same neighbours, whose search takes most of the time."""
 
 
+def smooth(values: Field, inside: NDArray[np.bool_], width: float) -> Field:
+    """Smooth the values of the inside pixels with a Gaussian kernel; 0 outside."""
+    fraction = scipy.ndimage.gaussian_filter(inside.astype(np.float64), width)
+    total = scipy.ndimage.gaussian_filter(np.where(inside, values, 0.0), width)
+    return np.where(inside, total / np.maximum(fraction, 1e-9), 0.0)
+
+
+def _slopes(values: Field, inside: NDArray[np.bool_]) -> tuple[Field, Field]:
+    """Return the derivatives down and right of the inside pixels, from inside pixels alone."""
+    slopes = []
+    for axis in (0, 1):
+        step = np.diff(values, axis=axis, append=0)
+        pair = inside & np.roll(inside, -1, axis)
+        step, count = np.where(pair, step, 0.0), pair.astype(int)
+        total, count = step + np.roll(step, 1, axis), count + np.roll(count, 1, axis)
+        slopes.append(total / np.maximum(count, 1))
+    return slopes[0], slopes[1]
+
+
 class Implicit(ABC):
     """The zero set of a function F that is positive inside."""
 
@@ -138,16 +157,23 @@ class Surface(Implicit):
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
         """Return the surface that the camera of `View` images as w; it sees less than half a ball.
 
-        In pixels along the view rays, a ball of radius h about c has its midsurface at
-        z = p (p - c) / d, with p relative to the image centre; here p - c = -grad(w) / 2.
+        Let p be a pixel relative to the image centre, d the camera's distance, and w = h^2 - |p - c|^2
+        the image of a ball. Along the view ray, with A = 1 + p^2 / d^2, the ball's midsurface is at
+        z = p (p - k c) / (d A), k = 1 / (1 + h^2 / d^2), and its squared half thickness is
+        w k / (A B), B = 1 + p (p - c) / d^2 (exactly, if c = 0). Here p - c = -grad(w) / 2.
         """
-        dy, dx = np.gradient(scipy.ndimage.gaussian_filter(w, 1.5))
+        inside = w > 0
+        dy, dx = (smooth(slope, inside, 1.5) for slope in _slopes(w, inside))
         y, x = np.mgrid[: len(w), : w.shape[1]]
-        x, y = x - middle[0], y - middle[1]
-        limit = np.hypot(x, y) * np.sqrt(w.max())
-        m = np.clip(-(x * dx + y * dy) / 2, -limit, limit) / distance
-        m = scipy.ndimage.gaussian_filter(m[nearest_of(w > 0)[1]], 2.0)
-        return cls.of(w / (1 + np.maximum(w, 0) / distance**2), m)
+        x, y = (x - middle[0]) / distance, (y - middle[1]) / distance
+        squared, limit = x**2 + y**2, np.hypot(x, y) * np.sqrt(w.max())
+        across = np.clip(-(x * dx + y * dy) / 2, -limit, limit)
+        radius = np.minimum(np.maximum(w, 0) + (dx**2 + dy**2) / 4, w.max())
+        k = 1 / (1 + radius / distance**2)
+        m = (distance * squared * (1 - k) + k * across) / (1 + squared)
+        nearest = nearest_of(inside)[1]
+        scale = k / ((1 + squared) * (1 + across / distance))
+        return cls.of(w * scale[nearest], smooth(m, inside, 2.0)[nearest])
 
     @cached_property
     def struct(self) -> Any:
