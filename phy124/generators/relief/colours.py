@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -83,7 +82,10 @@ def _sample_blurred(picture: Field, place: Field, blur: Field) -> Field:
     On a steep surface, a pixel covers a long strip; without the blur, strips show as streaks.
     """
     levels = np.stack(
-        [_sample(cv2.GaussianBlur(picture, (0, 0), b) if b else picture, place) for b in BLURS]
+        [
+            _sample(scipy.ndimage.gaussian_filter(picture, (width, width, 0)), place)
+            for width in BLURS
+        ]
     )
     level = np.interp(blur, BLURS, np.arange(len(BLURS)))
     below = np.minimum(level.astype(int), len(BLURS) - 2)

@@ -68,6 +68,18 @@ class Silhouette:
         distance[self.inside] = scipy.spatial.KDTree(rim).query(np.argwhere(self.inside))[0]
         return distance
 
+    def sides(self) -> tuple[Field, Field]:
+        """Return the outermost columns of the rim on the left and right of each row [H] each.
+
+        In a row without inside pixels, the left side is to the right of the right side.
+        """
+        rows, width = np.arange(len(self.inside)), self.inside.shape[1]
+        first, last = self.inside.argmax(axis=1), width - 1 - self.inside[:, ::-1].argmax(axis=1)
+        left, right = self.weights[1][rows, first], self.weights[0][rows, last]
+        empty = ~self.inside.any(axis=1)
+        first, last = np.where(empty, width, first), np.where(empty, -1, last)
+        return first - 1 / np.maximum(left, 1.0), last + 1 / np.maximum(right, 1.0)
+
     def extend(self, u: Field) -> Field:
         """Extrapolate `u` linearly across the rim: outside, it is negative and decreases."""
         total, count = np.zeros_like(u), np.zeros_like(u)

@@ -95,7 +95,7 @@ def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Fie
     round_ = _within(silhouette, _balls(silhouette), 0.3, 1.2, size)
     if _polygonal(picture.object_mask) and not _is_shaded(picture, round_):
         return None
-    if (lathe := _lathe(picture)) is not None:
+    if (lathe := _lathe(silhouette, picture)) is not None:
         lathe = np.maximum(lathe, round_)
         limit = smooth(lathe, silhouette.inside, 2.0)
         round_ = np.minimum(_within(silhouette, lathe, 0.3, 30, size), limit)
@@ -120,8 +120,7 @@ def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size
     width = max(1.0, SMOOTHING * size)
     # At the rim, both are almost 0 and their ratio is inexact.
     weight = np.minimum(silhouette.distance, width)
-    inside = silhouette.inside
-    return u * smooth(ratio * weight, inside, width) / np.maximum(smooth(weight, inside, width), 1e-9)
+    return u * smooth(ratio, weight, width)
 
 
 def _balls(silhouette: Silhouette) -> Field:
@@ -138,7 +137,7 @@ def _balls(silhouette: Silhouette) -> Field:
     return np.where(silhouette.inside, squares, 0.0)
 
 
-def _lathe(picture: Continued) -> Field | None:
+def _lathe(silhouette: Silhouette, picture: Continued) -> Field | None:
     """Return squared half thicknesses if the object looks like a vertical solid of revolution."""
     object_mask = picture.object_mask
     rows = np.flatnonzero(object_mask.any(axis=1))
@@ -154,12 +153,12 @@ def _lathe(picture: Continued) -> Field | None:
     upright = 1 / COMPACT < tall < COMPACT or _solidity(object_mask) <= WAISTED
     if good.mean() < EVERY or not upright:
         return None
-    inside = picture.alpha > 0.5
+    inside = silhouette.inside
+    left, right = silhouette.sides()
     x = np.arange(inside.shape[1])
-    low, high = inside.argmax(axis=1), inside.shape[1] - inside[:, ::-1].argmax(axis=1)
-    round_ = (x + 0.5 - low[:, None]) * (high[:, None] - x - 0.5)
-    tall = OVERHANG / 2 * _runs(inside)
-    return np.where(inside, np.clip(round_, 0, tall**2), 0.0)
+    round_ = (x - left[:, None]) * (right[:, None] - x)
+    deepest = OVERHANG / 2 * _runs(inside)
+    return np.where(inside, np.clip(round_, 0, deepest**2), 0.0)
 
 
 def _runs(inside: NDArray[np.bool_]) -> Field:

@@ -77,11 +77,12 @@ ALIKE = 3
 """Number of rounds that reuse the same neighbours, whose search takes most of the time."""
 
 
-def smooth(values: Field, inside: NDArray[np.bool_], width: float) -> Field:
-    """Smooth the values of the inside pixels with a Gaussian kernel; 0 outside."""
-    fraction = scipy.ndimage.gaussian_filter(inside.astype(np.float64), width)
-    total = scipy.ndimage.gaussian_filter(np.where(inside, values, 0.0), width)
-    return np.where(inside, total / np.maximum(fraction, 1e-9), 0.0)
+def smooth(values: Field, weights: NDArray, width: float) -> Field:
+    """Average values [H,W] with weights [H,W] times a Gaussian kernel; 0 where the weight is 0."""
+    weights = weights.astype(np.float64)
+    total = scipy.ndimage.gaussian_filter(values * weights, width)
+    fraction = scipy.ndimage.gaussian_filter(weights, width)
+    return np.where(weights > 0, total / np.maximum(fraction, 1e-9), 0.0)
 
 
 def _slopes(values: Field, inside: NDArray[np.bool_]) -> tuple[Field, Field]:
@@ -157,10 +158,11 @@ class Surface(Implicit):
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
         """Return the surface that the camera of `View` images as w; it sees less than half a ball.
 
-        Let p be a pixel relative to the image centre, d the camera's distance, and w = h^2 - |p - c|^2
-        the image of a ball. Along the view ray, with A = 1 + p^2 / d^2, the ball's midsurface is at
-        z = p (p - k c) / (d A), k = 1 / (1 + h^2 / d^2), and its squared half thickness is
-        w k / (A B), B = 1 + p (p - c) / d^2 (exactly, if c = 0). Here p - c = -grad(w) / 2.
+        Let p be a pixel relative to the image centre, d the camera's distance, and
+        w = h^2 - |p - c|^2 the image of a ball. Along the view ray, with A = 1 + p^2 / d^2, the
+        ball's midsurface is at z = p (p - k c) / (d A), k = 1 / (1 + h^2 / d^2), and its squared
+        half thickness is w k / (A B), B = 1 + p (p - c) / d^2 (exactly, if c = 0). Here
+        p - c = -grad(w) / 2.
         """
         inside = w > 0
         dy, dx = (smooth(slope, inside, 1.5) for slope in _slopes(w, inside))
