@@ -59,7 +59,8 @@ def test_a_disc_becomes_a_ball(a_face):
     assert 45_000 < len(a_face) < 55_000
     np.testing.assert_allclose(high, radius, atol=0.02)
     np.testing.assert_allclose(low, -radius, atol=0.02)
-    np.testing.assert_allclose(np.linalg.norm(a_face.means, axis=1), radius, atol=0.025)
+    # No ridge along the rim: all centres are equally far below the ball's surface.
+    assert np.ptp(np.linalg.norm(a_face.means, axis=1)) < 0.01
     normals = rotation_matrices(a_face.quats)[:, :, 2]
     # Outwards everywhere, thin across, round along the surface.
     assert ((normals * a_face.means).sum(axis=1) > 0).all()
@@ -292,6 +293,28 @@ def test_what_is_turned_on_a_lathe_is_round_in_each_row():
     legs = (abs(abs(X - 96) - 20) < 8) & (abs(Y - 140) < 40)
     depth, width = extents(relief(picture(arms | legs), count=5000), -0.5, 0.5)
     assert depth < 0.6 * width
+
+
+def test_compact_round_shapes_are_turned():
+    """An apple is as deep as wide at each height, also near its flat top."""
+    apple = abs((X - 96) / 80) ** 3 + abs((Y - 96) / 76) ** 3 < 1
+    gaussians = relief(shaded(apple, (X - 96) / 80), count=10_000)
+    for low, high in ((-0.44, -0.4), (-0.05, 0.05), (0.4, 0.44)):
+        depth, width = extents(gaussians, low, high)
+        assert depth == pytest.approx(width, rel=0.1)
+
+
+def test_steep_sides_have_no_streaks():
+    """Where the picture is stretched along the surface, its noise is blurred."""
+    mask = np.hypot(X - 96, Y - 96) < 80
+    noise = np.random.default_rng(0).integers(0, 255, (SIZE, SIZE, 3), dtype=np.uint8)
+    gaussians = relief(picture(mask, noise), count=10_000)
+    normals = rotation_matrices(gaussians.quats)[:, :, 2]
+    contrast = [
+        gaussians.rgb[chosen].std(axis=0).mean()
+        for chosen in (normals[:, 0] > 0.8, abs(normals[:, 0]) < 0.2)
+    ]
+    assert contrast[1] < 0.4 * contrast[0]
 
 
 def test_straight_edges_without_shading_make_a_slab():
