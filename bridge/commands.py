@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -30,7 +29,7 @@ from .sinks.foxglove import PORT
 from .sinks.mcap import Compression, McapSink
 from .source import LiveOptions, LiveRun, open_clip
 from .steering.loop import controls, steer
-from .steering.run import SteeredRun, checked_duration
+from .steering.run import GRAB_SECONDS, OLDEST_STAMP, SteeredRun, checked_duration
 from .steering.source import SteeredOptions, make_live
 from .topics import FACTOR, STEERED, Topic
 
@@ -216,6 +215,11 @@ class Steer:
     """Show the object at rest until a command plays or steps the simulation."""
     push_seconds: float = 0.1
     """Duration of a wrench on ~/push, unless a new wrench replaces it [s]."""
+    grab_seconds: float = GRAB_SECONDS
+    """Simulated time after which a grab ends, unless a new message on ~/grab moves it [s]."""
+    oldest_stamp: float = OLDEST_STAMP
+    """Largest age of a message on ~/push and ~/grab by its time stamp [s]; a stamp of 0 means
+    now."""
     frames: int | None = None
     """Number of frames after which the simulation ends; default: no limit."""
     session: Path | None = None
@@ -236,9 +240,11 @@ class Steer:
     def run(self, say: Say) -> int:
         """Simulate until a command or Ctrl-C ends the simulation."""
         checked_speed(self.speed)
-        checked_duration(self.push_seconds)
+        checked_duration("push_seconds", self.push_seconds)
+        checked_duration("grab_seconds", self.grab_seconds)
+        checked_duration("oldest_stamp", self.oldest_stamp)
         backend = choose(self.backend)
-        messages = self.messages.model_copy(update={"epoch": self.messages.epoch or time.time()})
+        messages = self.messages
         recorded = self.record is not None and messages.profile is None  # in the profile `full`
         velocities = messages.profile == "full" or recorded
         live, accuracy = make_live(
@@ -246,12 +252,17 @@ class Steer:
         )
         say(accuracy)
         run = SteeredRun(
-            live, messages, push_seconds=self.push_seconds, speed=self.speed, paused=self.paused
+            live,
+            messages,
+            push_seconds=self.push_seconds,
+            grab_seconds=self.grab_seconds,
+            oldest_stamp=self.oldest_stamp,
+            speed=self.speed,
+            paused=self.paused,
         )
         offered = controls(run, accuracy, action=backend == "rclpy")
         try:
             with ExitStack() as stack:
-                records = self._records(stack, messages, live, offered.published)
                 cameras = stack.enter_context(Cameras(messages, live.scene.data()))
                 sink = open_sink(
                     backend,
@@ -262,6 +273,9 @@ class Steer:
                     controls=offered,
                 )
                 sink = stack.enter_context(sink)
+                # Time stamps count from now, after the start of the backend.
+                messages = messages.model_copy(update={"epoch": sink.start})
+                records = self._records(stack, messages, live, offered.published)
                 say(f"Publishing through {backend}. {sink.audience()}".rstrip())
                 steer(run, sink, messages, records=records, look=cameras.look, frames=self.frames)
         finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,12 +31,19 @@ class FrameEncoder:
 
     def __init__(self, options: Options) -> None:
         self.options = options.for_recording()
-        seconds = options.epoch
-        self.epoch = time.time_ns() if seconds is None else round(seconds * cdr.NANO)
-        """Time of the clip's start [ns since 1970]."""
         self._profile: Profile = self.options.profile or "full"
         self._announced: set[str] = set()
         self._fixed: dict[str, dict[str, Any]] = {}  # transforms of fixed cameras, by name
+
+    @cached_property
+    def start(self) -> float:
+        """Time of the clip's start [s since 1970]; by default the time of the first use."""
+        return time.time() if self.options.epoch is None else self.options.epoch
+
+    @property
+    def epoch(self) -> int:
+        """Time of the clip's start [ns since 1970]."""
+        return round(self.start * cdr.NANO)
 
     @property
     def topics(self) -> list[Topic]:

@@ -67,6 +67,11 @@ class LiveSink(Sink, Protocol):
         del obey
         time.sleep(seconds)
 
+    @property
+    def start(self) -> float:
+        """Time of the first frame in time stamps [s since 1970]."""
+        return 0.0
+
     def show(self, playback: Playback) -> None:
         """Publish the state of playback; called at the start and at each change."""
 

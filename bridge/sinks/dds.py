@@ -112,6 +112,11 @@ class DdsSink:
 
         self._writers[message.topic.name].write(sample(message.topic.type, message.data))
 
+    @property
+    def start(self) -> float:
+        """Time of the clip's start [s since 1970]."""
+        return self._encoder.start
+
     def audience(self) -> str:
         """Describe in a line who receives the frames, and the command that receivers need."""
         if URI in os.environ:

@@ -143,6 +143,11 @@ class FoxgloveSink:
         """Send a message to all viewers."""
         self._log([message])
 
+    @property
+    def start(self) -> float:
+        """Time of the clip's start [s since 1970]."""
+        return self._encoder.start
+
     def audience(self) -> str:
         """Describe in a line the address to open."""
         there = self._host if self._host != "0.0.0.0" else "this machine's name"

@@ -19,7 +19,7 @@ from typing import Any
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 
-from ..delivery import Delivery
+from ..delivery import FAREWELL, Delivery
 from ..encoder import FrameEncoder
 from ..options import Options, live_points
 from ..parameters import RUNNING, Parameter, Running, declare
@@ -27,7 +27,7 @@ from ..reports import Audience, Reports
 from ..ros_node import ros_node
 from ..services import Services, offer_standard
 from ..sink import Obey, Playback
-from ..topics import COMMAND, NAMESPACE, Controls, Hear, Message, Topic
+from ..topics import COMMAND, NAMESPACE, TF_STATIC, Controls, Hear, Message, Topic
 
 
 class RclpySink:
@@ -114,6 +114,11 @@ class RclpySink:
         """Wait until the last frames have arrived; end the node if the sink created it."""
         self._stack.close()
 
+    @property
+    def start(self) -> float:
+        """Time of the clip's start [s since 1970]."""
+        return self._encoder.start
+
     def audience(self) -> str:
         """Describe in a line the node, and who receives the frames."""
         return (
@@ -195,11 +200,12 @@ class RclpySink:
             self._publishers[message.topic.name].publish(message.data)
 
     def _wait_acknowledged(self, seconds: float) -> bool:
+        return self._acknowledged_on(self._encoder.main.name, seconds)
+
+    def _acknowledged_on(self, topic: str, seconds: float) -> bool:
         from rclpy.duration import Duration
 
-        return self._publishers[self._encoder.main.name].wait_for_all_acked(
-            Duration(seconds=seconds)
-        )
+        return self._publishers[topic].wait_for_all_acked(Duration(seconds=seconds))
 
     def _depth(self) -> float:
         """Return the number of frames that the writer keeps, after `qos_overrides`."""
@@ -210,6 +216,9 @@ class RclpySink:
         """Wait for the last frames, unless ROS has already been shut down."""
         if self._node.context.ok():
             self._delivery.farewell()
+            if TF_STATIC.name in self._publishers:
+                # In a short run, it may be acknowledged later than the frames.
+                self._acknowledged_on(TF_STATIC.name, FAREWELL)
 
     def _audience(self) -> Audience:
         publisher = self._publishers[self._encoder.main.name]

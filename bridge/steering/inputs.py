@@ -14,6 +14,7 @@ import numpy as np
 
 from phy124.errors import InputError
 
+from .. import cdr
 from ..options import Options
 from ..topics import GRAB, PUSH, TF, TF_STATIC, Hear, Topic
 from .transforms import Transforms
@@ -46,16 +47,32 @@ def object_frame(options: Options, name: str) -> str:
 class Inputs:
     """Collects wrenches, grabs and transforms from peers."""
 
-    def __init__(self, live: Live, options: Options, seconds: float, remarks: Remarks) -> None:
+    def __init__(
+        self,
+        live: Live,
+        options: Options,
+        remarks: Remarks,
+        *,
+        push_seconds: float,
+        grab_seconds: float,
+        oldest: float,
+        now: Callable[[], float],
+    ) -> None:
         """Start without inputs.
 
         Args:
             live: The run on which the inputs act.
             options: Names of the coordinate frames.
-            seconds: Duration of a wrench, unless a new wrench replaces it [s].
             remarks: Receives the refusals.
+            push_seconds: Duration of a wrench, unless a new wrench replaces it [s].
+            grab_seconds: Simulated time after which a grab ends without a new message [s].
+            oldest: Largest age of a message by its time stamp [s].
+            now: Returns the simulated time in time stamps [s since 1970].
         """
-        self._live, self._seconds, self._remarks = live, seconds, remarks
+        self._live, self._remarks = live, remarks
+        self._push_seconds, self._grab_seconds = push_seconds, grab_seconds
+        self._oldest, self._now = oldest, now
+        self._grabbed = 0.0  # simulated time of the last message that grabbed [s]
         self._transforms = Transforms(options.frame_id)
         self._whole = ("", options.frame_id, centre_frame(options))
         names = live.scene.names if live.scene.objects else ()
@@ -77,6 +94,8 @@ class Inputs:
     def push(self, message: Any) -> None:
         """Receive a WrenchStamped."""
         self.wrenches += 1
+        if not self._is_fresh("~/push", message):
+            return
         frame = message.header.frame_id
         if frame in self._pushes or len(self._pushes) < MOST:
             self._pushes[frame] = message
@@ -87,8 +106,24 @@ class Inputs:
 
     def grab(self, message: Any) -> None:
         """Receive a PointStamped; a message without a frame releases the object."""
+        if message.header.frame_id and not self._is_fresh("~/grab", message):
+            return
         self._grab = message if message.header.frame_id else None
         self._let_go = self._let_go or self._grab is None
+
+    def _is_fresh(self, topic: str, message: Any) -> bool:
+        """Return whether a message is not too old; its sender has simulated or system time."""
+        stamp = message.header.stamp.sec + message.header.stamp.nanosec / cdr.NANO
+        simulated, system = self._now(), time.time()
+        # Simulated time usually trails the system's time, and no simulated stamp is ahead of it.
+        age = system - stamp if stamp > simulated else min(simulated, system) - stamp
+        if stamp == 0 or age <= self._oldest:
+            return True
+        self._remarks.add(
+            f"{topic}: a message is {age:.3g} s old, more than {self._oldest:g}; it is ignored. "
+            "Synchronise the clocks, or send the stamp 0, which means now."
+        )
+        return False
 
     def transform(self, message: Any) -> None:
         """Receive a TFMessage."""
@@ -101,7 +136,13 @@ class Inputs:
         for message in self._pushes.values():
             self._attempt(lambda message=message: self._push(message))
         if self._grab is not None:
+            self._grabbed = self._live.time
             self._attempt(self._hold)
+        elif self._live.holds and self._live.time - self._grabbed >= self._grab_seconds:
+            self._live.release()
+            self._remarks.add(
+                f"~/grab: released, because no message came for {self._grab_seconds:g} s."
+            )
         self.clear()
 
     def clear(self) -> None:
@@ -120,7 +161,7 @@ class Inputs:
             torque=(place[:3, :3] @ torque).tolist(),
             at=None if whole or nothing else place[:3, 3].tolist(),
             object=self._objects.get(frame),
-            seconds=self._seconds,
+            seconds=self._push_seconds,
             name=f"push {frame}",
         )
 

@@ -81,6 +81,7 @@ def steer(
     """
     from phy124.live import RealTime
 
+    run.epoch = options.epoch or 0.0
     listening = _Listening(run, sink)
     outlets = _Outlets(run, sink, options, records)
     run.show = lambda frame: outlets.show(look(frame))

@@ -32,8 +32,12 @@ MOST_STEPS = 100_000
 """Largest number of steps of one request."""
 
 
-def checked_duration(seconds: float) -> float:
-    """Check the duration of a wrench [s].
+GRAB_SECONDS, OLDEST_STAMP = 60.0, 2.0
+"""Default of the time after which a grab ends, and of the largest age of a message [s]."""
+
+
+def checked_duration(name: str, seconds: float) -> float:
+    """Check a duration [s], the option `name`.
 
     Raises:
         InputError: The duration is out of range.
@@ -41,7 +45,7 @@ def checked_duration(seconds: float) -> float:
     shortest, longest = DURATIONS
     if not shortest <= seconds <= longest:
         limit = f"It must lie between {shortest:g} and {longest:g}."
-        raise InputError("push_seconds", seconds, limit, "The default is 0.1.")
+        raise InputError(name, seconds, limit, "Leave it out for the default.")
     return seconds
 
 
@@ -58,6 +62,8 @@ class SteeredRun:
         options: Options,
         *,
         push_seconds: float = 0.1,
+        grab_seconds: float = GRAB_SECONDS,
+        oldest_stamp: float = OLDEST_STAMP,
         speed: float = 1.0,
         paused: bool = False,
     ) -> None:
@@ -67,14 +73,26 @@ class SteeredRun:
             live: The run.
             options: Options that define how frames become messages.
             push_seconds: Duration of a wrench, unless a new wrench replaces it [s].
+            grab_seconds: Time after which a grab ends, unless a new message moves it [s].
+            oldest_stamp: Largest age of a message by its time stamp [s].
             speed: Simulated seconds per real second.
             paused: Whether the run starts paused.
 
         Raises:
-            InputError: The speed or the duration is out of range.
+            InputError: The speed or a duration is out of range.
         """
         self.live, self.remarks = live, Remarks()
-        self.inputs = Inputs(live, options, checked_duration(push_seconds), self.remarks)
+        self.epoch = options.epoch or 0.0
+        """Time of the start in time stamps [s since 1970]."""
+        self.inputs = Inputs(
+            live,
+            options,
+            self.remarks,
+            push_seconds=checked_duration("push_seconds", push_seconds),
+            grab_seconds=checked_duration("grab_seconds", grab_seconds),
+            oldest=checked_duration("oldest_stamp", oldest_stamp),
+            now=lambda: self.epoch + self.position,
+        )
         self.state = State.PAUSED if paused else State.PLAYING
         self.speed = checked_speed(speed)
         self.shown, self.position = 0, 0.0

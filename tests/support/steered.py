@@ -29,7 +29,7 @@ def triple(values):
 
 
 def header(frame):
-    return SimpleNamespace(frame_id=frame)
+    return SimpleNamespace(frame_id=frame, stamp=SimpleNamespace(sec=0, nanosec=0))
 
 
 def wrench(force, torque=(0, 0, 0), frame="phy124"):
