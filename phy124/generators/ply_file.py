@@ -19,6 +19,7 @@ from phy124.io.axes import orientation, parse_numbers, rotate_gaussians
 from phy124.io.content import Y_DOWN, Content, describe_coarseness
 from phy124.io.dialect import likely_dialect
 from phy124.io.formats import read_as_is, recognise, rotation_of
+from phy124.particles.cleaning import weighted_quantile
 from phy124.progress import Progress, silent
 from phy124.schema.section import Section
 
@@ -225,12 +226,21 @@ def normalise_size(gaussians: Gaussians, name: str = "") -> Gaussians:
     Raises:
         InputError: If all centres coincide.
     """
+    return gaussians.transform(*unit_transform(gaussians, name))
+
+
+def unit_transform(gaussians: Gaussians, name: str) -> tuple[float, NDArray[np.float64]]:
+    """Return the scale and offset [3] that `normalise_size` applies.
+
+    Raises:
+        InputError: If all centres coincide.
+    """
     low, high = robust_bounds(gaussians)
     size = float((high - low).max())
     if not size > 0:
         limit = "All its Gaussians are at the same point."
         raise InputError("file", name, limit, "Give a file with an object in it.")
-    return gaussians.transform(1 / size, -(low + high) / 2 / size)
+    return 1 / size, -(low + high) / 2 / size
 
 
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -241,14 +251,8 @@ def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np
     outliers are therefore exact.
     """
     means = gaussians.means.astype(np.float64)
-    core = np.stack([_quantiles(axis, gaussians.opacities) for axis in means.T], axis=1)
-    reach = MARGIN * (core[1] - core[0]).max()
-    near = ((means >= core[0] - reach) & (means <= core[1] + reach)).all(axis=1)
+    low = weighted_quantile(means, gaussians.opacities, TAIL)
+    high = -weighted_quantile(-means, gaussians.opacities, TAIL)
+    reach = MARGIN * (high - low).max()
+    near = ((means >= low - reach) & (means <= high + reach)).all(axis=1)
     return means[near].min(axis=0), means[near].max(axis=0)
-
-
-def _quantiles(values: NDArray[np.float64], weights: NDArray) -> NDArray[np.float64]:
-    order = np.argsort(values, kind="stable")
-    fraction = np.cumsum(weights[order], dtype=np.float64)
-    ends = np.searchsorted(fraction, [TAIL * fraction[-1], (1 - TAIL) * fraction[-1]])
-    return values[order][np.minimum(ends, len(values) - 1)]

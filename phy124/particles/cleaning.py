@@ -133,8 +133,8 @@ def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[n
     every = 1 + len(gaussians) // 200_000
     some = gaussians.select(np.arange(len(gaussians)) % every == 0)
     means, reach = some.means.astype(np.float64), some.deviations()
-    low = _quantile(means - reach, some.opacities, 0.001)
-    high = -_quantile(-means - reach, some.opacities, 0.001)
+    low = weighted_quantile(means - reach, some.opacities, 0.001)
+    high = -weighted_quantile(-means - reach, some.opacities, 0.001)
     return low, high
 
 
@@ -200,8 +200,8 @@ def _are_gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
     if len(gaussians) == 0:
         return np.zeros(0, bool)
     longest = gaussians.longest.astype(np.float64)
-    low = _quantile(gaussians.means, gaussians.opacities, 0.001)
-    high = -_quantile(-gaussians.means, gaussians.opacities, 0.001)
+    low = weighted_quantile(gaussians.means, gaussians.opacities, 0.001)
+    high = -weighted_quantile(-gaussians.means, gaussians.opacities, 0.001)
     return (longest > GIGANTIC * (high - low).max()) & (longest > 20 * np.median(longest))
 
 
@@ -210,8 +210,8 @@ def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     if len(gaussians) * STRAY < 1:
         return np.zeros(len(gaussians), bool)
     means = gaussians.means.astype(np.float64)
-    low = _quantile(means, gaussians.opacities, 0.005)
-    high = -_quantile(-means, gaussians.opacities, 0.005)
+    low = weighted_quantile(means, gaussians.opacities, 0.005)
+    high = -weighted_quantile(-means, gaussians.opacities, 0.005)
     side = (high - low).max()
     if side == 0:
         return np.zeros(len(gaussians), bool)
@@ -219,10 +219,12 @@ def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     # times this distance.
     cell = max(GAP / 2, 4 / np.sqrt(len(means)))
     # Gaussians farther out than half the object are assigned to the outermost cells.
-    cells = np.clip((means - low) / side, -0.5, (high - low) / side + 0.5) / cell
-    index = np.floor(cells - cells.min(axis=0)).astype(np.int64)
-    shape = tuple(index.max(axis=0) + 1)
-    flat = np.ravel_multi_index(tuple(index.T), shape)
+    flat, shape = np.zeros(len(means), np.int64), []
+    for along, first, last in zip(means.T, low, high, strict=True):
+        cells = np.clip((along - first) / side, -0.5, (last - first) / side + 0.5) / cell
+        index = np.floor(cells - cells.min()).astype(np.int64)
+        shape.append(int(index.max()) + 1)
+        flat = flat * shape[-1] + index
     occupied = (np.bincount(flat, minlength=int(np.prod(shape))) > 0).reshape(shape)
     groups, count = scipy.ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
     group = groups.ravel()[flat]
@@ -232,7 +234,7 @@ def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     return stray[group]
 
 
-def _quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.float64]:
+def weighted_quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.float64]:
     """Return the weighted quantile [3] of the columns of `values` [N,3]."""
     weights = weights.astype(np.float64)
     below = fraction * weights.sum()

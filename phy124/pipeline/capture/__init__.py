@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, join, quaternions, rotation_matrices
-from phy124.generators.ply_file import Opened, PlyFile, normalise_size, robust_bounds
+from phy124.generators.ply_file import Opened, PlyFile, robust_bounds, unit_transform
 from phy124.io.axes import rotate_gaussians, upright
 from phy124.particles import clean
 from phy124.particles.thinning import thin
@@ -109,11 +109,9 @@ class _Read:
 
 def _alone(opened: Opened, name: str) -> _Read:
     """Return all Gaussians as the object, without a floor."""
-    placed = normalise_size(opened.gaussians, name)
-    low, high = robust_bounds(opened.gaussians)
-    scale = 1 / float((high - low).max())
+    scale, offset = unit_transform(opened.gaussians, name)
+    placed = opened.gaussians.transform(scale, offset)
     about = {"rotation": opened.rotation.tolist(), "floor": None}
-    offset = -scale * (low + high) / 2
     return _Read(placed, len(placed), opened.rotation, scale, offset, opened.cleaning, about)
 
 
