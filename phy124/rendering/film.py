@@ -236,6 +236,12 @@ def _html(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
 def write_player(path: PathLike, clip: Clip, view: View, side: str) -> None:
     """Write one HTML file that plays a clip on the stage of a view, seen first from a side.
 
+    Args:
+        path: The file.
+        clip: The clip.
+        view: Size, colours and stage of the picture.
+        side: Name of the side from which the clip is seen first.
+
     Raises:
         InputError: The clip is empty, or the file cannot be written.
     """
