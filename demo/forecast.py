@@ -269,18 +269,12 @@ def describe_error(promise: Promise, subject: str = "It is off") -> str:
     """Describe the error of a motion in a sentence, such as "It is off by at most 2 % of ..."."""
     if promise.error is None:
         return _NOT_MEASURED if promise.unmeasured else _NOT_KNOWN
-    how = "about" if promise.of_scene else "at most"
     until = "" if promise.seconds is None else f", until {promise.seconds:.1f} s"
-    return f"{subject} by {how} {format_percent(promise.error)} of its size{until}."
+    return f"{subject} by {promise.size('its size')}{until}."
 
 
 _NOT_MEASURED = "How far it is off has not been measured."
 _NOT_KNOWN = "How far it is off is not known."
-
-
-def format_percent(fraction: float) -> str:
-    """Format a fraction as a percentage: "0.8 %", "12 %"."""
-    return f"{100 * fraction:.1g} %" if fraction < 0.01 else f"{100 * fraction:.2g} %"
 
 
 def stops_table(stops: list[Stop], chosen: object) -> str:

@@ -9,15 +9,8 @@ import pytest
 from phy124.accuracy import forecast as load
 from phy124.accuracy import promises
 from phy124.accuracy.forecast import Load, format_span
-from phy124.accuracy.promises import (
-    check_promise,
-    largest_error,
-    motion_of,
-    promise,
-    table,
-    violence,
-    yielding,
-)
+from phy124.accuracy.promises import check_promise, largest_error, promise, table
+from phy124.accuracy.severity import motion_of, violence, yielding
 from phy124.io.ply import write_ply
 from phy124.monitor.tearing import Tearing
 from phy124.pipeline import simulate

@@ -43,7 +43,7 @@ def test_the_error_is_told_for_the_chosen_grid():
     ):
         said = found.promise(cells)
         assert said.error == pytest.approx(error) and said.why == why
-    assert found.promise(16).sentence.startswith("Error of this scene: about 6.0% of its size")
+    assert found.promise(16).sentence.startswith("This run is off by about 6 % of the object")
     assert "no grid this coarse was measured" in found.promise(8).sentence
 
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from phy124.__main__ import main
-from phy124.accuracy.promises import promise
+from phy124.accuracy.promises import format_percent, promise
 from phy124.commands.generate import Generate, Simulate
 from phy124.commands.plan import PlanOptions
 from phy124.errors import InputError
@@ -83,7 +83,7 @@ def test_a_run_with_an_error_goal_names_one_error(file, tmp_path, capsys, monkey
     said = capsys.readouterr().out
     error = json.loads((out / "report.json").read_text())["goal"]["fraction"]
     assert f"error {error:.1%}, met" in said
-    assert f"Error of this scene: about {error:.1%} of its size." in said
+    assert f"off by about {format_percent(error)} of the object's size" in said
     assert "at most" not in said.replace("asked for at most 9%", "")
 
 

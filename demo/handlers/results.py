@@ -8,6 +8,7 @@ from typing import Any
 import gradio as gr
 
 from phy124.accuracy import Stop
+from phy124.accuracy.promises import format_percent
 from phy124.camera import VIEWS
 from phy124.errors import InputError
 from phy124.io.clip import read_scene, read_shape
@@ -16,7 +17,7 @@ from phy124.scene import Scene
 
 from ..exports import EXPORTS, export
 from ..fits import newest
-from ..forecast import format_percent, format_seconds, promise_of
+from ..forecast import format_seconds, promise_of
 from ..guard import visitor_of
 from ..jobs import Studio
 from ..line import Job, user_message

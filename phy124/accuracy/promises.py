@@ -18,132 +18,26 @@ This module contains all messages about errors, for the command line and the pag
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any, Literal
+from typing import Any
 
-from phy124.boundaries import Press
-from phy124.materials import AnyMaterial
-from phy124.materials.base import Elastic
+from phy124.accuracy.severity import (
+    Motion,
+    damping,
+    duration,
+    find_difference,
+    length,
+    motion_of,
+    poisson,
+    unit,
+    violence,
+    yielding,
+)
 from phy124.scene import Scene
 
-MEASURED_FORCES = ("gravity", "acceleration")
-"""Kinds of forces in the measured scenes; the forces are constant and act on the whole object."""
-COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "yield_stress"}
-"""Fields of a material that may differ from their defaults; these fields affect the severity,
-`yielding`, `damping` or `poisson`."""
-LOOKS = {"tint"}
-"""Fields of a material that do not affect the motion."""
-
-
-def violence(scene: Scene) -> float:
-    """Return the severity of a scene, its energy relative to the stiffness: 2 e / c^2 + s^2.
-
-    2 e is twice the energy per mass (see `energy`). c is the speed of waves in a bar of the
-    object's softest material. s is the fraction of its height by which the object is pressed.
-    """
-    slowest = min(bar_speed(section) for section in scene.materials)
-    return energy(scene) / max(slowest, 1e-9) ** 2 + _squeeze(scene) ** 2
-
-
-def yielding(scene: Scene) -> float:
-    """Return the energy relative to the yield stress, 2 e rho / sigma; 0 if no material yields.
-
-    2 e is twice the energy per mass (see `energy`). The largest ratio of all materials is returned.
-    """
-    yields = [getattr(section, "yield_stress", math.inf) for section in scene.materials]
-    pairs = zip(scene.materials, yields, strict=True)
-    return energy(scene) * max(section.density / max(stress, 1e-9) for section, stress in pairs)
-
-
-def damping(scene: Scene) -> float:
-    """Return the smallest relative damping, eta / (rho c L), of all materials.
-
-    c is the speed of waves in a bar, and L the object's size.
-    """
-    return min(
-        getattr(section, "damping", 0.0)
-        / (section.density * max(bar_speed(section), 1e-9) * scene.object.size)
-        for section in scene.materials
-    )
-
-
-def poisson(scene: Scene) -> float:
-    """Return the largest Poisson's ratio of all materials; 0 for a material without one."""
-    return max(getattr(section, "nu", 0.0) for section in scene.materials)
-
-
-def energy(scene: Scene) -> float:
-    """Return twice the energy per mass that a scene may convert to strain [m^2/s^2].
-
-    It is v^2 + 2 a h + a L + p^2: v is the initial speed (with spin), a the acceleration by forces,
-    h the object's lift, L the object's size, and p the speed of presses.
-    """
-    body = scene.object
-    pull = sum(math.hypot(*_vector(force)) for force in scene.forces)
-    speed = math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
-    plates = sum(_plate_speed(wall, body.size) for wall in scene.boundaries)
-    return speed**2 + 2 * pull * body.lift + pull * body.size + plates**2
-
-
-def bar_speed(section: AnyMaterial) -> float:
-    """Return the speed of waves along a bar [m/s], sqrt(E / rho) for elastic materials.
-
-    It remains finite as Poisson's ratio approaches 0.5, unlike the speed of pressure waves.
-    """
-    if isinstance(section, Elastic):
-        return math.sqrt(section.E / section.density)
-    return section.wave_speed()
-
-
-def find_difference(scene: Scene) -> str:
-    """Describe a feature of the forces, walls or materials that no measured scene has.
-
-    The result is empty if there is no such feature.
-    """
-    for force in scene.acting:
-        if force.kind not in MEASURED_FORCES:
-            return f"a force of the kind {force.kind}"
-        if force.region is not None:
-            return f"{force.kind} on a region"
-        if force.profile.kind != "constant":
-            return f"a force that follows a {force.profile.kind}"
-    for wall in scene.boundaries:
-        if wall.moves and not isinstance(wall, Press):
-            return f"a {wall.kind} that moves"
-    for section in scene.materials:
-        for name, field in type(section).model_fields.items():
-            usual = field.get_default(call_default_factory=True)
-            if name not in COMPARED | LOOKS and getattr(section, name) != usual:
-                return f"{section.law} with another {name}"
-    return ""
-
-
-def _plate_speed(wall: Any, size: float) -> float:
-    """Return the largest speed of a press on an object of this size [m/s]; 0 for other walls.
-
-    The position of the press follows a cosine in time.
-    """
-    if not isinstance(wall, Press):
-        return 0.0
-    return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)
-
-
-def _squeeze(scene: Scene) -> float:
-    """Return the largest distance by which a press compresses the object, in object heights."""
-    return max((wall.depth for wall in scene.boundaries if isinstance(wall, Press)), default=0.0)
-
-
-def _vector(force: Any) -> tuple[float, ...]:
-    """Return the acceleration by a force [m/s^2]; zero for a force without one."""
-    value = next((getattr(force, name) for name in ("g", "a") if hasattr(force, name)), 0.0)
-    return tuple(value) if isinstance(value, tuple) else (float(value),)
-
-
-Motion = Literal["squeezed", "landing", "standing", "held", "free"]
 WORDS: dict[Motion, str] = {
     "squeezed": "pressed or gripped",
     "landing": "falling or thrown onto something",
@@ -185,18 +79,16 @@ class Promise:
     """A sentence about the source of the bound, or the reason why there is none."""
     unmeasured: str = ""
     """The kind of scene that was not measured, if this is the reason."""
-    of_scene: bool = False
-    """Whether the error was measured on this scene itself; `error` is then an estimate."""
+    about: float | None = None
+    """Error measured on this scene itself, in object sizes; None: `error` is from other scenes."""
     seconds: float | None = None
     """Duration from the start for which the bound holds [s]; None: the whole clip."""
 
     @property
     def sentence(self) -> str:
         """The bound and its source as a message."""
-        if self.of_scene and self.error is not None:
-            return (
-                f"Error of this scene: about {self.error:.1%} of its size{self._span}. {self.why}"
-            )
+        if self.of_scene:
+            return f"This run is off by {self.size()}{self._span}. {self.why}"
         if self.error is None:
             return f"Expected error: {self.why}"
         return (
@@ -206,6 +98,19 @@ class Promise:
     def with_study(self, command: str) -> str:
         """Return `sentence`, but recommend `command` for measuring the error of the scene."""
         return self.sentence.replace(STUDY, command)
+
+    @property
+    def of_scene(self) -> bool:
+        """Whether the error was measured on this scene itself."""
+        return self.about is not None
+
+    def size(self, whole: str = "the object's size") -> str:
+        """Return the error in words: "about 1.3 % of the object's size, at most 2.4 %"."""
+        about, most = format_percent(self.about or 0.0), format_percent(self.error or 0.0)
+        if not self.of_scene:
+            return f"at most {most} of {whole}"
+        more = "" if about == most else f", at most {most}"
+        return f"about {about} of {whole}{more}"
 
     @property
     def brief(self) -> str:
@@ -242,7 +147,7 @@ class Promise:
         """
         if self.error is None or pixels is None:
             return UNMEASURED
-        how = "about" if self.of_scene else "at most"
+        how = "about" if self.about == self.error else "at most"
         return f"off by {how} {self.error:.1%} ({pixels:.0f} px){self._span}"
 
     @property
@@ -302,6 +207,9 @@ def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)
+    own = report.get("error") or {}
+    if own.get("about") is not None:
+        return promise_own(own)
     goal = report.get("goal")
     if goal is None or goal["unit"] == "seconds":
         return None
@@ -349,8 +257,8 @@ def promise(
     )
     if length(scene) <= MARGIN * kind["length"]:
         return Promise(error, why)
-    why += f" What follows, up to {_until(scene):.2f} s, was not measured."
-    return Promise(error, why, seconds=kind["length"] * _unit(scene))
+    why += f" What follows, up to {duration(scene):.2f} s, was not measured."
+    return Promise(error, why, seconds=kind["length"] * unit(scene))
 
 
 def largest_error(
@@ -396,34 +304,6 @@ def _measured_level(kind: Mapping[str, Any], error: float, cells: int) -> int:
     )
 
 
-def motion_of(scene: Scene) -> Motion:
-    """Return the kind of motion of a scene, from its walls and the object's initial state."""
-    walls = [b for b in scene.boundaries if not b.holds]
-    if any(b.moves for b in scene.boundaries):
-        return "squeezed"
-    if len(walls) < len(scene.boundaries):
-        return "held"
-    if not walls:
-        return "free"
-    moves = scene.object.lift > 0 or any(scene.object.velocity)
-    return "landing" if moves else "standing"
-
-
-def length(scene: Scene) -> float:
-    """Return the duration of a scene in units of sqrt(size / 9.81 m/s^2)."""
-    return _until(scene) / _unit(scene)
-
-
-def _until(scene: Scene) -> float:
-    """Return the time of a scene's last frame [s]."""
-    return (scene.time.frames - 1) / scene.time.fps
-
-
-def _unit(scene: Scene) -> float:
-    """Return the unit of a scene's duration [s]."""
-    return math.sqrt(scene.object.size / 9.81)
-
-
 @cache
 def table() -> dict[str, Any]:
     """Return the data of measured.json: errors, with the machine and commits that measured them."""
@@ -453,7 +333,20 @@ def promise_measured(
         nearest = max(n for n in grids if n <= cells)
         all_of_them = _join_names([f"D/{n}" for n in grids])
         origin = f"Measured on {all_of_them if nearest == cells else f'D/{nearest}'}."
-    return Promise(error, origin, of_scene=True, seconds=until)
+    return Promise(error, origin, about=error, seconds=until)
+
+
+def promise_own(own: Mapping[str, Any]) -> Promise:
+    """Return the promise for a run's own error, from the entry `error` of its report."""
+    why = f"Estimated from the same motion on D/{own['cells']}."
+    if own["until"] is not None:
+        why += f" After {own['until']:.2f} s other grids move otherwise: plausible, not predicted."
+    return Promise(own["at_most"], why, about=own["about"], seconds=own["until"])
+
+
+def format_percent(fraction: float) -> str:
+    """Format a fraction as a percentage: "0.8 %", "12 %"."""
+    return f"{100 * fraction:.1g} %" if fraction < 0.01 else f"{100 * fraction:.2g} %"
 
 
 def torn(grids: Sequence[str]) -> str:

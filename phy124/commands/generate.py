@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 
 from phy124 import pipeline
-from phy124.accuracy.choose import Goal, format_error
+from phy124.accuracy.choose import format_error
 from phy124.accuracy.promises import Promise
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import IF_WRONG, PictureOptions, announce_generator, describe, doubt
@@ -71,7 +71,7 @@ class Generate:
             if not needs_image(making.generator):
                 file = PlyFile(making.generator, making.reading)
                 scene = adapt_scene(file, scene, count=making.gaussians)
-            return go_on(out, self.options, scene, self._study(), goal)
+            return go_on(out, self.options, scene, self._study(), self.plan)
         announce(scene, as_json=self.options.json)
         if self.plan.dry_run:
             with search_first(self.making.cutting.weights):
@@ -90,6 +90,7 @@ class Generate:
                 goal=goal,
                 forecaster=self.plan.forecaster(context),
                 keep=True,
+                error=self.plan.error,
             )
             if self.compose and not result.report["interrupted"]:
                 result = self._compose(result, context)
@@ -200,7 +201,7 @@ class Simulate:
         file, study = PlyFile(str(self.file), self.reading), self.options.study_command(self.file)
         if self.plan.resume:
             adapted = adapt_scene(file, scene, count=self.gaussians)
-            return go_on(out, self.options, adapted, study, goal)
+            return go_on(out, self.options, adapted, study, self.plan)
         check_count(self.gaussians)
         announce(scene, as_json=self.options.json)
         if self.plan.dry_run:
@@ -225,6 +226,7 @@ class Simulate:
                 goal=goal,
                 forecaster=self.plan.forecaster(context),
                 keep=True,
+                error=self.plan.error,
             )
         return show(result, study, as_json=self.options.json)
 
@@ -254,9 +256,7 @@ class Simulate:
         )
 
 
-def go_on(
-    out: Path, options: SceneOptions, scene: Scene, study: str, goal: Goal | None = None
-) -> int:
+def go_on(out: Path, options: SceneOptions, scene: Scene, study: str, plan: PlanOptions) -> int:
     """Continue the interrupted run in a folder, and print its results.
 
     Args:
@@ -264,12 +264,16 @@ def go_on(
         options: The options of the command.
         scene: The scene of the interrupted run, which is checked.
         study: The command that measures the error of this scene.
-        goal: The goal of the interrupted run, if it had one.
+        plan: The options of the interrupted run: its goal, and whether its error is estimated.
     """
     with Bars(quiet=options.json, keeps=True) as bars:
-        any_accuracy = goal is not None
         result = pipeline.go_on(
-            out, scene, options.context(bars), any_accuracy=any_accuracy, keep=True
+            out,
+            scene,
+            options.context(bars),
+            any_accuracy=plan.goal() is not None,
+            keep=True,
+            error=plan.error,
         )
     return show(result, study, as_json=options.json)
 

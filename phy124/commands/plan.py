@@ -31,6 +31,8 @@ class PlanOptions:
     """Choose the accuracy so that the error is at most this: 2px, 1% (of the size) or 3mm."""
     max_seconds: float | None = None
     """Choose the finest accuracy whose total time [s] is at most this."""
+    error: bool = True
+    """Estimate the run's own error from a coarser grid, if that takes at most a fifth more time."""
     resume: bool = False
     """Continue the interrupted run in the folder of the results."""
 

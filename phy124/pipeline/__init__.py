@@ -61,6 +61,7 @@ def generate(
     goal: Goal | None = None,
     forecaster: Forecaster | None = None,
     keep: bool = False,
+    error: bool = True,
     **making: Any,
 ) -> Result:
     """Turn a picture into moving Gaussians, videos and a report in a folder.
@@ -75,6 +76,7 @@ def generate(
             (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run; the report compares it with the time taken.
         keep: Whether a cancelled run keeps its frames, so that `go_on` can continue it.
+        error: Whether the run's own error is estimated, if that is cheap.
         **making: `device`, `threads` and `progress`, if there is no context; and options of
             `phy124.pipeline.gaussians.make_object`.
 
@@ -101,6 +103,7 @@ def generate(
             goal=goal,
             forecaster=forecaster,
             keep=keep,
+            error=error,
         )
 
 
@@ -118,6 +121,7 @@ def simulate(
     keep: bool = False,
     films: bool = True,
     rescues: bool = True,
+    error: bool = True,
     each: Callable[[Simulation, Frame], object] = lambda run, frame: None,
     **fields: Unpack[ContextOptions],
 ) -> Result:
@@ -139,6 +143,8 @@ def simulate(
         films: Whether videos are made.
         rescues: Whether the frames so far are saved if the run fails or its folder has no space;
             `Incomplete` then names their place.
+        error: Whether the run's own error is estimated, if that is cheap
+            (`phy124.accuracy.companion`).
         each: Called with the simulation and every frame as soon as the frame is computed, except
             in trial runs that look for a grid that meets `goal`.
         **fields: `device`, `threads` and `progress`, if there is no context.
@@ -154,7 +160,14 @@ def simulate(
         refuse_unfilmable(scene)
     png = None if cutout is None else cutout.png()
     folder = RunFolder(
-        Path(out), context, dict(about or {}), keep, png, films=films, rescues=rescues
+        Path(out),
+        context,
+        dict(about or {}),
+        keep,
+        png,
+        films=films,
+        rescues=rescues,
+        error=error,
     )
 
     def see(run: Simulation, frame: Frame) -> None:
@@ -184,6 +197,7 @@ def go_on(
     *,
     any_accuracy: bool = False,
     keep: bool = False,
+    error: bool = True,
     **fields: Unpack[ContextOptions],
 ) -> Result:
     """Continue an interrupted run in its folder; the result is that of an uninterrupted run.
@@ -197,6 +211,7 @@ def go_on(
             continues with its own; with another number the result is equal only within rounding.
         any_accuracy: Whether the run's accuracy may differ from the scene's, as with a goal.
         keep: Whether the run is saved again if `progress` cancels it.
+        error: Whether the run's own error is estimated, if that is cheap.
         **fields: `device`, `threads` and `progress`, if there is no context.
 
     Raises:
@@ -224,7 +239,14 @@ def go_on(
     entries = {name: value for name, value in about.items() if name not in ("scene", "frames")}
     cutout = resume.read_files(path).get(CUTOUT)
     folder = RunFolder(
-        Path(out), context, entries, keep, cutout, frames=frames, continued=about["frames"]
+        Path(out),
+        context,
+        entries,
+        keep,
+        cutout,
+        frames=frames,
+        continued=about["frames"],
+        error=error,
     )
 
     def run_scene() -> tuple[Simulation, Clip]:

@@ -98,10 +98,27 @@ class Promise(TypedDict):
     """Reason for the value or for null, as a sentence."""
     unmeasured: str
     """Kind of scene for which no error was measured, if this is why `error` is null."""
-    of_scene: bool
-    """Whether the error was measured on this scene."""
+    about: float | None
+    """Error measured on this scene itself, as a fraction of the size; null if it was not."""
     seconds: float | None
     """The bound holds from the start to this time [s]; null: for the whole clip."""
+
+
+class OwnError(TypedDict):
+    """Error of the run, estimated from the same scene on a coarser grid."""
+
+    about: float | None
+    """RMS error over Gaussians and frames, as a fraction of the object's size; null: unknown."""
+    at_most: float | None
+    """Bound on this error."""
+    until: float | None
+    """Time from which other grids move otherwise [s]; the error holds before it. null: never."""
+    cells: int | None
+    """Cells across the object on the coarser grid; null if it was not run."""
+    cost: float | None
+    """Predicted time of the coarser grid, as a fraction of the time of the dynamics."""
+    why_not: str
+    """Reason why the error is unknown."""
 
 
 class Goal(TypedDict):
@@ -250,6 +267,8 @@ class Report(TypedDict):
     """Energy balance, with `checks.energy`."""
     effects: dict[str, Any]
     """Effects that were computed (`ran`) or not (`left_out`, with reason and saved seconds)."""
+    error: NotRequired[OwnError]
+    """The run's own error."""
     promise: Promise
     """Error bound of the clip."""
     forecast: NotRequired[Forecast]

@@ -17,6 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from phy124.accuracy.companion import with_own_error
 from phy124.accuracy.forecast import Forecast
 from phy124.accuracy.promises import promise
 from phy124.errors import Cancelled, Incomplete, InputError
@@ -79,6 +80,8 @@ class RunFolder:
     rescues: bool = True
     """Whether finished frames are saved if the run fails or its folder has no space."""
     predicted: Forecast | None = None
+    error: bool = True
+    """Whether the run's own error is estimated, if that is cheap (`phy124.accuracy.companion`)."""
 
     def __post_init__(self) -> None:
         self.files = {CUTOUT: self.cutout} if self.cutout is not None else {}
@@ -97,7 +100,10 @@ class RunFolder:
         try:
             with staging(self.out) as folder:
                 sweep(self.out)
-                return self._save_and_film(folder, before, *self._simulate(simulate))
+                run, clip, interrupted = self._simulate(simulate)
+                if not interrupted:
+                    clip = with_own_error(run, clip, wanted=self.error)
+                return self._save_and_film(folder, before, run, clip, interrupted)
         finally:
             self.recording.leave()
 

@@ -27,15 +27,8 @@ import warp as wp
 
 from phy124 import pipeline
 from phy124.accuracy.convergence import distances, richardson
-from phy124.accuracy.promises import (
-    damping,
-    largest_error,
-    length,
-    motion_of,
-    poisson,
-    violence,
-    yielding,
-)
+from phy124.accuracy.promises import largest_error
+from phy124.accuracy.severity import damping, length, motion_of, poisson, violence, yielding
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.formats import read_gaussians

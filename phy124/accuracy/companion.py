@@ -1,0 +1,215 @@
+"""Estimates the error of a finished run from a companion: the same scene on a coarser grid.
+
+The distance between the motions of the run and of its companion is measured on a sample of the
+Gaussians. The error of the run is about this distance times a factor, and at most this distance
+times a larger factor. The factors were measured on many objects (docs/results/own-error.md).
+
+The companion runs after the run, so it changes neither the run nor its result. Whether it runs
+depends only on counts of the run, so that equal runs have equal reports.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.accuracy.probe import min_cells
+from phy124.budget.cost import USUAL, Rates
+from phy124.errors import Cancelled
+from phy124.io.clip import Clip
+from phy124.runtime.context import RunContext
+from phy124.runtime.failures import failure
+from phy124.scene import Scene
+from phy124.simulation import Simulation, prepare
+from phy124.simulation.deform import Deformer
+from phy124.simulation.setup import Setup
+
+AFFORDABLE = 0.2
+"""Largest forecast of the companion's time, as a fraction of the time of the run's dynamics."""
+SAMPLE = 2000
+"""Number of Gaussians whose motion is compared."""
+RATES = {"cpu": Rates(particle=7e-8), "cuda": USUAL["cuda"]}
+"""Rates of a simulation on each kind of device."""
+PREPARING = (0.05, 2.4e-6)
+"""Time to make a companion's particles [s]: in total, and per Gaussian."""
+COARSEST = 6
+"""Minimum number of cells across the object on the companion's grid."""
+FEWEST = 3
+"""Minimum number of frames from which an error is estimated."""
+PARTED = 0.1
+"""Distance, in object sizes, from which the motions on two grids count as different."""
+
+
+class Factors(NamedTuple):
+    """Error of a run, divided by the distance between the run and its companion."""
+
+    about: float
+    """Median over objects and scenes."""
+    at_most: float
+    """Bound that held for 95 % of the objects and scenes."""
+
+
+RATIO = 0.5
+"""Cells of the companion, divided by the cells of the run.
+
+With 5/8 the estimate would be less sharp and cost twice as much (docs/results/own-error.md).
+"""
+FACTORS = Factors(0.58, 1.1)
+
+
+class OwnError(NamedTuple):
+    """The error of a run, estimated from its companion, or the reason why there is none."""
+
+    about: float | None = None
+    """RMS distance from the exact motion over Gaussians and frames, in object sizes."""
+    at_most: float | None = None
+    """Bound on this distance."""
+    until: float | None = None
+    """Time from which the motion depends on the grid [s]; None: it does not.
+
+    The error holds for the frames before this time.
+    """
+    cells: int | None = None
+    """Cells across the object on the companion's grid; None without a companion."""
+    cost: float | None = None
+    """Forecast of the companion's time, as a fraction of the time of the run's dynamics."""
+    why_not: str = ""
+    """Reason why there is no estimate."""
+
+
+def with_own_error(run: Simulation, clip: Clip, *, wanted: bool = True) -> Clip:
+    """Return the clip of a finished run with the run's own error in its report.
+
+    Args:
+        run: The run.
+        clip: The clip of the run.
+        wanted: Whether the user wants the error.
+    """
+    own = measure_error(run, clip, wanted=wanted)
+    effects = dict(clip.report["effects"])
+    if own.cells is not None:
+        cost = f"{own.cost:.0%} of the dynamics" if own.cost else "unknown"
+        effects["ran"] = [*effects["ran"], f"own error, from D/{own.cells}: cost {cost}"]
+    else:
+        row = {"effect": "own error", "why": own.why_not}
+        effects["left_out"] = [*effects["left_out"], row]
+    return clip.with_report({**clip.report, "error": own._asdict(), "effects": effects})
+
+
+def measure_error(run: Simulation, clip: Clip, *, wanted: bool = True) -> OwnError:
+    """Return the error of a finished run; its companion runs if that is cheap enough.
+
+    Args:
+        run: The run.
+        clip: The clip of the run.
+        wanted: Whether the user wants the error.
+    """
+    if not wanted:
+        return OwnError(why_not="it is not wanted (--no-error)")
+    if not clip.report["complete"]:
+        return OwnError(why_not="the run stopped early")
+    if len(clip) < FEWEST:
+        return OwnError(why_not=f"the clip has fewer than {FEWEST} frames")
+    indices = _sample(run.setup)
+    if not len(indices):
+        return OwnError(why_not="the solver moves no Gaussians")
+    scene = coarsen(run.scene)
+    if scene.resolution.cells < min_cells(scene):
+        return OwnError(why_not="a solid of the scene is too thin for a coarser grid")
+    cost = forecast(run, len(run.setup.particles) * RATIO**3)
+    if cost > AFFORDABLE:
+        return OwnError(cost=round(cost, 4), why_not=f"it would cost {cost:.0%} of the dynamics")
+    with run.setup.context.watch.stage("companion"):
+        return _compare(run, clip, scene, indices)
+
+
+def coarsen(scene: Scene) -> Scene:
+    """Return the scene of the companion, with fewer cells across the object."""
+    cells = max(round(RATIO * scene.resolution.cells), COARSEST)
+    accuracy = scene.resolution.model_copy(update={"cells": cells})
+    return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
+
+
+def forecast(run: Simulation, particles: float) -> float:
+    """Return the time of the companion as a fraction of the time of a run's dynamics.
+
+    Args:
+        run: The finished run.
+        particles: Number of particles of the companion.
+    """
+    rates, (once, each) = RATES["cpu" if run.device == "cpu" else "cuda"], PREPARING
+    substeps = max(run.solver.clock.substeps, 1)
+    dynamics = substeps * (rates.substep + rates.particle * len(run.setup.particles))
+    companion = RATIO * substeps * (rates.substep + rates.particle * particles)
+    return (once + each * len(run.setup.gaussians) + companion) / dynamics
+
+
+def estimate(
+    distances: NDArray, times: NDArray, factors: Factors
+) -> tuple[float | None, float | None, float | None]:
+    """Return the error, its bound, and the time until which they hold, as in `OwnError`.
+
+    Args:
+        distances: RMS distance of the run and its companion in each frame [T], in object sizes.
+        times: Times of the frames [T], s.
+        factors: Ratios of the error to the distance.
+    """
+    together = np.flatnonzero(distances <= PARTED)
+    count = int(together[-1]) + 1 if len(together) else 0
+    until = None if count == len(distances) else float(times[count])
+    if count < FEWEST:
+        return None, None, until
+    distance = float(np.sqrt((distances[:count] ** 2).mean()))
+    return factors.about * distance, factors.at_most * distance, until
+
+
+def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int64]) -> OwnError:
+    """Run the companion of a run, and return the run's error."""
+    cells = scene.resolution.cells
+    try:
+        companion = _prepare(run.setup, scene)
+        cost = forecast(run, len(companion.particles))
+        motion = _follow(companion, indices)
+    except Cancelled:
+        return OwnError(cells=cells, why_not="it was cancelled")
+    except Exception as error:  # the run itself is finished and must not be lost
+        return OwnError(cells=cells, why_not=f"D/{cells} failed: {failure(error).sentence}")
+    gaps = (clip.means[:, indices].astype(np.float64) - motion) / run.scene.object.size
+    distances = np.sqrt((gaps**2).sum(axis=2).mean(axis=1))
+    about, at_most, until = estimate(distances, clip.times, FACTORS)
+    why_not = "" if about is not None else "other grids move otherwise from the start"
+    return OwnError(about, at_most, until, cells, round(cost, 4), why_not)
+
+
+def _prepare(setup: Setup, scene: Scene) -> Setup:
+    """Return the setup of a companion, which observes nothing and deforms no Gaussians."""
+    progress = setup.context.progress
+    context = RunContext(
+        setup.context.device, setup.threads, lambda *_: progress("companion", 0, 1)
+    )
+    options: dict[str, Any] = {"keep": False, "shapes": False, "observers": ()}
+    return prepare(setup.source, scene, context, crop=setup.crop, **options)
+
+
+def _sample(setup: Setup) -> NDArray[np.int64]:
+    """Return the indices of the moving Gaussians that are compared, without grains."""
+    moving = np.flatnonzero(setup.appearance.moves[: len(setup.gaussians)])
+    return moving[np.linspace(0, len(moving) - 1, min(SAMPLE, len(moving))).astype(np.int64)]
+
+
+def _follow(setup: Setup, indices: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Run a companion; return the positions of some Gaussians in each frame [T,N,3], m."""
+    look = setup.appearance
+    chosen = (np.cumsum(look.moves) - 1)[indices]
+    limits: dict[str, Any] = {name: values[chosen] for name, values in look.limits().items()}
+    deformer = Deformer(
+        look.gaussians.select(indices), setup.particles, **limits, device=setup.context.device
+    )
+    run, motion = Simulation(setup), []
+    for frame in run:
+        state = run.solver.state
+        moved = deformer(state.x, state.deformation, index=frame.index, time=frame.time)
+        motion.append(moved.gaussians.means)
+    return np.stack(motion)

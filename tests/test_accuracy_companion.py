@@ -1,0 +1,100 @@
+"""A run's own error: from a companion on a coarser grid, if that is cheap; the run is unchanged."""
+
+import numpy as np
+import pytest
+
+from phy124.accuracy import companion
+from phy124.accuracy.companion import Factors, estimate, forecast, with_own_error
+from phy124.accuracy.promises import promise
+from phy124.errors import Cancelled
+from phy124.pipeline import simulate
+from phy124.scene import Scene
+from phy124.simulation import Simulation, prepare
+from support.shapes import ball
+
+SCENE = Scene.named("press").replaced({"accuracy.cells": 16, "time.frames": 5})
+TIMES = np.arange(4) / 10
+
+
+@pytest.fixture(scope="module")
+def run():
+    simulation = Simulation(prepare(ball(300), SCENE))
+    return simulation, simulation.run()
+
+
+@pytest.mark.parametrize(
+    ("distances", "about", "until"),
+    [
+        ([0.0, 0.02, 0.02, 0.02], 2 * np.sqrt(3 * 0.02**2 / 4), None),
+        ([0.0, 0.2, 0.02, 0.02], 2 * np.sqrt((0.2**2 + 2 * 0.02**2) / 4), None),
+        ([0.0, 0.03, 0.03, 0.5], 2 * np.sqrt(2 * 0.03**2 / 3), 0.3),
+        ([0.0, 0.03, 0.5, 0.5], None, 0.2),
+    ],
+)
+def test_error_is_that_before_the_grids_part(distances, about, until):
+    result = estimate(np.array(distances), TIMES, Factors(2.0, 3.0))
+    if about is None:
+        assert result == (None, None, until)
+    else:
+        assert result == (pytest.approx(about), pytest.approx(1.5 * about), until)
+
+
+def test_own_error_leaves_the_run_unchanged(run, monkeypatch):
+    monkeypatch.setattr(companion, "AFFORDABLE", 1e3)
+    simulation, clip = run
+    after = with_own_error(simulation, clip)
+    own = after.report["error"]
+    assert 0 < own["about"] < own["at_most"] and own["cells"] == 8 and not own["why_not"]
+    assert after.means is clip.means
+    same = ("error", "effects")
+    assert {k: v for k, v in after.report.items() if k not in same} == {
+        k: v for k, v in clip.report.items() if k not in same
+    }
+    assert "own error, from D/8" in after.report["effects"]["ran"][-1]
+    told = promise(SCENE, 0.5, after.report)
+    assert told.error == own["at_most"] and told.about == own["about"]
+    assert told.sentence.startswith("This run is off by about ")
+
+
+def test_companion_follows_the_same_gaussians(run):
+    simulation, clip = run
+    indices = companion._sample(simulation.setup)
+    motion = companion._follow(companion._prepare(simulation.setup, SCENE), indices)
+    np.testing.assert_allclose(motion, clip.means[:, indices], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"wanted": False}, "--no-error"),
+        ({"affordable": 1e-9}, "of the dynamics"),
+        ({"cancel": True}, "cancelled"),
+        ({"fail": True}, "D/8 failed"),
+    ],
+)
+def test_missing_own_error_has_a_reason(run, monkeypatch, change, why):
+    simulation, clip = run
+    monkeypatch.setattr(companion, "AFFORDABLE", change.get("affordable", 1e3))
+    error = Cancelled() if "cancel" in change else MemoryError() if "fail" in change else None
+    if error is not None:
+
+        def stop(*_):
+            raise error
+
+        monkeypatch.setattr(companion, "_follow", stop)
+    report = with_own_error(simulation, clip, wanted=change.get("wanted", True)).report
+    assert report["error"]["about"] is None and why in report["error"]["why_not"]
+    assert not promise(SCENE, 0.5, report).of_scene
+
+
+def test_small_runs_have_no_companion(run):
+    simulation, _ = run
+    assert forecast(simulation, 100) > companion.AFFORDABLE
+
+
+def test_no_error_is_reported_as_left_out(tmp_path):
+    result = simulate(ball(300), SCENE, tmp_path, error=False, films=False)
+    assert {"effect": "own error", "why": "it is not wanted (--no-error)"} in result.report[
+        "effects"
+    ]["left_out"]
+    assert "companion" not in [stage["name"] for stage in result.report["stages"]]
