@@ -87,15 +87,15 @@ def with_own_error(run: Simulation, clip: Clip, *, wanted: bool = True) -> Clip:
         clip: The clip of the run.
         wanted: Whether the user wants the error.
     """
-    own = measure_error(run, clip, wanted=wanted)
+    result = measure_error(run, clip, wanted=wanted)
     effects = dict(clip.report["effects"])
-    if own.cells is not None:
-        cost = f"{own.cost:.0%} of the dynamics" if own.cost else "unknown"
-        effects["ran"] = [*effects["ran"], f"own error, from D/{own.cells}: cost {cost}"]
+    if result.cells is not None:
+        cost = f"{result.cost:.0%} of the dynamics" if result.cost else "unknown"
+        effects["ran"] = [*effects["ran"], f"own error, from D/{result.cells}: cost {cost}"]
     else:
-        row = {"effect": "own error", "why": own.why_not}
+        row = {"effect": "own error", "why": result.why_not}
         effects["left_out"] = [*effects["left_out"], row]
-    return clip.with_report({**clip.report, "error": own._asdict(), "effects": effects})
+    return clip.with_report({**clip.report, "error": result._asdict(), "effects": effects})
 
 
 def measure_error(run: Simulation, clip: Clip, *, wanted: bool = True) -> OwnError:

@@ -207,9 +207,9 @@ def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)
-    own = report.get("error") or {}
-    if own.get("about") is not None:
-        return promise_own(own)
+    entry = report.get("error") or {}
+    if entry.get("about") is not None:
+        return promise_own(entry)
     goal = report.get("goal")
     if goal is None or goal["unit"] == "seconds":
         return None
@@ -336,12 +336,14 @@ def promise_measured(
     return Promise(error, origin, about=error, seconds=until)
 
 
-def promise_own(own: Mapping[str, Any]) -> Promise:
+def promise_own(entry: Mapping[str, Any]) -> Promise:
     """Return the promise for a run's own error, from the entry `error` of its report."""
-    why = f"Estimated from the same motion on D/{own['cells']}."
-    if own["until"] is not None:
-        why += f" After {own['until']:.2f} s other grids move otherwise: plausible, not predicted."
-    return Promise(own["at_most"], why, about=own["about"], seconds=own["until"])
+    why = f"Estimated from the same motion on D/{entry['cells']}."
+    if entry["until"] is not None:
+        why += (
+            f" After {entry['until']:.2f} s other grids move otherwise: plausible, not predicted."
+        )
+    return Promise(entry["at_most"], why, about=entry["about"], seconds=entry["until"])
 
 
 def format_percent(fraction: float) -> str:
