@@ -19,11 +19,11 @@ from phy124.accuracy.probe import min_cells
 from phy124.budget.cost import USUAL, Rates
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
+from phy124.motion.deform import Deformer
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.deform import Deformer
 from phy124.simulation.setup import Setup
 
 AFFORDABLE = 0.2
