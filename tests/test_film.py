@@ -1,7 +1,11 @@
 """Filming: every format, from every side, of every size, is made and can be read back."""
 
+import json
 import re
+import shutil
+import subprocess
 
+import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
@@ -13,7 +17,7 @@ from phy124.rendering import film as film_module
 from phy124.rendering.film import (
     describe_playback,
     film,
-    note_if_choppy,
+    film_notes,
     playback,
     refuse_unfilmable,
 )
@@ -135,11 +139,9 @@ def test_slow_motion_plays_the_same_pictures_longer(tmp_path, clip):
 
 
 def test_choppy_slow_motion_is_told_of(clip):
-    told = note_if_choppy(clip, view(speed=0.25))
+    (told,) = film_notes(clip, view(speed=0.25))
     assert told is not None and "6 frames per second" in told and "--fps 96" in told
-    assert (
-        note_if_choppy(clip, view(speed=0.5)) is None and note_if_choppy(clip, view(fps=2)) is None
-    )
+    assert film_notes(clip, view(speed=0.5)) == film_notes(clip, view(fps=2)) == []
 
 
 @pytest.mark.parametrize(
@@ -162,7 +164,7 @@ def test_film_makes_its_folder(tmp_path, clip):
 
 @pytest.mark.parametrize(("formats", "left"), [(["mp4", "gif"], 2), (["gif"], 0)])
 def test_other_films_stay_if_an_encoder_fails(tmp_path, clip, monkeypatch, formats, left):
-    def fail(folder, side, images, fps):
+    def fail(folder, side, images, fps, view):
         next(images)
         raise InputError("output", side, "it failed.", "Try again.")
 
@@ -171,3 +173,58 @@ def test_other_films_stay_if_an_encoder_fails(tmp_path, clip, monkeypatch, forma
     with pytest.raises(InputError, match="it failed"):
         film(clip, view(formats=formats), tmp_path, device="cpu")
     assert len(list(tmp_path.glob("*.mp4"))) == len(list(tmp_path.iterdir())) == left
+
+
+def _probe(path) -> dict:
+    """What ffmpeg's own prober, or ffmpeg where only that is installed, reads of a film."""
+    command = [shutil.which("ffprobe") or "", "-v", "error", "-of", "json", "-show_streams"]
+    if command[0]:
+        done = subprocess.run([*command, str(path)], capture_output=True, check=True)
+        return json.loads(done.stdout)["streams"][0]
+    done = subprocess.run(
+        [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path)], capture_output=True, check=False
+    )
+    kind, width, height = re.search(
+        r"Video: (\w+).*?, (\d+)x(\d+)", done.stderr.decode(errors="replace")
+    ).groups()
+    return {"codec_name": kind, "width": int(width), "height": int(height)}
+
+
+@pytest.mark.parametrize("size", [(36, 64), (48, 48)], ids=["vertical", "square"])
+def test_ffmpeg_opens_every_film_and_gif_fits(tmp_path, clip, size):
+    codecs = {"mp4": "h264", "webm": "vp9", "mov": "prores", "gif": "gif"}
+    chosen = view(formats=[*codecs, "webp"], azimuths=[], size=size, megabytes=0.004)
+    for path in film(clip, chosen, tmp_path, device="cpu"):
+        if (kind := path.suffix[1:]) == "webp":
+            assert path.stat().st_size <= 4000 and len(frames(path)) == len(clip)
+            continue
+        found = _probe(path)
+        assert found["codec_name"] == codecs[kind]
+        if kind == "gif":
+            assert path.stat().st_size <= 4000
+        else:
+            assert (found["width"], found["height"]) == size
+
+
+def test_animation_too_small_for_its_frames_is_refused(tmp_path, clip):
+    with pytest.raises(InputError, match="do not fit into"):
+        film(clip, view(formats=["webp"], megabytes=1e-5), tmp_path, device="cpu")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("returns", [False, True], ids=["reversed", "faded"])
+def test_seamless_film_ends_as_it_begins(tmp_path, clip, returns):
+    """The step from the last picture to the first one is no larger than the others."""
+    away = np.sin(np.linspace(0, 1.97 * np.pi, 12)) if returns else np.linspace(0, 1, 12)
+    moved = flight([[0, 0.3 * y, 0] for y in away])
+    chosen = view(formats=["png"], azimuths=[], seamless=True, follow=False)
+    film(moved, chosen, tmp_path, device="cpu")
+    shown = [picture(p).astype(float) for p in sorted((tmp_path / "front-png").iterdir())]
+    assert len(shown) == (9 if returns else 22)
+    steps = [np.abs(a - b).mean() for a, b in zip(shown, [*shown[1:], shown[0]], strict=True)]
+    assert steps[-1] <= 1.1 * max(steps[:-1])
+    (note,) = film_notes(moved, chosen)
+    assert ("fade into" if returns else "forth and back") in note
+    assert describe_playback(moved, chosen)["seconds"] == pytest.approx(
+        len(shown) / describe_playback(moved, chosen)["fps"]
+    )

@@ -87,6 +87,8 @@ class ViewOptions(CameraOptions):
     transparent: bool = False
     """Short for --stage transparent."""
     speed: Annotated[float | None, help_of(View, "speed")] = None
+    seamless: tyro.conf.FlagCreatePairsOff[Annotated[bool, help_of(View, "seamless")]] = False
+    megabytes: Annotated[float | None, help_of(View, "megabytes")] = None
 
     def changes(self) -> dict[str, Any]:
         """Return the chosen values by their paths in the scene."""
@@ -95,6 +97,8 @@ class ViewOptions(CameraOptions):
             "view.outputs": _items(self.outputs),
             "view.stage": "transparent" if self.transparent else self.stage,
             "view.speed": self.speed,
+            "view.seamless": self.seamless or None,
+            "view.megabytes": self.megabytes,
         }
         made = {path: value for path, value in chosen.items() if value is not None}
         return super().changes() | made

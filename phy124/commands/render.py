@@ -16,7 +16,7 @@ from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.io.files import staging
 from phy124.io.video import refuse_missing_encoder
-from phy124.rendering.film import film, note_if_choppy, refuse_missing_writers
+from phy124.rendering.film import film, film_notes, refuse_missing_writers
 from phy124.rendering.framing import describe_framing
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
@@ -72,8 +72,7 @@ class Render:
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
             if bars.cancelled and not files:
                 raise Cancelled
-        slow = note_if_choppy(clip, view)
-        notes = [*clip.flaws(), *describe_framing(clip, view)["notes"], *([slow] if slow else [])]
+        notes = [*clip.flaws(), *describe_framing(clip, view)["notes"], *film_notes(clip, view)]
         if self.json:
             print(json.dumps({"files": files, "notes": notes}))
         else:

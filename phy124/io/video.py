@@ -53,6 +53,8 @@ FILMS = {
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
 """Smallest alpha at which a pixel of a GIF is drawn; GIF pixels cannot be half transparent."""
+SMALLEST = 16
+"""Smallest width or height of an animation that is reduced to a size of its file."""
 CLEAR = 255
 """Index of the transparent colour of a GIF."""
 PNG_EFFORT = 3
@@ -144,13 +146,19 @@ def _write_film(
     return written
 
 
-def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
+def write_animation(
+    path: str | os.PathLike[str],
+    frames: Iterable[Picture],
+    *,
+    fps: float,
+    most: int | None = None,
+) -> int:
     """Write frames [H,W,3 or 4] uint8 as an endless .gif or .webp, and return their number.
 
     Times are multiples of 1 ms in WebP and of 10 ms in GIF. Each frame ends at the multiple nearest
     to its exact time, so that rounding errors do not add up. GIF has 256 colours per frame and no
     half-transparent pixels; prefer WebP. All frames are held in memory until the last one has
-    arrived.
+    arrived. If the file would have more than `most` bytes, the pictures are reduced until it fits.
 
     Raises:
         InputError: If the name ends in neither .gif nor .webp, there are no frames, `fps` is out
@@ -166,17 +174,28 @@ def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, 
         convert = _gif_frame if kind == "GIF" else Image.fromarray
         images = [convert(picture) for picture in _peek(frames, channels=(3, 4))[1]]
         clear = {"transparency": CLEAR, "disposal": 2} if images[0].mode == "P" else {}
-        images[0].save(
-            temporary,
-            kind,
-            save_all=True,
-            append_images=images[1:],
-            duration=_durations(len(images), fps, 10 if kind == "GIF" else 1),
-            loop=0,
-            quality=85,
-            **clear,
-        )
-    return len(images)
+        times = _durations(len(images), fps, 10 if kind == "GIF" else 1)
+        scale, shown = 1.0, images
+        while True:
+            shown[0].save(
+                temporary,
+                kind,
+                save_all=True,
+                append_images=shown[1:],
+                duration=times,
+                loop=0,
+                quality=85,
+                **clear,
+            )
+            written = temporary.stat().st_size
+            if most is None or written <= most:
+                return len(images)
+            scale *= min((most / written) ** 0.5, 0.95)
+            side = [round(scale * length) for length in images[0].size]
+            if min(side) < SMALLEST:
+                limit = f"{len(images)} pictures do not fit into {most / 1e6:g} MB."
+                raise InputError("megabytes", most / 1e6, limit, "Give more, or fewer frames.")
+            shown = [image.resize(side) for image in images]
 
 
 def write_pictures(

@@ -30,7 +30,7 @@ from phy124.pipeline import resume
 from phy124.pipeline.recording import PAUSE as PAUSE
 from phy124.pipeline.recording import Recording, sweep
 from phy124.rendering.film import cameras as cameras
-from phy124.rendering.film import describe_playback, note_if_choppy
+from phy124.rendering.film import describe_playback, film_notes
 from phy124.rendering.film import film as film
 from phy124.rendering.film import playback as playback
 from phy124.rendering.film import rate as rate
@@ -355,11 +355,11 @@ def _source_notes(about: dict[str, Any]) -> list[str]:
 
 def view_report(clip: Clip, view: View) -> dict[str, Any]:
     """Return the report's entries about films: playback rate, views that cut the object, notes."""
-    seen, slow = describe_framing(clip, view), note_if_choppy(clip, view)
+    seen = describe_framing(clip, view)
     return {
         "playback": describe_playback(clip, view),
         "departures": seen["departures"],
-        "notes": [*clip.report["notes"], *seen["notes"], *([slow] if slow else [])],
+        "notes": [*clip.report["notes"], *seen["notes"], *film_notes(clip, view)],
     }
 
 

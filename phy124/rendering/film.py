@@ -7,11 +7,14 @@ import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from itertools import chain
+from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Semaphore
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from phy124.errors import InputError
 from phy124.io.clip import Clip
@@ -48,6 +51,8 @@ MOST_PIXELS = 1 << 23
 """Number of pixels of all pictures that are encoded at the same time, about four in full HD."""
 WAITING = 4
 """Largest number of pictures that wait for an encoder."""
+NEAR = 0.05
+"""Largest RMS distance of the last pose from the first one, in object sizes, that is faded."""
 
 
 def film(
@@ -84,12 +89,13 @@ def film(
     with watch.stage("render"):
         stage, shine = make_stage(clip, view, device=context.device), make_shine(clip, view)
     made: dict[tuple[str, str], Path] = {}
+    loop = Loop.of(clip, view)
     formats = [name for name in view.formats if name in ENCODERS]
     at_once = max(1, MOST_PIXELS // math.prod((*view.size, max(len(formats), 1))))
     for first in range(0, len(view.sides) if formats else 0, at_once):
         sides = view.sides[first : first + at_once]
-        with closing(_images(clip, view, sides, stage, shine, context)) as images:
-            made |= _encode_sides(clip, view, first, sides, formats, folder, images, context)
+        with closing(_images(clip, view, loop, sides, stage, shine, context)) as images:
+            made |= _encode_sides(clip, view, loop, first, sides, formats, folder, images, context)
     paths: list[Path] = []
     for name in view.formats:
         if name in EXPORTS:
@@ -109,6 +115,7 @@ def film(
 def _encode_sides(
     clip: Clip,
     view: View,
+    loop: Loop,
     first: int,
     sides: Sequence[str],
     formats: Sequence[str],
@@ -123,6 +130,7 @@ def _encode_sides(
     Args:
         clip: The clip.
         view: The view.
+        loop: Order and fading of the pictures.
         first: Index of the first of these sides.
         sides: Sides that are drawn together.
         formats: Formats that are made from pictures.
@@ -134,12 +142,12 @@ def _encode_sides(
         The file or folder of each format and side.
     """
     watch, fps = context.watch, playback(rate(clip), view)
-    before, total = first * len(clip), len(view.sides) * len(clip)
+    before, total = first * len(loop.order), len(view.sides) * len(loop.order)
     films = {(name, side): Feed() for name in formats for side in sides}
     with watch.stage("encode"), ThreadPoolExecutor(len(films), "encode") as pool:
         spent = watch.seconds.get("render", 0.0)
         for (name, side), feed in films.items():
-            feed.task = pool.submit(ENCODERS[name], folder, side, feed, fps)
+            feed.task = pool.submit(ENCODERS[name], folder, side, loop.fade_ends(feed), fps, view)
         try:
             for done, image in enumerate(watch.each("render", images)):
                 if all(feed.task.done() for feed in films.values()):
@@ -156,6 +164,53 @@ def _encode_sides(
         made = {key: feed.task.result() for key, feed in films.items()}
     watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - spent
     return made
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The frames of a film in order, and the number of pictures that fade into the first ones."""
+
+    order: Sequence[int]
+    fading: int = 0
+
+    @classmethod
+    def of(cls, clip: Clip, view: View) -> Loop:
+        """Choose the loop of a view: fading if object and cameras nearly return, else reversal."""
+        count = len(clip)
+        if not view.seamless or count < 3:
+            return cls(range(count))
+        away = np.linalg.norm(clip.means[-1] - clip.means[0], axis=1)[clip.object_mask]
+        size = float(np.ptp(clip.means[0][clip.object_mask], axis=0).max())
+        still = all(len({*cameras(clip, view, side)}) == 1 for side in view.sides)
+        if still and float(np.sqrt(np.mean(away**2))) <= NEAR * size:
+            return cls(range(count), max(count // 4, 1))
+        return cls([*range(count), *range(count - 2, 0, -1)])
+
+    @property
+    def pictures(self) -> int:
+        """Number of pictures of a film."""
+        return len(self.order) - self.fading
+
+    def note(self, view: View) -> list[str]:
+        """Return a note that names the kind of a seamless loop."""
+        if not view.seamless:
+            return []
+        if self.fading:
+            how = f"the last {self.fading} fade into the first"
+        else:
+            how = "the motion runs forth and back"
+        return [f"Seamless videos of {self.pictures} pictures: {how}."]
+
+    def fade_ends(self, images: Iterator[Picture]) -> Iterator[Picture]:
+        """Yield pictures, of which the last ones fade into the first ones, which are left out."""
+        first = list(islice(images, self.fading))
+        for index, image in enumerate(islice(images, len(self.order) - self.fading)):
+            done = index - (len(self.order) - 2 * self.fading)
+            if done >= 0:
+                share = (done + 1) / (self.fading + 1)
+                mixed = (1 - share) * image + share * first[done]
+                image = np.rint(mixed).astype(np.uint8)
+            yield image
 
 
 class Feed(Iterator[Picture]):
@@ -190,6 +245,7 @@ class Feed(Iterator[Picture]):
 def _images(
     clip: Clip,
     view: View,
+    loop: Loop,
     sides: Sequence[str],
     stage: Stage | None,
     shine: Shine | None,
@@ -197,11 +253,11 @@ def _images(
 ) -> Generator[Picture, None, None]:
     """Render the pictures of all sides, frame by frame."""
     seen = list(zip(*(cameras(clip, view, side) for side in sides), strict=True))
-    pairs = ((frame, at) for frame, row in zip(clip.frames(), seen, strict=True) for at in row)
+    pairs = ((frame, at) for k in loop.order for frame in [clip.frame(k)] for at in seen[k])
     shown = (frame if shine is None else shine.illuminate(frame, at) for frame, at in pairs)
     return render_frames(
         shown,
-        chain.from_iterable(seen),
+        chain.from_iterable(seen[k] for k in loop.order),
         background=None if view.stage == "transparent" else view.background,
         stage=stage and stage.at,
         filter=view.filter,
@@ -211,16 +267,17 @@ def _images(
 
 
 def _encode(ending: str, write: Callable[..., object]) -> Encoder:
-    def encode(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
+    def encode(folder: Path, side: str, images: Iterator[Picture], fps: float, view: View) -> Path:
         path = folder / f"{side}.{ending}"
-        write(path, images, fps=fps)
+        small = write is write_animation and view.megabytes
+        write(path, images, fps=fps, **({"most": round(1e6 * small)} if small else {}))
         return path
 
     return encode
 
 
-def _png(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
-    del fps
+def _png(folder: Path, side: str, images: Iterator[Picture], fps: float, view: View) -> Path:
+    del fps, view
     path = folder / f"{side}-png"
     with staging(path) as temporary:
         write_pictures(temporary, images, name=side)
@@ -263,7 +320,7 @@ def _ply(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
     return folder / "clip-ply"
 
 
-Encoder = Callable[[Path, str, Iterator[Picture], float], Path]
+Encoder = Callable[[Path, str, Iterator[Picture], float, View], Path]
 ENCODERS: dict[str, Encoder] = {
     "mp4": _encode("mp4", write_mp4),
     "webm": _encode("webm", write_film),
@@ -294,17 +351,18 @@ def describe_playback(clip: Clip, view: View) -> dict[str, Any]:
     """Return frame rate [1/s], speed and duration [s] of the videos, for the report."""
     real = rate(clip)
     shown = playback(real, view)
-    return {"fps": shown, "speed": shown / real, "seconds": len(clip) / shown}
+    pictures = Loop.of(clip, view).pictures
+    return {"fps": shown, "speed": shown / real, "seconds": pictures / shown}
 
 
-def note_if_choppy(clip: Clip, view: View) -> str | None:
-    """Return a note if slow motion shows too few frames per second."""
+def film_notes(clip: Clip, view: View) -> list[str]:
+    """Return notes on seamless videos, and on slow motion with too few frames per second."""
     real = rate(clip)
-    shown = playback(real, view)
+    shown, notes = playback(real, view), Loop.of(clip, view).note(view)
     if view.speed >= 1 or shown >= SMOOTH:
-        return None
+        return notes
     smooth = f"simulate with --fps {min(24 / view.speed, 1000):g} for smooth motion"
-    return f"Slow motion shows {shown:.3g} frames per second; {smooth}."
+    return [*notes, f"Slow motion shows {shown:.3g} frames per second; {smooth}."]
 
 
 def refuse_unfilmable(scene: Scene) -> None:

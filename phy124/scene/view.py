@@ -154,6 +154,20 @@ class View(Section):
         "long.",
     )
 
+    seamless: bool = Field(
+        default=False,
+        description="Make videos that end as they begin: the last pictures fade into the first "
+        "ones if the object nearly returns to its first pose, otherwise the motion runs forth and "
+        "back.",
+    )
+    megabytes: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        examples=[2.0],
+        description="Largest size of a gif or webp [MB]: pictures are reduced until it fits.",
+    )
+
     @model_validator(mode="after")
     def _check_names(self) -> View:
         if not self.sides or len(set(self.sides)) != len(self.sides):
