@@ -158,7 +158,13 @@ def write_animation(
     Times are multiples of 1 ms in WebP and of 10 ms in GIF. Each frame ends at the multiple nearest
     to its exact time, so that rounding errors do not add up. GIF has 256 colours per frame and no
     half-transparent pixels; prefer WebP. All frames are held in memory until the last one has
-    arrived. If the file would have more than `most` bytes, the pictures are reduced until it fits.
+    arrived.
+
+    Args:
+        path: The file, which appears whole or not at all.
+        frames: The frames; a generator is closed in any case.
+        fps: Frames per second.
+        most: Largest size of the file [bytes]; pictures are reduced until it fits.
 
     Raises:
         InputError: If the name ends in neither .gif nor .webp, there are no frames, `fps` is out
