@@ -15,9 +15,9 @@ from phy124.gaussians import Frame
 from . import cdr
 from .camera_messages import encode_picture, list_topics, transform_of
 from .cameras import SeenFrame
-from .layout import Profile, cloud, evenly, splat_array
+from .layout import Profile, cloud, draco_cloud, evenly, require_draco, splat_array
 from .options import Options
-from .topics import ELLIPSOIDS, POINTS, SPLATS, TF, TF_STATIC, Message, Topic
+from .topics import DRACO, ELLIPSOIDS, POINTS, SPLATS, TF, TF_STATIC, Message, Topic
 
 SPHERE = 2
 """`visualization_msgs/msg/Marker.SPHERE`."""
@@ -30,6 +30,8 @@ class FrameEncoder:
     """Encodes frames as messages according to `options`; logs omissions once."""
 
     def __init__(self, options: Options) -> None:
+        if options.draco:
+            require_draco()
         self.options = options.for_recording()
         self._profile: Profile = self.options.profile or "full"
         self._announced: set[str] = set()
@@ -51,7 +53,8 @@ class FrameEncoder:
         cameras = list_topics(self.options)
         static = [TF_STATIC] if self.options.parent_frame or cameras else []
         markers = [ELLIPSOIDS] if self.options.ellipsoids else []
-        return [*static, self.main, *markers, *([TF, *cameras] if cameras else [])]
+        draco = [DRACO] if self.options.draco else []
+        return [*static, self.main, *draco, *markers, *([TF, *cameras] if cameras else [])]
 
     @property
     def main(self) -> Topic:
@@ -88,6 +91,9 @@ class FrameEncoder:
         header = {"stamp": cdr.time(stamp), "frame_id": self.options.frame_id}
         shown = self._thin(frame)
         messages = [self._gaussians(shown, stamp, header)]
+        if self.options.draco:
+            content = draco_cloud(shown, self.options.draco, header)
+            messages.append(_message(DRACO, stamp, content))
         if self.options.ellipsoids:
             messages.append(_message(ELLIPSOIDS, stamp, self._ellipsoids(frame, header)))
         return messages + self._pictures(frame, stamp)

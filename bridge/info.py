@@ -26,6 +26,7 @@ SHARED = (("NumPy", "numpy", 1), ("OpenCV", "cv2", 4))
 OPTIONAL = {
     "simulation_interfaces": "`live` offers ~/step and ~/reset (std_srvs) instead of its services",
     "splat_interfaces": "there is no profile `splats` through rclpy",
+    "point_cloud_interfaces": "there are no points by Draco through rclpy",
     "foxglove_msgs": "cameras send no h264 through rclpy",
 }
 """ROS 2 package -> the feature that is missing without it."""

@@ -24,8 +24,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.ply import raw_table
+from phy124.runtime.installation import install_command
 
 from .cdr import ENCAPSULATION, NANO
 
@@ -62,6 +64,54 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
         "data": np.concatenate([data, np.frombuffer(tail, np.uint8)]) if tail else data,
         "is_dense": bool(known and np.isfinite(frame.gaussians.means).all()),
     }
+
+
+def draco_cloud(frame: Frame, bits: int, header: dict[str, Any]) -> dict[str, Any]:
+    """Return the CompressedPointCloud2 of `viz`, as draco_point_cloud_transport decodes it.
+
+    Its decoder writes attribute i of the Draco data at the offset of field i. Here attribute 0 has
+    all three coordinates and attribute 1 the four bytes of `rgb`, so `rgb` is the second field.
+    Points that are not finite are left out.
+
+    Args:
+        frame: The frame.
+        bits: Bits per coordinate.
+        header: Header of the message.
+    """
+    import DracoPy
+
+    means = frame.gaussians.means
+    finite = np.isfinite(means).all(axis=1)
+    table = points(frame, "viz")[finite]
+    colours = table["rgb"].copy().view(np.uint8).reshape(-1, 4)
+    # Order is preserved: without it, these points take more bytes and more time.
+    how = {"quantization_bits": bits, "preserve_order": True}
+    # DracoPy cannot encode an empty cloud.
+    data = DracoPy.encode(means[finite], colors=colours, **how) if len(table) else b""
+    return {
+        "header": header,
+        "height": 1,
+        "width": len(table),
+        "fields": [_field(table.dtype, name) for name in ("x", "rgb", "y", "z")],
+        "point_step": table.itemsize,
+        "row_step": table.nbytes,
+        "compressed_data": data,
+        "is_dense": True,
+        "format": "draco",
+    }
+
+
+def require_draco() -> None:
+    """Check that DracoPy can be imported.
+
+    Raises:
+        InputError: DracoPy is not installed.
+    """
+    try:
+        import DracoPy  # noqa: F401
+    except ImportError as error:
+        limit = "Draco needs the package DracoPy, which is not installed."
+        raise InputError("draco", "DracoPy", limit, f"Run `{install_command('draco')}`.") from error
 
 
 def points(frame: Frame, profile: Profile) -> NDArray[Any]:

@@ -1,9 +1,9 @@
 """Definitions of the ROS 2 messages that the bridge uses, and their RIHS01 hashes in ROS 2 Jazzy.
 
 Constants are left out of the definitions, because they are not part of the wire format. The tests
-compare every definition and hash of ROS 2 itself with the package rosbags. Three other packages are
-represented by names and types: simulation_interfaces 2.1.0, splat_interfaces (of RVizSplat) and
-foxglove_msgs.
+compare every definition and hash of ROS 2 itself with the package rosbags. Other packages are
+represented by names and types: simulation_interfaces 2.1.0, splat_interfaces (of RVizSplat),
+foxglove_msgs and point_cloud_interfaces.
 """
 
 from __future__ import annotations
@@ -51,6 +51,11 @@ DEFINITIONS: dict[str, str] = {
         "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\n"
         "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\n"
         "uint32 binning_y\nsensor_msgs/RegionOfInterest roi"
+    ),
+    "point_cloud_interfaces/msg/CompressedPointCloud2": (
+        "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\n"
+        "bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] compressed_data\n"
+        "bool is_dense\nstring format"
     ),
     "foxglove_msgs/msg/CompressedVideo": (
         "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format"
@@ -160,6 +165,9 @@ HASHES: dict[str, str] = {
     ),
     "sensor_msgs/msg/CompressedImage": (
         "RIHS01_15640771531571185e2efc8a100baf923961a4d15d5569652e6cb6691e8e371a"
+    ),
+    "point_cloud_interfaces/msg/CompressedPointCloud2": (
+        "RIHS01_4b38df4932a156a54c53e80a7f34e54e2966b20e54a4d14ded34a165a389c0c1"
     ),
     "foxglove_msgs/msg/CompressedVideo": (
         "RIHS01_32039eafc3770e589c86c4dabff9c392ce9955ebffd43f5f60763011d43d8d1d"

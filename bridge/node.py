@@ -134,5 +134,7 @@ def _require(name: str, value: str, example: str) -> None:
 
 def _options(chosen: dict[str, Any]) -> Options:
     """Return the options of the messages; a parameter of 0 means None."""
-    optional = {name: chosen.get(name) or None for name in ("max_points", "epoch", "cameras")}
+    optional = {
+        name: chosen.get(name) or None for name in ("max_points", "epoch", "cameras", "draco")
+    }
     return Options(**{**chosen, **optional})

@@ -61,6 +61,13 @@ class Options(Section):
     ellipsoid_radius: float = Field(
         default=2.0, gt=0, description="Semi-axes of the ellipsoids in standard deviations."
     )
+    draco: int | None = Field(
+        default=None,
+        ge=8,
+        le=24,
+        description="Also send the points compressed by Draco, with this number of bits per "
+        "coordinate: 14 for steps of 1/16,384 of the object's extent. Default: no.",
+    )
     epoch: float | None = Field(
         default=None,
         ge=1,

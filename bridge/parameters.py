@@ -117,7 +117,7 @@ TEXTS = {"views": [""], "images": ["rgb", "depth"]}
 
 def message_options() -> dict[str, Parameter]:
     """Return the parameters for the message options; max_points is in `RUNNING`."""
-    absent = {"epoch": 0.0, "profile": LIVE_PROFILE, "cameras": ""}
+    absent = {"epoch": 0.0, "profile": LIVE_PROFILE, "cameras": "", "draco": 0}
     fields = {n: field for n, field in Options.model_fields.items() if n not in RUNNING}
     return {
         name: Parameter(

@@ -75,9 +75,10 @@ CAMERA = {
     "h264": ("video", "foxglove_msgs/msg/CompressedVideo"),
 }
 """What a camera sends -> end of the topic's name, and type."""
+DRACO = Topic("/phy124/points/draco", "point_cloud_interfaces/msg/CompressedPointCloud2", depth=5)
 MAIN = (POINTS.name, SPLATS.name)
 """Names of the two topics of Gaussians; every frame is on one of them."""
-RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS, SPLATS, TF)}
+RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, DRACO, ELLIPSOIDS, SPLATS, TF)}
 """Topics in recordings, in addition to those of `contact`. The clock is not recorded, because it
 would conflict with the clock of `ros2 bag play --clock`."""
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bridge.layout import FULL, cloud, evenly, packed_rgb, points, small_points
+from bridge.layout import FULL, cloud, draco_cloud, evenly, packed_rgb, points, small_points
 from phy124.gaussians import Gaussians
 from phy124.io.ply import write_ply
 from support.clips import random_clip
@@ -156,3 +156,32 @@ def test_thinning_is_even_and_the_same_each_time():
     assert set(np.diff(kept)) <= {2, 3}
     assert evenly(40, 40) is None
     assert evenly(100, None) is None
+
+
+def test_draco_decodes_to_the_cloud_of_viz():
+    """Decoded as by draco_point_cloud_transport: attribute i goes to the offset of field i."""
+    draco = pytest.importorskip("DracoPy")
+    frame = random_clip(count=300).frame(1)
+    frame.gaussians.means[7] = np.nan
+    compressed = draco_cloud(frame, 14, {})
+    assert len(compressed["compressed_data"]) < 300 * 12
+    decoded = np.zeros((compressed["width"], compressed["point_step"]), np.uint8)
+    attributes = draco.decode(compressed["compressed_data"]).attributes
+    assert [attribute["unique_id"] for attribute in attributes] == [0, 1]
+    for attribute, field in zip(attributes, compressed["fields"], strict=False):
+        data = np.ascontiguousarray(attribute["data"]).view(np.uint8)
+        first = field["offset"]
+        decoded[:, first : first + data.shape[1]] = data
+    table = np.delete(points(frame, "viz"), 7)
+    again = decoded.view(table.dtype)[:, 0]
+    assert (again["rgb"].view("<u4") == table["rgb"].view("<u4")).all()
+    means = np.delete(frame.gaussians.means, 7, axis=0)
+    error = np.stack([again[axis] for axis in "xyz"], 1) - means
+    assert np.abs(error).max() <= np.ptp(means, axis=0).max() / 2**14
+
+
+def test_empty_draco_cloud():
+    pytest.importorskip("DracoPy")
+    frame = random_clip(count=3).frame(0)
+    frame.gaussians.means[:] = np.nan
+    assert draco_cloud(frame, 14, {})["width"] == 0

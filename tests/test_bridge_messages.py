@@ -9,7 +9,12 @@ from bridge.messages import DEFINITIONS, HASHES, definition
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 DDS_ONLY = "rmw_dds_common/msg/ParticipantEntitiesInfo"
-ELSEWHERE = ("foxglove_msgs/", "simulation_interfaces/", "splat_interfaces/")
+ELSEWHERE = (
+    "foxglove_msgs/",
+    "point_cloud_interfaces/",
+    "simulation_interfaces/",
+    "splat_interfaces/",
+)
 """Packages that are not among those of ROS 2 itself."""
 OWN = [name for name in HASHES if not name.startswith(ELSEWHERE)]
 RECORDED = [name for name in OWN if name != DDS_ONLY]

@@ -72,7 +72,8 @@ def test_package_xml_names_all_ros_dependencies():
     used = set().union(*map(imported, [*map(BRIDGE.joinpath, files), LAUNCH]))
     ros = {n for n in used if n.startswith(("rcl", "launch", "ament", "rosbag", "std_"))}
     every = {name: value for name, value in vars(topics).items() if isinstance(value, topics.Topic)}
-    messages = {topic.type.split("/")[0] for topic in every.values()} - {"splat_interfaces"}
+    messages = {topic.type.split("/")[0] for topic in every.values()}
+    messages -= {"point_cloud_interfaces", "splat_interfaces"}
     assert {"rclpy", "launch", "launch_ros", "ament_index_python", "rosbag2_interfaces"} <= ros
     assert ros | messages | {"python3-numpy", "python3-tqdm"} <= depends.keys()
     # Noble has pydantic 1.10, and RViz is only looked for.

@@ -28,6 +28,7 @@ EXTRAS = {
     "demo": ("gradio", "websockets", "pi_heif", "cma"),
     "bridge": ("mcap",),
     "dds": ("cyclonedds",),
+    "draco": ("DracoPy",),
     "foxglove": ("foxglove",),
     "exr": ("OpenEXR",),
     "usd": ("pxr",),
