@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
-from phy124.liquid.clock import CELLS, WAVES
+from phy124.liquid.clock import CELLS, DIFFUSED, WAVES
 from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, beside_elastic
 from phy124.particles import Particles
 from phy124.scene import Scene
@@ -191,7 +191,10 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
     """
     if scene.projects:
         ceiling = math.inf if scene.time.substep is None else scene.time.substep
-        return np.full(scene.time.frames - 1, min(WAVES * math.sqrt(scene.dx / GRAVITY), ceiling))
+        # `viscous_limit` is the time in which an eighth of the velocity diffuses.
+        viscous = 8 * DIFFUSED * min(section.viscous_limit(scene.dx) for section in scene.materials)
+        longest = min(WAVES * math.sqrt(scene.dx / GRAVITY), viscous, ceiling)
+        return np.full(scene.time.frames - 1, longest)
     fraction = scene.resolution.fraction
     viscous = min(section.viscous_limit(scene.dx) for section in scene.materials)
     longest = beside_elastic(fraction) * viscous

@@ -133,7 +133,8 @@ def _of_liquid(scene: Scene) -> Iterator[Effect]:
     inviscid = (
         "the liquid is inviscid: a wave loses energy only to friction at walls and to the grid"
     )
-    yield Effect("viscosity", False, inviscid)
+    viscous = any(getattr(section, "viscosity", 0.0) > 0 for section in scene.materials)
+    yield Effect("viscosity", viscous, inviscid)
     yield Effect("surface tension", False, "accuracy.liquid = projection does not compute it")
     grains = scene.grains and any(section.grains for section in scene.materials)
     yield Effect("grains inside", grains, "grains is off")

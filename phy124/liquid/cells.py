@@ -128,7 +128,7 @@ class Cells:
         """Momentum, mass and volume of the particles at each cell, in a copy for each worker."""
         self.fills = self._zeros(self._copies * count, t.vec2)
         """Volumes at each cell with quadratic and linear weights, in a copy for each worker."""
-        self.velocity, self.other = (self._zeros(count, t.vec4) for _ in range(2))
+        self.velocity, self.other, self.smooth = (self._zeros(count, t.vec4) for _ in range(3))
         """Velocities of the low faces [m/s], and how full the cell is."""
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
         """Bit for each face that has a velocity."""

@@ -20,6 +20,7 @@ from phy124.kernels.liquid import (
     spread,
     surface,
     transfer,
+    viscous,
 )
 from phy124.kernels.reduction import shared_out
 from phy124.liquid.cells import Cells
@@ -78,6 +79,9 @@ class Phases:
         """Factor from the last pressure to the first guess of the next one."""
         density = float(model.total_mass / np.sum(model.volume.numpy(), dtype=np.float64))
         self._density, self._solids = density, Solids(model, bodies, density)
+        viscosity = max(getattr(section, "viscosity", 0.0) for section in model.materials)
+        self.viscosity = viscosity / (density * model.dx**2)
+        """Rate at which velocities diffuse to a neighbouring face [1/s]."""
 
     def record(
         self,
@@ -130,8 +134,7 @@ class Phases:
             yield "move", launches(phase)
         yield "scatter", self._push(pushes, worker, grid)
         yield "scatter", self._scatter(worker)
-        for records in self._equation(worker):
-            yield "scatter", launches(records)
+        yield from self._before_pressure(worker)
         for phase in solve.phases(cells, cells.pressure, worker, solids=solids):
             yield "pressure", launches(phase)
         for records in self._follow(worker):
@@ -149,11 +152,24 @@ class Phases:
         for records in self._displacements(worker):
             yield "displace", launches(records)
 
+    def _before_pressure(self, worker: int) -> Iterator[tuple[str, list[Named]]]:
+        """Yield a worker's phases from the scatter to the pressure, with the names of groups."""
+        for records in self._activate(worker):
+            yield "scatter", launches(records)
+        yield "scatter", launches([self._sum_copies(worker), self._levels(worker)])
+        if self.viscosity > 0:
+            cells = self._cells
+            start = [("viscosity", lambda: wp.copy(cells.other, cells.velocity))]
+            yield "scatter", start if worker == 0 else []
+            yield "viscosity", launches([self._diffuse(worker, cells.other, cells.smooth)])
+            yield "viscosity", launches([self._diffuse(worker, cells.smooth, cells.other)])
+            yield "equation", launches([self._drag(worker)])
+        for records in self._equation(worker):
+            yield "equation", launches(records)
+
     def _equation(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield a worker's phases that set up the pressure equation."""
         cells, solve = self._cells, self._projection
-        yield from self._activate(worker)
-        yield [self._sum_copies(worker), self._levels(worker)]
         yield [self._assemble(worker), *self._jumps(worker)]
         yield from solve.list_cells(cells, worker)
         yield from self._couple(worker)
@@ -253,9 +269,27 @@ class Phases:
         cells, tracks = self._cells, self._tracks
         inputs = [cells.lattice, cells.window, tracks.clock, tracks.values]
         inputs += [cells.open, cells.shares, self._copy(cells.sums, 0)]
-        outputs = [cells.velocity, cells.hats, cells.phi, cells.liquid]
+        outputs = [cells.velocity, cells.hats, cells.phi, cells.liquid, cells.known]
         kernel = surface.make_levels(self._model.real)
         return self._over_cells(worker, "levels", kernel, inputs, outputs)
+
+    def _viscous(self) -> list:
+        """Return the arguments that the kernels of viscosity share."""
+        cells, walls = self._cells, self._walls
+        inputs = [self.viscosity, cells.lattice, cells.window, self._tracks.clock, cells.known]
+        return [*inputs, cells.open, cells.distances, cells.owners, walls.frictions, walls.motions]
+
+    def _diffuse(self, worker: int, before: wp.array, after: wp.array) -> Recorded:
+        inputs = [*self._viscous(), self._cells.velocity, before]
+        kernel = viscous.make_diffuse(self._model.real)
+        return self._over_cells(worker, "viscosity", kernel, inputs, [after])
+
+    def _drag(self, worker: int) -> Recorded:
+        cells = self._cells
+        inputs = [*self._viscous(), self._copy(cells.sums, 0), cells.other]
+        outputs = [cells.velocity, self._impulses_of_walls.rows(worker)]
+        kernel = viscous.make_drag(self._model.real)
+        return self._over_cells(worker, "viscosity", kernel, inputs, outputs)
 
     def _assemble(self, worker: int) -> Recorded:
         cells = self._cells
@@ -318,7 +352,8 @@ class Phases:
 
     def _slide(self, worker: int, motions: wp.array, *, rubs: bool) -> Recorded:
         cells, walls, dx = self._cells, self._walls, self._model.dx
-        inputs = [int(rubs), self._density * dx**3, cells.lattice, cells.window, motions]
+        mode = 2 if rubs and self.viscosity > 0 else int(rubs)
+        inputs = [mode, self._density * dx**3, cells.lattice, cells.window, motions]
         inputs += [walls.frictions, cells.open, cells.shares, cells.distances, cells.owners]
         inputs += [cells.liquid, cells.known, cells.pressure, cells.velocity]
         kernel = spread.make_slide(self._model.real)
@@ -387,3 +422,4 @@ def kernels(real: Any, form: str) -> Iterator[Any]:
     yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))
     yield from (make(real) for make in (spread.make_spread, spread.make_slide))
     yield from (packing.make_excess(real), impulses.settle)
+    yield from (viscous.make_diffuse(real), viscous.make_drag(real))

@@ -114,6 +114,7 @@ class LiquidSolver:
             model, self.state, self.cells, self.projection, self.workers, self._missed, self.free
         )
         self.team = Team[int](count, self._run_member)
+        self.clock.viscosity = self._phases.viscosity
         self._kick = 0.0
         """Duration over which the current pressure acted [s]."""
         self._fitted = False
@@ -210,6 +211,10 @@ class LiquidSolver:
         if self.walls.move:
             self._move_walls()
         self._group("scatter")
+        if self._phases.viscosity > 0:
+            for _ in range(self.clock.sweeps(kick)):
+                self._group("viscosity")
+        self._group("equation")
         self._solve("pressure", TOLERANCE)
         self._group("gather")
         if self.free.all:

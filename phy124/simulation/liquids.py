@@ -56,8 +56,9 @@ def _of_materials(materials: Sequence[AnyMaterial]) -> Iterator[tuple[str, objec
     for section in materials:
         if section.law != "fluid":
             yield "material.law", section.law, "materials other than fluid in the same scene"
-        elif section.viscosity > 0:
-            yield "material.viscosity", section.viscosity, "viscosity"
     densities = sorted({section.density for section in materials})
     if len(densities) > 1:
         yield "material.density", densities, "liquids of different densities"
+    viscosities = sorted({s.viscosity for s in materials if s.law == "fluid"})
+    if len(viscosities) > 1:
+        yield "material.viscosity", viscosities, "liquids of different viscosities"

@@ -105,7 +105,8 @@ def make_slide(real: Any):
     """Kernel over cells: faces inside walls follow the wall, and faces next to them feel friction.
 
     `frictions` has a row for each wall: its coefficient, and 1 if it sticks. The impulse of
-    friction on the liquid is added to `sums_out`; `weight` is the mass of a full cell [kg].
+    friction on the liquid is added to `sums_out`; `weight` is the mass of a full cell [kg]. With
+    `rubs` 2, sticking follows from viscosity (`viscous`), and acts here only inside walls.
     """
     t = types(real)
 
@@ -166,7 +167,7 @@ def make_slide(real: Any):
                         speed = wp.length(along)
                         if speed > real(0.0):
                             kept = wp.max(real(0.0), real(1.0) - rough[0] * pressed / speed)
-                        if rough[1] > real(0.0):
+                        if rough[1] > real(0.0) and (shut or rubs == 1):
                             kept = real(0.0)
                     if shut:
                         v[axis] = u[axis] + kept * along[axis]

@@ -90,6 +90,7 @@ def make_levels(real: Any):
         hats_out: t.reals,
         phi_out: t.reals,
         liquid_out: Ints,
+        known_out: Ints,
     ):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:
@@ -98,10 +99,13 @@ def make_levels(real: Any):
         q = cells[n]
         a = values[0]
         v = t.vec4()
+        known = int(0)
         for axis in range(3):
             m = q[4 + axis]
             if m > real(0.0):
                 v[axis] = q[axis] / m + clock[0] * a[axis]
+                if open[n][axis] > real(0.0):
+                    known += 1 << axis
         share = shares[n]
         filled = filled_share(q[FILL], share[1], lattice[3])
         v[3] = filled
@@ -110,6 +114,7 @@ def make_levels(real: Any):
         phi = -depth(filled)
         phi_out[n] = phi
         liquid_out[n] = is_liquid(n, phi, open, size)
+        known_out[n] = known
 
     return levels
 

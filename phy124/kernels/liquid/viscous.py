@@ -1,0 +1,176 @@
+"""Viscosity of a liquid: implicit diffusion of the velocities of faces, by Jacobi's method.
+
+The velocity u of a face follows from that before, u0: (1 + k sum g) u = u0 + k sum g u', over the
+neighbouring faces, with k = eta dt / (rho dx^2) and g = 1. Across the surface nothing diffuses. A
+wall to which the liquid sticks has its own velocity at its distance d, g = dx / d; one on which it
+slides stops only the component across it. Each component diffuses by itself. This leaves out the
+coupling of components at a surface (Batty and Bridson 2008), so jets do not fold or coil correctly.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.liquid.faces import cell_of, entry, inner, stride, sums
+from phy124.kernels.liquid.spread import normal_at
+from phy124.kernels.liquid.walls import centre_of, point, speed_of
+
+CLOSEST = wp.constant(0.1)
+"""Smallest distance of a face from a wall [cells]; closer, the wall would take all in one step."""
+
+
+@wp.func
+def wall_link(
+    n: int,
+    axis: int,
+    lattice: Any,
+    window: wp.array(dtype=wp.vec3i),
+    open: wp.array(dtype=Any),
+    distances: wp.array(dtype=Any),
+    owners: wp.array(dtype=int),
+    frictions: wp.array(dtype=Any),
+    motions: wp.array2d(dtype=Any),
+):
+    """Return sum g and sum g u of the wall next to a face, and the number of the wall.
+
+    Every wall stops the component across it; only a sticky one stops the others.
+    """
+    zero = type(open[n][0])(0.0)
+    size = window[1]
+    g = type(zero)(0.0)
+    gu = type(zero)(0.0)
+    owner = int(-1)
+    for along in range(3):
+        for side in range(2):
+            m = n + (2 * side - 1) * stride(along, size)
+            if open[m][axis] == zero:
+                cell = cell_of(m, size)
+                at = wp.vec3i(1, 1, 1)
+                at[axis] = 0
+                face = point(cell, at[0], at[1], at[2], size)
+                wall = owners[face]
+                if wall >= 0:
+                    part = frictions[wall][1]
+                    if along == axis:
+                        normal = normal_at(distances, cell, at, size)[axis]
+                        part = normal * normal
+                    x = centre_of(cell, lattice, window[0])
+                    x[axis] = x[axis] - type(zero)(0.5) * lattice[3]
+                    unit = type(zero)(1.0)
+                    near = unit + distances[face] / lattice[3]
+                    part /= wp.clamp(near, type(zero)(CLOSEST), unit)
+                    g += part
+                    gu += part * speed_of(motions, wall, x)[axis]
+                    if part > zero:
+                        owner = wall
+    return g, gu, owner
+
+
+@cache
+def make_diffuse(real: Any):
+    """Kernel over cells: takes a step of Jacobi's method from one array of velocities to another.
+
+    `known` has a bit for each face with mass. `viscosity` is eta / (rho dx^2) [1/s].
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_diffuse_{real.__name__}", real, seconds=0.4)
+    def diffuse(
+        worker: int,
+        active: Ints,
+        ends: Ints,
+        viscosity: real,
+        lattice,
+        window,
+        clock,
+        known: Ints,
+        open: t.vec4s,
+        distances: t.reals,
+        owners: Ints,
+        frictions: t.vec2s,
+        motions: wp.array2d(dtype=t.vec3),
+        before: t.vec4s,
+        velocity: t.vec4s,
+        velocity_out: t.vec4s,
+    ):
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
+        size = window[1]
+        v = before[n]
+        mask = known[n]
+        if mask > 0 and inner(cell_of(n, size), size, 1):
+            k = viscosity * clock[0]
+            for axis in range(3):
+                bit = 1 << axis
+                if mask & bit > 0:
+                    total = v[axis]
+                    weight = real(1.0)
+                    for along in range(3):
+                        step = stride(along, size)
+                        if known[n - step] & bit > 0:
+                            total += k * velocity[n - step][axis]
+                            weight += k
+                        if known[n + step] & bit > 0:
+                            total += k * velocity[n + step][axis]
+                            weight += k
+                    g, gu, _ = wall_link(
+                        n, axis, lattice, window, open, distances, owners, frictions, motions
+                    )
+                    v[axis] = (total + k * gu) / (weight + k * g)
+        velocity_out[n] = v
+
+    return diffuse
+
+
+@cache
+def make_drag(real: Any):
+    """Kernel over cells: takes over the diffused velocities, and sums the drag of walls.
+
+    The impulse of a wall on a face with mass m is m k (sum g u_wall - sum g u).
+    """
+    t = types(real)
+    vec8 = sums(real)
+
+    @kernel(f"phy124_liquid_drag_{real.__name__}", real, seconds=0.4)
+    def drag(
+        worker: int,
+        active: Ints,
+        ends: Ints,
+        viscosity: real,
+        lattice,
+        window,
+        clock,
+        known: Ints,
+        open: t.vec4s,
+        distances: t.reals,
+        owners: Ints,
+        frictions: t.vec2s,
+        motions: wp.array2d(dtype=t.vec3),
+        cells: wp.array(dtype=vec8),
+        velocity: t.vec4s,
+        velocity_out: t.vec4s,
+        sums_out: wp.array2d(dtype=wp.float64),
+    ):
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
+        size = window[1]
+        v = velocity[n]
+        if known[n] > 0 and inner(cell_of(n, size), size, 1):
+            for axis in range(3):
+                if known[n] & (1 << axis) > 0:
+                    g, gu, owner = wall_link(
+                        n, axis, lattice, window, open, distances, owners, frictions, motions
+                    )
+                    if owner >= 0:
+                        k = viscosity * clock[0]
+                        impulse = wp.float64(cells[n][4 + axis] * k * (gu - g * v[axis]))
+                        wp.atomic_add(sums_out, owner, axis, impulse)
+                        wp.atomic_add(sums_out, owner, 6, impulse * wp.float64(v[axis]))
+        velocity_out[n] = v
+
+    return drag
