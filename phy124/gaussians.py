@@ -206,6 +206,9 @@ class Frame:
     """Force of the walls on each Gaussian [N,3], N, averaged over the last frame interval."""
     wrenches: dict[str, Wrench] | None = None
     """Force and torque of the object on each wall, by the wall's name, if requested."""
+    carried: tuple[Array, Array] | None = None
+    """Positions [C,3], m, and deformation gradients [C,3,3] of the particles that carry the
+    Gaussians, if the run keeps its frames."""
 
 
 @dataclass(frozen=True, eq=False)

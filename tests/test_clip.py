@@ -92,7 +92,7 @@ def test_another_version_is_refused(tmp_path, clip):
     path = tmp_path / "a.safetensors"
     metadata = {"format": "phy124-clip", "version": "99", "scene": "{}", "report": "{}"}
     save_file({"times": np.zeros(1)}, path, metadata)
-    with pytest.raises(InputError, match="format version is 99, but this program reads version 1"):
+    with pytest.raises(InputError, match="format version is 99, but this program reads 1 and 2"):
         Clip.load(path)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
+from zstandard import ZstdError
 
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians, of_walls, rotate_sh, stack_wrenches
 from phy124.io.files import replacing
 from phy124.io.opening import obstacle
+from phy124.motion.packing import pack, unpack
+from phy124.motion.recorded import Computed, Motion, computed
 
 FORMAT = "phy124-clip"
-VERSION = "1"
+VERSION, MOTION = "1", "2"
+"""Versions of clips with the values of every frame, and with the motion that they follow from."""
+SPARE = " " * 8192
+"""Space in the header for a longer report."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
 WALLS = "wrenches"
@@ -69,6 +75,8 @@ class Clip:
     """Index of the object to which each Gaussian belongs [N]; None if there is one object."""
     objects: tuple[str, ...] = ()
     """Names of the objects, if there is more than one."""
+    motion: Motion | None = None
+    """What moves the Gaussians, if the clip's file is to have it in place of their values."""
 
     def __post_init__(self) -> None:
         t, n = self.means.shape[:2]
@@ -144,12 +152,13 @@ class Clip:
             return self
         kept = slice(None, -grains)
         each = {
-            name: None if array is None else array[:, kept]
+            name: array.first(kept) if isinstance(array, Computed) else array[:, kept]
             for name in ("means", "quats", "scales", *OPTIONAL)
-            for array in [getattr(self, name)]
+            if (array := getattr(self, name)) is not None
         }
         each |= {"opacities": self.opacities[kept], "sh": self.sh[kept]}
         each["object_id"] = None if self.object_id is None else self.object_id[kept]
+        each["motion"] = None
         return replace(self, **each, report={**self.report, "grains": 0})
 
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
@@ -206,11 +215,12 @@ class Clip:
         """Return a copy of the clip with the report replaced."""
         return replace(self, report=report)
 
-    def tensors(self) -> dict[str, NDArray]:
+    def tensors(self, left_out: Collection[str] = ()) -> dict[str, NDArray]:
         """Return the arrays that are saved in the clip's file, by name."""
         more = (*OPTIONAL, WALLS, OBJECT)
         names = REQUIRED + tuple(n for n in more if getattr(self, n) is not None)
-        return {name: np.ascontiguousarray(getattr(self, name)) for name in names}
+        kept = (name for name in names if name not in left_out)
+        return {name: np.ascontiguousarray(getattr(self, name)) for name in kept}
 
     def metadata(self) -> dict[str, str]:
         """Return the metadata texts of the clip's file: scene, report, wall and object names."""
@@ -230,19 +240,36 @@ class Clip:
             InputError: If the folder is missing or the file cannot be created.
             OSError: If the disk is full.
         """
+        metadata = self.metadata()
+        if self.motion is None:
+            tensors = self.tensors()
+        else:
+            packed, facts = pack(self.motion)
+            metadata |= {"version": MOTION, "motion": json.dumps(facts)}
+            tensors = self.tensors({*REQUIRED, "rotations", OBJECT} - {"times"}) | packed
+        spare = {"spare": SPARE} if self.motion is not None else {}
         with replacing(path) as temporary:
-            save_tensors(self.tensors(), temporary, self.metadata())
-            _order_header(temporary)
+            save_tensors(tensors, temporary, {**metadata, **spare})
+            _write_metadata(temporary, metadata)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Clip:
         """Open a saved clip; the arrays stay on disk until they are read.
 
         Raises:
-            InputError: If the file is missing, cut short, or not a clip of format version 1.
+            InputError: If the file is missing, cut short, or not a clip of a known version.
         """
         metadata = _read_metadata(Path(path))
-        arrays = _map_tensors(Path(path))
+        arrays, motion = _map_tensors(Path(path)), None
+        if "motion" in metadata:
+            try:
+                motion = unpack(arrays, json.loads(metadata["motion"]), np.array(arrays["times"]))
+                arrays |= computed(motion)
+            except (ValueError, KeyError, IndexError, TypeError, ZstdError) as error:
+                raise _refusal(path, f"its motion is damaged ({error!r}).") from error
+            still = motion.gaussians
+            static = {"opacities": still.opacities, "sh": still.sh, OBJECT: still.object_id}
+            arrays |= {name: array for name, array in static.items() if array is not None}
         missing = [name for name in REQUIRED if name not in arrays]
         if missing:
             raise _refusal(path, f"the tensors {', '.join(missing)} are missing.")
@@ -255,7 +282,8 @@ class Clip:
         except (ValueError, TypeError) as error:
             raise _refusal(path, f"its scene or report is damaged ({error}).") from error
         try:
-            return cls(**known, scene=scene, report=report, walls=walls, objects=objects)
+            texts = {"scene": scene, "report": report, "walls": walls, "objects": objects}
+            return cls(**known, **texts, motion=motion)
         except (ValueError, IndexError) as error:
             raise _refusal(path, f"its tensors have inconsistent shapes ({error}).") from error
 
@@ -277,10 +305,13 @@ def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Return the number of frames and of Gaussians of a saved clip from its file's header.
 
     Raises:
-        InputError: If the file is missing, cut short, or not a clip of format version 1.
+        InputError: If the file is missing, cut short, or not a clip of a known version.
     """
     _read_metadata(Path(path))
     with safe_open(path, framework="np") as file:
+        if "motion" in (metadata := file.metadata()):
+            facts = json.loads(metadata["motion"])
+            return facts["frames"], facts["arrays"]["means"]["shape"][0]
         if "means" not in file.keys():  # noqa: SIM118
             raise _refusal(path, "the tensor means is missing.")
         frames, gaussians, _ = file.get_slice("means").get_shape()
@@ -291,7 +322,7 @@ def read_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the scene of a saved clip as plain data from its file's header.
 
     Raises:
-        InputError: If the file is missing, cut short, or not a clip of format version 1.
+        InputError: If the file is missing, cut short, or not a clip of a known version.
     """
     return json.loads(_read_metadata(Path(path))["scene"])
 
@@ -312,24 +343,37 @@ def _read_metadata(path: Path) -> dict[str, str]:
         ) from error
     if metadata.get("format") != FORMAT or not {"scene", "report"} <= metadata.keys():
         raise _refusal(path, "it is a safetensors file, but not a phy124 clip.")
-    if metadata.get("version") != VERSION:
+    if metadata.get("version") not in (VERSION, MOTION):
         version = metadata.get("version")
         raise _refusal(
-            path, f"its format version is {version}, but this program reads version {VERSION}."
+            path, f"its format version is {version}, but this program reads {VERSION} and {MOTION}."
         )
     return metadata
 
 
-def _order_header(path: Path) -> None:
-    """Sort the metadata of a safetensors file: equal clips then have byte-identical files."""
+def restate(path: Path, clip: Clip) -> bool:
+    """Replace the report in a written clip; return False if its header has too little space.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    with safe_open(path, framework="np") as file:
+        old = file.metadata() or {}
+    kept = {name: old[name] for name in ("version", "motion") if name in old}
+    return _write_metadata(path, clip.metadata() | kept)
+
+
+def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
+    """Write the metadata of a safetensors file in order; equal clips then have equal files."""
     with open(path, "r+b") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))
-        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+        header["__metadata__"] = dict(sorted(metadata.items()))
         text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
         if len(text) <= length:  # pad with spaces to the old length: the tensors must not move
             file.seek(8)
             file.write(text.ljust(length))
+    return len(text) <= length
 
 
 def _map_tensors(path: Path) -> dict[str, NDArray]:
@@ -337,7 +381,7 @@ def _map_tensors(path: Path) -> dict[str, NDArray]:
     with open(path, "rb") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))
-    types = {"F32": np.float32, "F64": np.float64, "I32": np.int32}
+    types = {"F32": np.float32, "F64": np.float64, "I32": np.int32, "U8": np.uint8}
     arrays = {}
     for name, entry in header.items():
         if name == "__metadata__" or entry["dtype"] not in types:
@@ -362,7 +406,10 @@ def save_tensors(
     """
     try:
         whole = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
+        path.touch()
+        mode = path.stat().st_mode  # safetensors makes files that only their owner can read
         save_file(whole, path, dict(metadata or {}))
+        path.chmod(mode)
     except SafetensorError as error:
         number = re.search(r"\(os error (\d+)\)", str(error))
         if number is None:

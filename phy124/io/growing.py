@@ -30,7 +30,16 @@ CODES = {"F32": "<f4", "F64": "<f8", "I32": "<i4"}
 """NumPy types by their names in safetensors files."""
 SHAPES = ("means", "quats", "scales")
 """Arrays of the Gaussians that change over time."""
-MOVING = {"times", *SHAPES, "rotations", "velocities", "contacts", "wrenches"}
+MOVING = {
+    "times",
+    *SHAPES,
+    "rotations",
+    "velocities",
+    "contacts",
+    "wrenches",
+    "carried_x",
+    "carried_F",
+}
 """Arrays that have one row per frame."""
 
 
@@ -134,7 +143,10 @@ class Growing:
             self._write(array, tensor.offset + index * array.nbytes)
         gaussians = replace(frame.gaussians, **{n: self.arrays[n][index] for n in SHAPES})
         optional = {name: self._row(name, index) for name in ("velocities", "contacts")}
-        return replace(frame, gaussians=gaussians, **optional), self._row("rotations", index)
+        x, F = self._row("carried_x", index), self._row("carried_F", index)
+        carried = None if x is None or F is None else (x, F)
+        kept = replace(frame, gaussians=gaussians, carried=carried, **optional)
+        return kept, self._row("rotations", index)
 
     def finish(self, clip: Clip, path: Path) -> bool:
         """Complete the file and link it as `path`; False if the clip has other arrays.
@@ -241,5 +253,7 @@ def _arrays_of(frame: Frame, rotation: NDArray | None) -> dict[str, NDArray]:
         "velocities": frame.velocities,
         "contacts": frame.contacts,
         "wrenches": wrenches,
+        "carried_x": frame.carried and frame.carried[0],
+        "carried_F": frame.carried and frame.carried[1],
     }
     return {name: np.asarray(array) for name, array in arrays.items() if array is not None}

@@ -60,6 +60,7 @@ class Deformer:
         rounds: NDArray | None = None,
         flows: NDArray | None = None,
         holds: NDArray | None = None,
+        bound: NDArray | None = None,
         device: str = "cpu",
         threads: int = 1,
     ) -> None:
@@ -78,6 +79,7 @@ class Deformer:
                 bound; None: none are.
             holds: Largest stretch of each Gaussian's material [N]. If F is larger, the material is
                 torn, and its Gaussians are drawn with this stretch; None: no limit.
+            bound: Index of each Gaussian's own particle [N]; None: as the particles say.
             device: Warp device of the computation.
             threads: Number of CPU threads that process the Gaussians; it does not change the
                 result.
@@ -104,7 +106,7 @@ class Deformer:
         self._rounds = wp.array(balls, dtype=wp.bool, device=device)
         most = np.full(n, np.inf) if holds is None else holds
         self._holds = wp.array(most, dtype=wp.float64, device=device)
-        bound = _bound_particles(n, particles)
+        bound = _bound_particles(n, particles) if bound is None else bound
         if bound is None and particles is not None:
             self._motion = _Field(gaussians, particles, flows, self._share)
         else:
@@ -120,7 +122,16 @@ class Deformer:
         self._inner = wp.array(identity, dtype=wp.vec4f, device=device)
         self._turned = wp.array(identity, dtype=wp.vec4f, device=device)
 
-    def __call__(self, x: Any, F: Any, *, index: int, time: float, velocities: Any = None) -> Frame:
+    def __call__(
+        self,
+        x: Any,
+        F: Any,
+        *,
+        index: int,
+        time: float,
+        velocities: Any = None,
+        colours: bool = True,
+    ) -> Frame:
         """Return the frame at a given time.
 
         Args:
@@ -129,6 +140,7 @@ class Deformer:
             index: Number of the frame.
             time: Time [s].
             velocities: Velocities of the particles [P,3], m/s, if the frame is to include them.
+            colours: Whether colours are rotated with the material.
 
         Raises:
             FloatingPointError: A position or F is not finite; the message says how many.
@@ -141,7 +153,7 @@ class Deformer:
         frame = [self._inner, self._quats, self._scales]
         kernel, each = shapes_of(self._device)
         self._share.launch(kernel, rest, [deformation], frame, each=each)
-        sh = self._colours(deformation)
+        sh = self._colours(deformation, colours)
         quats, scales = _copy(self._quats), _copy(self._scales)
         gaussians = replace(self.gaussians, means=_copy(means), quats=quats, scales=scales, sh=sh)
         if velocities is not None:
@@ -151,6 +163,13 @@ class Deformer:
             self._refuse_broken(broken)
             velocities = self._motion.interpolate(velocities)
         return Frame(index, time, gaussians, velocities)
+
+    @property
+    def carriers(self) -> NDArray[np.int32]:
+        """Indices of the particles that carry Gaussians [C]."""
+        carry = np.zeros(self._count, bool)
+        carry[self._motion.carriers] = True
+        return np.flatnonzero(carry).astype(np.int32)
 
     def snapshot(self) -> dict[str, NDArray]:
         """Return the axes from which the next frame continues."""
@@ -189,13 +208,13 @@ class Deformer:
         if broken:
             raise FloatingPointError(f"{broken} of {self._count} particles are NaN or infinite")
 
-    def _colours(self, deformation: wp.array) -> NDArray:
+    def _colours(self, deformation: wp.array, rotated: bool) -> NDArray:
         rest = self.gaussians
         if rest.sh_degree == 0:
             return rest.sh
         self._share.launch(field.turn_of_material, [self._carrier], [deformation], [self._turned])
         self.rotations = turned = _copy(self._turned)
-        still = (turned == (1, 0, 0, 0)).all()
+        still = not rotated or (turned == (1, 0, 0, 0)).all()
         return rest.sh if still else rotate_sh(rest.sh, turned)
 
 
@@ -249,7 +268,7 @@ class _Bound:
     def __init__(self, particle: NDArray, share: _Share) -> None:
         """Store the index of each Gaussian's particle [N]."""
         n, device, self._share = len(particle), share.device, share
-        self.particle = particle
+        self.carriers = self.particle = particle
         self._particle = wp.array(particle, dtype=wp.int32, device=device)
         self._means = wp.array(np.zeros((n, 3)), dtype=wp.vec3f, device=device)
         self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
@@ -272,6 +291,7 @@ class _Field:
         self, gaussians: Gaussians, particles: Particles, flows: NDArray | None, share: _Share
     ) -> None:
         self.neighbours, self.weights = _carriers_of(gaussians, particles)
+        self.carriers = self.neighbours
         n, device = len(gaussians), share.device
         self.device, self._share = device, share
         self._carried = [

@@ -115,18 +115,10 @@ class Recording:
             OSError: The disk is full.
         """
         with suppress(OSError):
-            if self.frames is not None and not self.failed and self.frames.finish(clip, path):
+            frames = self.frames if clip.motion is None and not self.failed else None
+            if frames is not None and frames.finish(clip, path):
                 return
         clip.save(path)
-
-    def restate(self, clip: Clip) -> None:
-        """Replace the report in the written clip, if its file has space for it.
-
-        Raises:
-            OSError: It cannot be written.
-        """
-        if self.frames is not None:
-            self.frames.state(clip)
 
     def discard(self) -> None:
         """Remove the files of pause and frames; in a folder that became read-only both stay."""

@@ -209,6 +209,10 @@ def _frames(run: Simulation) -> Tensors:
         for name in ("means", "quats", "scales"):
             stack = [getattr(frame.gaussians, name) for frame in run.frames]
             tensors[f"frames.{name}"] = np.stack(stack)
+        carried = [frame.carried for frame in run.frames if frame.carried is not None]
+        if carried:
+            x, F = zip(*carried, strict=True)
+            tensors |= {"frames.carried_x": np.stack(x), "frames.carried_F": np.stack(F)}
         for name in ("velocities", "contacts"):
             kept = [getattr(f, name) for f in run.frames if getattr(f, name) is not None]
             if kept:
@@ -231,6 +235,8 @@ def _put_frames(run: Simulation, kept: Tensors) -> None:
         more = {name: kept[name][index] for name in ("velocities", "contacts") if name in kept}
         wrenches = None if walls is None else of_walls(names, np.array(walls[index]))
         gaussians, place = replace(run.setup.shown, **shape), run.count - len(times) + index
+        if "carried_x" in kept:
+            more["carried"] = (kept["carried_x"][index], kept["carried_F"][index])
         run.frames.append(Frame(place, time, gaussians, **more, wrenches=wrenches))
     run.rotations = list(kept.get("rotations", []))
 

@@ -21,7 +21,7 @@ from phy124.accuracy.companion import with_own_error
 from phy124.accuracy.forecast import Forecast
 from phy124.accuracy.promises import promise
 from phy124.errors import Cancelled, Incomplete, InputError
-from phy124.io.clip import Clip
+from phy124.io.clip import Clip, restate
 from phy124.io.files import deliver, replacing, write_whole
 from phy124.io.files import staging as staging
 from phy124.io.growing import Growing
@@ -125,13 +125,14 @@ class RunFolder:
         if self.keep and self.films and not interrupted:
             with suppress(OSError, InputError):
                 self.recording.pause(run)  # allows --resume if the filming is killed
-        cut, problem = self._film(clip, run.scene, folder)
+        saved = folder / CLIP if (folder / CLIP).exists() else self.out / CLIP
+        cut, problem = self._film(saved, run.scene, folder)
         if cut and not interrupted:
             interrupted = self._pause(folder, run)
         made |= {path.name for path in folder.glob("[!.]*")} | {REPORT}
         report = self._update(report, made, interrupted=cut or interrupted)
         with suppress(OSError, InputError):  # without disk space the earlier report stays
-            self.recording.restate(clip.with_report(report))
+            restate(saved, clip.with_report(report))
             write_json(folder / REPORT, report)
         deliver(folder)
         remove_results(self.out, before.difference(made))
@@ -165,7 +166,7 @@ class RunFolder:
                 raise _after_error(self.out, left) from error
             raise
 
-    def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
+    def _film(self, path: Path, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
         """Film all views; return whether filming was interrupted, and the exception if it failed.
 
         Finished films stay in either case.
@@ -173,7 +174,7 @@ class RunFolder:
         if not self.films:
             return False, None
         try:
-            film(clip, scene.view, folder, self.context)
+            film(Clip.load(path), scene.view, folder, self.context)
         except Cancelled:
             if not self.keep:
                 self.recording.drop()

@@ -111,7 +111,7 @@ class Shine:
 
     def pack(self, clip: Clip) -> tuple[Clip, dict[str, Any]]:
         """Return the clip with its fluids as discs, and its gloss as plain data, for the player."""
-        quats, scales = clip.quats.copy(), clip.scales.copy()
+        quats, scales = np.array(clip.quats), np.array(clip.scales)
         for law, which in self._parts.items():
             for frame in clip.frames():
                 _, *shapes = self._surface(law, frame, which)

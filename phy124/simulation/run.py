@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from phy124.monitor.diagnostics import describe_substep
 from phy124.monitor.observer import Kind, Observer, Violation, find, restore_all, snapshots
 from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer
+from phy124.motion.recorded import Motion
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.threads import Team
 from phy124.mpm.workers import HOST, REPAIR, run_timed
@@ -184,6 +186,7 @@ class Simulation:
         )
         for observer in self.observers:
             clip = observer.complete(clip)
+        clip = replace(clip, motion=self._motion(clip))
         return clip.with_report(self.report() | report_clip(setup, clip))
 
     def report(self) -> dict[str, Any]:
@@ -234,7 +237,44 @@ class Simulation:
                 frame = observer.after_frame(frame)
         with stage("deform"):
             self.poses.append(self.solver.free.poses())
-            return scenery.whole(frame, self.poses, self.solver.free.motions())
+            frame = scenery.whole(frame, self.poses, self.solver.free.motions())
+            if not (self.setup.keep and self.setup.shapes):
+                return frame
+            x, F = (np.asarray(array.numpy()) for array in (state.x, state.deformation))
+            carried = (x[self.carriers].astype(np.float32), F[self.carriers].astype(np.float32))
+            return replace(frame, carried=carried)
+
+    @cached_property
+    def carriers(self) -> NDArray[np.int32]:
+        """Indices of the particles that carry Gaussians [C]."""
+        return self.deformer.carriers
+
+    def _motion(self, clip: Clip) -> Motion | None:
+        """Return what moves the Gaussians of a clip; None if its Gaussians are not those at rest.
+
+        Gaussians inside torn material are added to a finished clip, and follow no particle.
+        """
+        setup, count = self.setup, len(self.frames)
+        carried = [frame.carried for frame in self.frames if frame.carried is not None]
+        if len(carried) != count or len(clip.opacities) != len(setup.shown):
+            return None
+        if setup.free and len(self.poses) != count:
+            return None
+        tracks = [track.values(clip.times) for _, track in setup.scenery.tracks]
+        return Motion(
+            gaussians=setup.shown,
+            moves=setup.appearance.moves,
+            particles=setup.particles,
+            limits=setup.appearance.limits(),
+            carriers=self.carriers,
+            x=[x for x, _ in carried],
+            F=[F for _, F in carried],
+            times=clip.times,
+            on_tracks=tuple(index for index, _ in setup.scenery.tracks),
+            tracks=np.stack(tracks, axis=1) if tracks else np.zeros((count, 0, 3)),
+            free=setup.scenery.free,
+            poses=np.array(self.poses) if setup.free else np.zeros((count, 0, 7)),
+        )
 
     def _repeat_frame(self, index: int, time: float) -> Frame:
         """Return the last frame with a new index and time, since nothing has moved."""

@@ -68,7 +68,7 @@ def compose(
     assert stage is not None
     backdrop = Backdrop(BLACK, BLACK, photograph.erase_object())
     stage = replace(stage, backdrop=backdrop, pool=0.0)
-    clip = replace(clip, sh=better.sh, scales=clip.scales * better.sizes[:, None])
+    clip = replace(clip, sh=better.sh, scales=clip.scales * better.sizes[:, None], motion=None)
     images = render_frames(
         clip.frames(),
         [camera] * len(clip),

@@ -1,0 +1,304 @@
+"""Packs a motion into bytes: static arrays without loss, moving arrays in small steps.
+
+Every array is stored as differences, which are split into bytes of equal significance and then
+compressed by Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`;
+differences are taken in time, and along a Hilbert curve through the particles at rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians, Particles
+from phy124.motion.recorded import Motion
+
+STEP_X = 2e-5
+"""Largest step of the stored positions of particles, relative to the object's size."""
+STEP_F = 2.0**-10
+"""Step of the stored deformation gradients."""
+FRAMES = 32
+"""Number of frames that are packed together."""
+FAST = 1 << 20
+"""Number of values above which arrays are compressed at the fast level."""
+LEVELS = 15, 1
+"""Levels of compression for small and for large arrays."""
+BITS = 10
+"""Cells of the Hilbert curve along each axis, as a power of two."""
+Tensors = dict[str, NDArray]
+STATIC = ("means", "quats", "scales", "opacities", "sh", "object_id")
+
+
+def pack(motion: Motion) -> tuple[Tensors, dict[str, Any]]:
+    """Return the arrays [bytes] of a motion by name, and the facts that `unpack` needs."""
+    still, particles = motion.gaussians, motion.particles
+    exact = {name: getattr(still, name) for name in STATIC}
+    volumes = _mean_volumes(particles)
+    exact |= {"moves": motion.moves, "rest": particles.x, "volume": volumes}
+    exact |= {"gaussian": particles.gaussian, "body": particles.body, "carriers": motion.carriers}
+    exact |= {"tracks": motion.tracks, "poses": motion.poses, **motion.limits}
+    tensors, arrays = {}, {}
+    for name, array in exact.items():
+        if array is not None:
+            tensors[f"motion.{name}"], arrays[name] = _pack_exact(name, np.asarray(array))
+    rest = particles.x[motion.carriers].astype(np.float64)
+    size = float(np.ptp(rest, axis=0).max()) if len(rest) else 1.0
+    steps = {"x": 2.0 ** math.floor(math.log2(STEP_X * max(size, 1e-12))), "F": STEP_F}
+    order = hilbert_order(rest)
+    for name, rows in (("x", motion.x), ("F", motion.F)):
+        base, chunks = _base(name, rest), []
+        for start in range(0, len(rows), FRAMES):
+            values = np.stack([rows[i] for i in range(start, min(start + FRAMES, len(rows)))])
+            whole = np.rint((values.reshape(len(values), len(rest), -1) - base) / steps[name])
+            if not (np.abs(whole) < 2**30).all():
+                raise OverflowError(f"{name} is too large for the steps of a clip")
+            chunks.append(_pack_steps(whole.astype(np.int64)[:, order]))
+        tensors[f"motion.{name}"], lengths = _joined(chunks)
+        arrays[name] = {"chunks": lengths}
+    facts = {"arrays": arrays, "steps": steps, "frames": len(motion.x)}
+    return tensors, {**facts, "on_tracks": list(motion.on_tracks), "free": list(motion.free)}
+
+
+def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDArray) -> Motion:
+    """Return a packed motion; positions and F are unpacked when they are read.
+
+    Raises:
+        KeyError, ValueError, zstandard.ZstdError: The arrays are damaged.
+    """
+    arrays = facts["arrays"]
+    exact = {
+        name: _unpack_exact(tensors[f"motion.{name}"], arrays[name])
+        for name in arrays
+        if name not in ("x", "F")
+    }
+    means, quats, scales, opacities, sh = (exact.pop(name) for name in STATIC[:5])
+    still = Gaussians(means, quats, scales, opacities, sh, exact.pop("object_id", None))
+    x = exact.pop("rest")
+    particles = Particles(
+        x=x,
+        volume=exact.pop("volume"),
+        density=np.ones(len(x)),
+        material=np.zeros(len(x), np.int32),
+        gaussian=exact.pop("gaussian"),
+        body=exact.pop("body", None),
+    )
+    moves, carriers = exact.pop("moves"), exact.pop("carriers")
+    tracks, poses = exact.pop("tracks"), exact.pop("poses")
+    rest = x[carriers].astype(np.float64)
+    order = hilbert_order(rest)
+    rows = {
+        name: Steps(
+            tensors[f"motion.{name}"],
+            arrays[name]["chunks"],
+            facts["steps"][name],
+            _base(name, rest),
+            order,
+            facts["frames"],
+            (len(rest), 3) if name == "x" else (len(rest), 3, 3),
+        )
+        for name in ("x", "F")
+    }
+    return Motion(
+        gaussians=still,
+        moves=moves,
+        particles=particles,
+        limits=exact,
+        carriers=carriers,
+        times=times,
+        on_tracks=tuple(facts["on_tracks"]),
+        tracks=tracks,
+        free=tuple(facts["free"]),
+        poses=poses,
+        **rows,
+    )
+
+
+class Steps:
+    """Rows of a packed array, one per frame; the last chunk that was read stays unpacked."""
+
+    def __init__(
+        self,
+        data: NDArray,
+        lengths: Sequence[int],
+        step: float,
+        base: NDArray,
+        order: NDArray,
+        count: int,
+        shape: tuple[int, ...],
+    ) -> None:
+        """Store the packed bytes and what their values mean."""
+        self._data, self._step, self._base, self._order = data, step, base, order
+        self._ends = np.cumsum([0, *lengths])
+        self._count, self._shape, self._chunk = count, shape, (-1, np.zeros(0))
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> NDArray[np.float32]:
+        """Return the row of a frame.
+
+        Raises:
+            InputError: The packed bytes are damaged.
+        """
+        which, place = divmod(index, FRAMES)
+        if self._chunk[0] != which:
+            start, end = self._ends[which : which + 2]
+            frames = min(FRAMES, self._count - which * FRAMES)
+            shape = (frames, len(self._base), self._base.shape[1])
+            steps = np.empty(shape, np.int64)
+            try:
+                steps[:, self._order] = _unpack_steps(self._data[start:end].tobytes(), shape)
+            except (zstandard.ZstdError, ValueError) as error:
+                limit = f"its motion is damaged ({error})."
+                raise InputError("clip", f"frame {index}", limit, "Simulate it again.") from error
+            self._chunk = which, steps
+        row = self._base + self._chunk[1][place] * self._step
+        return row.astype(np.float32).reshape(self._shape)
+
+
+def hilbert_order(points: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the order of points [P,3] along a Hilbert curve (Skilling, AIP Conf. 707, 2004)."""
+    if not len(points):
+        return np.zeros(0, np.intp)
+    low, size = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-12)
+    x = ((points - low) / size * (2**BITS - 1)).astype(np.int64).T.copy()
+    bit = 1 << (BITS - 1)
+    while bit > 1:
+        for i in range(3):
+            high = (x[i] & bit) > 0
+            x[0] = np.where(high, x[0] ^ (bit - 1), x[0])
+            swap = np.where(high, 0, (x[0] ^ x[i]) & (bit - 1))
+            x[0] ^= swap
+            x[i] ^= swap
+        bit >>= 1
+    x[1] ^= x[0]
+    x[2] ^= x[1]
+    turn = np.zeros_like(x[0])
+    for power in range(BITS - 1, 0, -1):
+        turn = np.where(x[2] & (1 << power), turn ^ ((1 << power) - 1), turn)
+    x ^= turn
+    code = np.zeros_like(x[0])
+    for power in range(BITS - 1, -1, -1):
+        for i in range(3):
+            code = (code << 1) | ((x[i] >> power) & 1)
+    return np.argsort(code, kind="stable")
+
+
+def _base(name: str, rest: NDArray) -> NDArray[np.float64]:
+    """Return the values of the particles at rest, from which the steps are counted."""
+    return rest if name == "x" else np.broadcast_to(np.eye(3).ravel(), (len(rest), 9))
+
+
+def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
+    """Return the mean volume of each particle's object [P]; the binding needs no other."""
+    volume = np.full(len(particles.x), particles.volume.mean() if len(particles.x) else 0.0)
+    for body in () if particles.body is None else np.unique(particles.body):
+        inside = particles.body == body
+        volume[inside] = particles.volume[inside].mean()
+    return volume
+
+
+def _pack_steps(steps: NDArray[np.int64]) -> bytes:
+    """Pack whole numbers [T,P,K]: differences in time, then along the curve."""
+    steps = np.diff(steps, axis=0, prepend=0)
+    steps = np.diff(steps, axis=1, prepend=0)
+    return _compress(_zigzag(steps.transpose(2, 0, 1), 4))
+
+
+def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int64]:
+    """Return whole numbers [T,P,K] of a shape."""
+    count, points, width = shape
+    steps = _unzigzag(_decompress(data, 4)).astype(np.int64).reshape(width, count, points)
+    return np.cumsum(np.cumsum(steps.transpose(1, 2, 0), axis=1), axis=0)
+
+
+def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+    """Pack an array without loss, column by column; a column equal to the one before is empty."""
+    columns = _columns(array)
+    last, chunks = None, []
+    for index in _column_order(name, len(columns)):
+        column = columns[index]
+        if name == "quats" and index == 0:
+            column = column - _bits(_real_part(columns))
+        same = last is not None and np.array_equal(column, last)
+        size = column.dtype.itemsize
+        chunks.append(b"" if same else _compress(_zigzag(np.diff(column, prepend=0), size)))
+        last = column
+    data, lengths = _joined(chunks)
+    return data, {"dtype": array.dtype.str, "shape": list(array.shape), "chunks": lengths}
+
+
+def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
+    """Return an array that `_pack_exact` packed."""
+    dtype, shape = np.dtype(facts["dtype"]), tuple(facts["shape"])
+    ends = np.cumsum([0, *facts["chunks"]])
+    width = len(facts["chunks"])
+    columns = np.empty((width, shape[0]), _whole(dtype))
+    quats = width == 4 and shape[1:] == (4,)
+    last = None
+    for place, index in enumerate(_column_order("quats" if quats else "", width)):
+        chunk = data[ends[place] : ends[place + 1]].tobytes()
+        if chunk or last is None:
+            last = np.cumsum(_unzigzag(_decompress(chunk, dtype.itemsize)), dtype=columns.dtype)
+        columns[index] = last
+        if quats and index == 0:
+            columns[0] += _bits(_real_part(columns))
+    return np.ascontiguousarray(columns.T).view(dtype).reshape(shape)
+
+
+def _column_order(name: str, count: int) -> Sequence[int]:
+    """Return the order of columns: the real part of quaternions follows from the others."""
+    return (1, 2, 3, 0) if name == "quats" and count == 4 else range(count)
+
+
+def _real_part(columns: NDArray) -> NDArray[np.float32]:
+    """Return the positive real part of unit quaternions from the bits of their other parts."""
+    x, y, z = (columns[k].view(np.float32).astype(np.float64) for k in (1, 2, 3))
+    return np.sqrt(np.maximum(1 - x * x - y * y - z * z, 0)).astype(np.float32)
+
+
+def _whole(dtype: np.dtype) -> np.dtype:
+    return np.dtype(f"<i{dtype.itemsize}")
+
+
+def _bits(array: NDArray) -> NDArray:
+    return np.ascontiguousarray(array).view(_whole(array.dtype))
+
+
+def _columns(array: NDArray) -> NDArray:
+    """Return the bits of an array as whole numbers, one row per column."""
+    return np.ascontiguousarray(_bits(array).reshape(len(array), math.prod(array.shape[1:])).T)
+
+
+def _zigzag(values: NDArray, size: int) -> NDArray:
+    """Return non-negative numbers that are small where whole numbers are close to 0."""
+    whole = values.astype(f"<i{size}", copy=False)
+    return ((whole << 1) ^ (whole >> (8 * size - 1))).view(f"<u{size}")
+
+
+def _unzigzag(values: NDArray) -> NDArray:
+    signed = values.view(f"<i{values.dtype.itemsize}")
+    return ((values >> 1).view(signed.dtype)) ^ -(signed & 1)
+
+
+def _compress(values: NDArray) -> bytes:
+    """Compress numbers, their bytes of equal significance together."""
+    planes = np.ascontiguousarray(values).reshape(-1).view(np.uint8)
+    planes = np.ascontiguousarray(planes.reshape(-1, values.dtype.itemsize).T)
+    level = LEVELS[values.size > FAST]
+    return zstandard.ZstdCompressor(level=level).compress(planes.tobytes())
+
+
+def _decompress(data: bytes, size: int) -> NDArray:
+    planes = np.frombuffer(zstandard.ZstdDecompressor().decompress(data), np.uint8)
+    return np.ascontiguousarray(planes.reshape(size, -1).T).view(f"<u{size}").reshape(-1)
+
+
+def _joined(chunks: Sequence[bytes]) -> tuple[NDArray[np.uint8], list[int]]:
+    return np.frombuffer(b"".join(chunks), np.uint8), [len(chunk) for chunk in chunks]

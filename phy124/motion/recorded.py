@@ -1,0 +1,258 @@
+"""Frames of a clip, computed from the motion of the particles that carry its Gaussians.
+
+The shapes of a frame continue those of the frame before (`phy124.motion.deform`). Frames are
+therefore computed in order, from the first one or from the nearest stored state, so that each has
+the same bits whenever it is read.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from threading import RLock
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+from numpy.typing import NDArray
+
+from phy124.gaussians import Array, Gaussians, Particles
+from phy124.motion.scenery import Scenery
+
+if TYPE_CHECKING:
+    from phy124.motion.deform import Deformer
+
+KEPT = 256e6
+"""Size of the computed frames that are kept [bytes]; at least one is."""
+STATES = 64e6
+"""Size of the states from which frames can be computed [bytes]."""
+BYTES = 40
+"""Size of a Gaussian in a computed frame [bytes]."""
+STATE = 56
+"""Size of a Gaussian in a state [bytes]."""
+MOVING = ("means", "quats", "scales", "rotations")
+"""Arrays of a frame that are computed."""
+
+
+class Rows(Protocol):
+    """One array per frame."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> NDArray: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What moves the Gaussians of a clip, for T frames."""
+
+    gaussians: Gaussians
+    """All N Gaussians at rest."""
+    moves: NDArray[np.bool_]
+    """Mask of the Gaussians that particles carry [N]."""
+    particles: Particles
+    """All particles at rest [P]."""
+    limits: dict[str, NDArray]
+    """Limits of the shapes, as for `Deformer`."""
+    carriers: NDArray[np.int32]
+    """Indices of the particles that carry Gaussians [C]."""
+    x: Rows
+    """Positions of these particles in each frame [C,3], m."""
+    F: Rows
+    """Their deformation gradients in each frame [C,3,3]."""
+    times: NDArray[np.float64]
+    """Times of the frames [T], s."""
+    on_tracks: tuple[int, ...]
+    """Indices of the objects that follow a track."""
+    tracks: NDArray[np.float64]
+    """Displacements of these objects [T,K,3], m."""
+    free: tuple[int, ...]
+    """Indices of the objects that are rigid solids."""
+    poses: NDArray[np.float64]
+    """Centres [m] and rotations (wxyz) of the rigid solids [T,R,7]."""
+
+
+class Track:
+    """Displacement of an object at the times of the frames."""
+
+    def __init__(self, times: NDArray, displacements: NDArray) -> None:
+        """Store the displacements [T,3] at the times [T]."""
+        self._times, self._displacements = times, displacements
+
+    def values(self, times: NDArray) -> NDArray:
+        """Return the displacements of the frames at or before some times [T,3], m."""
+        return self._displacements[np.searchsorted(self._times, times, side="right") - 1]
+
+
+class Recorded:
+    """Computes the frames of a motion when they are read."""
+
+    def __init__(self, motion: Motion, chosen: NDArray | None = None) -> None:
+        """Prepare to compute frames; nothing is computed before the first frame is read.
+
+        Args:
+            motion: The motion.
+            chosen: Indices of the Gaussians of the frames [M]; None: all.
+        """
+        self.motion, self.chosen = motion, chosen
+        self.count = len(motion.gaussians) if chosen is None else len(chosen)
+        self._deformer: Deformer | None = None
+        self._next = 0
+        frames = OrderedDict[int, dict[str, Array]]()
+        self._frames, self._states = frames, dict[int, dict[str, NDArray]]()
+        every = self.count * STATE * len(motion.times) / STATES
+        self._every = max(16, int(every) + 1)
+        self._lock = RLock()
+        self._selected: tuple[NDArray, dict[str, NDArray]] | None = None
+
+    def __len__(self) -> int:
+        return len(self.motion.times)
+
+    @property
+    def turns(self) -> bool:
+        """Whether frames have rotations of the material."""
+        return self.motion.gaussians.sh_degree > 0
+
+    def row(self, index: int) -> dict[str, Array]:
+        """Return the arrays of a frame by name."""
+        with self._lock:
+            if index in self._frames:
+                self._frames.move_to_end(index)
+                return self._frames[index]
+            if self._next > index:
+                self._return_to(index)
+            for _ in range(index - self._next):
+                self._advance()
+            row = self._advance()
+            most = max(1, int(KEPT / (BYTES * max(self.count, 1))))
+            self._frames[index] = row
+            while len(self._frames) > most:
+                self._frames.popitem(last=False)
+            return row
+
+    def select(self, chosen: NDArray) -> dict[str, NDArray]:
+        """Return the arrays of some Gaussians in all frames [T,M,...]; the last choice is kept."""
+        with self._lock:
+            if self._selected is None or not np.array_equal(self._selected[0], chosen):
+                part = Recorded(self.motion, np.asarray(chosen))
+                rows = [part.row(index) for index in range(len(self))]
+                arrays = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+                self._selected = chosen, arrays
+            return self._selected[1]
+
+    def _return_to(self, index: int) -> None:
+        """Return to the latest stored state before a frame."""
+        start = max((state for state in self._states if state <= index), default=0)
+        self._next = start
+        if start in self._states:
+            assert self._deformer is not None
+            self._deformer.restore(self._states[start])
+        else:
+            self._deformer = None
+
+    def _advance(self) -> dict[str, Array]:
+        """Return the next frame."""
+        motion, index = self.motion, self._next
+        if self._deformer is None:
+            self._prepare()
+        deformer = self._deformer
+        assert deformer is not None
+        if index % self._every == 0 and index not in self._states:
+            self._states[index] = deformer.snapshot()
+        self._x[motion.carriers], self._F[motion.carriers] = motion.x[index], motion.F[index]
+        time = float(motion.times[index])
+        frame = deformer(self._x, self._F, index=index, time=time, colours=False)
+        rotations = deformer.rotations
+        poses = (motion.poses[0], motion.poses[index]) if motion.free else ()
+        frame = self._scenery.whole(frame, poses)
+        self._next += 1
+        gaussians = frame.gaussians
+        row = {name: getattr(gaussians, name) for name in MOVING[:3]}
+        if rotations is not None:
+            row["rotations"] = self._scenery.turns(rotations)
+        return row
+
+    def _prepare(self) -> None:
+        """Bind the Gaussians to the particles that carry them."""
+        from phy124.motion.deform import Deformer  # loads Warp
+
+        motion, chosen = self.motion, self.chosen
+        gaussians, moves = motion.gaussians, motion.moves
+        limits: dict[str, Any] = dict(motion.limits)
+        particles, binding = motion.particles, None
+        if chosen is not None:
+            places = np.cumsum(moves)[chosen] - 1
+            gaussians, moves = gaussians.select(chosen), moves[chosen]
+            limits = {name: array[places[moves]] for name, array in limits.items()}
+            own = particles.gaussian >= 0
+            if own.any():
+                bound = np.zeros(int(motion.moves.sum()), np.int32)
+                bound[particles.gaussian[own]] = np.flatnonzero(own)
+                binding = bound[places[moves]]
+        tracks = tuple(
+            (index, Track(motion.times, motion.tracks[:, k]))
+            for k, index in enumerate(motion.on_tracks)
+        )
+        self._scenery = Scenery(gaussians, moves, tracks, motion.free)
+        self._deformer = Deformer(self._scenery.moving, particles, **limits, bound=binding)
+        self._x = np.zeros((len(particles.x), 3), np.float32)
+        self._F = np.zeros((len(particles.x), 3, 3), np.float32)
+
+
+class Computed(NDArrayOperatorsMixin):
+    """One array of all frames [T,N,...], computed frame by frame when it is read."""
+
+    def __init__(self, recorded: Recorded, name: str, *, columns: slice | None = None) -> None:
+        """Refer to an array by its name in `MOVING`."""
+        self.recorded, self.name, self.columns = recorded, name, columns
+        count = len(range(recorded.count)[columns or slice(None)])
+        self.shape = (len(recorded), count, 4 if name in ("quats", "rotations") else 3)
+        self.dtype, self.ndim = np.dtype(np.float32), 3
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __iter__(self) -> Iterator[Array]:
+        return (self[index] for index in range(len(self)))
+
+    def __getitem__(self, key: Any) -> Array:
+        """Return what NumPy's indexing of the whole array returns."""
+        rows, rest = (key[0], key[1:]) if isinstance(key, tuple) else (key, ())
+        if isinstance(rows, (int, np.integer)):
+            index = range(len(self))[rows]
+            row = self.recorded.row(index)[self.name]
+            return row[self.columns or slice(None)][rest]
+        chosen = np.arange(len(self))[rows]
+        every = isinstance(rows, slice) and len(chosen) == len(self)
+        if every and self.columns is None and rest and isinstance(rest[0], np.ndarray):
+            which = rest[0] if rest[0].dtype != bool else np.flatnonzero(rest[0])
+            return self.recorded.select(which)[self.name][(slice(None), slice(None), *rest[1:])]
+        return np.stack([self[int(index)][rest] for index in chosen])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
+        """Return the whole array."""
+        del copy
+        return np.asarray(self[:], dtype)
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        """Apply a function of NumPy to the whole array."""
+        whole = (np.asarray(i) if isinstance(i, Computed) else i for i in inputs)
+        return getattr(ufunc, method)(*whole, **options)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the whole array."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(np.asarray(self), name)
+
+    def first(self, columns: slice) -> Computed:
+        """Return the array of some Gaussians."""
+        return Computed(self.recorded, self.name, columns=columns)
+
+
+def computed(motion: Motion) -> dict[str, Any]:
+    """Return the arrays of a motion's frames by name."""
+    recorded = Recorded(motion)
+    names = MOVING if recorded.turns else MOVING[:3]
+    return {name: Computed(recorded, name) for name in names}

@@ -1,0 +1,88 @@
+"""Clips that store the motion of the particles that carry their Gaussians."""
+
+import numpy as np
+import pytest
+
+from phy124.errors import InputError
+from phy124.gaussians import rotation_matrices
+from phy124.io.clip import Clip, read_shape, restate
+from phy124.motion.packing import STEP_F, STEP_X, hilbert_order
+from phy124.simulation import Simulation, prepare
+from support.shapes import ball
+from test_recording import SCENE, WITH
+
+ARRAYS = ("means", "quats", "scales")
+SCENES = {
+    **{name: WITH[name] for name in ("plain", "free solid")},
+    "grains": {"material.law": "sand", "boundaries": [{"kind": "ground"}]},
+}
+
+
+@pytest.fixture(params=SCENES)
+def saved(request, tmp_path):
+    """The clip of a run, and its file."""
+    clip = Simulation(prepare(ball(300), SCENE.replaced(SCENES[request.param]))).run()
+    assert clip.motion is not None
+    clip.save(tmp_path / "clip.safetensors")
+    return clip, tmp_path / "clip.safetensors"
+
+
+def covariances(quats, scales):
+    axes = rotation_matrices(quats) * scales[:, None].astype(float)
+    return axes @ axes.transpose(0, 2, 1)
+
+
+def test_saved_clip_equals_run_within_rounding(saved):
+    clip, path = saved
+    read = Clip.load(path)
+    assert read_shape(path) == clip.means.shape[:2] == read.means.shape[:2]
+    for name in ("opacities", "sh", "times"):
+        assert np.array_equal(getattr(read, name), getattr(clip, name))
+    size = np.ptp(clip.means[0], axis=0).max()
+    assert np.abs(np.asarray(read.means) - clip.means).max() < 2 * STEP_X * size
+    for index in range(len(clip)):
+        ours = covariances(read.quats[index], read.scales[index])
+        theirs = covariances(clip.quats[index], clip.scales[index])
+        largest = np.abs(theirs).max(axis=(1, 2), keepdims=True)
+        assert (np.abs(ours - theirs) / largest).max() < 10 * STEP_F
+
+
+def test_frames_are_the_same_in_any_order(saved):
+    clip, path = saved
+    forwards, backwards = Clip.load(path), Clip.load(path)
+    backwards.means.recorded._every = 2
+    last = len(clip) - 1
+    after = [backwards.frame(last - index).gaussians for index in range(len(clip))][::-1]
+    chosen = np.arange(3, len(clip.opacities), 7)
+    for name in ARRAYS:
+        whole = np.asarray(getattr(forwards, name))
+        assert np.array_equal(whole, np.stack([getattr(frame, name) for frame in after]))
+        assert np.array_equal(whole[:, chosen], getattr(Clip.load(path), name)[:, chosen])
+
+
+def test_read_clip_is_saved_as_it_was(saved, tmp_path):
+    clip, path = saved
+    read = Clip.load(path)
+    read.save(tmp_path / "again")
+    assert (tmp_path / "again").read_bytes() == path.read_bytes()
+    assert restate(path, clip.with_report({"gaussians": 3}))
+    assert Clip.load(path).report == {"gaussians": 3}
+    assert np.array_equal(Clip.load(path).means[-1], read.means[-1])
+
+
+def test_damaged_motion_is_refused(saved):
+    _, path = saved
+    data = bytearray(path.read_bytes())
+    for start in range(len(data) // 2, len(data) - 8, 64):
+        data[start : start + 8] = bytes(8)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="damaged"):
+        np.asarray(Clip.load(path).means)
+
+
+def test_hilbert_order_visits_neighbours():
+    points = np.stack(np.meshgrid(*[np.arange(8.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    order = hilbert_order(points * 1023 / 7)
+    assert np.array_equal(np.sort(order), np.arange(512))
+    steps = np.abs(np.diff(points[order], axis=0)).sum(axis=1)
+    assert steps.mean() < 1.1
