@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from phy124.__main__ import main
 from phy124.errors import InputError
 from phy124.gaussians import rotation_matrices
 from phy124.io.clip import Clip, read_shape, restate
@@ -86,3 +87,12 @@ def test_hilbert_order_visits_neighbours():
     assert np.array_equal(np.sort(order), np.arange(512))
     steps = np.abs(np.diff(points[order], axis=0)).sum(axis=1)
     assert steps.mean() < 1.1
+
+
+def test_export_to_frames_writes_every_value(saved, tmp_path):
+    _, path = saved
+    main(["export", str(path), "--to", "frames", "--out", str(tmp_path / "all.safetensors")])
+    read, whole = Clip.load(path), Clip.load(tmp_path / "all.safetensors")
+    assert whole.motion is None and whole.scene == read.scene and whole.report == read.report
+    for name in (*ARRAYS, "opacities", "sh", "times"):
+        assert np.array_equal(getattr(whole, name), getattr(read, name))

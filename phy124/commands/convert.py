@@ -26,6 +26,7 @@ from phy124.io.formats import (
     written_formats,
 )
 from phy124.io.formats.moving_mesh import fit_to_clip, write_moved
+from phy124.io.growing import write_frames_clip
 from phy124.particles.merging import merge_clip_to, merge_to
 
 MERGE = tyro.conf.arg(metavar="N")
@@ -78,7 +79,12 @@ class Export:
 
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""
-    to: Annotated[str, tyro.conf.arg(help=f"Format. {TO}", metavar="FORMAT")]
+    to: Annotated[
+        str,
+        tyro.conf.arg(
+            help=f"Format. {TO}; frames: a clip with all values of each frame", metavar="FORMAT"
+        ),
+    ]
     frame: int | None = None
     """Index of the frame to write, from 0; default 0, or all frames if the format holds motion.
     The file is named as with --all, where the first frame has the number 0001."""
@@ -100,6 +106,8 @@ class Export:
         Raises:
             InputError: The clip cannot be read, has no such frame, or a file cannot be written.
         """
+        if self.to == "frames":
+            return self._write_values()
         chosen, clip = find_written_format(Path(), self.to), Clip.load(self.clip)
         if self.frame is not None and self.all:
             limit = "--frame selects one frame, but --all selects every frame."
@@ -117,6 +125,15 @@ class Export:
         first = clip.frame(self.frame or 0).gaussians
         notes = note_lost(first, chosen)
         return _show(files, len(first), chosen, notes, as_json=self.json)
+
+    def _write_values(self) -> int:
+        """Write a clip with all values of each frame; print its name."""
+        clip = Clip.load(self.clip)
+        path = self.out or self.clip.with_name(f"{self.clip.stem}-frames.safetensors")
+        with Bars(quiet=self.json) as bars:
+            write_frames_clip(path, clip, bars)
+        print(json.dumps({"files": [str(path)]}) if self.json else path)
+        return 0
 
     def _write(self, clip: Clip, chosen: Format, bars: Bars) -> list[Path]:
         moving = chosen.write_clip is not None

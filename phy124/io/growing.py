@@ -23,6 +23,8 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame, stack_wrenches
 from phy124.io import files
 from phy124.io.clip import Clip
+from phy124.io.files import replacing
+from phy124.progress import Progress, silent
 
 SPARE = 1 << 14
 """The space reserved for the header is a multiple of this size [bytes]."""
@@ -161,12 +163,20 @@ class Growing:
             return False
         if any(held[name].ctypes.data != self.arrays[name].ctypes.data for name in SHAPES):
             return False
-        for name in held.keys() - MOVING:
-            self._write(held[name], self.tensors[name].offset)
-        if not self.state(clip):
+        if not self.complete(clip):
             return False
         os.link(self.path, path)
         return True
+
+    def complete(self, clip: Clip) -> bool:
+        """Write the static arrays and the header; return False if the header is too large.
+
+        Raises:
+            OSError: If the file cannot be written.
+        """
+        for name in self.tensors.keys() - MOVING:
+            self._write(getattr(clip, name), self.tensors[name].offset)
+        return self.state(clip)
 
     def state(self, clip: Clip) -> bool:
         """Write the header of the clip; return False if the header is larger than its space.
@@ -241,6 +251,26 @@ class Growing:
         while len(left):
             done = os.pwrite(self._file, left.data, offset)
             left, offset = left[done:], offset + done
+
+
+def write_frames_clip(path: Path, clip: Clip, progress: Progress = silent) -> None:
+    """Write a clip with the values of every frame, one frame at a time.
+
+    Raises:
+        InputError: If the file cannot be created.
+        OSError: If the disk is full.
+    """
+    with replacing(path) as temporary:
+        file, header = None, SPARE + 2 * len(json.dumps(clip.metadata()))
+        for frame in clip.frames():
+            turns = None if clip.rotations is None else clip.rotations[frame.index]
+            if file is None:
+                file = Growing.like(temporary, frame, len(clip), rotation=turns, header=header)
+            file.put(frame, turns)
+            progress("export", frame.index + 1, len(clip))
+        if file is not None:
+            file.complete(clip)
+            file.close()
 
 
 def _arrays_of(frame: Frame, rotation: NDArray | None) -> dict[str, NDArray]:

@@ -59,7 +59,7 @@ def pack(motion: Motion) -> tuple[Tensors, dict[str, Any]]:
             if not (np.abs(whole) < 2**30).all():
                 raise OverflowError(f"{name} is too large for the steps of a clip")
             chunks.append(_pack_steps(whole.astype(np.int64)[:, order]))
-        tensors[f"motion.{name}"], lengths = _joined(chunks)
+        tensors[f"motion.{name}"], lengths = _join(chunks)
         arrays[name] = {"chunks": lengths}
     facts = {"arrays": arrays, "steps": steps, "frames": len(motion.x)}
     return tensors, {**facts, "on_tracks": list(motion.on_tracks), "free": list(motion.free)}
@@ -230,7 +230,7 @@ def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str,
         size = column.dtype.itemsize
         chunks.append(b"" if same else _compress(_zigzag(np.diff(column, prepend=0), size)))
         last = column
-    data, lengths = _joined(chunks)
+    data, lengths = _join(chunks)
     return data, {"dtype": array.dtype.str, "shape": list(array.shape), "chunks": lengths}
 
 
@@ -300,5 +300,5 @@ def _decompress(data: bytes, size: int) -> NDArray:
     return np.ascontiguousarray(planes.reshape(size, -1).T).view(f"<u{size}").reshape(-1)
 
 
-def _joined(chunks: Sequence[bytes]) -> tuple[NDArray[np.uint8], list[int]]:
+def _join(chunks: Sequence[bytes]) -> tuple[NDArray[np.uint8], list[int]]:
     return np.frombuffer(b"".join(chunks), np.uint8), [len(chunk) for chunk in chunks]

@@ -185,10 +185,10 @@ class Recorded:
             places = np.cumsum(moves)[chosen] - 1
             gaussians, moves = gaussians.select(chosen), moves[chosen]
             limits = {name: array[places[moves]] for name, array in limits.items()}
-            own = particles.gaussian >= 0
-            if own.any():
+            with_gaussian = particles.gaussian >= 0
+            if with_gaussian.any():
                 bound = np.zeros(int(motion.moves.sum()), np.int32)
-                bound[particles.gaussian[own]] = np.flatnonzero(own)
+                bound[particles.gaussian[with_gaussian]] = np.flatnonzero(with_gaussian)
                 binding = bound[places[moves]]
         tracks = tuple(
             (index, Track(motion.times, motion.tracks[:, k]))
@@ -251,7 +251,7 @@ class Computed(NDArrayOperatorsMixin):
         return Computed(self.recorded, self.name, columns=columns)
 
 
-def computed(motion: Motion) -> dict[str, Any]:
+def make_arrays(motion: Motion) -> dict[str, Any]:
     """Return the arrays of a motion's frames by name."""
     recorded = Recorded(motion)
     names = MOVING if recorded.turns else MOVING[:3]
