@@ -32,6 +32,7 @@ from phy124.particles.merging import merge_clip_to, merge_to
 MERGE = tyro.conf.arg(metavar="N")
 AXIS = tyro.conf.arg(metavar="AXIS")
 TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().items())
+FRAMES = "frames: a clip with all values of each frame"
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,7 @@ class Export:
     """clip.safetensors made by `phy124 generate`."""
     to: Annotated[
         str,
-        tyro.conf.arg(
-            help=f"Format. {TO}; frames: a clip with all values of each frame", metavar="FORMAT"
-        ),
+        tyro.conf.arg(help=f"Format. {TO}; {FRAMES}", metavar="FORMAT"),
     ]
     frame: int | None = None
     """Index of the frame to write, from 0; default 0, or all frames if the format holds motion.

@@ -260,17 +260,23 @@ def write_frames_clip(path: Path, clip: Clip, progress: Progress = silent) -> No
         InputError: If the file cannot be created.
         OSError: If the disk is full.
     """
+    header = SPARE + 2 * len(json.dumps(clip.metadata()))
     with replacing(path) as temporary:
-        file, header = None, SPARE + 2 * len(json.dumps(clip.metadata()))
-        for frame in clip.frames():
-            turns = None if clip.rotations is None else clip.rotations[frame.index]
-            if file is None:
-                file = Growing.like(temporary, frame, len(clip), rotation=turns, header=header)
-            file.put(frame, turns)
-            progress("export", frame.index + 1, len(clip))
-        if file is not None:
-            file.complete(clip)
-            file.close()
+        file = None
+        try:
+            for frame in clip.frames():
+                turns = None if clip.rotations is None else clip.rotations[frame.index]
+                if file is None:
+                    values = temporary.with_name(f"{temporary.name}.values")
+                    file = Growing.like(values, frame, len(clip), rotation=turns, header=header)
+                file.put(frame, turns)
+                progress("export", frame.index + 1, len(clip))
+            if file is not None:
+                file.complete(clip)
+                os.replace(file.path, temporary)
+        finally:
+            if file is not None:
+                file.remove()
 
 
 def _arrays_of(frame: Frame, rotation: NDArray | None) -> dict[str, NDArray]:
