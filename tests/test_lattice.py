@@ -11,7 +11,10 @@ from phy124.boundaries.motion import Path
 from phy124.errors import InputError
 from phy124.forces import Gravity, TotalForce, Wind
 from phy124.kernels.work import IMPULSE, WORK
-from phy124.lattice import LatticeSolver, RestLattice, kernels
+from phy124.lattice import walls as lattice_walls
+from phy124.lattice import workers
+from phy124.lattice.rest import RestLattice
+from phy124.lattice.solver import LatticeSolver
 from phy124.materials import Hencky, NeoHookean
 from phy124.monitor.lattice import LatticeTotals
 from phy124.mpm import Model, State
@@ -273,7 +276,8 @@ def test_simd_and_plain_stress_agree(damping):
 def test_lattice_compiles_for_cuda(arch, tmp_path):
     walls = [Ground(), Held()]
     laws = [(SOFT.device_law, False), (Hencky(damping=1.0).device_law, True)]
-    modules = {made.module.name: made.module for made in kernels(laws, walls, wp.float32, "cuda")}
+    both = *workers.kernels(laws, wp.float32, "cuda"), *lattice_walls.kernels(walls, wp.float32)
+    modules = {made.module.name: made.module for made in both}
     for name, module in modules.items():
         folder = tmp_path / name
         folder.mkdir()

@@ -11,7 +11,7 @@ from phy124.budget.effects import Effects
 from phy124.budget.remedies import find_speedups
 from phy124.errors import InputError
 from phy124.forces import Gravity
-from phy124.liquid import LiquidSolver
+from phy124.liquid.solver import LiquidSolver
 from phy124.materials import Fluid
 from phy124.monitor.diagnostics import describe_substep
 from phy124.mpm import FreeBody, Model, State

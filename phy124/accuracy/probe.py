@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -19,7 +19,6 @@ from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.kernels.arguments import types
-from phy124.liquid import AnySolver
 from phy124.monitor.softening import Softening
 from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer
@@ -32,6 +31,9 @@ from phy124.runtime.cores import cores
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.simulation.solver import kernels
+
+if TYPE_CHECKING:
+    from phy124.liquid import AnySolver
 
 PROBE, MIN_PROBE = 20, 6
 """Maximum and minimum number of substeps in a probe."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -49,6 +49,8 @@ MEASURE = -1
 
 class LatticeSolver:
     """Advances the nodes of a body in time under forces and boundaries."""
+
+    projects: ClassVar[Literal[False]] = False
 
     def __init__(
         self,

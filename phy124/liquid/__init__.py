@@ -6,11 +6,12 @@ it, `Cells` the window of the grid, `Projection` the conjugate gradients, `Phase
 step, and `WallImpulses` the impulses of walls. docs/design/liquids.md has the method.
 """
 
-from phy124.lattice import LatticeSolver
-from phy124.liquid.solver import LiquidSolver, kernels
-from phy124.mpm import Solver
+from typing import TYPE_CHECKING
 
-AnySolver = Solver | LiquidSolver | LatticeSolver
-"""The solver of a run."""
+if TYPE_CHECKING:  # solvers are imported where one is made: most runs need only one of them
+    from phy124.lattice.solver import LatticeSolver
+    from phy124.liquid.solver import LiquidSolver
+    from phy124.mpm import Solver
 
-__all__ = ["AnySolver", "LiquidSolver", "kernels"]
+    AnySolver = Solver | LiquidSolver | LatticeSolver
+    """The solver of a run."""

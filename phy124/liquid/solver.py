@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -68,6 +68,9 @@ BULK = 0.01
 
 class LiquidSolver:
     """Advances a liquid in time under forces and walls."""
+
+    projects: ClassVar[Literal[True]] = True
+    """Whether the solver makes a liquid incompressible by projection."""
 
     def __init__(
         self,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import warp as wp
@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from phy124.kernels import diagnostics as at
 from phy124.kernels.diagnostics import make_energies, make_totals
 from phy124.kernels.reduction import shared_out
-from phy124.liquid import AnySolver
 from phy124.mpm import Clock, Model, State
 from phy124.mpm.model import part_of
+
+if TYPE_CHECKING:
+    from phy124.liquid import AnySolver
 
 NO_PARTICLE = 2**31 - 1
 """An index larger than the index of any particle."""

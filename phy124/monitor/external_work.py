@@ -19,7 +19,6 @@ from phy124.boundaries import Boundary
 from phy124.kernels import free
 from phy124.kernels import work as kernels
 from phy124.kernels.reduction import shared_out
-from phy124.liquid import AnySolver, LiquidSolver
 from phy124.monitor.measured import Measured, NodesNear
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
@@ -29,6 +28,8 @@ from phy124.scene import Scene
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from phy124.liquid import AnySolver
 
 STAGE = "external work"
 """Name of the stages that sum external work."""
@@ -139,7 +140,7 @@ class ExternalWork(Observer):
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver; a liquid by projection sums the work of its walls by itself."""
-        self._liquid = solver if isinstance(solver, LiquidSolver) else None
+        self._liquid = solver if solver.projects is True else None
         self._read_impulses()
 
     def change(self, scene: Scene) -> None:

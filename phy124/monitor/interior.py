@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from phy124.gaussians import Frame, Gaussians, join
 from phy124.io.clip import Clip
 from phy124.kernels.diagnostics import make_neighbours_lost
-from phy124.liquid import AnySolver
 from phy124.materials import AnyMaterial
 from phy124.monitor.observer import Effect, Observed, Observer, Subject, find
 from phy124.monitor.tearing import APART, Tearing
@@ -30,6 +29,8 @@ from phy124.particles.grains import leave_room, make_grains
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from phy124.liquid import AnySolver
 
 NEIGHBOURS = 7
 """Number of neighbours at rest: six in a lattice, and the particle itself."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -19,7 +19,6 @@ from phy124.gaussians import Frame, Wrench
 from phy124.kernels import diagnostics as at
 from phy124.kernels.lattice.contact import MOMENT
 from phy124.kernels.lattice.nodes import make_node_totals
-from phy124.lattice import LatticeSolver
 from phy124.monitor.diagnostics import Diagnostics, Totals
 from phy124.monitor.external_work import WALL, ExternalWork
 from phy124.monitor.observer import Effect, Observer, Subject
@@ -27,6 +26,9 @@ from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import Wrenches, summary, wall_names
 from phy124.mpm import Attachable, Clock
 from phy124.scene import Scene
+
+if TYPE_CHECKING:
+    from phy124.lattice.solver import LatticeSolver
 
 
 class LatticeTotals(Totals):

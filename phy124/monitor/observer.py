@@ -15,7 +15,6 @@ from phy124.boundaries import Boundary
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.kernels.transfer import Law
-from phy124.liquid import AnySolver
 from phy124.materials import AnyMaterial
 from phy124.motion.scenery import Scenery
 from phy124.mpm import Attachable, Model, Stage, State
@@ -27,6 +26,8 @@ from phy124.scene import Scene
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from phy124.liquid import AnySolver
 
 
 class Cost(NamedTuple):

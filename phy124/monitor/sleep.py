@@ -24,13 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Frame
-from phy124.liquid import AnySolver
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm.tracks import FOREVER, Track
 from phy124.scene import Scene
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from phy124.liquid import AnySolver
 
 STILL = 3e-4
 """Largest error by sleeping, in object sizes: a tenth of a pixel for an object of 300 pixels."""

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.liquid import AnySolver
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.observer import Observed, Observer, Subject, find
@@ -22,6 +21,8 @@ from phy124.scene import Scene
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from phy124.liquid import AnySolver
 
 
 class Softening(Observer):

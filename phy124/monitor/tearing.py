@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import scipy
@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Frame
 from phy124.kernels.diagnostics import make_apart
-from phy124.liquid import AnySolver
 from phy124.monitor.diagnostics import describe_particle
 from phy124.monitor.observer import Effect, Observer, Subject
+
+if TYPE_CHECKING:
+    from phy124.liquid import AnySolver
 
 APART = 1.2
 """Spacing of particles [cells] above which they may separate."""

@@ -12,13 +12,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from phy124.gaussians import Frame
 from phy124.kernels.diagnostics import make_totals
-from phy124.liquid import AnySolver, LiquidSolver
 from phy124.monitor.diagnostics import (
     Diagnostics,
     Totals,
@@ -31,6 +30,9 @@ from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.observer import Observer, Subject, Violation, find
 from phy124.mpm import Unstable
+
+if TYPE_CHECKING:
+    from phy124.liquid import AnySolver
 
 INSIDE_OUT = 0.01
 """Largest fraction of inverted particles for which the result is still accepted."""
@@ -316,8 +318,9 @@ class Watchdog(Observer):
 
     def _check_momentum(self, fraction: float) -> Violation | None:
         """Return the violation for spurious momentum, or None."""
-        projects = isinstance(self._solver, LiquidSolver)
-        if fraction <= (PROJECTED if projects else MOMENTUM_GAIN[self.model.precision]):
+        if fraction <= (
+            PROJECTED if self._solver.projects else MOMENTUM_GAIN[self.model.precision]
+        ):
             return None
         index = int(speeds(self.state).argmax())
         what = (

@@ -21,7 +21,6 @@ from phy124.boundaries import Boundary
 from phy124.gaussians import Frame, Wrench
 from phy124.kernels import contacts as kernels
 from phy124.kernels.work import make_wall_copy
-from phy124.liquid import AnySolver, LiquidSolver
 from phy124.monitor.measured import NodesNear
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Grid, Model, Stage, State
@@ -30,6 +29,8 @@ from phy124.scene import Scene
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from phy124.liquid import AnySolver
 
 STAGE = "wrenches"
 """Name of the stages that sum wrenches."""
@@ -112,7 +113,7 @@ class Wrenches(Observer):
 
     def _read_impulses(self) -> None:
         """Use the sums of impulses on walls that the liquid solver keeps."""
-        if self._of_walls and isinstance(self._solver, LiquidSolver):
+        if self._of_walls and self._solver.projects is True:
             impulses = self._solver.impulses
             self._sums = {name: {0: impulses.wrench(name)} for name in impulses.names}
 

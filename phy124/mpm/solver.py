@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -55,6 +55,8 @@ CALM = 0.9
 
 class Solver:
     """Advances a state in time under forces and boundaries by running the phases of substeps."""
+
+    projects: ClassVar[Literal[False]] = False
 
     def __init__(
         self,

@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phy124.boundaries import Ground
-from phy124.lattice import LatticeSolver
-from phy124.lattice import kernels as lattice_kernels
-from phy124.liquid import AnySolver, LiquidSolver
-from phy124.liquid import kernels as liquid_kernels
 from phy124.monitor import LATTICE_OBSERVERS, OBSERVERS
 from phy124.monitor.observer import Observer, Subject
 from phy124.monitor.wrenches import wall_names
@@ -40,6 +36,9 @@ from phy124.scene.objects import find_pair
 from phy124.simulation.bodies import planes_for_free
 from phy124.simulation.overlap import refuse_buried
 from phy124.simulation.setup import Setup
+
+if TYPE_CHECKING:
+    from phy124.liquid import AnySolver
 
 FLOOR_NODE = 0.75
 """Depth of a layer of nodes below the floor [cells]."""
@@ -77,12 +76,16 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     refuse_buried(scene.boundaries, model)
     ceiling = math.inf if scene.time.substep is None else scene.time.substep
     if scene.projects:
+        from phy124.liquid.solver import LiquidSolver
+
         acting = wrap(scene, observers)
         state = State.of(model, v, C)
         return LiquidSolver(
             model, state, **acting, free=setup.free, ceiling=ceiling, threads=setup.threads
         )
     if scene.resolution.on_lattice:
+        from phy124.lattice.solver import LatticeSolver
+
         assert particles.surface is not None
         return LatticeSolver(
             model,
@@ -137,6 +140,8 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     subject = Subject(scene, scene.materials)
     yield from tracks.kernels(real)
     if scene.projects:
+        from phy124.liquid.solver import kernels as liquid_kernels
+
         solids = [body.shape or "" for body in scene.objects if body.free]
         yield from liquid_kernels(scene.boundaries, solids, real, form)
         yield from free.kernels_of(solids, real)
@@ -152,10 +157,13 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         if observer.called_for(subject):
             yield from observer.kernels(subject, real)
     if scene.resolution.on_lattice:
+        from phy124.lattice import walls, workers
+
         viscous = [math.isfinite(section.viscous_limit(scene.dx)) for section in scene.materials]
         named = zip(scene.materials, viscous, strict=True)
         laws = {section.device_law.name: (section.device_law, damped) for section, damped in named}
-        yield from lattice_kernels(list(laws.values()), scene.boundaries, real, device)
+        yield from workers.kernels(list(laws.values()), real, device)
+        yield from walls.kernels(scene.boundaries, real)
         return
     yield from substep.kernels(subject.laws, real, form)
     yield from fluctuation.kernels(scheme_of(scene), real, form)
