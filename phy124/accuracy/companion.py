@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.accuracy.probe import min_cells
+from phy124.accuracy.severity import motion_of
 from phy124.budget.cost import USUAL, Rates
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
@@ -56,7 +57,12 @@ RATIO = 0.5
 
 With 5/8 the estimate would be less sharp and cost twice as much (docs/results/own-error.md).
 """
-FACTORS = Factors(0.58, 1.1)
+HIT, BENT = Factors(0.55, 1.0), Factors(0.65, 1.6)
+"""Factors of motions that hit or squeeze the object, and of motions that bend it as it stands."""
+COARSE = 16
+"""Cells of the companion below which the factors grow, as the square root of the cell's width."""
+FLOOR = 2e-4
+"""Error, in object sizes, below which no error is told."""
 
 
 class OwnError(NamedTuple):
@@ -146,6 +152,13 @@ def forecast(run: Simulation, particles: float) -> float:
     return (once + each * len(run.setup.gaussians) + companion) / dynamics
 
 
+def factors_of(scene: Scene, cells: int) -> Factors:
+    """Return the factors for a scene whose companion has this number of cells."""
+    about, at_most = BENT if motion_of(scene) in ("held", "standing") else HIT
+    scale = max(1.0, COARSE / cells) ** 0.5
+    return Factors(scale * about, scale * at_most)
+
+
 def estimate(
     distances: NDArray, times: NDArray, factors: Factors
 ) -> tuple[float | None, float | None, float | None]:
@@ -162,7 +175,7 @@ def estimate(
     if count < FEWEST:
         return None, None, until
     distance = float(np.sqrt((distances[:count] ** 2).mean()))
-    return factors.about * distance, factors.at_most * distance, until
+    return factors.about * distance, factors.at_most * distance + FLOOR, until
 
 
 def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int64]) -> OwnError:
@@ -178,7 +191,7 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
         return OwnError(cells=cells, why_not=f"D/{cells} failed: {failure(error).sentence}")
     gaps = (clip.means[:, indices].astype(np.float64) - motion) / run.scene.object.size
     distances = np.sqrt((gaps**2).sum(axis=2).mean(axis=1))
-    about, at_most, until = estimate(distances, clip.times, FACTORS)
+    about, at_most, until = estimate(distances, clip.times, factors_of(scene, cells))
     why_not = "" if about is not None else "other grids move otherwise from the start"
     return OwnError(about, at_most, until, cells, round(cost, 4), why_not)
 

@@ -1,7 +1,7 @@
 """The zoo: objects in scenes on several grids, to measure errors and to check what is told of them.
 
 `measure` adds a row to zoo.jsonl for each object and scene that has none, so it can be stopped and
-started again; a slice ends after some minutes:
+started again; a slice ends after some minutes. `table` rewrites docs/results/own-error.md:
 
     nice python tests/benchmarks/zoo.py measure --objects ../shared/objects --minutes 50
 
@@ -20,7 +20,7 @@ from collections.abc import Callable
 from functools import cache
 from itertools import combinations, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -29,6 +29,8 @@ from numpy.typing import NDArray
 from trimesh import Trimesh, creation
 
 from phy124 import pipeline
+from phy124.accuracy.companion import FLOOR, RATIO, estimate, factors_of
+from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.mesh import mesh
@@ -42,7 +44,7 @@ from phy124.simulation import Simulation, prepare
 
 sys.path.insert(0, str(Path(__file__).parent))
 from presets import beginning
-from tables import processor
+from tables import DOCS, markdown, processor, replace_block
 
 ROOT = Path(__file__).parents[2]
 ROWS = Path(__file__).with_suffix(".jsonl")
@@ -241,10 +243,114 @@ def measure(args: argparse.Namespace) -> None:
         print(f"{name} {words}", flush=True)
 
 
+class Pair(NamedTuple):
+    """An object in a scene on a grid: its error, and what its run and the scene tell of it."""
+
+    grids: str
+    scene: str
+    object: str
+    error: float
+    distance: float
+    """RMS distance from the companion, in object sizes."""
+    at_most: float
+    """Bound that the run tells for itself."""
+    before: float | None
+    """Bound that was told before the run; None: not measured."""
+    until: float | None
+
+
+def pair_of(row: dict[str, Any]) -> Pair | None:
+    """Return the pair of a row; None without an error, such as for a torn grid."""
+    *_, grid, truth = GRIDS[row["grids"]]
+    coarse, scene = round(RATIO * grid), scene_of(row["scene"], row["solver"])
+    runs = [run for run in row["runs"] if run["cells"] in (coarse, grid, truth)]
+    if any(run["torn"] or not run["complete"] for run in runs):
+        return None
+    apart = dict(zip(combinations(row["levels"], 2), map(np.array, row["apart"]), strict=True))
+    distances, errors = apart[coarse, grid], apart[grid, truth]
+    times = np.arange(len(distances)) / scene.time.fps
+    _, at_most, until = estimate(distances, times, factors_of(scene, coarse))
+    if at_most is None:
+        return None
+    count = len(times) if until is None else int(np.searchsorted(times, until - 1e-9))
+    distance, error = (float(np.sqrt((d[:count] ** 2).mean())) for d in (distances, errors))
+    told = promise(scene.replaced({"accuracy": row["grids"]}), row["thickness"][2])
+    return Pair(
+        row["grids"], row["scene"], row["object"], error, distance, at_most, told.error, until
+    )
+
+
+def leave_out(pairs: list[Pair]) -> list[float]:
+    """Return error / bound of each pair, with a bound fitted to all other objects."""
+    ratios = np.array([pair.error / (pair.at_most - FLOOR) for pair in pairs])
+    names = np.array([pair.object for pair in pairs])
+    return [
+        pair.error
+        / (np.quantile(ratios[names != pair.object], 0.95) * (pair.at_most - FLOOR) + FLOOR)
+        for pair in pairs
+    ]
+
+
+def summary(title: str, pairs: list[Pair]) -> list[str]:
+    """Return a line of the page's table."""
+    ratios = np.array([pair.error / pair.at_most for pair in pairs])
+    rest = np.array(leave_out(pairs)) if len(pairs) > 9 else np.array([np.nan])
+    known = [pair for pair in pairs if pair.before is not None]
+    before = np.array([pair.error / (pair.before or np.inf) for pair in known])
+    broken = [pair for pair in known if pair.error > (pair.before or np.inf)]
+    seen = sum(pair.at_most > (pair.before or np.inf) for pair in broken)
+    return [
+        title,
+        f"{len(pairs)} ({len({pair.object for pair in pairs})})",
+        f"{np.mean(ratios <= 1):.0%}",
+        f"{np.mean(rest <= 1):.0%}" if len(pairs) > 9 else "-",
+        f"{np.median(1 / ratios):.1f}",
+        f"{ratios.max():.1f}",
+        f"{np.mean(before <= 1):.0%} of {len(known)}" if known else "not measured",
+        f"{np.median(1 / before):.1f}" if known else "-",
+        f"{seen} of {len(broken)}",
+    ]
+
+
+def table(_: argparse.Namespace) -> None:
+    """Rewrite the table and the plot of docs/results/own-error.md."""
+    import matplotlib.pyplot as plt  # the extra `plots`
+
+    known = rows()
+    pairs = [pair for pair in map(pair_of, known) if pair is not None]
+    lines = []
+    for grids in GRIDS:
+        group = [pair for pair in pairs if pair.grids == grids]
+        lines += [summary(f"**{grids}**", group)] if group else []
+        for name in SCENES:
+            each = [pair for pair in group if pair.scene == name]
+            lines += [summary(f"{grids}: {name}", each)] if len(each) > 2 else []
+    heads = ["pairs", "pairs (objects)", "held", "held, left out", "told / true", "worst"]
+    heads += ["before: held", "before: told / true", "broken promises foreseen"]
+    days, where = {row["date"] for row in known}, {row["machine"] for row in known}
+    parted = sum(pair.until is not None for pair in pairs)
+    text = (
+        f"Measured on {' and '.join(sorted(where))}; {' to '.join(sorted(days))}. "
+        f"{len(known)} rows, {len(pairs)} with an error; in {parted} of them the grids part before the end."
+    )
+    replace_block(DOCS / "results/own-error.md", "zoo", f"{markdown(heads, lines)}\n\n{text}")
+    figure, axes = plt.subplots(figsize=(6, 5))
+    for grids in GRIDS:
+        group = [pair for pair in pairs if pair.grids == grids]
+        axes.loglog([p.error for p in group], [p.at_most for p in group], ".", label=grids)
+    ends = np.array([1e-5, 0.3])
+    axes.loglog(ends, ends, "k-", lw=1, label="told = true")
+    axes.loglog(ends, 2 * ends, "k:", lw=1, label="told = 2 x true")
+    axes.set(xlabel="true error [object sizes]", ylabel="told: at most [object sizes]")
+    axes.legend()
+    figure.savefig(DOCS / "images/results/own-error.png", dpi=110, bbox_inches="tight")
+
+
 def main() -> None:
-    """Measure what is missing."""
+    """Measure what is missing, or rewrite the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     commands = parser.add_subparsers(required=True)
+    commands.add_parser("table", help="rewrite the page").set_defaults(run=table)
     how = commands.add_parser("measure", help="add rows")
     how.set_defaults(run=measure)
     how.add_argument("--objects", type=Path, help="folder of .splat files")
