@@ -66,7 +66,7 @@ def test_companion_follows_the_same_gaussians(run):
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"wanted": False}, "--no-error"),
+        ({"omit": "not wanted"}, "not wanted"),
         ({"affordable": 1e-9}, "of the dynamics"),
         ({"cancel": True}, "cancelled"),
         ({"fail": True}, "D/8 failed"),
@@ -82,7 +82,7 @@ def test_missing_own_error_has_a_reason(run, monkeypatch, change, why):
             raise error
 
         monkeypatch.setattr(companion, "_follow", stop)
-    report = with_own_error(simulation, clip, wanted=change.get("wanted", True)).report
+    report = with_own_error(simulation, clip, omit=change.get("omit", "")).report
     assert report["error"]["about"] is None and why in report["error"]["why_not"]
     assert not promise(SCENE, 0.5, report).of_scene
 

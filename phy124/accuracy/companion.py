@@ -2,7 +2,7 @@
 
 The distance between the motions of the run and of its companion is measured on a sample of the
 Gaussians. The error of the run is about this distance times a factor, and at most this distance
-times a larger factor. The factors were measured on many objects (docs/results/own-error.md).
+times a larger factor. The factors were measured on many objects (docs/lab/own-error.md).
 
 The companion runs after the run, so it changes neither the run nor its result. Whether it runs
 depends only on counts of the run, so that equal runs have equal reports.
@@ -55,14 +55,14 @@ class Factors(NamedTuple):
 RATIO = 0.5
 """Cells of the companion, divided by the cells of the run.
 
-With 5/8 the estimate would be less sharp and cost twice as much (docs/results/own-error.md).
+With 5/8 the estimate would be less sharp and cost twice as much (docs/lab/own-error.md).
 """
 HIT, BENT = Factors(0.55, 1.0), Factors(0.65, 1.6)
 """Factors of motions that hit or squeeze the object, and of motions that bend it as it stands."""
 COARSE = 16
 """Cells of the companion below which the factors grow, as the square root of the cell's width."""
 FLOOR = 2e-4
-"""Error, in object sizes, below which no error is told."""
+"""Error, in object sizes, that is always added to the bound."""
 
 
 class OwnError(NamedTuple):
@@ -85,15 +85,15 @@ class OwnError(NamedTuple):
     """Reason why there is no estimate."""
 
 
-def with_own_error(run: Simulation, clip: Clip, *, wanted: bool = True) -> Clip:
+def with_own_error(run: Simulation, clip: Clip, *, omit: str = "") -> Clip:
     """Return the clip of a finished run with the run's own error in its report.
 
     Args:
         run: The run.
         clip: The clip of the run.
-        wanted: Whether the user wants the error.
+        omit: Reason to leave the companion out; empty: it runs if it is cheap enough.
     """
-    result = measure_error(run, clip, wanted=wanted)
+    result = OwnError(why_not=omit) if omit else measure_error(run, clip)
     effects = dict(clip.report["effects"])
     if result.cells is not None:
         cost = f"{result.cost:.0%} of the dynamics" if result.cost else "unknown"
@@ -104,16 +104,13 @@ def with_own_error(run: Simulation, clip: Clip, *, wanted: bool = True) -> Clip:
     return clip.with_report({**clip.report, "error": result._asdict(), "effects": effects})
 
 
-def measure_error(run: Simulation, clip: Clip, *, wanted: bool = True) -> OwnError:
+def measure_error(run: Simulation, clip: Clip) -> OwnError:
     """Return the error of a finished run; its companion runs if that is cheap enough.
 
     Args:
         run: The run.
         clip: The clip of the run.
-        wanted: Whether the user wants the error.
     """
-    if not wanted:
-        return OwnError(why_not="it is not wanted (--no-error)")
     if not clip.report["complete"]:
         return OwnError(why_not="the run stopped early")
     if len(clip) < FEWEST:

@@ -102,7 +102,7 @@ class RunFolder:
                 sweep(self.out)
                 run, clip, interrupted = self._simulate(simulate)
                 if not interrupted:
-                    clip = with_own_error(run, clip, wanted=self.error)
+                    clip = with_own_error(run, clip, omit=self._omit_error())
                 return self._save_and_film(folder, before, run, clip, interrupted)
         finally:
             self.recording.leave()
@@ -140,6 +140,12 @@ class RunFolder:
         if problem is not None:
             raise _without_films(self.out, made, resumes=self.recording.saved > 0) from problem
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
+
+    def _omit_error(self) -> str:
+        """Return the reason why the run's own error is not estimated; empty: it is."""
+        if self.about.get("goal", {"unit": "seconds"})["unit"] != "seconds":
+            return "the grids that were run for --max-error measure the error"
+        return "" if self.error else "it is not wanted (--no-error)"
 
     def _simulate(
         self, simulate: Callable[[], tuple[Simulation, Clip]]

@@ -1,7 +1,7 @@
 """The zoo: objects in scenes on several grids, to measure errors and to check what is told of them.
 
 `measure` adds a row to zoo.jsonl for each object and scene that has none, so it can be stopped and
-started again; a slice ends after some minutes. `table` rewrites docs/results/own-error.md:
+started again; a slice ends after some minutes. `table` rewrites docs/lab/own-error.md:
 
     nice python tests/benchmarks/zoo.py measure --objects ../shared/objects --minutes 50
 
@@ -313,7 +313,7 @@ def summary(title: str, pairs: list[Pair]) -> list[str]:
 
 
 def table(_: argparse.Namespace) -> None:
-    """Rewrite the table and the plot of docs/results/own-error.md."""
+    """Rewrite the table and the plot of docs/lab/own-error.md."""
     import matplotlib.pyplot as plt  # the extra `plots`
 
     known = rows()
@@ -331,9 +331,10 @@ def table(_: argparse.Namespace) -> None:
     parted = sum(pair.until is not None for pair in pairs)
     text = (
         f"Measured on {' and '.join(sorted(where))}; {' to '.join(sorted(days))}. "
-        f"{len(known)} rows, {len(pairs)} with an error; in {parted} of them the grids part before the end."
+        f"{len(known)} rows, {len(pairs)} with an error; "
+        f"in {parted} of them the grids part before the end."
     )
-    replace_block(DOCS / "results/own-error.md", "zoo", f"{markdown(heads, lines)}\n\n{text}")
+    replace_block(DOCS / "lab/own-error.md", "zoo", f"{markdown(heads, lines)}\n\n{text}")
     figure, axes = plt.subplots(figsize=(6, 5))
     for grids in GRIDS:
         group = [pair for pair in pairs if pair.grids == grids]

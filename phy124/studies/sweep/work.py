@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from PIL import Image
 
+from phy124.accuracy.companion import with_own_error
 from phy124.accuracy.promises import promise
 from phy124.budget.cost import GAUSSIANS, count_nodes, count_particles, estimate_memory
 from phy124.errors import Cancelled, InputError
@@ -290,7 +291,8 @@ def _simulate(
     if run is None:
         run = Simulation(prepare(source.gaussians, scene, context, crop=source.crop))
     try:
-        return run.run(lambda _: recording.see(run)), recording
+        clip = run.run(lambda _: recording.see(run))
+        return with_own_error(run, clip), recording
     except BaseException as error:
         recording.rescue()
         if isinstance(error, Interrupted):
