@@ -168,12 +168,11 @@ def test_mesh_of_the_user_keeps_its_texture_and_follows(tmp_path, spun):
 
 
 def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
-    spun.save(tmp_path / "clip.safetensors")
     sphere = trimesh.creation.icosphere(subdivisions=1)
     sphere.export(tmp_path / "sphere.ply")
     words = [
         "export",
-        str(tmp_path / "clip.safetensors"),
+        _saved(tmp_path, spun),
         "--surface",
         str(tmp_path / "sphere.ply"),
     ]
@@ -183,3 +182,24 @@ def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
     document, _ = _chunks((tmp_path / "clip.glb").read_bytes())
     position = document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
     assert document["accessors"][position]["count"] == len(sphere.vertices)
+
+
+def test_openusd_reads_the_moving_surface(tmp_path, spun):
+    """The points of the archive follow the ball; USD's axes are here y up and z to the front."""
+    Usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    from pxr import UsdGeom
+
+    assert run_command(["export", _saved(tmp_path, spun), "--to", "usdz"]) == 0
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usdz"))
+    assert UsdGeom.GetStageUpAxis(stage) == "Y" and stage.GetEndTimeCode() == pytest.approx(2)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Object/Surface"))
+    first, turned = (np.array(mesh.GetPointsAttr().Get(k))[:, [2, 0, 1]] for k in (0, 1))
+    np.testing.assert_allclose(turned, first @ TURN.T + [1, 2, 3], atol=1e-4)
+    made = trimesh.Trimesh(first, np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3))
+    assert made.is_watertight and made.volume == pytest.approx(np.pi / 6, rel=0.1)
+    assert len(mesh.GetDisplayColorPrimvar().Get()) == len(first)
+
+
+def _saved(folder, clip) -> str:
+    clip.save(folder / "clip.safetensors")
+    return str(folder / "clip.safetensors")

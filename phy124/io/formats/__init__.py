@@ -33,6 +33,7 @@ from phy124.io.formats.fourdgs import write_fourdgs
 from phy124.io.formats.lattice4d import write_lattice4d
 from phy124.io.formats.moving_mesh import write_moving_mesh
 from phy124.io.formats.usd import write_usd
+from phy124.io.formats.usdz import write_usdz
 from phy124.io.opening import obstacle
 from phy124.io.plyheader import read_header
 from phy124.io.sequence import write_sequence
@@ -205,6 +206,12 @@ FORMATS = {
             "surface of the first frame with colours, and its motion",
             "Blender, Unity, three.js, model-viewer, Windows 3D Viewer", 0, 140_000,
             degree=0, axes=Y_UP, write_clip=write_moving_mesh, package="skimage",
+        ),
+        Format(
+            "usdz", "animated mesh (USDZ)", ".usdz",
+            "surface of the first frame with colours, and its motion",
+            "OpenUSD, Blender", 0, 150_000,
+            degree=0, axes=Y_UP, write_clip=write_usdz, package="pxr",
         ),
     )
 }  # fmt: skip

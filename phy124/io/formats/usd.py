@@ -79,10 +79,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
     stage = pxr.Usd.Stage.CreateNew(os.fspath(path))
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetTimeCodesPerSecond(_rate(clip))
-    stage.SetFramesPerSecond(_rate(clip))
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(float(clip.times[-1] - clip.times[0]) * _rate(clip))
+    set_times(stage, clip)
     splats = pxr.Schema.Define(stage, "/Splats")
     stage.SetDefaultPrim(splats.GetPrim())
     splats.CreateOpacitiesAttr(pxr.Vt.FloatArray.FromNumpy(np.ascontiguousarray(clip.opacities)))
@@ -94,6 +91,14 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
         api.CreatePrimvar("objectId", integers, pxr.UsdGeom.Tokens.vertex).Set(ids)
         splats.GetPrim().SetCustomDataByKey("objects", pxr.Vt.StringArray(list(clip.objects)))
     return stage, splats
+
+
+def set_times(stage: Any, clip: Clip) -> None:
+    """Declare the duration of a clip; one time code is one frame."""
+    stage.SetTimeCodesPerSecond(_rate(clip))
+    stage.SetFramesPerSecond(_rate(clip))
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(float(clip.times[-1] - clip.times[0]) * _rate(clip))
 
 
 def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:

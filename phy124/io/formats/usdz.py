@@ -1,0 +1,93 @@
+"""Writes a clip as USDZ: the surface of the first frame with colours, and its motion.
+
+The file is an archive with one .usdc: a mesh whose points are sampled in time, one time code per
+frame. Its material shows the colours of the vertices without further light. The axes are y up and
+z to the front, in metres, as AR viewers on phones expect. The topology is constant, as in
+`phy124/io/formats/moving_mesh.py`.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phy124.errors import InputError
+from phy124.io.axes import orientation
+from phy124.io.clip import Clip
+from phy124.io.content import Y_UP
+from phy124.io.files import replacing
+from phy124.io.formats.mesh import find_surface
+from phy124.io.formats.moving_mesh import CELLS, follow
+from phy124.io.formats.usd import refuse_missing_usd, set_times
+from phy124.progress import Progress, silent
+
+
+def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
+    """Write the surface of a clip's object as an animated USDZ; needs the extras `usd` and `mesh`.
+
+    Raises:
+        InputError: The clip is empty, a package is missing, or the file cannot be written.
+    """
+    refuse_missing_usd()
+    if not len(clip):
+        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    from pxr import Sdf, Usd, UsdGeom, UsdUtils, Vt
+
+    surface = find_surface(clip.frame(0).gaussians.select(clip.object_mask), CELLS)
+    turn = orientation(*Y_UP).T
+    with tempfile.TemporaryDirectory() as folder:
+        layer = Path(folder) / "clip.usdc"
+        stage = Usd.Stage.CreateNew(os.fspath(layer))
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        set_times(stage, clip)
+        root = UsdGeom.Xform.Define(stage, "/Object")
+        stage.SetDefaultPrim(root.GetPrim())
+        mesh = UsdGeom.Mesh.Define(stage, "/Object/Surface")
+        mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        corners = surface.faces.astype(np.int32)
+        mesh.CreateFaceVertexCountsAttr(Vt.IntArray(len(corners), 3))
+        mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners.ravel()))
+        colours = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+        linear = np.where(
+            surface.rgb <= 0.04045, surface.rgb / 12.92, ((surface.rgb + 0.055) / 1.055) ** 2.4
+        )
+        colours.Set(Vt.Vec3fArray.FromNumpy(linear.astype(np.float32)))
+        for index, places in enumerate(follow(clip, surface.vertices)):
+            points = (places @ turn.T).astype(np.float32)
+            code = Usd.TimeCode(index)
+            mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(points), code)
+            ends = np.stack([points.min(axis=0), points.max(axis=0)])
+            mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(ends), code)
+            progress("export", index + 1, len(clip))
+        _bind_colours(stage, mesh)
+        stage.GetRootLayer().Save()
+        package = Path(folder) / "clip.usdz"
+        if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(os.fspath(layer)), os.fspath(package)):
+            raise InputError("output", path, "OpenUSD could not write it.", "Write usd instead.")
+        with replacing(path) as temporary:
+            temporary.write_bytes(package.read_bytes())
+
+
+def _bind_colours(stage: Any, mesh: Any) -> None:
+    """Show the colours of the vertices as emitted light, because they contain the picture's."""
+    from pxr import Gf, Sdf, UsdShade
+
+    material = UsdShade.Material.Define(stage, "/Object/Colours")
+    reader = UsdShade.Shader.Define(stage, "/Object/Colours/Reader")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+    reader.CreateInput("fallback", Sdf.ValueTypeNames.Float3).Set(Gf.Vec3f(0.5))
+    result = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
+    shader = UsdShade.Shader.Define(stage, "/Object/Colours/Surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("emissiveColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(result)
+    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(0))
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
+    output = shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
+    material.CreateSurfaceOutput().ConnectToSource(output)
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
