@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,8 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
     refuse_missing_usd()
     if not len(clip):
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
-    from pxr import Sdf, Usd, UsdGeom, UsdUtils, Vt
+    names = ("Sdf", "Usd", "UsdGeom", "UsdUtils", "Vt")
+    Sdf, Usd, UsdGeom, UsdUtils, Vt = (import_module(f"pxr.{name}") for name in names)
 
     surface = find_surface(clip.frame(0).gaussians.select(clip.object_mask), CELLS)
     turn = orientation(*Y_UP).T
@@ -75,7 +77,7 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
 
 def _bind_colours(stage: Any, mesh: Any) -> None:
     """Show the colours of the vertices as emitted light, because they contain the picture's."""
-    from pxr import Gf, Sdf, UsdShade
+    Gf, Sdf, UsdShade = (import_module(f"pxr.{name}") for name in ("Gf", "Sdf", "UsdShade"))
 
     material = UsdShade.Material.Define(stage, "/Object/Colours")
     reader = UsdShade.Shader.Define(stage, "/Object/Colours/Reader")
