@@ -155,6 +155,7 @@ PRESETS = {"preset": 0, "frames (length)": 1, "draft [s]": 2, "standard [s]": 3}
 STAGES = {"setting": 0, "simulate": 2, "shapes": 3, "render": 4, "encode": 5, "total": 6}
 CONTROL = {"preset": 0, "force in the paper": 1, "path [m]": 3, "a t² / 2 [m]": 4}
 TEARING = {"particles per cell and axis": 0, "intact up to a stretch of": 1, "broken at": 2}
+SIZES = ("gaussians", "cells", "frames")
 GPU = "Simulation of presets, and the RMS distance between the clips of CPU and GPU:"
 GPU_COLUMNS = {"preset": 0, "16 CPU cores [s]": 1, "H200 [s]": 2, "times faster": 3}
 BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
@@ -168,6 +169,9 @@ BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
         "stages": lambda: pick("accuracy.md", "<!-- costs -->", STAGES),
         "forecasts": tabulate_forecasts,
         "gpu": lambda: pick("cuda.md", GPU, GPU_COLUMNS),
+    },
+    "scale": {
+        name: lambda name=name: pick("sizes.md", f"<!-- {name} -->") for name in ("waits", *SIZES)
     },
     "stability": {
         "random scenes": lambda: pick("stability.md", "### Random scenes"),
@@ -271,6 +275,28 @@ def plot_presets() -> None:
     save(figure, "presets")
 
 
+def plot_sizes() -> None:
+    """Draw processor time and memory against Gaussians, cells and frames."""
+    figure = Figure((7, 4.5), layout="constrained")
+    above, below = figure.subplots(2, len(SIZES), sharey="row", sharex="col")
+    for name, time, memory in zip(SIZES, above, below, strict=True):
+        heads, *rows = read_table("sizes.md", f"<!-- {name} -->")
+        sizes = [float(row[0].replace(",", "")) for row in rows]
+        for axes, head in ((time, "processor [s]"), (memory, "memory [GB]")):
+            axes.plot(sizes, [float(row[heads.index(head)]) for row in rows], "o-")
+            axes.set(xscale="log", yscale="log")
+            axes.set_xticks(sizes, [f"{size:g}" for size in sizes], rotation=45)
+            axes.minorticks_off()
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.grid(alpha=0.3)
+        memory.set_xlabel(heads[0])
+    above[0].set_ylabel("processor time [s]")
+    below[0].set_ylabel("memory [GB]")
+    above[0].set_yticks([3, 10, 30, 100])
+    below[0].set_yticks([0.5, 1, 2, 5])
+    save(figure, "sizes")
+
+
 if __name__ == "__main__":
     for page in BLOCKS:
         (DOCS / f"results/{page}.md").write_text(fill_page(page), "utf-8")
@@ -278,3 +304,4 @@ if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
     plot_presets()
     plot_validation()
+    plot_sizes()
