@@ -260,7 +260,7 @@ class Steer:
             speed=self.speed,
             paused=self.paused,
         )
-        offered = controls(run, accuracy, action=backend == "rclpy")
+        offered = controls(run, messages, accuracy, action=backend == "rclpy")
         try:
             with ExitStack() as stack:
                 cameras = stack.enter_context(Cameras(messages, live.scene.data()))

@@ -97,6 +97,45 @@ DEFINITIONS: dict[str, str] = {
         "bool mesh_use_embedded_materials"
     ),
     "visualization_msgs/msg/MarkerArray": "visualization_msgs/Marker[] markers",
+    "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
+    "geometry_msgs/msg/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    "geometry_msgs/msg/Accel": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    "simulation_interfaces/msg/Bounds": "uint8 type\ngeometry_msgs/Vector3[] points",
+    "simulation_interfaces/msg/EntityCategory": "uint8 category",
+    "simulation_interfaces/msg/TagsFilter": "string[] tags\nuint8 filter_mode",
+    "simulation_interfaces/msg/EntityFilters": (
+        "string filter\nsimulation_interfaces/EntityCategory[] categories\n"
+        "simulation_interfaces/TagsFilter tags\nsimulation_interfaces/Bounds bounds"
+    ),
+    "simulation_interfaces/msg/EntityInfo": (
+        "simulation_interfaces/EntityCategory category\nstring description\nstring[] tags"
+    ),
+    "simulation_interfaces/msg/EntityState": (
+        "std_msgs/Header header\ngeometry_msgs/Pose pose\ngeometry_msgs/Twist twist\n"
+        "geometry_msgs/Accel acceleration"
+    ),
+    "simulation_interfaces/srv/GetEntities_Request": "simulation_interfaces/EntityFilters filters",
+    "simulation_interfaces/srv/GetEntities_Response": f"{RESULT}\nstring[] entities",
+    "simulation_interfaces/srv/GetEntityInfo_Request": "string entity",
+    "simulation_interfaces/srv/GetEntityInfo_Response": (
+        f"{RESULT}\nsimulation_interfaces/EntityInfo info"
+    ),
+    "simulation_interfaces/srv/GetEntityState_Request": "string entity",
+    "simulation_interfaces/srv/GetEntityState_Response": (
+        f"{RESULT}\nsimulation_interfaces/EntityState state"
+    ),
+    # As in version 1.5 of Jazzy; version 2.1 has flags in addition.
+    "simulation_interfaces/srv/SetEntityState_Request": (
+        "string entity\nsimulation_interfaces/EntityState state"
+    ),
+    "simulation_interfaces/srv/SetEntityState_Response": RESULT,
+    "simulation_interfaces/srv/SpawnEntity_Request": (
+        "string name\nbool allow_renaming\nstring uri\nstring resource_string\n"
+        "string entity_namespace\ngeometry_msgs/PoseStamped initial_pose"
+    ),
+    "simulation_interfaces/srv/SpawnEntity_Response": f"{RESULT}\nstring entity_name",
+    "simulation_interfaces/srv/DeleteEntity_Request": "string entity",
+    "simulation_interfaces/srv/DeleteEntity_Response": RESULT,
     "simulation_interfaces/msg/Result": "uint8 result\nstring error_message",
     "simulation_interfaces/msg/SimulationState": "uint8 state",
     "simulation_interfaces/msg/SimulatorFeatures": (
@@ -183,6 +222,42 @@ HASHES: dict[str, str] = {
     ),
     "splat_interfaces/msg/SplatArray": (
         "RIHS01_68c90e8e9ff1b2237789f7b7712b746a699fe37a3bed11d685f8d6698b4f5abf"
+    ),
+    "simulation_interfaces/srv/GetEntities_Request": (
+        "RIHS01_f0a4c6c0c39c87f84cbd1ea31956b9f39b3fa538ae9c4aa7fc243a32360e8c70"
+    ),
+    "simulation_interfaces/srv/GetEntities_Response": (
+        "RIHS01_dd1916edbdc659d355e77980b16ed6eb4d41d5ff445557931ed65c58b00f7b2c"
+    ),
+    "simulation_interfaces/srv/GetEntityInfo_Request": (
+        "RIHS01_9bdd2628d931108734e304ae1fac80d268a46783fa0060d4a43831c54c30f3b3"
+    ),
+    "simulation_interfaces/srv/GetEntityInfo_Response": (
+        "RIHS01_eaa358f007b09b06645f93b5a1c6ae0389f27bee7747e760122994ab1308e1c8"
+    ),
+    "simulation_interfaces/srv/GetEntityState_Request": (
+        "RIHS01_580141cc957c4ee99a7e46bc545db351ab9ce6c3099d4092b1186ddc6a38bd5a"
+    ),
+    "simulation_interfaces/srv/GetEntityState_Response": (
+        "RIHS01_125f1ca9dc2fc072443deb28587bbb1026fa34db4dfaf59e9a6b7128e0c81331"
+    ),
+    "simulation_interfaces/srv/SetEntityState_Request": (
+        "RIHS01_95cdfbffcd9c4d0133b2079bdcadd4420ce86dd255c11a3dfed7f9f907fd304d"
+    ),
+    "simulation_interfaces/srv/SetEntityState_Response": (
+        "RIHS01_bbd9bcb2def000f1ed8cb9482abff46c5a11cfe4184203f336b920f249d757f4"
+    ),
+    "simulation_interfaces/srv/SpawnEntity_Request": (
+        "RIHS01_fdcf97087f59eed1ad0b75696ea97ffbb44d104f62f177fcd5a31ab67c6fc923"
+    ),
+    "simulation_interfaces/srv/SpawnEntity_Response": (
+        "RIHS01_be8c9fc03b6faaf95570949c80195c8ca75dd99f7efc23262309d497b2923982"
+    ),
+    "simulation_interfaces/srv/DeleteEntity_Request": (
+        "RIHS01_4b41b2ebdc313a0c98c7c2218849edc8b7b905fd759a23b68c576496a47dc792"
+    ),
+    "simulation_interfaces/srv/DeleteEntity_Response": (
+        "RIHS01_2f68929b527a3bbee03637a1c8192f2aa2982807738389aa0781f8e785673ca7"
     ),
     "simulation_interfaces/srv/GetSimulatorFeatures_Request": (
         "RIHS01_982b8c1adef1d556f6ecdc019d1269fc39413626a9222d73b4fc874bd798b7db"

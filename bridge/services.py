@@ -18,7 +18,8 @@ from phy124.errors import InputError
 
 from .cdr import NANO
 from .sink import Playback
-from .steering.standard import PACKAGE, Code, result
+from .steering.entities import Code, result
+from .steering.standard import PACKAGE
 from .topics import Controls, Service
 
 TRIGGERS = ("play", "pause", "restart")

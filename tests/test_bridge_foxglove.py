@@ -132,7 +132,7 @@ def quit_after(client, run):
 
 def test_a_viewer_in_another_process_steers_a_run():
     run = steered(paused=False)
-    offered = controls(run, "coarse", action=False)
+    offered = controls(run, Options(), "coarse", action=False)
     options = Options(epoch=EPOCH, profile="viz")
     with FoxgloveSink(options, port=0, controls=offered) as sink:
         command = [sys.executable, "-m", "support.foxglove_client", str(sink.port)]
@@ -182,7 +182,7 @@ def test_the_layout_shows_what_a_run_has():
     text = built.SHIPPED.read_text(encoding="utf-8")
     assert text == built.text(), "run python tests/support/foxglove_layout.py"
     run = steered()
-    offered = controls(run, "", action=False)
+    offered = controls(run, Options(), "", action=False)
     topics = {*offered.published, *offered.heard, *FrameEncoder(Options()).topics}
     names = {full_name(each.name, offered.node) for each in (*topics, *offered.services)}
     used = re.findall(r'"(/phy124[\w/]*)', text)

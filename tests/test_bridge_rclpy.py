@@ -431,7 +431,7 @@ def test_time_stamps_count_from_the_start_of_the_node(ros, monkeypatch):
 def listening(ros, clock):
     """A run that is steered over rclpy, and what it reads before a frame."""
     run = steered()
-    offered = controls(run, "", action=False)
+    offered = controls(run, OPTIONS, "", action=False)
     with RclpySink(OPTIONS, controls=offered) as sink:
         yield run, _Listening(run, sink), ros.nodes[0], clock
 

@@ -90,7 +90,7 @@ def domain(monkeypatch):
 
 
 def opened(run):
-    return DdsSink(OPTIONS, controls=controls(run, "coarse", action=False))
+    return DdsSink(OPTIONS, controls=controls(run, OPTIONS, "coarse", action=False))
 
 
 def test_a_peer_pauses_steps_and_pushes(domain):

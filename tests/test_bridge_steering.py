@@ -52,7 +52,7 @@ def test_steps_by_service_give_the_bytes_of_a_plain_run():
     run, seen = steered(), []
     run.show = lambda frame: seen.append(bytes_of(frame))
     run.advance()
-    answers = [Standard(run, action=False).step(asked(steps=steps)) for steps in (1, 4)]
+    answers = [Standard(run, OPTIONS, action=False).step(asked(steps=steps)) for steps in (1, 4)]
     assert [answer["result"]["result"] for answer in answers] == [Code.OK, Code.OK]
     plain = Simulation(prepare(ball(400), scene(), RunContext(threads=1)))
     assert seen == [bytes_of(plain.step()) for _ in range(6)]
@@ -61,7 +61,7 @@ def test_steps_by_service_give_the_bytes_of_a_plain_run():
 def test_states_and_resets():
     run, shown = steered(), []
     run.show = lambda frame: shown.append((frame.index, round(24 * frame.time)))
-    standard = Standard(run, action=True)
+    standard = Standard(run, OPTIONS, action=True)
 
     def enter(number):
         return standard.set_state(state(number))["result"]["result"]
@@ -86,7 +86,7 @@ def test_states_and_resets():
     assert enter(State.QUITTING) == Code.OK and run.finished
     features = standard.features(None)["features"]["features"]
     assert Feature.STEP_SIMULATION_ACTION in features
-    assert len(Standard(run, action=False).features(None)["features"]["features"]) == 8
+    assert len(Standard(run, OPTIONS, action=False).features(None)["features"]["features"]) == 13
 
 
 def test_commands_are_those_of_the_services():
@@ -328,7 +328,9 @@ TWO = {"object.on": "box", "object.lift": 0.0, "objects": [BOX]}
 def test_topics_and_frames_name_the_object(tmp_path, monkeypatch):
     monkeypatch.setattr("phy124.generators.shapes.COUNT", 1000)
     run = steered(changes=TWO)
-    published = [topic for topic in controls(run, "", action=False).published if topic != FACTOR]
+    published = [
+        topic for topic in controls(run, OPTIONS, "", action=False).published if topic != FACTOR
+    ]
     assert "~/contact/object_on_box" in {topic.name for topic in published}
     wanted = []
     with McapSink(tmp_path / "bag", OPTIONS, topics=published, node="live") as sink:

@@ -129,6 +129,10 @@ class Inputs:
         """Receive a TFMessage."""
         self._attempt(lambda: self._transforms.hear(message))
 
+    def pose(self, frame: str) -> np.ndarray:
+        """Return the pose of a coordinate frame in the world [4,4]; raises InputError."""
+        return self._transforms.pose(frame)
+
     def apply(self) -> None:
         """Apply the inputs that came since the last frame."""
         if self._let_go:

@@ -31,11 +31,12 @@ is longer. A slower run has more messages to read."""
 FLOOD = "Messages arrive faster than they are read: only the newest of each topic are kept."
 
 
-def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
+def controls(run: SteeredRun, options: Options, accuracy: str, *, action: bool) -> Controls:
     """Return the controls that a sink offers to peers that steer a run.
 
     Args:
         run: The run.
+        options: Options that define how frames become messages.
         accuracy: Sentence about the accuracy, for the diagnostics.
         action: Whether the sink supports actions.
     """
@@ -46,7 +47,7 @@ def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
         node=STEERED,
         published=(TF, FACTOR, *(contact(at) for at in (*walls, *run.live.pairs))),
         heard=run.inputs.heard,
-        services=Standard(run, action=action).services,
+        services=Standard(run, options, action=action).services,
         steps=run.steps if action else None,
         refused=run.remarks.add,
         clock=True,

@@ -1,6 +1,6 @@
-"""Standard services of simulators (simulation_interfaces 2.1.0) for a steered run.
+"""Standard services of simulators (simulation_interfaces 1.x and 2.x) for a steered run.
 
-A run has a fixed scene and therefore supports only the features of time: states, steps and resets.
+A run has a fixed scene: it supports states, steps and resets, and `entities` describes its objects.
 """
 
 from __future__ import annotations
@@ -10,24 +10,22 @@ from typing import Any
 
 from phy124.errors import InputError
 
+from ..options import Options
 from ..topics import Service
+from .entities import Code, Entities, result
 from .run import State, SteeredRun
 
 PACKAGE = "simulation_interfaces"
 
 
-class Code(IntEnum):
-    """Codes of `simulation_interfaces/msg/Result` and of SetSimulationState."""
-
-    FEATURE_UNSUPPORTED = 0
-    OK = 1
-    OPERATION_FAILED = 4
-    ALREADY_IN_TARGET_STATE = 101
-
-
 class Feature(IntEnum):
     """Features of `simulation_interfaces/msg/SimulatorFeatures` that a run supports."""
 
+    ENTITY_BOUNDS_BOX = 6
+    ENTITY_CATEGORIES = 8
+    ENTITY_STATE_GETTING = 10
+    ENTITY_STATE_SETTING = 11
+    ENTITY_INFO_GETTING = 12
     SIMULATION_RESET = 20
     SIMULATION_RESET_TIME = 21
     SIMULATION_RESET_STATE = 22
@@ -46,9 +44,10 @@ SCOPE_DEFAULT, SCOPE_TIME, SCOPE_STATE = 0, 1, 2
 class Standard:
     """The standard services of a run."""
 
-    def __init__(self, run: SteeredRun, *, action: bool) -> None:
-        """Store the run; `action` says whether steps are also offered as an action."""
+    def __init__(self, run: SteeredRun, options: Options, *, action: bool) -> None:
+        """Store the run and the options; `action` says whether steps are also an action."""
         self._run, self._action = run, action
+        self._entities = Entities(run, options)
 
     @property
     def services(self) -> tuple[Service, ...]:
@@ -59,6 +58,12 @@ class Standard:
             "SetSimulationState": ("set_simulation_state", self.set_state),
             "StepSimulation": ("step_simulation", self.step),
             "ResetSimulation": ("reset_simulation", self.reset),
+            "GetEntities": ("get_entities", self._entities.list),
+            "GetEntityInfo": ("get_entity_info", self._entities.info),
+            "GetEntityState": ("get_entity_state", self._entities.state),
+            "SetEntityState": ("set_entity_state", self._entities.set_state),
+            "SpawnEntity": ("spawn_entity", self._entities.spawn),
+            "DeleteEntity": ("delete_entity", self._entities.delete),
         }
         return tuple(
             Service(f"~/{name}", f"{PACKAGE}/srv/{kind}", serve)
@@ -70,7 +75,7 @@ class Standard:
         del request
         left_out = () if self._action else (Feature.STEP_SIMULATION_ACTION,)
         features = [int(feature) for feature in Feature if feature not in left_out]
-        text = "phy124: one deformable object; ~/push, ~/grab (docs/guide/steering.md)"
+        text = "phy124: deformable objects; ~/push, ~/grab (docs/guide/steering.md)"
         return {"features": {"features": features, "spawn_formats": [], "custom_info": text}}
 
     def state(self, request: Any) -> dict[str, Any]:
@@ -113,8 +118,3 @@ class Standard:
             state=everything or bool(scope & SCOPE_STATE),
         )
         return {"result": result(Code.OK)}
-
-
-def result(code: Code, said: str = "") -> dict[str, Any]:
-    """Return a `simulation_interfaces/msg/Result`."""
-    return {"result": int(code), "error_message": said}

@@ -340,6 +340,30 @@ class Live:
         """Centre of mass [3], m, of each object by name."""
         return places.compute_centres(self._run)
 
+    @property
+    def points(self) -> dict[str, NDArray[np.float64]]:
+        """Positions of the particles of each object [P,3], m, or centre of a free solid."""
+        return places.list_points(self._run)
+
+    @property
+    def motions(self) -> dict[str, places.Motion]:
+        """Pose and velocity of each object by name."""
+        return places.list_motions(self._run)
+
+    def set_motion(self, name: str, motion: places.Motion, *, twist: bool = True) -> None:
+        """Move an object as a rigid body at once, which `session` does not repeat.
+
+        Args:
+            name: Name of the object.
+            motion: New position and orientation, and new velocities.
+            twist: Whether velocities are set; otherwise they rotate with the object.
+
+        Raises:
+            InputError: There is no such object, it never moves, or it has no particles.
+        """
+        places.set_motion(self._run, name, motion, twist=twist)
+        self._note(f"{name} was moved at once: the session does not repeat this.")
+
     def session(self) -> Scene:
         """Return the scene with all inputs, with as many frames as the session."""
         frames = max(self._run.count, 1)

@@ -6,8 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from phy124.errors import InputError
+from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import pair_names
 from phy124.scene import Scene
 from phy124.schema.region import Vector
@@ -54,6 +56,83 @@ def find_material(
     return NearestMaterial(
         (px, py, pz), run.scene.names[body[index]] if run.scene.objects else None
     )
+
+
+def list_points(run: Simulation) -> dict[str, NDArray[np.float64]]:
+    """Return the positions of each object's particles [P,3], m; a free solid has its centre."""
+    x, body, free = _positions(run), _objects(run), run.solver.free
+    points = {run.scene.names[number]: x[body == number] for number in np.unique(body)}
+    centres = zip(free.all, free.poses(), strict=True)
+    return points | {solid.name: pose[None, :3] for solid, pose in centres}
+
+
+class Motion(NamedTuple):
+    """Rigid part of an object's motion."""
+
+    place: NDArray[np.float64]
+    """Centre of mass [3], m."""
+    quat: NDArray[np.float64]
+    """Unit quaternion wxyz of the best-fitting rotation from rest [4]."""
+    velocity: NDArray[np.float64]
+    """Velocity of the centre of mass [3], m/s."""
+    spin: NDArray[np.float64]
+    """Angular velocity about the centre of mass [3], rad/s."""
+
+
+def list_motions(run: Simulation) -> dict[str, Motion]:
+    """Return the motion of each object with particles and of each free rigid solid, by name."""
+    v = np.asarray(run.solver.state.v.numpy(), dtype=np.float64)
+    x, rest, mass = _positions(run), run.solver.model.rest, run.setup.particles.mass
+    motions, body = {}, _objects(run)
+    for number in np.unique(body):
+        mask = body == number
+        m = mass[mask, None].astype(np.float64)
+        place, velocity = ((m * values[mask]).sum(0) / m.sum() for values in (x, v))
+        arm, start = x[mask] - place, rest[mask] - (m * rest[mask]).sum(0) / m.sum()
+        rotation = Rotation.align_vectors(arm, start, m[:, 0])[0]
+        inertia = (m * arm).T @ -arm
+        inertia -= np.eye(3) * np.trace(inertia)
+        spin = np.linalg.lstsq(inertia, (m * np.cross(arm, v[mask])).sum(0), rcond=None)[0]
+        quat = rotation.as_quat()[[3, 0, 1, 2]]
+        motions[run.scene.names[number]] = Motion(place, quat, velocity, spin)
+    free = run.solver.free
+    for solid, pose, motion in zip(free.all, free.poses(), free.motions(), strict=True):
+        motions[solid.name] = Motion(pose[:3], pose[3:], motion[:3], motion[3:])
+    return motions
+
+
+def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> None:
+    """Move and rotate an object's particles as a rigid body; its deformation is kept.
+
+    Args:
+        run: The run.
+        name: Name of the object.
+        motion: New position and orientation, and new velocities.
+        twist: Whether velocities are set; otherwise they rotate with the object.
+
+    Raises:
+        InputError: There is no such object, it never moves, or it has no particles.
+    """
+    number = _object_number(run.scene, "state.entity", name)
+    mask, state, before = _objects(run) == number, run.solver.state, list_motions(run)[name]
+    new, old = (Rotation.from_quat(each.quat[[1, 2, 3, 0]]) for each in (motion, before))
+    R = (new * old.inv()).as_matrix()
+    arrays = {key: np.array(array.numpy()) for key, array in state.arrays().items()}
+    arm = (arrays["x"][mask] - before.place) @ R.T
+    arrays["x"][mask], arrays["residue"][mask] = motion.place + arm, 0
+    for key in filter(lambda key: len(arrays[key]), ("F", "total")):
+        arrays[key][mask] = R @ arrays[key][mask]
+    if twist:
+        arrays["v"][mask] = motion.velocity + np.cross(motion.spin, arm)
+        arrays["C"][mask] = np.cross(np.eye(3), motion.spin)
+    else:
+        arrays["v"][mask] = arrays["v"][mask] @ R.T
+        arrays["C"][mask] = R @ arrays["C"][mask] @ R.T
+    for key, array in state.arrays().items():
+        array.assign(arrays[key])
+    watchdog = run.find(Watchdog)
+    if watchdog is not None:
+        watchdog.restart()
 
 
 def check_object(scene: Scene, field: str, name: str | None) -> str | None:

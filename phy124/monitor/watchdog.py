@@ -153,6 +153,10 @@ class Watchdog(Observer):
         if self.external is not None:
             self.external.begin(self.last.momentum)
 
+    def restart(self) -> None:
+        """Start the balance again with the next frame, because the state was set from outside."""
+        self._begun = False
+
     def after_substep(self) -> None:
         """Record the largest speed.
 

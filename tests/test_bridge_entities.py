@@ -1,0 +1,161 @@
+"""Objects of a steered run as entities of simulation_interfaces, in versions 1.5 and 2.1."""
+
+from types import SimpleNamespace as at
+
+import numpy as np
+import pytest
+
+from bridge import cdr
+from bridge.steering.entities import INVALID_POSE, Code
+from bridge.steering.standard import Feature, Standard
+from support.ros_messages import JAZZY
+from support.steered import OPTIONS, WEIGHTLESS, header, steered, transform, triple
+
+
+@pytest.fixture(scope="module")
+def run():
+    made = steered(changes=WEIGHTLESS)
+    made.advance()
+    return made
+
+
+def serve(run, name):
+    """The function of a service, whose answer must fit its message type."""
+    (service,) = [
+        each
+        for each in Standard(run, OPTIONS, action=False).services
+        if each.type.endswith(f"/{name}")
+    ]
+
+    def ask(**members):
+        answer = service.serve(at(**members))
+        assert cdr.encode(f"{service.type}_Response", answer)
+        return answer
+
+    return ask
+
+
+def filters(pattern="", categories=(), tags=(), bounds=0, points=()):
+    return at(
+        filter=pattern,
+        categories=[at(category=number) for number in categories],
+        tags=at(tags=list(tags), filter_mode=0),
+        bounds=at(type=bounds, points=[triple(each) for each in points]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("wanted", "names"),
+    [
+        ({}, ["object"]),
+        ({"pattern": "^obj"}, ["object"]),
+        ({"pattern": "robot"}, []),
+        ({"categories": [4, 1]}, ["object"]),
+        ({"categories": [5]}, []),
+        ({"bounds": 1, "points": [(1, 1, 1), (-1, -1, 0)]}, ["object"]),
+        ({"bounds": 3, "points": [(0, 0, 3), (0.5, 0, 0)]}, []),
+        ({"bounds": 3, "points": [(0, 0, 3), (2.5, 0, 0)]}, ["object"]),
+    ],
+)
+def test_filters_select_entities(run, wanted, names):
+    answer = serve(run, "GetEntities")(filters=filters(**wanted))
+    assert (answer["result"]["result"], answer["entities"]) == (Code.OK, names)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "code"),
+    [
+        ({"pattern": "("}, Code.OPERATION_FAILED),
+        ({"tags": ["red"]}, Code.FEATURE_UNSUPPORTED),
+        ({"bounds": 2}, Code.FEATURE_UNSUPPORTED),
+        ({"bounds": 3}, Code.OPERATION_FAILED),
+    ],
+)
+def test_impossible_filters_have_result_codes(run, wanted, code):
+    answer = serve(run, "GetEntities")(filters=filters(**wanted))
+    assert answer["result"]["result"] == code and answer["result"]["error_message"]
+
+
+def state(place, quaternion=(0, 0, 0, 1), linear=(0, 0, 0), angular=(0, 0, 0), frame=""):
+    pose = at(position=triple(place), orientation=at(**dict(zip("xyzw", quaternion, strict=True))))
+    twist = at(linear=triple(linear), angular=triple(angular))
+    return at(header=header(frame), pose=pose, twist=twist)
+
+
+def test_a_state_that_is_set_is_the_state_that_moves_on():
+    run = steered(changes=WEIGHTLESS)
+    run.advance()
+    half = np.sqrt(0.5)
+    asked = state((0.2, 0, 0.8), (0, 0, half, half), (0.5, 0, 0), (0, 0, 1))
+    # Version 1.5 has no flags.
+    assert serve(run, "SetEntityState")(entity="object", state=asked)["result"]["result"] == 1
+    for _ in range(12):
+        run.advance()
+    found = serve(run, "GetEntityState")(entity="object")["state"]
+    assert found["header"]["frame_id"] == "phy124"
+    assert [*found["pose"]["position"].values()] == pytest.approx([0.45, 0, 0.8], abs=1e-3)
+    angle = 2 * np.arctan2(found["pose"]["orientation"]["z"], found["pose"]["orientation"]["w"])
+    assert angle == pytest.approx(np.pi / 2 + 0.5, abs=0.03)
+    assert [*found["twist"]["linear"].values()] == pytest.approx([0.5, 0, 0], abs=1e-3)
+    assert [*found["twist"]["angular"].values()] == pytest.approx([0, 0, 1], abs=1e-2)
+    assert "does not repeat" in run.remarks.last and run.remarks.count == 1
+
+
+def test_flags_choose_pose_or_twist_and_the_frame_counts():
+    run = steered(changes=WEIGHTLESS)
+    run.advance()
+    run.inputs.transform(transform("phy124", "table", (0.1, 0.2, 0.7)))
+    flags = {"set_pose": True, "set_twist": False, "set_acceleration": False}
+    put = serve(run, "SetEntityState")
+    asked = state((0, 0, 0), linear=(9, 9, 9), frame="table")
+    assert put(entity="object", state=asked, **flags)["result"]["result"] == Code.OK
+    motion = run.live.motions["object"]
+    assert np.allclose(motion.place, (0.1, 0.2, 0.7)) and np.allclose(motion.velocity, 0)
+    flags = {**flags, "set_pose": False, "set_twist": True}
+    put(entity="object", state=state((0, 0, 0), linear=(0, 1, 0)), **flags)
+    motion = run.live.motions["object"]
+    assert np.allclose(motion.place, (0.1, 0.2, 0.7)) and np.allclose(motion.velocity, (0, 1, 0))
+
+
+@pytest.mark.parametrize(
+    ("members", "code"),
+    [
+        ({"entity": "robot"}, Code.NOT_FOUND),
+        ({"state": state((0, 0, 99))}, INVALID_POSE),
+        ({"state": state((0, 0, np.nan))}, INVALID_POSE),
+        ({"state": state((0, 0, 1), (0, 0, 0, 0))}, INVALID_POSE),
+        ({"state": state((0, 0, 1), frame="nowhere")}, INVALID_POSE),
+        ({"state": state((0, 0, 1), linear=(np.inf, 0, 0))}, INVALID_POSE),
+        ({"set_acceleration": True}, Code.FEATURE_UNSUPPORTED),
+    ],
+)
+def test_impossible_states_change_nothing(run, members, code):
+    before = run.live.particles[0]
+    usual = {"entity": "object", "state": state((0, 0, 1))}
+    answer = serve(run, "SetEntityState")(**{**usual, **members})["result"]
+    assert answer["result"] == code and answer["error_message"]
+    assert (run.live.particles[0] == before).all()
+
+
+def test_objects_are_fixed_and_features_say_so(run):
+    spawned = serve(run, "SpawnEntity")(name="b", uri="b.png")
+    assert spawned["result"]["result"] == Code.FEATURE_UNSUPPORTED
+    deleted = serve(run, "DeleteEntity")
+    assert deleted(entity="object")["result"]["result"] == Code.FEATURE_UNSUPPORTED
+    assert deleted(entity="robot")["result"]["result"] == Code.NOT_FOUND
+    features = serve(run, "GetSimulatorFeatures")()["features"]["features"]
+    assert {*range(10, 13), 6, 8} <= {*features} and not {0, 1, 4, 7, 13} & {*features}
+    assert {*features} <= {*Feature}
+
+
+def test_info_has_category_and_material(run):
+    info = serve(run, "GetEntityInfo")(entity="object")["info"]
+    assert info["category"] == {"category": 4} and "object of 1 m" in info["description"]
+    unknown = serve(run, "GetEntityInfo")(entity="robot")["result"]
+    assert unknown["result"] == Code.NOT_FOUND
+
+
+def test_definitions_are_those_of_jazzy():
+    kind = "geometry_msgs/msg/PoseStamped"
+    message = JAZZY.deserialize_cdr(cdr.encode(kind, {"header": {"frame_id": "a"}}), kind)
+    assert message.header.frame_id == "a"
