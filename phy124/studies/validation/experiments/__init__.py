@@ -15,6 +15,7 @@ from phy124.studies.validation.experiments import (
     dam_break,
     hertz,
     incline,
+    liquids,
     middle_axis,
     pressed_block,
     restitution,
@@ -37,6 +38,8 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     taylor_bar.EXPERIMENT,
     sand_column.EXPERIMENT,
     dam_break.EXPERIMENT,
+    liquids.SLOSHING,
+    liquids.CHANNEL,
 )
 """All experiments, in display order."""
 

@@ -1,0 +1,161 @@
+"""Experiments with liquids by pressure projection: sloshing in a tank, and a viscous channel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.boundaries import Boundary, Container, HalfSpace
+from phy124.forces import Gravity
+from phy124.liquid import LiquidSolver
+from phy124.materials import Fluid
+from phy124.mpm import Model, State
+from phy124.schema.region import Region
+from phy124.studies.validation.accuracy.problems import GRAVITY
+from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+
+DEPTH, WAVE, PERIODS = 0.5, 0.05, 5
+"""Depth of the tank, amplitude of the wave, both in tank lengths, and number of periods."""
+SAMPLES = 60
+"""Samples per period."""
+GAP, NU, PULL, FALL = 0.5, 0.1, 2.0, 0.5
+"""Distance of the plates [m], kinematic viscosity [m^2/s], acceleration [m/s^2], duration [s]."""
+
+
+def fill(size: tuple[float, float, float], cells: int) -> NDArray[np.float64]:
+    """Return particles, eight in a cell, in a box from the origin on [P,3], m.
+
+    Args:
+        size: Sides of the box [m].
+        cells: Cells per metre.
+    """
+    step = 0.5 / cells
+    axes = [(np.arange(round(side / step)) + 0.5) * step for side in size]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+def solver_of(
+    x: NDArray, v: NDArray, cells: int, walls: list[Boundary], g: float, viscosity: float = 0.0
+) -> LiquidSolver:
+    """Return the solver of a liquid of 1000 kg/m^3.
+
+    Args:
+        x: Positions of the particles [P,3], m.
+        v: Their velocities [P,3], m/s.
+        cells: Cells per metre.
+        walls: The walls.
+        g: Acceleration downwards [m/s^2].
+        viscosity: Dynamic viscosity [Pa s].
+    """
+    volume, water = np.full(len(x), 0.125 / cells**3), Fluid(density=1000, viscosity=viscosity)
+    model = Model.of(x, volume, [water], dx=1 / cells, origin=(0, 0, 0))
+    named = [(f"wall_{index}", wall) for index, wall in enumerate(walls)]
+    forces = [Gravity(g=(0, 0, -g))]
+    return LiquidSolver(model, State.of(model, v), forces=forces, boundaries=named, threads=1)
+
+
+def frequency() -> float:
+    """Return the frequency of the first mode, omega^2 = g k tanh(k h) with k = pi / L [Hz]."""
+    return float(np.sqrt(GRAVITY * np.pi * np.tanh(np.pi * DEPTH)) / (2 * np.pi))
+
+
+def slosh(cells: int, depth: float) -> Values:
+    """Start the first mode in a tank of 1 m, and measure its frequency and the final height.
+
+    Args:
+        cells: Cells across the tank's length.
+        depth: Depth of the water [m].
+    """
+    width = 4 / cells
+    x = fill((1, width, depth), cells)
+    k, period = np.pi, 1 / frequency()
+    speed = WAVE * 2 * np.pi / period / np.sinh(k * DEPTH)
+    v = np.zeros_like(x)
+    v[:, 0] = -speed * np.sin(k * x[:, 0]) * np.cosh(k * x[:, 2])
+    v[:, 2] = speed * np.cos(k * x[:, 0]) * np.sinh(k * x[:, 2])
+    tank = Container(inside=Region(lower=(0, 0, 0), upper=(1, width, 9)), contact="slip")
+    solver = solver_of(x, v, cells, [tank], GRAVITY)
+    times, places = [], []
+    for sample in range(PERIODS * SAMPLES + 1):
+        solver.advance((sample + 1) * period / SAMPLES)
+        x = solver.state.x.numpy().astype(float)
+        times.append(solver.clock.time)
+        places.append(x[:, 0].mean() - 0.5)
+    t, s = np.array(times), np.array(places)
+    turns = np.flatnonzero(s[:-1] * s[1:] < 0)
+    crossings = t[turns] - s[turns] * (t[turns + 1] - t[turns]) / (s[turns + 1] - s[turns])
+    rate = (len(crossings) - 1) / 2 / (crossings[-1] - crossings[0])
+    return float(rate), float(x[:, 2].mean() / depth)
+
+
+def fall(cells: int, viscosity: float) -> Values:
+    """Let a slab fall between sticky plates, and measure its speed in the middle and near a plate.
+
+    Args:
+        cells: Cells across the gap.
+        viscosity: Dynamic viscosity [Pa s].
+    """
+    fine, width = round(cells / GAP), 4 * GAP / cells
+    plates = [
+        HalfSpace(point=(0, y, 0), normal=(0, sign, 0), contact="sticky")
+        for y, sign in ((0.0, 1), (GAP, -1))
+    ]
+    sides = Container(inside=Region(lower=(0, -9, -9), upper=(width, 9, 9)), contact="slip")
+    x = fill((width, GAP, 1.5), fine)
+    solver = solver_of(x, np.zeros_like(x), fine, [*plates, sides], PULL, viscosity)
+    solver.advance(FALL)
+    x, v = (values.numpy().astype(float) for values in (solver.state.x, solver.state.v))
+    level = np.abs(x[:, 2] - x[:, 2].mean()) < 0.2
+    middle = level & (np.abs(x[:, 1] / GAP - 0.5) < 0.1)
+    return float(-v[middle, 2].mean()), float(-v[level, 2].mean())
+
+
+def started_flow() -> tuple[float, float]:
+    """Return the exact speed in the middle fifth, and the mean speed [m/s]."""
+    k = np.arange(1, 60, 2)
+    waves = 4 * PULL * GAP**2 / (np.pi**3 * NU) / k**3
+    waves *= 1 - np.exp(-((k * np.pi / GAP) ** 2) * NU * FALL)
+    y = np.linspace(0.4, 0.6, 41)
+    middle = float((waves @ np.sin(np.pi * np.outer(k, y))).mean())
+    return middle, float(waves @ (2 / (np.pi * k)))
+
+
+SLOSHING = Experiment(
+    name="sloshing",
+    title="Sloshing in a tank",
+    source="Linear theory of waves (Lamb 1932, § 228): ω² = g k tanh(k h), k = π / L",
+    measured="The first mode of water, half as deep as its smooth tank is long, starts with an "
+    "amplitude of 5 % of the length. Measured are its frequency over 5 periods [Hz] and the "
+    "height of the centre of mass, relative to half the depth, at the end.",
+    band="±1 %; a wave of this height is slower than a small one by about 0.3 %",
+    published=lambda: (
+        Quantity.within("frequency", frequency(), 0.01),
+        Quantity.within("height of the centre / depth", 0.5, 0.01),
+    ),
+    run=lambda cells: slosh(cells, DEPTH),
+    control=lambda cells: slosh(cells, 0.8 * DEPTH),
+    mistake="the tank is filled to four fifths only",
+    grids=(24, 32, 48),
+    across="the tank's length",
+    quick=True,
+    seconds=15,
+)
+CHANNEL = Experiment(
+    name="channel",
+    title="Viscous liquid that falls between two plates",
+    source="Started flow between plates (Batchelor 1967, § 4.3): g y (H - y) / (2 ν) less a series",
+    measured="A slab of 0.1 m²/s falls between sticky plates that are 0.5 m apart with 2 m/s². "
+    "Measured are its speed after 0.5 s in the middle fifth of the gap and across the gap [m/s].",
+    band="±5 %: the slab ends, so the flow is not quite that of an endless one",
+    published=lambda: tuple(
+        Quantity.within(name, speed, 0.05)
+        for name, speed in zip(("speed in the middle", "mean speed"), started_flow(), strict=True)
+    ),
+    run=lambda cells: fall(cells, NU * 1000),
+    control=lambda cells: fall(cells, 0.5 * NU * 1000),
+    mistake="half the viscosity",
+    grids=(12, 16, 24),
+    across="the gap",
+    quick=True,
+    seconds=15,
+)
