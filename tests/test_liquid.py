@@ -314,6 +314,30 @@ def test_piston_raises_the_level():
     assert solver.state.x.numpy()[:, 0].min() > 0.1 - 0.25 * solver.model.dx
 
 
+def test_film_and_lone_particle_come_to_rest_on_the_floor():
+    for x in (block((0, 0, 0), (1, 1, 1 / 16), 8), np.array([[0.5, 0.5, 0.3]])):
+        solver = run(liquid(x, 8, [TANK]), 24)
+        x, v = solver.state.x.numpy(), solver.state.v.numpy()
+        assert np.abs(v).max() < 1e-3
+        assert x[:, 2].min() > 0 and x[:, 2].max() < 0.04
+
+
+def test_box_that_shrinks_below_its_liquid_does_not_explode():
+    """The box has room for two thirds of the liquid in the end; speeds stay near the wall's."""
+    motion = Path(times=(0.0, 1.0), points=((0.0, 0.0, 0.0), (-0.5, 0.0, 0.0)))
+    wall = HalfSpace(point=(1, 0, 0), normal=(-1, 0, 0), contact="slip", motion=motion)
+    box = Container(inside=Region(lower=(0, 0, 0), upper=(2, 1, 1)), contact="slip")
+    solver = liquid(block((0, 0, 0), (1, 1, 0.75), 8), 8, [box, wall])
+    fastest = 0.0
+    for _ in range(6):
+        run(solver, 12)
+        fastest = max(fastest, np.linalg.norm(solver.state.v.numpy(), axis=1).max())
+    x = solver.state.x.numpy()
+    assert fastest < 3
+    assert ((x > 0) & (x < (0.5, 1, 1))).all()
+    assert np.linalg.norm(solver.state.v.numpy(), axis=1).mean() < 0.1
+
+
 @pytest.mark.slow
 def test_shaken_box_keeps_its_volume():
     """Near its first sloshing mode for 20 s, then calm for 6 s."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +24,7 @@ GAP, NU, PULL, FALL = 0.5, 0.1, 2.0, 0.5
 """Distance of the plates [m], kinematic viscosity [m^2/s], acceleration [m/s^2], duration [s]."""
 
 
-def fill(size: tuple[float, float, float], cells: int) -> NDArray[np.float64]:
+def fill(size: tuple[float, float, float], cells: int) -> NDArray[Any]:
     """Return particles, eight in a cell, in a box from the origin on [P,3], m.
 
     Args:
