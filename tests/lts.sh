@@ -14,7 +14,7 @@ folder=$(realpath -m "${1:-$root/build/forky}")
 mirror=${DEBIAN_MIRROR:-http://deb.debian.org/debian}
 packages=python3,python3-venv,ca-certificates,git,libgomp1
 extras='bridge,foxglove,draco'
-others='pytest hypothesis rosbags catkin_pkg'
+others='pytest hypothesis rosbags catkin_pkg setuptools'
 
 if [ "$(id -u)" != 0 ]; then
     echo "debootstrap and chroot need root: sudo $0" >&2

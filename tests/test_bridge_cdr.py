@@ -7,7 +7,6 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bridge.cdr import encode, time
-from bridge.idl import idl_type
 from bridge.messages import DEFINITIONS, HASHES, fields
 
 TYPES = [*HASHES, "std_msgs/msg/Header"]
@@ -79,6 +78,9 @@ def cyclone_bytes(name, value):
 
 
 def cyclone_message(name, value):
+    pytest.importorskip("cyclonedds")
+    from bridge.idl import idl_type
+
     def convert(member):
         inner = value[member.name]
         if isinstance(inner, np.ndarray):
