@@ -104,6 +104,7 @@ def test_info_says_where_velocities_come_from():
 
 
 def test_play_and_record_beside(clip, monkeypatch, capsys):
+    pytest.importorskip("cyclonedds")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     bag = clip.parent / "shown"
