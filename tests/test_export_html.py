@@ -76,7 +76,9 @@ def test_what_is_packed_can_be_unpacked(clip):
     assert arrays["scales"] == pytest.approx(clip.scales, rel=2e-3)
     assert arrays["speed"] == pytest.approx(np.linalg.norm(clip.velocities, axis=2), abs=0.02)
     assert arrays["colour"][:, 3] / 255 == pytest.approx(clip.opacities, abs=0.002)
-    assert head["times"] == clip.times.tolist()
+    assert head["times"] == clip.times.tolist() and "until" not in head
+    parted = clip.with_report({**clip.report, "error": {"until": 0.5}})
+    assert _unpacked(pack(parted, CAMERA))[0]["until"] == 0.5
 
 
 def test_the_stage_goes_along(clip):

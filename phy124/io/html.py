@@ -78,7 +78,7 @@ def pack(
     rest = np.maximum(clip.scales[0], 1e-9)
     ratios = np.log(np.maximum(clip.scales, 1e-9) / rest)
     head = {"splats": len(clip.opacities), "times": clip.times.tolist(), **measure(clip)}
-    head |= _describe(camera, background, stage, shine)
+    head |= _describe(clip, camera, background, stage, shine)
     shades = [] if stage is None else [_differences(stage[1])]
     arrays = [
         _colours(clip),
@@ -152,18 +152,24 @@ def _pack_smallest(
     if not np.isfinite(clip.means).all():
         return packed
     shades = b"" if stage is None else zlib.compress(_differences(stage[1]).tobytes(), 9)
-    player = _describe(camera, background, stage, shine)
+    player = _describe(clip, camera, background, stage, shine)
     every = np.ones(len(clip.opacities), bool)
     film, shape = lattice4d.encode(clip, every, player=player, shades=shades)
     return film if shape <= LOOSE and len(film) < len(packed) else packed
 
 
 def _describe(
-    camera: Camera, background: tuple[float, ...], stage: Staged | None, shine: Glossy | None
+    clip: Clip,
+    camera: Camera,
+    background: tuple[float, ...],
+    stage: Staged | None,
+    shine: Glossy | None,
 ) -> dict[str, Any]:
     """Return how the player shows a clip at first, as plain data."""
     shown: dict[str, Any] = {"background": list(background), "view": _view(camera)}
     shown |= {} if stage is None else {"stage": stage[0]}
+    until = (clip.report.get("error") or {}).get("until")
+    shown |= {} if until is None else {"until": until}
     return shown | ({} if shine is None else {"shine": shine})
 
 

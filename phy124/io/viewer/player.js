@@ -157,7 +157,7 @@ globalThis.Phy124Player = (() => {
     <div class="phy-legend" hidden><span></span><i></i><span></span></div>
     <div class="phy-bar" role="group" aria-label="Player">
       <button type="button" class="phy-play" aria-label="Play">${icon('play')}</button>
-      <input class="phy-time" type="range" min="0" step="any" value="0" aria-label="Time">
+      <span class="phy-when"><input class="phy-time" type="range" min="0" step="any" value="0" aria-label="Time"></span>
       <output class="phy-clock">0.00 s</output>
       <select class="phy-speed" aria-label="Speed">${options(
         Object.fromEntries(SPEEDS.map((s) => [String(s), `${s}×`])), '1')}</select>
@@ -197,11 +197,21 @@ globalThis.Phy124Player = (() => {
       if (clear) this.find('background').prepend(new Option('Of the page', 'page', true, true));
       this.stage.background(clear ? 'page' : null);
       this.find('time').max = this.length;
+      this.hatch();
       this.listen();
       this.seek(0);
       if (pack.load) this.loadAll();
       this.still = matchMedia('(prefers-reduced-motion: reduce)').matches;
       if (play && !this.still && this.length > 0) this.play();
+    }
+
+    /** Hatch the time from which other grids move otherwise. */
+    hatch() {
+      const bar = this.find('when'), until = this.pack.until;
+      bar.classList.toggle('phy-hatched', until !== undefined);
+      if (until === undefined) return;
+      bar.style.setProperty('--until', `${100 * (until - this.pack.times[0]) / this.length}%`);
+      bar.title = `After ${until.toFixed(2)} s other grids move otherwise: plausible, not predicted.`;
     }
 
     listen() {
@@ -312,6 +322,7 @@ globalThis.Phy124Player = (() => {
       Phy124Pack.Growing.add(this.pack, frame);
       this.length = this.pack.times[this.pack.t - 1] - this.pack.times[0];
       this.find('time').max = this.length;
+      this.hatch();
       if (this.still) this.seek(this.length);
       else if (!this.playing) this.play();
     }
