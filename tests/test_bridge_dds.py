@@ -106,6 +106,13 @@ def test_sixty_of_sixty_frames_of_the_live_defaults_at_30_hz(domain, attempt):
     check_every_frame_arrives(domain, frames=60, count=LIVE_POINTS, profile=None, lateness=TIMEOUT)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [2.0, 4.0])
+def test_acknowledgements_do_not_limit_the_rate(domain, speed):
+    """66 kB at 60 and at 120 Hz."""
+    check_every_frame_arrives(domain, frames=90, count=4096, profile="viz", speed=speed)
+
+
 def test_a_subscriber_that_hangs_neither_ends_nor_stops_the_show(domain, monkeypatch):
     """cyclonedds stumbles over its own word for a timeout while it waits for acknowledgements."""
     monkeypatch.setattr(delivery, "LONGEST_WAIT", 0.05)

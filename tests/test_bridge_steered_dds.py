@@ -104,6 +104,10 @@ def test_a_peer_pauses_steps_and_pushes(domain):
         assert (answer.result.result, run.state) == (1, State.PAUSED)
         features = peer.ask(sink, ("get_simulator_features", "GetSimulatorFeatures"), 0).features
         assert 31 in features.features and "~/push" in features.custom_info
+        answer = peer.ask(sink, ("get_entity_state", "GetEntityState"), "object", number=5)
+        assert answer.state.pose.position.z == pytest.approx(run.live.centre[2])
+        answer = peer.ask(sink, ("delete_entity", "DeleteEntity"), "robot", number=6)
+        assert answer.result.result == 2 and "no 'robot'" in answer.result.error_message
         writer = peer.writer("rt/phy124/live/push", "geometry_msgs/msg/WrenchStamped")
         until(writer.get_matched_subscriptions)
         time.sleep(0.1)
