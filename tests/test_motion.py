@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
+from phy124 import pipeline
 from phy124.__main__ import main
+from phy124.budget import cost
 from phy124.errors import InputError
 from phy124.gaussians import rotation_matrices
 from phy124.io.clip import Clip, read_shape, restate
 from phy124.motion.packing import STEP_F, STEP_X, hilbert_order
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
-from test_recording import SCENE, WITH
+from test_recording import SCENE, WITH, copied_at
 
 ARRAYS = ("means", "quats", "scales")
 SCENES = {
@@ -96,3 +98,19 @@ def test_export_to_frames_writes_every_value(saved, tmp_path):
     assert whole.motion is None and whole.scene == read.scene and whole.report == read.report
     for name in (*ARRAYS, "opacities", "sh", "times"):
         assert np.array_equal(getattr(whole, name), getattr(read, name))
+
+
+@pytest.mark.parametrize("name", ["plain", "free solid", "at rest"])
+def test_run_without_held_frames_has_the_same_clip(tmp_path, every_frame, monkeypatch, name):
+    scene = SCENE.replaced(WITH[name])
+    pipeline.simulate(ball(300), scene, tmp_path / "held", films=False)
+    monkeypatch.setattr(cost, "HELD", 0)
+    copy = copied_at(3, tmp_path / "light", tmp_path / "killed")
+    pipeline.simulate(ball(300), scene, tmp_path / "light", films=False, each=copy)
+    pipeline.go_on(tmp_path / "killed")
+    held, *others = (
+        Clip.load(tmp_path / folder / "clip.safetensors") for folder in ("held", "light", "killed")
+    )
+    for clip in others:
+        for array in ARRAYS:
+            assert np.array_equal(getattr(held, array), getattr(clip, array))

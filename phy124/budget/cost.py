@@ -41,6 +41,10 @@ BYTES_PER_PARTICLE = 400
 BYTES_PER_NODE = 32
 BYTES_PER_GAUSSIAN = 40
 """Memory of one Gaussian in one frame of the clip [bytes]."""
+AT_REST = 600
+"""Memory of a Gaussian at rest, its particles' weights and one frame [bytes]."""
+HELD = 512e6
+"""Size of the frames of a run that are held [bytes]; longer runs compute them again when read."""
 BYTES_PER_SHAPE = 250
 """Memory of one Gaussian on the device that deforms the Gaussians [bytes]."""
 
@@ -255,5 +259,5 @@ def estimate_memory(
     """
     double = 2 if scene.resolution.precision == "float64" else 1
     state = double * (BYTES_PER_PARTICLE * particles + BYTES_PER_NODE * nodes)
-    memory = state + BYTES_PER_GAUSSIAN * gaussians * frames
+    memory = state + min(BYTES_PER_GAUSSIAN * gaussians * frames, HELD) + AT_REST * gaussians
     return memory, state + BYTES_PER_SHAPE * gaussians

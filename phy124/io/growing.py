@@ -143,7 +143,9 @@ class Growing:
             if tensor.shape[1:] != array.shape or CODES[tensor.code] != array.dtype.str:
                 raise Unlike(f"{name} of frame {index} is {array.dtype} {array.shape}")
             self._write(array, tensor.offset + index * array.nbytes)
-        gaussians = replace(frame.gaussians, **{n: self.arrays[n][index] for n in SHAPES})
+        gaussians = replace(
+            frame.gaussians, **{n: self.arrays[n][index] for n in SHAPES if n in self.arrays}
+        )
         optional = {name: self._row(name, index) for name in ("velocities", "contacts")}
         x, F = self._row("carried_x", index), self._row("carried_F", index)
         carried = None if x is None or F is None else (x, F)

@@ -175,7 +175,7 @@ class Recording:
             run.frames[place], turned = self.frames.put(frame, turns)
             if turned is not None:
                 run.rotations[place] = turned
-            if place and len(run.setup.shown) and run.setup.shown.sh_degree:
+            if place and run.rotations:
                 # Only the last frame's rotated colours are needed again.
                 before = run.frames[place - 1]
                 plain = replace(before.gaussians, sh=run.setup.shown.sh)

@@ -231,10 +231,11 @@ def _put_frames(run: Simulation, kept: Tensors) -> None:
     names = () if wrenches_of is None else wrenches_of.names
     times = kept["times"].tolist()
     for index, time in enumerate(times):
-        shape = {name: kept[name][index] for name in SHAPES}
+        shape = {name: kept[name][index] for name in SHAPES if name in kept}
         more = {name: kept[name][index] for name in ("velocities", "contacts") if name in kept}
         wrenches = None if walls is None else of_walls(names, np.array(walls[index]))
-        gaussians, place = replace(run.setup.shown, **shape), run.count - len(times) + index
+        shown = run.setup.shown.select(np.zeros(0, int)) if run.light else run.setup.shown
+        gaussians, place = replace(shown, **shape), run.count - len(times) + index
         if "carried_x" in kept:
             more["carried"] = (kept["carried_x"][index], kept["carried_F"][index])
         run.frames.append(Frame(place, time, gaussians, **more, wrenches=wrenches))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.budget import cost
 from phy124.budget.remedies import advise, find_remedies, find_speedups
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame
@@ -21,7 +22,7 @@ from phy124.monitor.diagnostics import describe_substep
 from phy124.monitor.observer import Kind, Observer, Violation, find, restore_all, snapshots
 from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer
-from phy124.motion.recorded import Motion
+from phy124.motion.recorded import Motion, make_arrays
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.threads import Team
 from phy124.mpm.workers import HOST, REPAIR, run_timed
@@ -84,6 +85,12 @@ class Simulation:
         self.count = 0
         """Number of frames computed so far."""
         self.frames: list[Frame] = []
+        scene, count = self.scene, len(setup.shown)
+        measured = scene.velocities or scene.keeps_contacts
+        size = cost.BYTES_PER_GAUSSIAN * count * scene.time.frames
+        self.light = setup.keep and setup.shapes and not measured and size > cost.HELD
+        """Whether `frames` have no Gaussians, because these follow from the motion of particles."""
+        self._last: Frame | None = None
         self.rotations: list[NDArray] = []
         """Rotations of the Gaussians in each frame [N,4] wxyz, if their colours depend on them."""
         self.poses: list[NDArray] = []
@@ -124,7 +131,8 @@ class Simulation:
         if not self.setup.keep:
             self.frames.clear()
             del self.rotations[:-1]
-        self.frames.append(frame)
+        self.frames.append(self._without_gaussians(frame) if self.light else frame)
+        self._last = frame if self.light else None
         self.count += 1
         context.progress("simulate", self.count, timing.frames)
         return frame
@@ -177,8 +185,14 @@ class Simulation:
         setup = self.setup
         if not setup.keep:
             raise ValueError("this run does not keep its frames")
+        clip = Clip.from_frames(
+            self.frames, stack_arrays(self.rotations) if self.rotations else None
+        )
+        computed = make_arrays(self._motion(clip.times)) if self.light else {}
         clip = replace(
-            Clip.from_frames(self.frames, stack_arrays(self.rotations) if self.rotations else None),
+            clip,
+            **computed,
+            object_id=setup.shown.object_id,
             opacities=setup.shown.opacities,
             sh=setup.shown.sh,
             scene=setup.cleaned_scene.data(),
@@ -186,7 +200,8 @@ class Simulation:
         )
         for observer in self.observers:
             clip = observer.complete(clip)
-        clip = replace(clip, motion=self._motion(clip))
+        if self._follows_particles(clip):
+            clip = replace(clip, motion=self._motion(clip.times))
         return clip.with_report(self.report() | report_clip(setup, clip))
 
     def report(self) -> dict[str, Any]:
@@ -230,7 +245,7 @@ class Simulation:
                 v = state.v if self.scene.velocities else None
                 shape = state.deformation
                 frame = self.deformer(state.x, shape, index=index, time=time, velocities=v)
-            if self.deformer.rotations is not None:
+            if self.deformer.rotations is not None and not self.light:
                 self.rotations.append(scenery.turns(self.deformer.rotations))
         with stage("observe"):
             for observer in self.observers:
@@ -249,18 +264,23 @@ class Simulation:
         """Indices of the particles that carry Gaussians [C]."""
         return self.deformer.carriers
 
-    def _motion(self, clip: Clip) -> Motion | None:
-        """Return what moves the Gaussians of a clip; None if its Gaussians are not those at rest.
+    def _without_gaussians(self, frame: Frame) -> Frame:
+        return replace(frame, gaussians=self.setup.shown.select(np.zeros(0, int)))
 
-        Gaussians inside torn material are added to a finished clip, and follow no particle.
+    def _follows_particles(self, clip: Clip) -> bool:
+        """Return whether all Gaussians of a clip follow from the recorded motion.
+
+        Those inside torn material, which are added to a finished clip, follow no particle.
         """
+        every = all(frame.carried is not None for frame in self.frames)
+        known = not self.setup.free or len(self.poses) == len(self.frames)
+        return every and known and len(clip.opacities) == len(self.setup.shown)
+
+    def _motion(self, times: NDArray[np.float64]) -> Motion:
+        """Return what moves the Gaussians of the frames at some times [T], s."""
         setup, count = self.setup, len(self.frames)
         carried = [frame.carried for frame in self.frames if frame.carried is not None]
-        if len(carried) != count or len(clip.opacities) != len(setup.shown):
-            return None
-        if setup.free and len(self.poses) != count:
-            return None
-        tracks = [track.values(clip.times) for _, track in setup.scenery.tracks]
+        tracks = [track.values(times) for _, track in setup.scenery.tracks]
         return Motion(
             gaussians=setup.shown,
             moves=setup.appearance.moves,
@@ -269,7 +289,7 @@ class Simulation:
             carriers=self.carriers,
             x=[x for x, _ in carried],
             F=[F for _, F in carried],
-            times=clip.times,
+            times=times,
             on_tracks=tuple(index for index, _ in setup.scenery.tracks),
             tracks=np.stack(tracks, axis=1) if tracks else np.zeros((count, 0, 3)),
             free=setup.scenery.free,
@@ -280,7 +300,10 @@ class Simulation:
         """Return the last frame with a new index and time, since nothing has moved."""
         if self.rotations:
             self.rotations.append(self.rotations[-1])
-        return replace(self.frames[-1], index=index, time=time)
+        last = self._last or self.frames[-1]
+        if self.light and self._last is None:  # the run was resumed
+            last = replace(last, gaussians=self.clip().frame(-1).gaussians)
+        return replace(last, index=index, time=time)
 
     @one_at_a_time
     def _advance(self, index: int, until: float) -> None:
