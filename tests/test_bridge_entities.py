@@ -117,6 +117,18 @@ def test_flags_choose_pose_or_twist_and_the_frame_counts():
     assert np.allclose(motion.place, (0.1, 0.2, 0.7)) and np.allclose(motion.velocity, (0, 1, 0))
 
 
+def test_a_far_jump_is_no_instability():
+    run = steered(changes=WEIGHTLESS)
+    run.advance()
+    run.advance()
+    flags = {"set_pose": True, "set_twist": True}
+    asked = state((0, 0, 3))
+    assert serve(run, "SetEntityState")(entity="object", state=asked, **flags)["result"]["result"]
+    run.advance()
+    run.advance()
+    assert np.allclose(run.live.centre, (0, 0, 3), atol=1e-3) and run.remarks.count == 1
+
+
 @pytest.mark.parametrize(
     ("members", "code"),
     [

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from phy124.errors import InputError
 from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import pair_names
+from phy124.mpm.solver import Solver
 from phy124.scene import Scene
 from phy124.schema.region import Vector
 from phy124.simulation import Simulation
@@ -114,6 +115,9 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
         InputError: There is no such object, it never moves, or it has no particles.
     """
     number = _object_number(run.scene, "state.entity", name)
+    if not isinstance(run.solver, Solver):
+        limit = "the solver of this scene cannot move objects at once."
+        raise InputError("state.entity", name, limit, "Use accuracy.solver = mpm.")
     mask, state, before = _objects(run) == number, run.solver.state, list_motions(run)[name]
     new, old = (Rotation.from_quat(each.quat[[1, 2, 3, 0]]) for each in (motion, before))
     R = (new * old.inv()).as_matrix()
@@ -130,6 +134,9 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
         arrays["C"][mask] = R @ arrays["C"][mask] @ R.T
     for key, array in state.arrays().items():
         array.assign(arrays[key])
+    run.solver.clock.expire()
+    for grid in run.solver.grids:
+        grid.stale = True
     watchdog = run.find(Watchdog)
     if watchdog is not None:
         watchdog.restart()
